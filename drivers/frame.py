@@ -1,0 +1,199 @@
+"""The values a depth camera delivers: intrinsics, calibration and frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Coefficients that OpenCV's distortion model accepts (k1, k2, p1, p2[, k3[, k4, k5, k6[, ...]]]).
+_DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
+
+
+def _read_only(array: NDArray[np.generic]) -> None:
+    array.flags.writeable = False
+
+
+def _as_distortion(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    distortion = np.array(values, dtype=np.float64).ravel()
+    if distortion.size not in _DISTORTION_LENGTHS:
+        raise ValueError(f"distortion: expected {_DISTORTION_LENGTHS} coefficients, got {distortion.size}")
+    if not np.isfinite(distortion).all():
+        raise ValueError(f"distortion: expected finite coefficients, got {distortion.tolist()}")
+    return distortion
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Intrinsics:
+    """A pinhole camera with lens distortion.
+
+    Parameters
+    ----------
+    width, height : int
+        Image size, pixels.
+    fx, fy : float
+        Focal lengths, pixels; `fy` is negative where a renderer's image runs upwards.
+    cx, cy : float
+        Principal point, pixels.
+    distortion : (K,) float64, optional
+        OpenCV's coefficients (k1, k2, p1, p2, k3, ...), dimensionless; empty for a perfect lens.
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite, a focal length is 0 or the size is not positive.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        for name in ("width", "height"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}: expected a positive number of pixels, got {getattr(self, name)}")
+        for name in ("fx", "fy", "cx", "cy"):
+            if not np.isfinite(getattr(self, name)):
+                raise ValueError(f"{name}: expected a finite number of pixels, got {getattr(self, name)}")
+        if self.fx <= 0 or self.fy == 0:
+            raise ValueError(f"fx, fy: expected focal lengths in pixels, got {self.fx}, {self.fy}")
+        distortion = _as_distortion(self.distortion)
+        _read_only(distortion)
+        object.__setattr__(self, "distortion", distortion)
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """The (3, 3) camera matrix, pixels."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def scaled_to(self, width: int, height: int) -> Intrinsics:
+        """Return the same camera for an image of another size, pixel centres being at integers."""
+        sx, sy = width / self.width, height / self.height
+        return Intrinsics(
+            width=width,
+            height=height,
+            fx=self.fx * sx,
+            fy=self.fy * sy,
+            cx=(self.cx + 0.5) * sx - 0.5,
+            cy=(self.cy + 0.5) * sy - 0.5,
+            distortion=self.distortion,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """Both cameras of an RGB-D sensor and the rigid transform between them.
+
+    Parameters
+    ----------
+    depth, color : Intrinsics
+        The two cameras.
+    color_from_depth : (4, 4) float64
+        Takes points of the depth camera's frame to the color camera's; translation in metres.
+        The identity where the depth image is registered to the color image already.
+
+    Raises
+    ------
+    ValueError
+        If `color_from_depth` is not a rigid transform.
+    """
+
+    depth: Intrinsics
+    color: Intrinsics
+    color_from_depth: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+
+    def __post_init__(self) -> None:
+        transform = np.array(self.color_from_depth, dtype=np.float64)
+        if transform.shape != (4, 4) or not np.isfinite(transform).all():
+            raise ValueError(f"color_from_depth: expected a finite (4, 4) transform, got {transform.tolist()}")
+        rotation = transform[:3, :3]
+        rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) and np.linalg.det(rotation) > 0
+        if not rigid or not np.allclose(transform[3], [0, 0, 0, 1]):
+            raise ValueError(f"color_from_depth: expected a rigid transform, got {transform.tolist()}")
+        _read_only(transform)
+        object.__setattr__(self, "color_from_depth", transform)
+
+    @classmethod
+    def registered(cls, camera: Intrinsics) -> Calibration:
+        """Return the calibration of frames whose depth is registered to color: one camera for both."""
+        return cls(depth=camera, color=camera)
+
+    @property
+    def is_registered(self) -> bool:
+        """Whether a depth pixel and the color pixel at the same place show the same point."""
+        same = (self.depth.width, self.depth.height) == (self.color.width, self.color.height)
+        return bool(
+            same
+            and np.array_equal(self.depth.matrix, self.color.matrix)
+            and np.array_equal(self.depth.distortion, self.color.distortion)
+            and np.array_equal(self.color_from_depth, np.eye(4))
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RGBDFrame:
+    """A depth image and its color image, taken together.
+
+    The arrays are made read-only, so that one frame can be shared between threads without a copy.
+
+    Parameters
+    ----------
+    index : int
+        Number of the frame in its source, from 0.
+    timestamp_ns : int
+        Device clock, nanoseconds.
+    depth_mm : (H, W) uint16
+        Depth image, millimetres; 0 where there is no depth.
+    color : (Hc, Wc, 3) uint8
+        Color image, RGB.
+    calibration : Calibration
+        Of the two cameras, for images of these sizes.
+    labels : (H, W) uint16 or None
+        Ground truth on the depth image's grid, 0 where there is none.
+    name : str
+        What a person calls the frame (a file's stem); may be empty.
+
+    Raises
+    ------
+    ValueError
+        If a shape or dtype is wrong, or an image does not have its camera's size.
+    """
+
+    index: int
+    timestamp_ns: int
+    depth_mm: NDArray[np.uint16]
+    color: NDArray[np.uint8]
+    calibration: Calibration
+    labels: NDArray[np.uint16] | None = None
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        if self.depth_mm.ndim != 2 or self.depth_mm.dtype != np.uint16:
+            raise ValueError(
+                f"depth_mm: expected (H, W) uint16, got {self.depth_mm.shape} {self.depth_mm.dtype}"
+            )
+        if self.color.ndim != 3 or self.color.shape[2] != 3 or self.color.dtype != np.uint8:
+            raise ValueError(f"color: expected (H, W, 3) uint8, got {self.color.shape} {self.color.dtype}")
+        for image, camera, name in (
+            (self.depth_mm, self.calibration.depth, "depth_mm"),
+            (self.color, self.calibration.color, "color"),
+        ):
+            if image.shape[:2] != (camera.height, camera.width):
+                raise ValueError(
+                    f"{name}: expected {camera.width}x{camera.height} as calibrated, "
+                    f"got {image.shape[1]}x{image.shape[0]}"
+                )
+        if self.labels is not None:
+            if self.labels.shape != self.depth_mm.shape or self.labels.dtype != np.uint16:
+                raise ValueError(
+                    f"labels: expected {self.depth_mm.shape} uint16, "
+                    f"got {self.labels.shape} {self.labels.dtype}"
+                )
+            _read_only(self.labels)
+        _read_only(self.depth_mm)
+        _read_only(self.color)

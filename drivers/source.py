@@ -1,0 +1,165 @@
+"""What every source of frames has in common, and the pacing of a replay."""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from types import TracebackType
+from typing import Self
+
+from nurbseg.drivers.errors import DriverError, EndOfRecordingError, FrameFormatError
+from nurbseg.drivers.frame import Calibration, RGBDFrame
+
+
+class FrameSource(ABC):
+    """A camera or a recording that delivers RGB-D frames one after the other.
+
+    Constructing opens; the source is usable until `close`. Subclasses fill in `_read` and `_close`.
+
+    Attributes
+    ----------
+    calibration : Calibration
+        Of the source's cameras; frames carry their own too.
+    live : bool
+        Whether frames are lost when nobody reads them (a camera) or wait to be read (a recording).
+    metadata : dict of str to str
+        What is known of the device or the recording (name, serial number, ...); may be empty.
+    """
+
+    calibration: Calibration
+    live: bool = False
+
+    def __init__(self) -> None:
+        self.metadata: dict[str, str] = {}
+        self._closed = False
+
+    def read(self, timeout_s: float = 1.0) -> RGBDFrame:
+        """Return the next frame.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Longest wait, seconds.
+
+        Raises
+        ------
+        FrameTimeoutError
+            If no frame came in time; the source is still usable.
+        EndOfRecordingError
+            After the last frame of a recording.
+        FrameFormatError
+            If this one frame is damaged; the next call reads the one after it.
+        DeviceLostError
+            If the camera is gone.
+        DriverError
+            If the source is closed.
+        """
+        if self._closed:
+            raise DriverError(f"{type(self).__name__} is closed")
+        return self._read(timeout_s)
+
+    def skip(self, frames: int) -> int:
+        """Go past the next frames; return how many there were to pass.
+
+        A damaged frame counts as one. Subclasses that can do this without decoding override it.
+        """
+        for passed in range(frames):
+            try:
+                self.read()
+            except FrameFormatError:
+                continue
+            except EndOfRecordingError:
+                return passed
+        return frames
+
+    def close(self) -> None:
+        """Release what the source holds; safe to call twice."""
+        if not self._closed:
+            self._closed = True
+            self._close()
+
+    @abstractmethod
+    def _read(self, timeout_s: float) -> RGBDFrame: ...
+
+    @abstractmethod
+    def _close(self) -> None: ...
+
+    def __iter__(self) -> Iterator[RGBDFrame]:
+        while True:
+            try:
+                yield self.read()
+            except EndOfRecordingError:
+                return
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+class Paced(FrameSource):
+    """Replays another source at its recorded rate, or a multiple of it.
+
+    A frame is handed out at ``start + (its timestamp - first timestamp) / speed``. These moments are
+    absolute, so that delays do not add up; a reader that is late gets the frames it missed at once.
+
+    Parameters
+    ----------
+    source : FrameSource
+        Borrowed and closed with this one.
+    speed : float
+        Multiple of the recorded rate, over 0.
+    clock : callable
+        Monotonic seconds.
+    sleep : callable
+        Waits that many seconds.
+
+    Raises
+    ------
+    ValueError
+        If `speed` is not over 0.
+    """
+
+    def __init__(
+        self,
+        source: FrameSource,
+        speed: float = 1.0,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        super().__init__()
+        if not speed > 0:
+            raise ValueError(f"speed: expected more than 0, got {speed}")
+        self.calibration = source.calibration
+        self.metadata = source.metadata
+        self._source = source
+        self._speed = speed
+        self._clock = clock
+        self._sleep = sleep
+        self._start_s: float | None = None
+        self._first_ns = 0
+
+    def _read(self, timeout_s: float) -> RGBDFrame:
+        frame = self._source.read(timeout_s)
+        if self._start_s is None:
+            self._start_s, self._first_ns = self._clock(), frame.timestamp_ns
+        due_s = self._start_s + (frame.timestamp_ns - self._first_ns) * 1e-9 / self._speed
+        wait_s = due_s - self._clock()
+        if wait_s > 0:
+            self._sleep(wait_s)
+        return frame
+
+    def skip(self, frames: int) -> int:
+        """Go past the next frames without waiting for their moments."""
+        return self._source.skip(frames)
+
+    def _close(self) -> None:
+        self._source.close()
