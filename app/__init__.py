@@ -1,1 +1,1 @@
-"""TBD."""
+"""Wires, threads and shows: the commands."""

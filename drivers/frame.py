@@ -110,7 +110,9 @@ class Calibration:
     def __post_init__(self) -> None:
         transform = np.array(self.color_from_depth, dtype=np.float64)
         if transform.shape != (4, 4) or not np.isfinite(transform).all():
-            raise ValueError(f"color_from_depth: expected a finite (4, 4) transform, got {transform.tolist()}")
+            raise ValueError(
+                f"color_from_depth: expected a finite (4, 4) transform, got {transform.tolist()}"
+            )
         rotation = transform[:3, :3]
         rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) and np.linalg.det(rotation) > 0
         if not rigid or not np.allclose(transform[3], [0, 0, 0, 1]):

@@ -1,1 +1,1 @@
-"""TBD."""
+"""The method: arrays in, values out."""

@@ -1,0 +1,120 @@
+"""The settings of the segmentation; every quantity that the paper leaves open is one of them.
+
+Each field carries what a person needs to set it (text, unit, bounds), so that the command line,
+the configuration file and the checks are made from this one place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import Field, dataclass, field, fields
+from typing import Any, Literal, get_args
+
+Method = Literal["stag15"]
+Metric = Literal["mse", "mae", "ve", "nle", "vmxc", "vmec", "vgc", "mmxc", "nlc"]
+SplittingPoint = Literal["zero", "kmeans", "ncut"]
+
+
+def setting(
+    default: Any,
+    text: str,
+    *,
+    unit: str = "",
+    least: float | None = None,
+    most: float | None = None,
+    above: float | None = None,
+    choices: tuple[str, ...] = (),
+) -> Any:
+    """Describe one field of a configuration: its default, meaning, unit and bounds."""
+    return field(
+        default=default,
+        metadata={
+            "text": text,
+            "unit": unit,
+            "least": least,
+            "most": most,
+            "above": above,
+            "choices": choices,
+        },
+    )
+
+
+def check_settings(config: Any) -> None:
+    """Hold every described field of a configuration against its bounds.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of bounds; names the field, the value and what is expected.
+    """
+    for each in fields(config):
+        bounds = each.metadata
+        if not bounds:
+            continue
+        value = getattr(config, each.name)
+        if bounds["choices"] and value not in bounds["choices"]:
+            raise ValueError(f"{each.name}: expected one of {', '.join(bounds['choices'])}, got {value!r}")
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            continue
+        if bounds["least"] is not None and not value >= bounds["least"]:
+            raise ValueError(f"{each.name}: expected at least {bounds['least']}, got {value}")
+        if bounds["most"] is not None and not value <= bounds["most"]:
+            raise ValueError(f"{each.name}: expected at most {bounds['most']}, got {value}")
+        if bounds["above"] is not None and not value > bounds["above"]:
+            raise ValueError(f"{each.name}: expected more than {bounds['above']}, got {value}")
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentationConfig:
+    """Settings of the recursive segmentation; symbols are the paper's.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of its bounds.
+    """
+
+    method: Method = setting("stag15", "which method segments the frame", choices=get_args(Method))
+    metric: Metric = setting(
+        "mse", "surface fit metric that decides a split (eq. 7-22)", choices=get_args(Metric)
+    )
+    ratio_max: float = setting(1.0, "T: a split is kept if its metric ratio is below this (eq. 5)", above=0.0)
+    geometry_weight: float = setting(1.0, "lambda: weight of position against color (eq. 3)", least=0.0)
+    samples: int = setting(100, "points whose affinities are computed exactly (Nystrom)", least=2, most=2000)
+    affinity_scale: float = setting(
+        1.0, "sigma of the Gaussian affinity, in normalised vector units", above=0.0
+    )
+    splitting_point: SplittingPoint = setting(
+        "zero",
+        "where the second eigenvector is cut: at zero, by 2-means, or at least Ncut",
+        choices=get_args(SplittingPoint),
+    )
+    segment_pixels_min: int = setting(
+        750, "T_p: smallest segment, in pixels of a 640x480 image (scaled with the image)", unit="px", least=1
+    )
+    depth_max: int = setting(8, "T_d: largest depth of the tree", least=0, most=64)
+    splits_max: int = setting(60, "T_s: largest number of splits", least=0, most=10_000)
+    large_error_m: float = setting(
+        0.1, "T_l: residual over which a point counts for NLE", unit="m", above=0.0
+    )
+    large_curvature_per_m: float = setting(
+        10.0, "T_c: curvature over which a point counts for NLC", unit="1/m", above=0.0
+    )
+    control_points_max: int = setting(
+        20, "control points along a direction for a segment that spans the image", least=4, most=200
+    )
+    decimation: int = setting(
+        2,
+        "pixel step of the grid on which splits are decided; borders are settled on every pixel",
+        least=1,
+        most=8,
+    )
+    seed: int = setting(0, "seed of the random sample; the same seed gives the same tree", least=0)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+def described_fields(config_type: type[Any]) -> Iterator[Field[Any]]:
+    """Yield the fields of a configuration that were made by `setting`."""
+    return (each for each in fields(config_type) if each.metadata)
