@@ -6,62 +6,14 @@ the configuration file and the checks are made from this one place.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import Field, dataclass, field, fields
-from typing import Any, Literal, get_args
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from nurbseg.drivers.settings import check_settings, described_fields, setting
 
 Method = Literal["stag15"]
 Metric = Literal["mse", "mae", "ve", "nle", "vmxc", "vmec", "vgc", "mmxc", "nlc"]
 SplittingPoint = Literal["zero", "kmeans", "ncut"]
-
-
-def setting(
-    default: Any,
-    text: str,
-    *,
-    unit: str = "",
-    least: float | None = None,
-    most: float | None = None,
-    above: float | None = None,
-    choices: tuple[str, ...] = (),
-) -> Any:
-    """Describe one field of a configuration: its default, meaning, unit and bounds."""
-    return field(
-        default=default,
-        metadata={
-            "text": text,
-            "unit": unit,
-            "least": least,
-            "most": most,
-            "above": above,
-            "choices": choices,
-        },
-    )
-
-
-def check_settings(config: Any) -> None:
-    """Hold every described field of a configuration against its bounds.
-
-    Raises
-    ------
-    ValueError
-        If a value is out of bounds; names the field, the value and what is expected.
-    """
-    for each in fields(config):
-        bounds = each.metadata
-        if not bounds:
-            continue
-        value = getattr(config, each.name)
-        if bounds["choices"] and value not in bounds["choices"]:
-            raise ValueError(f"{each.name}: expected one of {', '.join(bounds['choices'])}, got {value!r}")
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            continue
-        if bounds["least"] is not None and not value >= bounds["least"]:
-            raise ValueError(f"{each.name}: expected at least {bounds['least']}, got {value}")
-        if bounds["most"] is not None and not value <= bounds["most"]:
-            raise ValueError(f"{each.name}: expected at most {bounds['most']}, got {value}")
-        if bounds["above"] is not None and not value > bounds["above"]:
-            raise ValueError(f"{each.name}: expected more than {bounds['above']}, got {value}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +30,12 @@ class SegmentationConfig:
     metric: Metric = setting(
         "mse", "surface fit metric that decides a split (eq. 7-22)", choices=get_args(Metric)
     )
-    ratio_max: float = setting(1.0, "T: a split is kept if its metric ratio is below this (eq. 5)", above=0.0)
-    geometry_weight: float = setting(1.0, "lambda: weight of position against color (eq. 3)", least=0.0)
+    ratio_max: float = setting(
+        1.0, "T: a split is kept if its metric ratio is below this (eq. 5)", above=0.0, symbol="threshold"
+    )
+    geometry_weight: float = setting(
+        1.0, "lambda: weight of position against color (eq. 3)", least=0.0, symbol="lambda"
+    )
     samples: int = setting(100, "points whose affinities are computed exactly (Nystrom)", least=2, most=2000)
     affinity_scale: float = setting(
         1.0, "sigma of the Gaussian affinity, in normalised vector units", above=0.0
@@ -115,6 +71,12 @@ class SegmentationConfig:
         check_settings(self)
 
 
-def described_fields(config_type: type[Any]) -> Iterator[Field[Any]]:
-    """Yield the fields of a configuration that were made by `setting`."""
-    return (each for each in fields(config_type) if each.metadata)
+__all__ = [
+    "Method",
+    "Metric",
+    "SegmentationConfig",
+    "SplittingPoint",
+    "check_settings",
+    "described_fields",
+    "setting",
+]
