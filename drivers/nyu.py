@@ -1,0 +1,264 @@
+"""The NYU Depth v2 data set as a source of labelled frames.
+
+Reads the labelled set as it is distributed (``nyu_depth_v2_labeled.mat``, HDF5, read frame by frame)
+and single frames in MATLAB 5 files, which have a ``data`` structure with ``rgb`` and ``realDepth``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.errors import BackendMissingError, EndOfRecordingError, RecordingFormatError
+from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.drivers.source import FrameSource
+
+#: The color camera to which the labelled set's depth is registered, as its toolbox gives it.
+NYU_COLOR_CAMERA = Intrinsics(
+    width=640, height=480, fx=518.857901, fy=519.469611, cx=325.582449, cy=253.736166
+)
+
+HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+_MATLAB5_MAGIC = b"MATLAB 5.0 MAT-file"
+#: MATLAB writes its own 512 bytes before the HDF5 signature.
+_HDF5_OFFSETS = (0, 512)
+_FRAME_INTERVAL_NS = 33_333_333
+
+
+def is_hdf5(path: Path) -> bool:
+    """Whether a file is HDF5, as MATLAB 7.3 writes it."""
+    with path.open("rb") as stream:
+        head = stream.read(_HDF5_OFFSETS[-1] + len(HDF5_MAGIC))
+    return any(head[offset : offset + len(HDF5_MAGIC)] == HDF5_MAGIC for offset in _HDF5_OFFSETS)
+
+
+def is_matlab5(path: Path) -> bool:
+    """Whether a file is a MATLAB 5 container."""
+    with path.open("rb") as stream:
+        return stream.read(len(_MATLAB5_MAGIC)) == _MATLAB5_MAGIC
+
+
+def depth_to_mm(depth_m: NDArray[np.floating[Any]]) -> NDArray[np.uint16]:
+    """Turn metres into the sensor's millimetres; what is no distance becomes 0.
+
+    Parameters
+    ----------
+    depth_m : (H, W) floating
+        Depth, metres; not finite or not positive where there is none.
+
+    Returns
+    -------
+    (H, W) uint16
+        Depth, millimetres; 0 where there is none.
+    """
+    depth_mm = np.rint(np.nan_to_num(depth_m, nan=0.0, posinf=0.0, neginf=0.0) * 1000.0)
+    depth_mm[(depth_mm < 1) | (depth_mm > 65535)] = 0
+    depth: NDArray[np.uint16] = depth_mm.astype(np.uint16)
+    return depth
+
+
+def _regions(labels: NDArray[np.integer[Any]], instances: NDArray[np.integer[Any]]) -> NDArray[np.uint16]:
+    """Give each pair of class and instance a number from 1; 0 stays "not labelled"."""
+    pairs = labels.astype(np.int64) * 65536 + instances
+    pairs[labels == 0] = 0
+    values, numbered = np.unique(pairs, return_inverse=True)
+    numbered = numbered.reshape(labels.shape)
+    return (numbered + (0 if values[0] == 0 else 1)).astype(np.uint16)
+
+
+class NyuLabelledSource(FrameSource):
+    """``nyu_depth_v2_labeled.mat``: 1449 frames, of which one at a time is in memory.
+
+    The ground truth of a frame has a region for each pair of class and instance.
+
+    Parameters
+    ----------
+    path : Path
+        The HDF5 file.
+
+    Raises
+    ------
+    BackendMissingError
+        If h5py is not installed.
+    RecordingFormatError
+        If the file lacks one of the sets ``images``, ``depths``, ``labels`` and ``instances``, or their
+        shapes disagree.
+
+    References
+    ----------
+    .. [1] N. Silberman, D. Hoiem, P. Kohli, R. Fergus, "Indoor segmentation and support inference from
+       RGBD images", ECCV 2012.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        try:
+            import h5py
+        except ImportError as err:
+            raise BackendMissingError(
+                f"{path}: h5py is needed to read it: pip install 'nurbseg[eval]'"
+            ) from err
+        try:
+            self._file = h5py.File(path, "r")
+        except OSError as err:
+            raise RecordingFormatError(f"{path}: not a readable HDF5 file ({err})") from err
+        try:
+            self._sets = {name: self._set(path, name) for name in ("images", "depths", "labels", "instances")}
+            frames, width, height = self._sets["depths"].shape
+            if self._sets["images"].shape != (frames, 3, width, height):
+                raise RecordingFormatError(
+                    f"{path}: images: expected {(frames, 3, width, height)} as for depths, "
+                    f"got {self._sets['images'].shape}"
+                )
+        except BaseException:
+            self._file.close()
+            raise
+        self._path = path
+        self._frames, self._next = frames, 0
+        self.calibration = Calibration.registered(NYU_COLOR_CAMERA.scaled_to(width, height))
+        self.metadata = {"format": "NYU Depth v2, labelled", "frames": str(frames)}
+
+    def _set(self, path: Path, name: str) -> Any:
+        if name not in self._file:
+            raise RecordingFormatError(f"{path}: the set {name!r} is missing, as in nyu_depth_v2_labeled.mat")
+        return self._file[name]
+
+    def _read(self, timeout_s: float) -> RGBDFrame:
+        if self._next >= self._frames:
+            raise EndOfRecordingError(f"{self._path}: end after {self._frames} frames")
+        index, self._next = self._next, self._next + 1
+        # MATLAB stores by columns: HDF5 shows every image transposed.
+        color = np.ascontiguousarray(self._sets["images"][index].transpose(2, 1, 0), dtype=np.uint8)
+        return RGBDFrame(
+            index=index,
+            timestamp_ns=index * _FRAME_INTERVAL_NS,
+            depth_mm=depth_to_mm(self._sets["depths"][index].T),
+            color=color,
+            calibration=self.calibration,
+            labels=_regions(self._sets["labels"][index].T, self._sets["instances"][index].T),
+            name=f"{index + 1:04d}",
+        )
+
+    def skip(self, frames: int) -> int:
+        """Go past the next frames without reading them."""
+        passed: int = min(frames, self._frames - self._next)
+        self._next += passed
+        return passed
+
+    def _close(self) -> None:
+        self._file.close()
+
+
+class NyuFrameSource(FrameSource):
+    """Single NYU Depth v2 frames in MATLAB 5 files, with 13-class labels beside them where present.
+
+    Labels are taken from ``new_nyu_class13_NNNN.png`` beside ``nyu_v2_N.mat`` and sampled at the nearest
+    pixel where they are larger than the frame. Connected parts of a class are one region each, since
+    classes do not tell one chair from the next.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        The files, in the order in which they are played.
+
+    Raises
+    ------
+    RecordingFormatError
+        If `paths` is empty or a file has no usable ``data.rgb`` and ``data.realDepth``.
+    """
+
+    def __init__(self, paths: list[Path]) -> None:
+        super().__init__()
+        if not paths:
+            raise RecordingFormatError("no NYU Depth v2 frame (nyu_v2_N.mat) in the folder")
+        self._paths, self._next = paths, 0
+        self.calibration = self._load(0).calibration
+        self.metadata = {"format": "NYU Depth v2, single frames", "frames": str(len(paths))}
+
+    def _load(self, index: int) -> RGBDFrame:
+        import scipy.io
+
+        path = self._paths[index]
+        try:
+            record = scipy.io.loadmat(path)["data"][0, 0]
+            color, depth_m = record["rgb"], record["realDepth"]
+        except (KeyError, IndexError, ValueError, TypeError, NotImplementedError, OSError) as err:
+            raise RecordingFormatError(
+                f"{path}: expected a structure 'data' with 'rgb' and 'realDepth' ({err})"
+            ) from err
+        if depth_m.ndim != 2 or color.shape != (*depth_m.shape, 3):
+            raise RecordingFormatError(
+                f"{path}: data.rgb: expected {(*depth_m.shape, 3)} as for realDepth, got {color.shape}"
+            )
+        height, width = depth_m.shape
+        return RGBDFrame(
+            index=index,
+            timestamp_ns=index * _FRAME_INTERVAL_NS,
+            depth_mm=depth_to_mm(depth_m),
+            color=np.ascontiguousarray(np.rint(np.clip(color, 0.0, 1.0) * 255.0).astype(np.uint8)),
+            calibration=Calibration.registered(NYU_COLOR_CAMERA.scaled_to(width, height)),
+            labels=_class_regions(path, width, height),
+            name=path.stem,
+        )
+
+    def _read(self, timeout_s: float) -> RGBDFrame:
+        if self._next >= len(self._paths):
+            raise EndOfRecordingError(f"end after {len(self._paths)} frames")
+        self._next += 1
+        return self._load(self._next - 1)
+
+    def skip(self, frames: int) -> int:
+        """Go past the next frames without reading them."""
+        passed = min(frames, len(self._paths) - self._next)
+        self._next += passed
+        return passed
+
+    def _close(self) -> None:
+        pass
+
+
+def _class_regions(path: Path, width: int, height: int) -> NDArray[np.uint16] | None:
+    number = path.stem.rpartition("_")[2]
+    if not number.isdigit():
+        return None
+    labels_path = path.with_name(f"new_nyu_class13_{int(number):04d}.png")
+    if not labels_path.exists():
+        return None
+    classes = cv2.imread(str(labels_path), cv2.IMREAD_UNCHANGED)
+    if classes is None or classes.ndim != 2:
+        raise RecordingFormatError(f"{labels_path}: expected a readable PNG of one channel")
+    classes = cv2.resize(classes, (width, height), interpolation=cv2.INTER_NEAREST)
+    regions = np.zeros((height, width), np.uint16)
+    count = 0
+    for value in np.unique(classes[classes > 0]):
+        parts, components = cv2.connectedComponents((classes == value).astype(np.uint8), connectivity=4)
+        inside = components > 0
+        regions[inside] = components[inside] + count
+        count += parts - 1
+    return regions
+
+
+def open_path(path: Path) -> FrameSource:
+    """Open the labelled set, one frame, or a folder of single frames.
+
+    Raises
+    ------
+    RecordingFormatError
+        If `path` is none of these.
+    """
+    if path.is_dir():
+        return NyuFrameSource(sorted(path.glob("nyu_v2_*.mat"), key=_frame_number))
+    if is_hdf5(path):
+        return NyuLabelledSource(path)
+    if is_matlab5(path):
+        return NyuFrameSource([path])
+    raise RecordingFormatError(f"{path}: expected a MATLAB file of NYU Depth v2")
+
+
+def _frame_number(path: Path) -> tuple[int, str]:
+    number = path.stem.rpartition("_")[2]
+    return (int(number) if number.isdigit() else 0, path.name)
