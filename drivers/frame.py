@@ -71,6 +71,29 @@ class Intrinsics:
         """The (3, 3) camera matrix, pixels."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
+    def rays(self) -> NDArray[np.float32]:
+        """Return where each pixel looks: a (H, W, 2) float32 of x / z and y / z, lens distortion removed.
+
+        NaN where the distortion cannot be undone, as at the far corners of a strongly bent lens.
+        """
+        import cv2
+
+        v, u = np.mgrid[: self.height, : self.width]
+        bent = np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy], axis=-1).reshape(-1, 1, 2)
+        if not self.distortion.any():
+            return np.asarray(bent.reshape(self.height, self.width, 2), dtype=np.float32)
+        straight = bent.copy()
+        for _ in range(50):
+            points = np.concatenate([straight, np.ones_like(straight[..., :1])], axis=-1)
+            again = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), self.distortion)[0]
+            error_px = np.abs((bent - again) * [self.fx, self.fy]).max(axis=-1)
+            straight += np.clip(bent - again, -0.2, 0.2)
+            if error_px.max() < 1e-3:
+                break
+        # Where the model folds over, the iteration has no end or a wrong one.
+        straight[~(error_px < 0.1)] = np.nan
+        return np.asarray(straight.reshape(self.height, self.width, 2), dtype=np.float32)
+
     def scaled_to(self, width: int, height: int) -> Intrinsics:
         """Return the same camera for an image of another size, pixel centres being at integers."""
         sx, sy = width / self.width, height / self.height

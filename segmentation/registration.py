@@ -1,0 +1,263 @@
+"""Registration: one depth image and its color image become a map of colored points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.segmentation.color_fill import fill_colors
+
+#: Rows handled at once, so that the intermediate images stay in the processor's cache.
+_BLOCK_ROWS = 32
+#: A point is hidden where another one lands on it in the color image and their parallax differs by more
+#: pixels than this. A surface that both cameras see cannot fold by a whole pixel.
+_HIDING_PARALLAX_PX = 1.0
+_METRES = np.arange(1 << 16, dtype=np.float32) * np.float32(1e-3)
+_METRES[0] = np.nan
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointMap:
+    """An organized point cloud with color, on the depth image's grid.
+
+    The arrays are made read-only, so that one map can be shared between threads without a copy.
+
+    Parameters
+    ----------
+    points_m : (H, W, 3) float32
+        Points in the depth camera's frame, metres; NaN in all three where there is no point.
+    color : (H, W, 3) uint8
+        RGB of each point, also where it was filled in.
+    colored : (H, W) bool
+        Where the color camera saw the point itself. False where the point is hidden from it or outside
+        its image; there `color` comes from the nearest points that are not in front of it.
+
+    Attributes
+    ----------
+    valid : (H, W) bool
+        Where there is a point.
+
+    Raises
+    ------
+    ValueError
+        If a shape or dtype is wrong.
+    """
+
+    points_m: NDArray[np.float32]
+    color: NDArray[np.uint8]
+    colored: NDArray[np.bool_]
+    valid: NDArray[np.bool_] = field(init=False)
+
+    def __post_init__(self) -> None:
+        grid = self.points_m.shape[:2]
+        for name, shape, dtype in (
+            ("points_m", (*grid, 3), np.float32),
+            ("color", (*grid, 3), np.uint8),
+            ("colored", grid, np.bool_),
+        ):
+            array = getattr(self, name)
+            if len(grid) != 2 or array.shape != shape or array.dtype != dtype:
+                expected = f"{shape} {np.dtype(dtype)}"
+                raise ValueError(f"{name}: expected {expected}, got {array.shape} {array.dtype}")
+        object.__setattr__(self, "valid", np.isfinite(self.points_m[..., 2]))
+        for array in (self.points_m, self.color, self.colored, self.valid):
+            array.flags.writeable = False
+
+
+def register(frame: RGBDFrame) -> PointMap:
+    """Give each depth pixel its point in space and its color.
+
+    Depth pixels are back-projected along their undistorted rays; each point is carried into the color
+    camera's frame, projected through its lens, held against a z-buffer of all points seen from there,
+    and its color is sampled bilinearly. Where depth and color are registered already, pixels of equal
+    place belong together and the color image is passed through.
+
+    Parameters
+    ----------
+    frame : RGBDFrame
+        Depth and color, which may differ in size, with the calibration of both cameras.
+
+    Returns
+    -------
+    PointMap
+        On the depth image's grid, in the depth camera's frame.
+
+    Notes
+    -----
+    What depends on the calibration alone (the rays) is kept for the calibrations used last.
+    """
+    prepared = _prepared(_Key(frame.calibration))
+    return prepared.register(frame)
+
+
+class _Key:
+    """A calibration compared by value, so that sources may make a new one for every frame."""
+
+    __slots__ = ("_values", "calibration")
+
+    def __init__(self, calibration: Calibration) -> None:
+        self.calibration = calibration
+        self._values = (
+            *_values(calibration.depth),
+            *_values(calibration.color),
+            calibration.color_from_depth.tobytes(),
+        )
+
+    def __hash__(self) -> int:
+        return hash(self._values)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Key) and self._values == other._values
+
+
+def _values(camera: Intrinsics) -> tuple[float | bytes, ...]:
+    size = (camera.width, camera.height)
+    return (*size, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion.tobytes())
+
+
+@lru_cache(maxsize=4)
+def _prepared(key: _Key) -> _Registration:
+    return _Registration(key.calibration)
+
+
+class _Registration:
+    """What registration needs of a calibration, computed once."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        self._registered = calibration.is_registered
+        rays = calibration.depth.rays()
+        self._ray_x, self._ray_y = np.ascontiguousarray(rays[..., 0]), np.ascontiguousarray(rays[..., 1])
+        self._bent = bool(np.isnan(rays).any())
+        if self._registered:
+            return
+        self._color = calibration.color
+        self._lens = _Lens(calibration.color.distortion)
+        rotation = calibration.color_from_depth[:3, :3].astype(np.float32)
+        self._translation = calibration.color_from_depth[:3, 3].astype(np.float32)
+        # A point z (x, y, 1) of the depth camera is at z * turned + translation for the color camera.
+        self._turned = tuple(
+            rotation[i, 0] * self._ray_x + rotation[i, 1] * self._ray_y + rotation[i, 2] for i in range(3)
+        )
+        # The z-buffer's cells are as large as a depth pixel: smaller ones would leave gaps to see through.
+        depth_focal = min(calibration.depth.fx, abs(calibration.depth.fy))
+        color_focal = min(calibration.color.fx, abs(calibration.color.fy))
+        self._cells_per_px = min(1.0, depth_focal / color_focal)
+        parallax_px_m = self._cells_per_px * color_focal * float(np.linalg.norm(self._translation))
+        self._hiding_per_m = _HIDING_PARALLAX_PX / parallax_px_m if parallax_px_m > 0 else np.inf
+
+    def register(self, frame: RGBDFrame) -> PointMap:
+        z = np.take(_METRES, frame.depth_mm)
+        x, y = self._ray_x * z, self._ray_y * z
+        if self._bent:
+            z[np.isnan(x)] = np.nan
+        points = np.asarray(cv2.merge([x, y, z]), dtype=np.float32)
+        if self._registered:
+            return PointMap(points, frame.color, np.isfinite(z))
+        u, v, inverse_depth = self._project(z)
+        colored = self._seen(u, v, inverse_depth)
+        sampled = cv2.remap(frame.color, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        color = np.asarray(sampled, dtype=np.uint8)
+        valid = np.isfinite(z)
+        color[~valid] = 0
+        fill_colors(color, colored, valid & ~colored, np.reciprocal(z), min(self._hiding_per_m, 0.05))
+        return PointMap(points, color, colored)
+
+    def _project(self, z: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
+        """Return the place in the color image, pixels, and the inverse depth there, 1/m, of every pixel.
+
+        All three are -1 where there is no point, or none in front of the color camera.
+        """
+        u, v, inverse_depth = (np.empty_like(z) for _ in range(3))
+        color, (tx, ty, tz) = self._color, self._translation
+        for start in range(0, len(z), _BLOCK_ROWS):
+            rows = slice(start, start + _BLOCK_ROWS)
+            depth = z[rows] * self._turned[2][rows] + tz
+            nothing = ~(depth > 1e-3)
+            depth[nothing] = 1.0
+            inverse = 1.0 / depth
+            x = (z[rows] * self._turned[0][rows] + tx) * inverse
+            y = (z[rows] * self._turned[1][rows] + ty) * inverse
+            x, y = self._lens.bend(x, y)
+            u[rows] = x * np.float32(color.fx) + np.float32(color.cx)
+            v[rows] = y * np.float32(color.fy) + np.float32(color.cy)
+            inverse_depth[rows] = inverse
+            for image in (u, v, inverse_depth):
+                image[rows][nothing] = -1.0
+        return u, v, inverse_depth
+
+    def _seen(
+        self, u: NDArray[np.float32], v: NDArray[np.float32], inverse_depth: NDArray[np.float32]
+    ) -> NDArray[np.bool_]:
+        """Return where a point is inside the color image and no other point stands before it."""
+        width, height = self._color.width, self._color.height
+        inside = (u >= -0.5) & (u < width - 0.5) & (v >= -0.5) & (v < height - 0.5) & (inverse_depth > 0)
+        if not np.isfinite(self._hiding_per_m):
+            return inside
+        scale = np.float32(self._cells_per_px)
+        columns, rows = int(np.ceil(width * scale)) + 1, int(np.ceil(height * scale)) + 1
+        cell = ((v[inside] + 0.5) * scale).astype(np.intp) * columns
+        cell += ((u[inside] + 0.5) * scale).astype(np.intp)
+        near = inverse_depth[inside]
+        buffer = np.zeros(rows * columns, dtype=np.float32)
+        np.maximum.at(buffer, cell, near)
+        # Closing shuts the gaps of a surface that the color camera sees stretched; outlines stay.
+        closed = cv2.morphologyEx(buffer.reshape(rows, columns), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+        seen = np.zeros(inside.shape, dtype=np.bool_)
+        seen[inside] = closed.ravel()[cell] - near <= self._hiding_per_m
+        return seen
+
+
+class _Lens:
+    """OpenCV's distortion model, in float32 over whole images.
+
+    References
+    ----------
+    .. [1] OpenCV, "Camera Calibration and 3D Reconstruction", the detailed description of the model.
+    """
+
+    def __init__(self, distortion: NDArray[np.float64]) -> None:
+        k = np.zeros(14)
+        k[: distortion.size] = distortion
+        self._k = k.astype(np.float32)
+        self._straight = not distortion.any()
+        self._tilt = None
+        if k[12:].any():
+            self._tilt = _tilt(k[12], k[13]).astype(np.float32)
+
+    def bend(self, x: NDArray[np.float32], y: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
+        """Return where an undistorted image coordinate falls behind the lens."""
+        if self._straight:
+            return x, y
+        k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = self._k[:12]
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        if k4 or k5 or k6:
+            radial = radial / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+        # The polynomial folds over far outside the image; such points must not fall back inside.
+        radial[r2 > 4.0] = 1.0
+        twice_xy = 2.0 * x * y
+        bent_x = x * radial + p1 * twice_xy + p2 * (r2 + 2.0 * x * x) + r2 * (s1 + r2 * s2)
+        bent_y = y * radial + p2 * twice_xy + p1 * (r2 + 2.0 * y * y) + r2 * (s3 + r2 * s4)
+        if self._tilt is None:
+            return bent_x, bent_y
+        m = self._tilt
+        w = m[2, 0] * bent_x + m[2, 1] * bent_y + m[2, 2]
+        return (
+            (m[0, 0] * bent_x + m[0, 1] * bent_y + m[0, 2]) / w,
+            (m[1, 0] * bent_x + m[1, 1] * bent_y + m[1, 2]) / w,
+        )
+
+
+def _tilt(tau_x: float, tau_y: float) -> NDArray[np.float64]:
+    """Return the (3, 3) homography of a sensor that is tilted behind its lens."""
+    cx, sx, cy, sy = np.cos(tau_x), np.sin(tau_x), np.cos(tau_y), np.sin(tau_y)
+    rotation = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ np.array(
+        [[1, 0, 0], [0, cx, sx], [0, -sx, cx]]
+    )
+    r13, r23, r33 = rotation[:, 2]
+    return np.asarray(np.array([[r33, 0, -r13], [0, r33, -r23], [0, 0, 1]]) @ rotation)
