@@ -17,7 +17,7 @@ def fill_colors(
     color: NDArray[np.uint8],
     known: NDArray[np.bool_],
     missing: NDArray[np.bool_],
-    inverse_depth: NDArray[np.float32],
+    depth_m: NDArray[np.float32],
     tolerance_per_m: float,
 ) -> None:
     """Color each missing pixel like the nearest known one of its row or column that is not before it.
@@ -34,15 +34,15 @@ def fill_colors(
         Where `color` holds a color that may be lent.
     missing : (H, W) bool
         Where a color is wanted; apart from `known`.
-    inverse_depth : (H, W) float32
-        1/m; finite where `known` or `missing`.
+    depth_m : (H, W) float32
+        Metres; finite where `known` or `missing`.
     tolerance_per_m : float
         Difference of inverse depth, 1/m, up to which two points count as being of one depth.
     """
     wanted = np.flatnonzero(missing)
     if not wanted.size or not known.any():
         return
-    flat_color, depth = color.reshape(-1, 3), inverse_depth.ravel()
+    flat_color, depth = color.reshape(-1, 3), depth_m.ravel()
     sources = known.ravel().copy()
     for _ in range(_PASSES):
         source = _nearest_in_line(wanted, sources, known.shape, depth, tolerance_per_m)
@@ -80,7 +80,7 @@ def _nearest_in_line(
             same_line = candidate // length == place // length
             distance = np.abs(candidate - place)
             flat = (candidate % height) * width + candidate // height if transposed else candidate
-            nearer = depth[flat] - depth[wanted]
+            nearer = 1 / depth[flat] - 1 / depth[wanted]
             price = distance + np.where(nearer < -tolerance_per_m, _OTHER_SURFACE_PX, 0.0)
             price[~same_line | (nearer > tolerance_per_m)] = np.inf
             better = price < cost
@@ -100,7 +100,7 @@ def _fill_from_grid(
     grid[::_COARSE_STEP, ::_COARSE_STEP] = known[::_COARSE_STEP, ::_COARSE_STEP]
     sources = np.flatnonzero(grid if grid.any() else known)
     for chunk in np.array_split(wanted, 1 + wanted.size * sources.size // 1_000_000):
-        nearer = depth[sources] - depth[chunk][:, None]
+        nearer = 1 / depth[sources] - 1 / depth[chunk][:, None]
         rows = sources // width - (chunk // width)[:, None]
         columns = sources % width - (chunk % width)[:, None]
         price = np.hypot(rows, columns) + np.where(nearer < -tolerance_per_m, _OTHER_SURFACE_PX, 0.0)

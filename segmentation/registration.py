@@ -17,6 +17,8 @@ _BLOCK_ROWS = 32
 #: A point is hidden where another one lands on it in the color image and their parallax differs by more
 #: pixels than this. A surface that both cameras see cannot fold by a whole pixel.
 _HIDING_PARALLAX_PX = 1.0
+#: Points nearer to the color camera than this are no points that a sensor could measure.
+_NEAREST_M = 0.01
 _METRES = np.arange(1 << 16, dtype=np.float32) * np.float32(1e-3)
 _METRES[0] = np.nan
 
@@ -147,6 +149,8 @@ class _Registration:
         depth_focal = min(calibration.depth.fx, abs(calibration.depth.fy))
         color_focal = min(calibration.color.fx, abs(calibration.color.fy))
         self._cells_per_px = min(1.0, depth_focal / color_focal)
+        height, width = calibration.color.height, calibration.color.width
+        self._cells = (int(height * self._cells_per_px) + 1, int(width * self._cells_per_px) + 1)
         parallax_px_m = self._cells_per_px * color_focal * float(np.linalg.norm(self._translation))
         self._hiding_per_m = _HIDING_PARALLAX_PX / parallax_px_m if parallax_px_m > 0 else np.inf
 
@@ -156,60 +160,62 @@ class _Registration:
         if self._bent:
             z[np.isnan(x)] = np.nan
         points = np.asarray(cv2.merge([x, y, z]), dtype=np.float32)
-        if self._registered:
-            return PointMap(points, frame.color, np.isfinite(z))
-        u, v, inverse_depth = self._project(z)
-        colored = self._seen(u, v, inverse_depth)
-        sampled = cv2.remap(frame.color, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        color = np.asarray(sampled, dtype=np.uint8)
         valid = np.isfinite(z)
-        color[~valid] = 0
-        fill_colors(color, colored, valid & ~colored, np.reciprocal(z), min(self._hiding_per_m, 0.05))
+        if self._registered:
+            return PointMap(points, frame.color, valid)
+        u, v, nearness, cell = self._project(z)
+        colored = self._seen(nearness, cell)
+        sampled = cv2.remap(frame.color, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        color = np.asarray(cv2.copyTo(sampled, valid.view(np.uint8)), dtype=np.uint8)
+        fill_colors(color, colored, valid & ~colored, z, min(self._hiding_per_m, 0.05))
         return PointMap(points, color, colored)
 
-    def _project(self, z: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
-        """Return the place in the color image, pixels, and the inverse depth there, 1/m, of every pixel.
+    def _project(
+        self, z: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.intp]]:
+        """Project every point into the color image.
 
-        All three are -1 where there is no point, or none in front of the color camera.
+        Returns
+        -------
+        u, v : (H, W) float32
+            Place in the color image, pixels; anywhere outside it where there is no point.
+        nearness : (H, W) float32
+            Inverse depth in the color camera's frame, 1/m; 0 where the point is not inside the image.
+        cell : (H, W) intp
+            Cell of the z-buffer, from 1; 0 where the point is not inside the image.
         """
-        u, v, inverse_depth = (np.empty_like(z) for _ in range(3))
-        color, (tx, ty, tz) = self._color, self._translation
+        u, v, nearness = (np.empty_like(z) for _ in range(3))
+        cell = np.empty(z.shape, dtype=np.intp)
+        color, (tx, ty, tz), scale = self._color, self._translation, np.float32(self._cells_per_px)
         for start in range(0, len(z), _BLOCK_ROWS):
             rows = slice(start, start + _BLOCK_ROWS)
             depth = z[rows] * self._turned[2][rows] + tz
-            nothing = ~(depth > 1e-3)
-            depth[nothing] = 1.0
-            inverse = 1.0 / depth
+            before = depth > _NEAREST_M
+            inverse = np.float32(1.0) / np.where(before, depth, np.float32(1.0))
             x = (z[rows] * self._turned[0][rows] + tx) * inverse
             y = (z[rows] * self._turned[1][rows] + ty) * inverse
             x, y = self._lens.bend(x, y)
             u[rows] = x * np.float32(color.fx) + np.float32(color.cx)
             v[rows] = y * np.float32(color.fy) + np.float32(color.cy)
-            inverse_depth[rows] = inverse
-            for image in (u, v, inverse_depth):
-                image[rows][nothing] = -1.0
-        return u, v, inverse_depth
+            # Pixel centres are at integers, so that the image begins half a pixel before its first one.
+            column, row = u[rows] + np.float32(0.5), v[rows] + np.float32(0.5)
+            inside = before & (column >= 0) & (column < color.width) & (row >= 0) & (row < color.height)
+            nearness[rows] = inverse * inside
+            column, row = (np.where(inside, each, 0.0) * scale for each in (column, row))
+            cell[rows] = inside * (1 + row.astype(np.int32) * self._cells[1] + column.astype(np.int32))
+        return u, v, nearness, cell
 
-    def _seen(
-        self, u: NDArray[np.float32], v: NDArray[np.float32], inverse_depth: NDArray[np.float32]
-    ) -> NDArray[np.bool_]:
+    def _seen(self, nearness: NDArray[np.float32], cell: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Return where a point is inside the color image and no other point stands before it."""
-        width, height = self._color.width, self._color.height
-        inside = (u >= -0.5) & (u < width - 0.5) & (v >= -0.5) & (v < height - 0.5) & (inverse_depth > 0)
+        inside = cell > 0
         if not np.isfinite(self._hiding_per_m):
             return inside
-        scale = np.float32(self._cells_per_px)
-        columns, rows = int(np.ceil(width * scale)) + 1, int(np.ceil(height * scale)) + 1
-        cell = ((v[inside] + 0.5) * scale).astype(np.intp) * columns
-        cell += ((u[inside] + 0.5) * scale).astype(np.intp)
-        near = inverse_depth[inside]
-        buffer = np.zeros(rows * columns, dtype=np.float32)
-        np.maximum.at(buffer, cell, near)
+        buffer = np.zeros(1 + self._cells[0] * self._cells[1], dtype=np.float32)
+        np.maximum.at(buffer, cell.ravel(), nearness.ravel())
         # Closing shuts the gaps of a surface that the color camera sees stretched; outlines stay.
-        closed = cv2.morphologyEx(buffer.reshape(rows, columns), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-        seen = np.zeros(inside.shape, dtype=np.bool_)
-        seen[inside] = closed.ravel()[cell] - near <= self._hiding_per_m
-        return seen
+        image = buffer[1:].reshape(self._cells)
+        buffer[1:] = cv2.morphologyEx(image, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)).ravel()
+        return inside & (np.take(buffer, cell) - nearness <= self._hiding_per_m)
 
 
 class _Lens:
@@ -225,6 +231,7 @@ class _Lens:
         k[: distortion.size] = distortion
         self._k = k.astype(np.float32)
         self._straight = not distortion.any()
+        self._fold = _fold_radius(self._k)
         self._tilt = None
         if k[12:].any():
             self._tilt = _tilt(k[12], k[13]).astype(np.float32)
@@ -234,15 +241,19 @@ class _Lens:
         if self._straight:
             return x, y
         k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = self._k[:12]
+        x, y = np.clip(x, -10, 10), np.clip(y, -10, 10)
         r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
         if k4 or k5 or k6:
-            radial = radial / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-        # The polynomial folds over far outside the image; such points must not fall back inside.
-        radial[r2 > 4.0] = 1.0
-        twice_xy = 2.0 * x * y
-        bent_x = x * radial + p1 * twice_xy + p2 * (r2 + 2.0 * x * x) + r2 * (s1 + r2 * s2)
-        bent_y = y * radial + p2 * twice_xy + p1 * (r2 + 2.0 * y * y) + r2 * (s3 + r2 * s4)
+            radial /= 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+        # Beyond the fold the model would bring points back into the image: they are sent far outside.
+        radial[r2 > self._fold**2] = 10
+        twice_xy = 2 * x * y
+        bent_x = x * radial + p1 * twice_xy + p2 * (r2 + 2 * x * x)
+        bent_y = y * radial + p2 * twice_xy + p1 * (r2 + 2 * y * y)
+        if self._k[8:12].any():
+            bent_x += r2 * (s1 + r2 * s2)
+            bent_y += r2 * (s3 + r2 * s4)
         if self._tilt is None:
             return bent_x, bent_y
         m = self._tilt
@@ -261,3 +272,14 @@ def _tilt(tau_x: float, tau_y: float) -> NDArray[np.float64]:
     )
     r13, r23, r33 = rotation[:, 2]
     return np.asarray(np.array([[r33, 0, -r13], [0, r33, -r23], [0, 0, 1]]) @ rotation)
+
+
+def _fold_radius(k: NDArray[np.float32]) -> float:
+    """Return the radius up to which the radial distortion grows with it; inf if it always does."""
+    r = np.linspace(0.0, 10.0, 10_001)
+    r2 = r * r
+    divisor = 1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bent = r * (1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / divisor
+    folds = np.flatnonzero(~(np.diff(bent) > 0))
+    return float(r[folds[0]]) if folds.size else np.inf
