@@ -20,6 +20,7 @@ def setting(
     above: float | None = None,
     choices: tuple[str, ...] = (),
     symbol: str = "",
+    flag: str = "",
 ) -> Any:
     """Describe one field of a configuration.
 
@@ -35,6 +36,8 @@ def setting(
         The words allowed, where there is a list of them.
     symbol : str
         The literature's name of it, a second name for the flag.
+    flag : str
+        The flag's name where it is not the field's (``duration`` for ``duration_s``).
     """
     return field(
         default=default,
@@ -46,6 +49,7 @@ def setting(
             "above": above,
             "choices": choices,
             "symbol": symbol,
+            "flag": flag,
         },
     )
 
