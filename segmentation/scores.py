@@ -1,0 +1,225 @@
+"""Scores of a segmentation against a ground truth; pixels that are 0 in either map never count."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contingency:
+    """How many pixels each pair of a segment and a ground-truth region has in common.
+
+    Attributes
+    ----------
+    pixels : (S, R) int64
+        One row for each segment and one column for each region that is left.
+    """
+
+    pixels: NDArray[np.int64]
+
+    @classmethod
+    def between(cls, labels: NDArray[np.integer], truth: NDArray[np.integer]) -> Contingency:
+        """Count the common pixels of two label maps.
+
+        Parameters
+        ----------
+        labels, truth : integer arrays of the same shape
+            Segments and ground-truth regions; 0 is neither.
+
+        Raises
+        ------
+        ValueError
+            If the shapes differ, a map is not of integers, a label is negative, or no pixel is labelled
+            in both maps.
+        """
+        labels, truth = np.asarray(labels), np.asarray(truth)
+        if labels.shape != truth.shape:
+            raise ValueError(f"expected label maps of one shape, got {labels.shape} and {truth.shape}")
+        for name, image in (("labels", labels), ("truth", truth)):
+            if not np.issubdtype(image.dtype, np.integer):
+                raise ValueError(f"{name}: expected integers, got {image.dtype}")
+            if image.size and image.min() < 0:
+                raise ValueError(f"{name}: expected labels from 0, got {image.min()}")
+        both = (labels > 0) & (truth > 0)
+        if not both.any():
+            raise ValueError("expected pixels that are labelled in both maps, got none")
+        segment, segments = _numbered(labels[both])
+        region, regions = _numbered(truth[both])
+        counts = np.bincount(segment * regions + region, minlength=segments * regions)
+        return cls(counts.reshape(segments, regions).astype(np.int64))
+
+    @property
+    def segment_pixels(self) -> NDArray[np.int64]:
+        """The (S,) sizes of the segments."""
+        return np.asarray(self.pixels.sum(axis=1))
+
+    @property
+    def region_pixels(self) -> NDArray[np.int64]:
+        """The (R,) sizes of the ground-truth regions."""
+        return np.asarray(self.pixels.sum(axis=0))
+
+    def rand_index(self) -> float:
+        """Return the share of pixel pairs on which the two maps agree."""
+        together = _pairs(self.pixels)
+        in_segments, in_regions = _pairs(self.segment_pixels), _pairs(self.region_pixels)
+        everything = _pairs(self.pixels.sum(keepdims=True))
+        if everything == 0:
+            return 1.0
+        return (everything + 2 * together - in_segments - in_regions) / everything
+
+    def region_covering(self) -> float:
+        """Return the best overlap of each ground-truth region, weighted by its size."""
+        best = self._overlaps().max(axis=0)
+        return float(best @ self.region_pixels / self.region_pixels.sum())
+
+    def variation_of_information(self) -> float:
+        """Return the information, bits, that either map has and the other has not."""
+        return self.over_segmentation_bits() + self.under_segmentation_bits()
+
+    def over_segmentation_bits(self) -> float:
+        """Return H(segments | regions), bits: how far the regions are torn into segments."""
+        return _conditional_entropy_bits(self.pixels)
+
+    def under_segmentation_bits(self) -> float:
+        """Return H(regions | segments), bits: how far the segments run together several regions."""
+        return _conditional_entropy_bits(self.pixels.T)
+
+    def found_regions(self, overlap_min: float = 0.5) -> int:
+        """Return how many regions have a segment whose intersection over union is larger than that."""
+        return int((self._overlaps().max(axis=0) > overlap_min).sum())
+
+    def object_iou(self) -> float:
+        """Return the mean best overlap of the regions other than the largest; nan if it is the only one."""
+        if self.pixels.shape[1] < 2:
+            return float("nan")
+        best = np.delete(self._overlaps().max(axis=0), np.argmax(self.region_pixels))
+        return float(best.mean())
+
+    def _overlaps(self) -> NDArray[np.float64]:
+        union = self.segment_pixels[:, None] + self.region_pixels[None, :] - self.pixels
+        return np.asarray(self.pixels / union)
+
+
+def rand_index(labels: NDArray[np.integer], truth: NDArray[np.integer]) -> float:
+    """Return the Rand index: the share of pixel pairs that both maps join or both maps part.
+
+    Parameters
+    ----------
+    labels, truth : integer arrays of the same shape
+        Segments and ground-truth regions; pixels that are 0 in either are left out.
+
+    Returns
+    -------
+    float
+        In [0, 1]; 1 for equal partitions.
+
+    Raises
+    ------
+    ValueError
+        If the maps do not match or have no labelled pixel in common.
+
+    References
+    ----------
+    .. [1] W. M. Rand, "Objective criteria for the evaluation of clustering methods", JASA 66, 1971.
+    .. [2] P. Arbelaez et al., "Contour detection and hierarchical image segmentation", TPAMI 33(5), 2011.
+    """
+    return Contingency.between(labels, truth).rand_index()
+
+
+def region_covering(labels: NDArray[np.integer], truth: NDArray[np.integer]) -> float:
+    """Return the covering of the ground truth: each region's best intersection over union, by its size.
+
+    Parameters
+    ----------
+    labels, truth : integer arrays of the same shape
+        Segments and ground-truth regions; pixels that are 0 in either are left out.
+
+    Returns
+    -------
+    float
+        In (0, 1]; 1 for equal partitions.
+
+    Raises
+    ------
+    ValueError
+        If the maps do not match or have no labelled pixel in common.
+
+    References
+    ----------
+    .. [1] P. Arbelaez et al., "Contour detection and hierarchical image segmentation", TPAMI 33(5), 2011.
+    """
+    return Contingency.between(labels, truth).region_covering()
+
+
+def variation_of_information(labels: NDArray[np.integer], truth: NDArray[np.integer]) -> float:
+    """Return the variation of information in bits: the sum of both conditional entropies.
+
+    Parameters
+    ----------
+    labels, truth : integer arrays of the same shape
+        Segments and ground-truth regions; pixels that are 0 in either are left out.
+
+    Returns
+    -------
+    float
+        From 0, for equal partitions.
+
+    Raises
+    ------
+    ValueError
+        If the maps do not match or have no labelled pixel in common.
+
+    References
+    ----------
+    .. [1] M. Meila, "Comparing clusterings: an axiomatic view", ICML 2005.
+    """
+    return Contingency.between(labels, truth).variation_of_information()
+
+
+def object_iou(labels: NDArray[np.integer], truth: NDArray[np.integer]) -> float:
+    """Return the mean best intersection over union of all ground-truth regions but the largest.
+
+    The largest is what the objects stand on or before; it alone would give a good covering to a map of
+    one segment.
+
+    Parameters
+    ----------
+    labels, truth : integer arrays of the same shape
+        Segments and ground-truth regions; pixels that are 0 in either are left out.
+
+    Returns
+    -------
+    float
+        In (0, 1]; nan where there is only one region.
+
+    Raises
+    ------
+    ValueError
+        If the maps do not match or have no labelled pixel in common.
+    """
+    return Contingency.between(labels, truth).object_iou()
+
+
+def _numbered(labels: NDArray[np.integer]) -> tuple[NDArray[np.intp], int]:
+    """Return labels renumbered from 0 without gaps, and how many there are."""
+    top = int(labels.max())
+    if top > 16 * labels.size + (1 << 16):
+        values, numbers = np.unique(labels, return_inverse=True)
+        return numbers.astype(np.intp), values.size
+    used = np.zeros(top + 1, dtype=np.intp)
+    used[labels] = 1
+    return (np.cumsum(used) - 1)[labels], int(used.sum())
+
+
+def _pairs(pixels: NDArray[np.int64]) -> int:
+    return int(np.sum(pixels * (pixels - 1) // 2))
+
+
+def _conditional_entropy_bits(pixels: NDArray[np.int64]) -> float:
+    """Return the entropy, bits, of the row that a pixel is in, its column being known."""
+    p = pixels / pixels.sum()
+    ratio = np.divide(p.sum(axis=0, keepdims=True), p, out=np.ones_like(p), where=p > 0)
+    return float(np.sum(p * np.log2(ratio)))
