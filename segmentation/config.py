@@ -14,6 +14,7 @@ from nurbseg.drivers.settings import check_settings, described_fields, setting
 Method = Literal["stag15"]
 Metric = Literal["mse", "mae", "ve", "nle", "vmxc", "vmec", "vgc", "mmxc", "nlc"]
 SplittingPoint = Literal["zero", "kmeans", "ncut"]
+FirstSplit = Literal["kept", "judged"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +38,9 @@ class SegmentationConfig:
         1.0, "lambda: weight of position against color (eq. 3)", least=0.0, symbol="lambda"
     )
     samples: int = setting(100, "points whose affinities are computed exactly (Nystrom)", least=2, most=2000)
+    cut_points: int = setting(
+        6000, "points of a segment on which its cut is set up; the others follow by extension", least=100
+    )
     affinity_scale: float = setting(
         1.0, "sigma of the Gaussian affinity, in normalised vector units", above=0.0
     )
@@ -50,6 +54,11 @@ class SegmentationConfig:
     )
     depth_max: int = setting(8, "T_d: largest depth of the tree", least=0, most=64)
     splits_max: int = setting(60, "T_s: largest number of splits", least=0, most=10_000)
+    first_split: FirstSplit = setting(
+        "kept",
+        "whether the split of the whole cloud is kept in any case, as in the paper, or judged like others",
+        choices=get_args(FirstSplit),
+    )
     large_error_m: float = setting(
         0.1, "T_l: residual over which a point counts for NLE", unit="m", above=0.0
     )
@@ -72,6 +81,7 @@ class SegmentationConfig:
 
 
 __all__ = [
+    "FirstSplit",
     "Method",
     "Metric",
     "SegmentationConfig",

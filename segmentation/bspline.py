@@ -1,0 +1,156 @@
+"""B-spline bases along one axis: knots for pixels in a row, basis functions and their derivatives."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: The paper's surfaces are cubic in both directions.
+CUBIC = 3
+
+
+def averaged_knots(parameters: NDArray[np.float64], count: int, degree: int = CUBIC) -> NDArray[np.float64]:
+    """Choose knots for a least-squares fit, so that every knot span holds about as many parameters.
+
+    Parameters
+    ----------
+    parameters : (M,) float64
+        Parameters of the points to fit, ascending.
+    count : int
+        Number of control points, at least ``degree + 1``.
+    degree : int
+        Of the basis functions.
+
+    Returns
+    -------
+    (count + degree + 1,) float64
+        Knot vector whose ends are repeated ``degree + 1`` times. Where there is a single parameter, the
+        domain is one unit long, since a domain without length has no basis.
+
+    Raises
+    ------
+    ValueError
+        If there is no parameter, or `count` is less than ``degree + 1``.
+
+    References
+    ----------
+    .. [1] L. Piegl and W. Tiller, "The NURBS Book", 2nd ed., 1997, eq. 9.68 and 9.69.
+    """
+    if parameters.size == 0:
+        raise ValueError("parameters: expected at least one, got none")
+    if count < degree + 1:
+        raise ValueError(f"count: expected at least {degree + 1} control points, got {count}")
+    first, last = float(parameters[0]), float(parameters[-1])
+    if last <= first:
+        last = first + 1.0
+    inner = np.arange(1, count - degree, dtype=np.float64)
+    place = inner * parameters.size / (count - degree)
+    index = place.astype(np.intp)
+    share = place - index
+    index = np.minimum(index, parameters.size - 1)
+    knots = (1.0 - share) * parameters[np.maximum(index - 1, 0)] + share * parameters[index]
+    return np.concatenate([np.full(degree + 1, first), knots, np.full(degree + 1, last)])
+
+
+def basis_matrix(
+    knots: NDArray[np.float64], degree: int, parameters: NDArray[np.float64], derivative: int = 0
+) -> NDArray[np.float64]:
+    """Evaluate every basis function, or a derivative of it, at every parameter.
+
+    Parameters
+    ----------
+    knots : (count + degree + 1,) float64
+        Ascending knot vector.
+    degree : int
+        Of the basis functions.
+    parameters : (M,) float64
+        Where to evaluate. Outside of the domain the polynomials of the end spans go on.
+    derivative : int
+        Order of the derivative, 0 for the functions themselves.
+
+    Returns
+    -------
+    (M, count) float64
+        Values, in one over the parameter's unit to the power of `derivative`.
+
+    References
+    ----------
+    .. [1] L. Piegl and W. Tiller, "The NURBS Book", 2nd ed., 1997, eq. 2.5 and 2.7.
+    """
+    count = knots.size - degree - 1
+    # The span that holds each parameter; the end spans also hold what lies beyond the domain.
+    domain = knots[degree : count + 1]
+    last_span = int(np.searchsorted(domain, domain[-1], side="left")) - 1
+    span = np.searchsorted(domain, parameters, side="right") - 1
+    span = np.clip(span, 0, max(last_span, 0)) + degree
+    values = np.zeros((parameters.size, knots.size - 1))
+    values[np.arange(parameters.size), span] = 1.0
+    for p in range(1, degree + 1):
+        n = knots.size - 1 - p
+        left_width = knots[p : p + n] - knots[:n]
+        right_width = knots[p + 1 : p + 1 + n] - knots[1 : 1 + n]
+        # 0 / 0 is 0 by the definition of the basis.
+        left = np.divide(1.0, left_width, out=np.zeros(n), where=left_width > 0)
+        right = np.divide(1.0, right_width, out=np.zeros(n), where=right_width > 0)
+        if p > degree - derivative:
+            values = p * (left * values[:, :n] - right * values[:, 1 : n + 1])
+        else:
+            t = parameters[:, np.newaxis]
+            values = (t - knots[:n]) * left * values[:, :n] + (knots[p + 1 : p + 1 + n] - t) * right * values[
+                :, 1 : n + 1
+            ]
+    return values
+
+
+@lru_cache(maxsize=256)
+def pixel_basis(size: int, count: int, derivative: int = 0) -> NDArray[np.float64]:
+    """Return the cubic basis at `size` pixels in a row, whose parameters are 0, 1, ..., size - 1.
+
+    Parameters
+    ----------
+    size : int
+        Number of pixels.
+    count : int
+        Number of control points.
+    derivative : int
+        Order of the derivative.
+
+    Returns
+    -------
+    (size, count) float64
+        Read-only, since it is kept for the next segment of the same size.
+    """
+    pixels = np.arange(size, dtype=np.float64)
+    basis = basis_matrix(averaged_knots(pixels, count), CUBIC, pixels, derivative)
+    basis.flags.writeable = False
+    return basis
+
+
+@lru_cache(maxsize=256)
+def neighbor_products(size: int, count: int) -> NDArray[np.float64]:
+    """Return the products of basis functions that overlap, at `size` pixels in a row.
+
+    Parameters
+    ----------
+    size : int
+        Number of pixels.
+    count : int
+        Number of control points.
+
+    Returns
+    -------
+    (size, 4 * count) float64
+        Column ``k * count + i`` is the product of functions ``i`` and ``i + k``, zero where there is no
+        such function; read-only.
+    """
+    basis = pixel_basis(size, count)
+    products = np.zeros((size, (CUBIC + 1) * count))
+    for k in range(CUBIC + 1):
+        products[:, k * count : k * count + count - k] = basis[:, : count - k] * basis[:, k:]
+    products.flags.writeable = False
+    return products
+
+
+__all__ = ["CUBIC", "averaged_knots", "basis_matrix", "neighbor_products", "pixel_basis"]

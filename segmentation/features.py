@@ -1,0 +1,134 @@
+"""The vectors that are clustered: CIELab color and position of every point, made comparable (eq. 1-3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.registration import PointMap
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Normalization:
+    """What makes color and position comparable: ``vector = (raw - mean) * factor``.
+
+    Subtracting the mean changes no distance; it keeps single precision accurate far from the camera.
+
+    Parameters
+    ----------
+    mean : (6,) float32
+        Mean of L, a, b (CIELab units) and x, y, z (metres).
+    factor : (6,) float32
+        1 / sigma_c three times, lambda / sigma_g three times; 0 where the deviation is 0.
+    """
+
+    mean: NDArray[np.float32]
+    factor: NDArray[np.float32]
+
+
+def lab(color: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Convert sRGB colors to CIELab (eq. 1).
+
+    Parameters
+    ----------
+    color : (N, 3) uint8
+        RGB.
+
+    Returns
+    -------
+    (N, 3) float32
+        L in 0 to 100, a and b in about -127 to 127, for the white point D65.
+    """
+    if color.shape[0] == 0:
+        return np.zeros((0, 3), dtype=np.float32)
+    scaled = color[np.newaxis].astype(np.float32) * np.float32(1 / 255)
+    return np.asarray(cv2.cvtColor(scaled, cv2.COLOR_RGB2LAB)[0], dtype=np.float32)
+
+
+def raw_vectors(cloud: PointMap, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
+    """Put color and position of some pixels side by side (eq. 1, 2).
+
+    Parameters
+    ----------
+    cloud : PointMap
+        The frame.
+    pixels : (N,) intp
+        Flat indices of pixels that have a point.
+
+    Returns
+    -------
+    (N, 6) float32
+        L, a, b and x, y, z in metres.
+    """
+    vectors = np.empty((pixels.size, 6), dtype=np.float32)
+    vectors[:, :3] = lab(cloud.color.reshape(-1, 3)[pixels])
+    vectors[:, 3:] = cloud.points_m.reshape(-1, 3)[pixels]
+    return vectors
+
+
+def normalization(raw: NDArray[np.float32], geometry_weight: float) -> Normalization:
+    """Measure what makes color and position of these points comparable (eq. 3).
+
+    Parameters
+    ----------
+    raw : (N, 6) float32
+        L, a, b, x, y, z.
+    geometry_weight : float
+        The paper's lambda.
+
+    Returns
+    -------
+    Normalization
+        sigma_c is the mean of the deviations of L, a, b; sigma_g of those of x, y, z.
+    """
+    if raw.shape[0] == 0:
+        return Normalization(np.zeros(6, dtype=np.float32), np.zeros(6, dtype=np.float32))
+    mean = raw.mean(axis=0, dtype=np.float64)
+    deviation = np.sqrt(np.mean(np.square(raw - mean.astype(np.float32)), axis=0, dtype=np.float64))
+    sigma_c, sigma_g = float(deviation[:3].mean()), float(deviation[3:].mean())
+    # A deviation at the level of float32 rounding is that of a constant: it must not be blown up.
+    size = np.abs(mean).reshape(2, 3).max(axis=1)
+    factor = np.zeros(6)
+    if sigma_c > 1e-5 * (1.0 + size[0]):
+        factor[:3] = 1.0 / sigma_c
+    if sigma_g > 1e-6 * size[1]:
+        factor[3:] = geometry_weight / sigma_g
+    return Normalization(mean.astype(np.float32), factor.astype(np.float32))
+
+
+def normalized(raw: NDArray[np.float32], scale: Normalization) -> NDArray[np.float32]:
+    """Apply a normalization to raw vectors, (N, 6) float32 each."""
+    vectors: NDArray[np.float32] = (raw - scale.mean) * scale.factor
+    return vectors
+
+
+def features(cloud: PointMap, config: SegmentationConfig) -> NDArray[np.float32]:
+    """Build the vector of every point of a frame (eq. 3).
+
+    Parameters
+    ----------
+    cloud : PointMap
+        The frame.
+    config : SegmentationConfig
+        Its `geometry_weight` is lambda.
+
+    Returns
+    -------
+    (N, 6) float32
+        Lab color over sigma_c, position times lambda over sigma_g, in the order of the valid pixels, with
+        the mean of all vectors at zero. A constant color or position gives zeros.
+
+    References
+    ----------
+    .. [1] G. Pagnutti and P. Zanuttigh, "Scene segmentation based on NURBS surface fitting metrics",
+       STAG 2015, section 3.1.
+    """
+    raw = raw_vectors(cloud, np.flatnonzero(cloud.valid))
+    return normalized(raw, normalization(raw, config.geometry_weight))
+
+
+__all__ = ["Normalization", "features", "lab", "normalization", "normalized", "raw_vectors"]

@@ -1,0 +1,102 @@
+"""The grid of pixels on which splits are decided: every pixel of the image, or every few."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.registration import PointMap
+
+Window = tuple[int, int, int, int]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PixelGrid:
+    """Points on every `step`-th row and column of an image, laid out for matrix products.
+
+    Parameters
+    ----------
+    step : int
+        Distance of neighbours on the grid, pixels.
+    image_shape : (int, int)
+        Rows and columns of the full image.
+    coordinates_m : (3, h, w) float64
+        x, y, z in metres, 0 where there is no point.
+    valid : (h, w) bool
+        Where there is a point.
+    """
+
+    step: int
+    image_shape: tuple[int, int]
+    coordinates_m: NDArray[np.float64]
+    valid: NDArray[np.bool_]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the grid."""
+        height, width = self.valid.shape
+        return height, width
+
+    @property
+    def pixel_share(self) -> float:
+        """Places of the grid for each pixel of a 640x480 image, the unit of the paper's thresholds."""
+        return self.image_shape[0] * self.image_shape[1] / (640 * 480) / self.step**2
+
+    def locate(self, places: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], Window]:
+        """Return rows, columns and the tight window (one past the last) of ascending flat places."""
+        rows, columns = np.divmod(places, self.shape[1])
+        return (
+            rows,
+            columns,
+            (int(rows[0]), int(columns.min()), int(rows[-1]) + 1, int(columns.max()) + 1),
+        )
+
+    def pixels(self, places: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return the flat indices into the full image of flat places of the grid."""
+        rows, columns = np.divmod(places, self.shape[1])
+        return (rows * self.image_shape[1] + columns) * self.step
+
+    def full_window(self, window: Window) -> Window:
+        """Return a window of the grid in pixels of the full image."""
+        top, left, bottom, right = window
+        return (
+            top * self.step,
+            left * self.step,
+            (bottom - 1) * self.step + 1,
+            (right - 1) * self.step + 1,
+        )
+
+
+def decimated_grid(cloud: PointMap, step: int) -> PixelGrid:
+    """Take every `step`-th row and column of a frame.
+
+    Parameters
+    ----------
+    cloud : PointMap
+        The frame.
+    step : int
+        Pixels from one row or column to the next.
+
+    Returns
+    -------
+    PixelGrid
+        Its points and which of them there are.
+    """
+    valid = np.ascontiguousarray(cloud.valid[::step, ::step])
+    points = cloud.points_m[::step, ::step]
+    coordinates = np.empty((3, *valid.shape))
+    for axis in range(3):
+        coordinates[axis] = points[..., axis]
+    coordinates[:, ~valid] = 0.0
+    height, width = cloud.valid.shape
+    return PixelGrid(step, (height, width), coordinates, valid)
+
+
+def full_grid(cloud: PointMap) -> PixelGrid:
+    """Take every pixel of a frame."""
+    return decimated_grid(cloud, 1)
+
+
+__all__ = ["PixelGrid", "Window", "decimated_grid", "full_grid"]

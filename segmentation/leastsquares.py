@@ -1,0 +1,99 @@
+"""Least-squares B-spline fits to values on part of a pixel grid, through separable normal equations."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, solveh_banded
+
+from nurbseg.segmentation.bspline import CUBIC, neighbor_products, pixel_basis
+
+#: Added to the diagonal of the normal matrix, as a share of its largest entry. It decides only what the
+#: data leave open: in the limit the solution is the one of least norm.
+_RIDGE_SHARE = 1e-10
+
+
+def fit_control_points(
+    values: NDArray[np.float64], mask: NDArray[np.bool_], counts: tuple[int, int]
+) -> NDArray[np.float64]:
+    """Fit the control points of a bicubic spline to values on part of a window of pixels.
+
+    The parameters are the pixels' places in the window. The normal matrix has an entry for every two
+    control points whose functions overlap, a sum over pixels of two basis functions along each axis; such
+    sums are two matrix products with the mask in between.
+
+    Parameters
+    ----------
+    values : (C, h, w) float64
+        Images to fit, 0 outside of `mask`.
+    mask : (h, w) bool
+        Pixels that have a value, at least one.
+    counts : (int, int)
+        Control points along rows' parameter u (columns of the image) and v (rows of the image).
+
+    Returns
+    -------
+    (C, nv, nu) float64
+        Control values. Each image is fitted about its mean over the mask; where the data leave control
+        values open, the solution is the one of least norm about that mean, reached by a vanishing ridge.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the values are not finite, so that there is no solution.
+    """
+    nu, nv = counts
+    height, width = mask.shape
+    # The narrower direction inside gives the narrower band.
+    if nu > nv:
+        swapped: NDArray[np.float64] = fit_control_points(values.transpose(0, 2, 1), mask.T, (nv, nu))
+        return swapped.transpose(0, 2, 1)
+    Bu, Bv = pixel_basis(width, nu), pixel_basis(height, nv)
+    weight = mask.astype(np.float64)
+    centers = values.sum(axis=(1, 2)) / weight.sum()
+    overlaps = neighbor_products(height, nv).T @ (weight @ neighbor_products(width, nu))
+    band = np.append(overlaps.ravel(), 0.0)[_band_sources(nv, nu)]
+    band[0] += _RIDGE_SHARE * band[0].max()
+    right = Bv.T @ (values @ Bu)
+    right -= centers[:, np.newaxis, np.newaxis] * (Bv.T @ (weight @ Bu))
+    solution = solveh_banded(
+        band,
+        right.reshape(values.shape[0], nv * nu).T,
+        overwrite_ab=True,
+        overwrite_b=True,
+        lower=True,
+        check_finite=False,
+    )
+    if not np.isfinite(solution).all():
+        raise LinAlgError("the normal equations have no finite solution")
+    control: NDArray[np.float64] = solution.T.reshape(values.shape[0], nv, nu)
+    control += centers[:, np.newaxis, np.newaxis]
+    return control
+
+
+@lru_cache(maxsize=256)
+def _band_sources(nv: int, nu: int) -> NDArray[np.intp]:
+    """Say where each entry of the banded normal matrix stands among the flattened overlap sums.
+
+    Control point (a, b) has number ``a * nu + b``; row d of the lower band holds the entries of numbers
+    that are d apart. Control points that do not overlap point at the zero that is appended.
+    """
+    spread = CUBIC + 1
+    zero = (spread * nv) * (spread * nu)
+    sources = np.full((min(CUBIC * nu + CUBIC, nv * nu - 1) + 1, nv * nu), zero, dtype=np.intp)
+    a, b = np.divmod(np.arange(nv * nu), nu)
+    for k in range(min(spread, nv)):
+        for step in range(-CUBIC, spread):
+            if k == 0 and step < 0:
+                continue
+            inside = (a + k < nv) & (b + step >= 0) & (b + step < nu)
+            row = k * nv + a[inside]
+            column = abs(step) * nu + b[inside] + min(step, 0)
+            sources[k * nu + step, np.flatnonzero(inside)] = row * (spread * nu) + column
+    sources.flags.writeable = False
+    return sources
+
+
+__all__ = ["LinAlgError", "fit_control_points"]

@@ -1,0 +1,123 @@
+"""The nine metrics of a surface fit and their acceptance ratios (section 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.config import Metric, SegmentationConfig
+
+METRICS: tuple[Metric, ...] = get_args(Metric)
+#: Metrics that are numbers of points; the others are means and variances.
+COUNTS: frozenset[Metric] = frozenset({"nle", "nlc"})
+#: Metrics that need the curvature of the surface.
+CURVATURE_METRICS: frozenset[Metric] = frozenset({"vmxc", "vmec", "vgc", "mmxc", "nlc"})
+#: Residuals that are rounding: points are stored in single precision, 24 bits of a few metres.
+ROUNDING_M = 1e-6
+
+
+def residual_metrics(residuals_m: NDArray[np.float64], config: SegmentationConfig) -> dict[Metric, float]:
+    """Measure the residuals of a fit (eq. 7, 9, 11 and section 4.4).
+
+    Parameters
+    ----------
+    residuals_m : (N,) float64
+        Distances of the points to the surface, metres.
+    config : SegmentationConfig
+        Its `large_error_m` is T_l.
+
+    Returns
+    -------
+    dict
+        ``mse`` and ``ve`` in square metres, ``mae`` in metres, ``nle`` a count. Residuals that are no
+        more than the rounding of the points count as 0, all together or not at all.
+    """
+    if residuals_m.size == 0 or residuals_m.max() <= ROUNDING_M:
+        return {"mse": 0.0, "mae": 0.0, "ve": 0.0, "nle": 0.0}
+    mse = float(residuals_m @ residuals_m) / residuals_m.size
+    mae = float(residuals_m.mean())
+    return {
+        "mse": mse,
+        "mae": mae,
+        "ve": max(mse - mae * mae, 0.0),
+        "nle": float(np.count_nonzero(residuals_m > config.large_error_m)),
+    }
+
+
+def curvature_metrics(
+    k1: NDArray[np.float64], k2: NDArray[np.float64], config: SegmentationConfig
+) -> dict[Metric, float]:
+    """Measure the curvature of a fitted surface at the data (eq. 14, 15, 17, 19 and section 4.9).
+
+    Parameters
+    ----------
+    k1, k2 : (N,) float64
+        Principal curvatures at the points, one over metres; NaN where there is none, which is left out.
+    config : SegmentationConfig
+        Its `large_curvature_per_m` is T_c.
+
+    Returns
+    -------
+    dict
+        ``vmxc`` and ``vmec`` in 1/m^2, ``vgc`` in 1/m^4, ``mmxc`` in 1/m, ``nlc`` a count.
+    """
+    defined = np.isfinite(k1) & np.isfinite(k2)
+    k1, k2 = k1[defined], k2[defined]
+    if k1.size == 0:
+        return {"vmxc": 0.0, "vmec": 0.0, "vgc": 0.0, "mmxc": 0.0, "nlc": 0.0}
+    largest = np.maximum(np.abs(k1), np.abs(k2))
+    return {
+        "vmxc": float(largest.var()),
+        "vmec": float((0.5 * (k1 + k2)).var()),
+        "vgc": float((k1 * k2).var()),
+        "mmxc": float(largest.mean()),
+        "nlc": float(np.count_nonzero(largest > config.large_curvature_per_m)),
+    }
+
+
+def acceptance_ratio(
+    metric: Metric,
+    parent: tuple[float, int],
+    first: tuple[float, int],
+    second: tuple[float, int],
+) -> float:
+    """Compare a metric after a split with the one before it (eq. 5, 8, 10, 12, 13, 16, 18, 20-22).
+
+    Parameters
+    ----------
+    metric : str
+        Which of the nine.
+    parent, first, second : (float, int)
+        Value and number of points of the segment and of its two parts.
+
+    Returns
+    -------
+    float
+        Below 1 where the split improves the metric; inf where the parent's value is 0, which no split
+        can improve.
+    """
+    if not parent[0] > 0 or parent[1] == 0:
+        return float(np.inf)
+    if metric in COUNTS:
+        return (first[0] + second[0]) / parent[0]
+    return (first[0] * first[1] + second[0] * second[1]) / (parent[0] * parent[1])
+
+
+def metric_value(values: Mapping[Metric, float], metric: Metric) -> float:
+    """Return one metric of a fit, 0 where there was nothing to measure."""
+    return values.get(metric, 0.0)
+
+
+__all__ = [
+    "COUNTS",
+    "CURVATURE_METRICS",
+    "METRICS",
+    "ROUNDING_M",
+    "acceptance_ratio",
+    "curvature_metrics",
+    "metric_value",
+    "residual_metrics",
+]

@@ -1,0 +1,347 @@
+"""The recursive segmentation: a tree of normalized cuts, decided by surface fits (section 3.3)."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.components import give_away_small_pieces
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.curvature import all_metrics
+from nurbseg.segmentation.cut import Cut, normalized_cut
+from nurbseg.segmentation.features import normalization, normalized, raw_vectors
+from nurbseg.segmentation.grid import PixelGrid, decimated_grid
+from nurbseg.segmentation.metrics import CURVATURE_METRICS, acceptance_ratio
+from nurbseg.segmentation.registration import PointMap
+from nurbseg.segmentation.settle import Split, settle
+from nurbseg.segmentation.surface import Fit, fit_on_grid
+
+
+class StopReason(StrEnum):
+    """Why a segment was not split further; the first four are the colors of the paper's figure 3."""
+
+    CRITERION = "criterion"
+    CHILD_TOO_SMALL = "child-too-small"
+    TOO_SMALL = "too-small"
+    DEPTH = "depth"
+    SPLITS = "splits"
+    NO_CUT = "no-cut"
+    NO_FIT = "no-fit"
+    NO_POINTS = "no-points"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segment:
+    """One segment of the tree.
+
+    Parameters
+    ----------
+    name : str
+        Path from the root: "" for the root, "010" for the paper's P010.
+    parent : str or None
+        Name of the segment that was split into this one and another; None for the root.
+    children : (str, str) or ()
+        Names of the parts; none for a leaf.
+    pixels : (N,) intp
+        Flat indices into the image, ascending.
+    fit : Fit
+        The surface that explains it, fitted on the grid on which splits are decided.
+    ratio : float or None
+        Metric of the parts over that of the whole (eq. 5) where a split was tried, kept or not.
+    stop : StopReason or None
+        Why it is a leaf; None where it is not.
+    cut : Cut or None
+        The cut between its children; None for a leaf.
+    """
+
+    name: str
+    parent: str | None
+    children: tuple[str, str] | tuple[()]
+    pixels: NDArray[np.intp]
+    fit: Fit
+    ratio: float | None
+    stop: StopReason | None
+    cut: Cut | None = None
+
+    def __post_init__(self) -> None:
+        self.pixels.flags.writeable = False
+
+    @property
+    def depth(self) -> int:
+        """Number of splits between the root and this segment."""
+        return len(self.name)
+
+    @property
+    def is_leaf(self) -> bool:
+        """Whether it is part of the final segmentation."""
+        return not self.children
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SegmentationTree:
+    """All segments of a frame, from the whole cloud to the final ones.
+
+    Parameters
+    ----------
+    segments : tuple of Segment
+        Depth first, a segment before its parts, part 0 before part 1; the root comes first.
+    shape : (int, int)
+        Rows and columns of the image.
+    """
+
+    segments: tuple[Segment, ...]
+    shape: tuple[int, int]
+
+    @property
+    def root(self) -> Segment:
+        """The whole cloud."""
+        return self.segments[0]
+
+    def leaves(self) -> tuple[Segment, ...]:
+        """Return the final segments; the label of each is its place here plus one."""
+        return tuple(each for each in self.segments if each.is_leaf)
+
+    def label_image(self) -> NDArray[np.uint16]:
+        """Return the label of every pixel, (H, W) uint16; 0 where there is no depth."""
+        labels = np.zeros(self.shape[0] * self.shape[1], dtype=np.uint16)
+        for label, leaf in enumerate(self.leaves(), start=1):
+            labels[leaf.pixels] = label
+        return labels.reshape(self.shape)
+
+    def __getitem__(self, name: str) -> Segment:
+        """Return the segment of a name."""
+        for each in self.segments:
+            if each.name == name:
+                return each
+        raise KeyError(f"no segment {name!r} in this tree")
+
+
+@dataclass(slots=True, eq=False)
+class _Node:
+    """A segment while the tree grows."""
+
+    name: str
+    places: NDArray[np.intp]
+    fit: Fit
+    children: tuple[_Node, _Node] | tuple[()] = ()
+    ratio: float | None = None
+    stop: StopReason | None = None
+    cut: Cut | None = None
+    members: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+
+    def value(self, config: SegmentationConfig) -> float:
+        return self.fit.values.get(config.metric, 0.0)
+
+
+def segment(cloud: PointMap, config: SegmentationConfig) -> SegmentationTree:
+    """Segment a frame into surfaces (section 3).
+
+    Parameters
+    ----------
+    cloud : PointMap
+        Points and their colors.
+    config : SegmentationConfig
+        Thresholds and choices; the same seed gives the same tree.
+
+    Returns
+    -------
+    SegmentationTree
+        Every segment with its surface, metrics, ratio and, for a leaf, the reason why it is one. A frame
+        with too few points is one leaf.
+
+    References
+    ----------
+    .. [1] G. Pagnutti and P. Zanuttigh, "Scene segmentation based on NURBS surface fitting metrics",
+       STAG 2015.
+    """
+    grid = decimated_grid(cloud, config.decimation)
+    places = np.flatnonzero(grid.valid)
+    raw = raw_vectors(cloud, grid.pixels(places))
+    scale = normalization(raw, config.geometry_weight)
+    root = grow(grid, places, normalized(raw, scale), config)
+
+    nodes = _depth_first(root)
+    leaves = [node for node in nodes if not node.children]
+    splits = _splits(nodes, leaves)
+    labels = settle(
+        cloud,
+        grid,
+        [leaf.places for leaf in leaves],
+        splits,
+        lambda pixels: normalized(raw_vectors(cloud, pixels), scale),
+    )
+    return _finished(nodes, leaves, labels, cloud.valid.shape)
+
+
+def grow(
+    grid: PixelGrid, places: NDArray[np.intp], vectors: NDArray[np.float32], config: SegmentationConfig
+) -> _Node:
+    """Grow the tree on the grid, the worst open segment first.
+
+    Parameters
+    ----------
+    grid : PixelGrid
+        The points.
+    places : (N,) intp
+        Flat places on the grid that have a point, ascending.
+    vectors : (N, D) float32
+        Feature vector of each.
+    config : SegmentationConfig
+        Thresholds and choices.
+
+    Returns
+    -------
+    node
+        The root.
+    """
+    segment_min = config.segment_pixels_min * grid.pixel_share
+    row_of_place = np.zeros(grid.valid.size, dtype=np.intp)
+    row_of_place[places] = np.arange(places.size)
+    root = _Node("", places, _measured(grid, places, config))
+    waiting: list[tuple[float, str, _Node]] = [(-root.value(config), root.name, root)]
+    splits = 0
+    while waiting:
+        _, _, node = heapq.heappop(waiting)
+        # Conditions that need no cut (eq. 6).
+        node.stop = _reason_not_to_try(node, splits, segment_min, config)
+        if node.stop is not None:
+            continue
+
+        # Cut in two, and clean up (section 3.1).
+        cut = normalized_cut(
+            vectors[row_of_place[node.places]],
+            samples=config.samples,
+            rng=_generator(config.seed, node.name),
+            affinity_scale=config.affinity_scale,
+            splitting_point=config.splitting_point,
+            points=config.cut_points,
+        )
+        if cut.reason:
+            node.stop = StopReason.NO_CUT
+            continue
+        side = _cleaned(grid, node.places, cut.side, segment_min)
+        parts = node.places[~side], node.places[side]
+        if min(part.size for part in parts) < segment_min:
+            node.stop = StopReason.CHILD_TOO_SMALL
+            continue
+
+        # Fit a surface to each part (section 3.2), and keep the split if they explain it better (eq. 5).
+        children = tuple(
+            _Node(f"{node.name}{digit}", part, _measured(grid, part, config))
+            for digit, part in enumerate(parts)
+        )
+        first, second = children
+        node.ratio = acceptance_ratio(
+            config.metric,
+            *((each.value(config), each.places.size) for each in (node, first, second)),
+        )
+        is_first = node is root and config.first_split == "kept"
+        if not (node.ratio < config.ratio_max or is_first):
+            node.stop = StopReason.CRITERION
+            continue
+        node.children, node.cut = (first, second), cut
+        splits += 1
+        for child in children:
+            heapq.heappush(waiting, (-child.value(config), child.name, child))
+    return root
+
+
+def _measured(grid: PixelGrid, places: NDArray[np.intp], config: SegmentationConfig) -> Fit:
+    """Fit a surface, with the metric that decides among its values."""
+    fit = fit_on_grid(grid, places, config)
+    if config.metric in CURVATURE_METRICS:
+        fit = replace(fit, values=all_metrics(fit, grid.image_shape[1], config))
+    return fit
+
+
+def _reason_not_to_try(
+    node: _Node, splits: int, segment_min: float, config: SegmentationConfig
+) -> StopReason | None:
+    if node.places.size == 0:
+        return StopReason.NO_POINTS
+    if node.places.size <= 2.0 * segment_min:
+        return StopReason.TOO_SMALL
+    if len(node.name) >= config.depth_max:
+        return StopReason.DEPTH
+    if splits >= config.splits_max:
+        return StopReason.SPLITS
+    if node.fit.surface is None:
+        return StopReason.NO_FIT
+    if not node.value(config) > 0 and not (node.name == "" and node.fit.values["mse"] > 0):
+        # What is 0 cannot improve.
+        return StopReason.CRITERION
+    return None
+
+
+def _generator(seed: int, name: str) -> np.random.Generator:
+    """Return the random numbers of one segment, whatever was split before it."""
+    return np.random.default_rng([seed, int(f"1{name}", 2)])
+
+
+def _cleaned(
+    grid: PixelGrid, places: NDArray[np.intp], side: NDArray[np.bool_], segment_min: float
+) -> NDArray[np.bool_]:
+    """Give small pieces of either side to the other, on the window of the segment."""
+    rows, columns, (top, left, bottom, right) = grid.locate(places)
+    at = rows - top, columns - left
+    mask = np.zeros((bottom - top, right - left), dtype=np.bool_)
+    mask[at] = True
+    image = np.zeros_like(mask)
+    image[at] = side
+    cleaned: NDArray[np.bool_] = give_away_small_pieces(mask, image, segment_min)[at]
+    return cleaned
+
+
+def _depth_first(root: _Node) -> list[_Node]:
+    nodes, stack = [], [root]
+    while stack:
+        node = stack.pop()
+        nodes.append(node)
+        stack.extend(reversed(node.children))
+    return nodes
+
+
+def _splits(nodes: list[_Node], leaves: list[_Node]) -> list[Split]:
+    """Describe each kept split by the ranges of leaves below its parts; leaves are in depth-first order."""
+    names = [leaf.name for leaf in leaves]
+    splits = []
+    for node in nodes:
+        if node.children and node.cut is not None:
+            below = [i for i, name in enumerate(names) if name.startswith(node.name)]
+            first = sum(names[i].startswith(node.children[0].name) for i in below)
+            splits.append(Split(below[0], below[0] + first, below[-1] + 1, node.cut))
+    return splits
+
+
+def _finished(
+    nodes: list[_Node], leaves: list[_Node], labels: NDArray[np.int32], shape: tuple[int, int]
+) -> SegmentationTree:
+    """Give every node the pixels of the leaves below it."""
+    order = np.argsort(labels, kind="stable")
+    bounds = np.searchsorted(labels[order], np.arange(len(leaves) + 1))
+    for leaf, start, end in zip(leaves, bounds[:-1], bounds[1:], strict=True):
+        leaf.members = order[start:end]
+    for node in reversed(nodes):
+        if node.children:
+            node.members = np.sort(np.concatenate([child.members for child in node.children]))
+    segments = tuple(
+        Segment(
+            name=node.name,
+            parent=node.name[:-1] if node.name else None,
+            children=tuple(child.name for child in node.children),  # type: ignore[arg-type]
+            pixels=node.members,
+            fit=node.fit,
+            ratio=node.ratio,
+            stop=node.stop,
+            cut=node.cut,
+        )
+        for node in nodes
+    )
+    return SegmentationTree(segments, shape)
+
+
+__all__ = ["Segment", "SegmentationTree", "StopReason", "grow", "segment"]
