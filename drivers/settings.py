@@ -29,7 +29,8 @@ def setting(
     default : object
         Value where the user sets none.
     text, unit : str
-        What it means, for a person, and in which unit.
+        What it means, for a person, and in which unit. A unit in capitals (``FILE``) is a placeholder:
+        it stands for what is to be given, in the help only.
     least, most, above : float, optional
         Smallest and largest value allowed; `above` is allowed for neither.
     choices : tuple of str

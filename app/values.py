@@ -1,0 +1,106 @@
+"""The kinds of value that a setting can hold, read from a flag's text or from a TOML value."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+
+@dataclass(frozen=True, slots=True)
+class ValueKind:
+    """What a setting's type annotation allows.
+
+    Parameters
+    ----------
+    kind : type
+        bool, int, float or str: of the value, or of each of its numbers.
+    optional : bool
+        Whether it may be left unset (None).
+    length : int
+        How many numbers it holds, 0 for a single value.
+    """
+
+    kind: type
+    optional: bool = False
+    length: int = 0
+
+    def from_text(self, text: str) -> Any:
+        """Return the value of a flag's text.
+
+        Raises
+        ------
+        ValueError
+            If the text is of another kind.
+        """
+        if self.length:
+            return self._checked(tuple(self._number(part) for part in text.split(",")), text)
+        return text if self.kind is str else self._number(text)
+
+    def from_toml(self, value: Any) -> Any:
+        """Return the setting's value of what a TOML file holds.
+
+        Raises
+        ------
+        ValueError
+            If the value is of another kind.
+        """
+        if self.length:
+            if not isinstance(value, list):
+                raise ValueError(f"expected {self.words}, got {value!r}")
+            return self._checked(tuple(ValueKind(self.kind).from_toml(each) for each in value), value)
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        if self.kind is float and (whole or isinstance(value, float)):
+            return self._finite(float(value), value)
+        if whole if self.kind is int else isinstance(value, self.kind):
+            return value
+        raise ValueError(f"expected {self.words}, got {value!r}")
+
+    @property
+    def words(self) -> str:
+        """What is expected, for a message."""
+        names = {bool: "true or false", int: "a whole number", float: "a number", str: "a text in quotes"}
+        return f"{self.length} numbers" if self.length else names[self.kind]
+
+    def _number(self, text: str) -> float:
+        try:
+            number: float = self.kind(text)
+        except ValueError:
+            raise ValueError(f"expected {self.words}, got {text!r}") from None
+        return self._finite(number, text)
+
+    def _finite(self, number: float, given: object) -> float:
+        if not math.isfinite(number):
+            raise ValueError(f"expected a finite number, got {given}")
+        return number
+
+    def _checked(self, numbers: tuple[float, ...], given: object) -> tuple[float, ...]:
+        if len(numbers) != self.length:
+            raise ValueError(f"expected {self.words}, got {given!r}")
+        return numbers
+
+
+def value_kinds(section: type[Any]) -> dict[str, ValueKind]:
+    """Return the kind of each field of a section.
+
+    Raises
+    ------
+    TypeError
+        If a field's annotation is none that a flag and a TOML value can express.
+    """
+    return {name: _kind_of(hint) for name, hint in get_type_hints(section).items()}
+
+
+def _kind_of(hint: Any) -> ValueKind:
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType) and len(inner) == 2 and NoneType in inner:
+        present = _kind_of(next(each for each in inner if each is not NoneType))
+        return ValueKind(present.kind, optional=True, length=present.length)
+    if origin is Literal:
+        return ValueKind(str)
+    if origin is tuple and set(inner) == {float}:
+        return ValueKind(float, length=len(inner))
+    if hint in (bool, int, float, str):
+        return ValueKind(hint)
+    raise TypeError(f"a setting cannot be of the type {hint}")
