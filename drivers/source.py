@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Self
 
-from nurbseg.drivers.errors import DriverError, EndOfRecordingError, FrameFormatError
+from nurbseg.drivers.errors import DriverError, EndOfRecordingError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 
 
@@ -146,15 +146,21 @@ class Paced(FrameSource):
         self._sleep = sleep
         self._start_s: float | None = None
         self._first_ns = 0
+        self._waiting: RGBDFrame | None = None  # read, but not due within the last time limit
 
     def _read(self, timeout_s: float) -> RGBDFrame:
-        frame = self._source.read(timeout_s)
+        if self._waiting is None:
+            self._waiting = self._source.read(timeout_s)
+        frame = self._waiting
         if self._start_s is None:
             self._start_s, self._first_ns = self._clock(), frame.timestamp_ns
         due_s = self._start_s + (frame.timestamp_ns - self._first_ns) * 1e-9 / self._speed
         wait_s = due_s - self._clock()
         if wait_s > 0:
-            self._sleep(wait_s)
+            self._sleep(min(wait_s, timeout_s))
+        if wait_s > timeout_s:
+            raise FrameTimeoutError(f"the next frame is due in {wait_s - timeout_s:.1f} s")
+        self._waiting = None
         return frame
 
     def skip(self, frames: int) -> int:
