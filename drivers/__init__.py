@@ -21,6 +21,32 @@ if TYPE_CHECKING:
     from nurbseg.drivers.registry import SourceOptions, open_source
     from nurbseg.drivers.source import FrameSource, Paced
 
+# Imported on use: numpy alone would take most of the time in which a command must show its help.
+_MODULES = {
+    "errors": (
+        "BackendMissingError",
+        "CalibrationError",
+        "DeviceLostError",
+        "DeviceNotFoundError",
+        "DriverError",
+        "EndOfRecordingError",
+        "FrameFormatError",
+        "FrameTimeoutError",
+        "RecordingFormatError",
+    ),
+    "frame": ("Calibration", "Intrinsics", "RGBDFrame"),
+    "registry": ("SourceOptions", "open_source"),
+    "source": ("FrameSource", "Paced"),
+}
+_HOME = {name: module for module, names in _MODULES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+
+
 __all__ = [
     "BackendMissingError",
     "Calibration",
@@ -39,20 +65,3 @@ __all__ = [
     "SourceOptions",
     "open_source",
 ]
-
-_MODULES = {
-    "Calibration": "frame",
-    "Intrinsics": "frame",
-    "RGBDFrame": "frame",
-    "SourceOptions": "registry",
-    "open_source": "registry",
-    "FrameSource": "source",
-    "Paced": "source",
-}
-
-
-def __getattr__(name: str) -> Any:
-    # Late, so that a command's --help need not wait for numpy.
-    if name in __all__:
-        return getattr(import_module(f"nurbseg.drivers.{_MODULES.get(name, 'errors')}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

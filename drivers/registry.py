@@ -1,11 +1,35 @@
-"""Opens a source of frames from what a user names: a URI or a path."""
+"""Opens a source of frames from what a user names: a URI or a path.
+
+The modules of the formats are imported on use, so that what one of them needs is not needed by the others.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from nurbseg.drivers.frame import Intrinsics
-from nurbseg.drivers.source import FrameSource
+from nurbseg.drivers.errors import DeviceNotFoundError, RecordingFormatError
+
+if TYPE_CHECKING:
+    from nurbseg.drivers.frame import Calibration
+    from nurbseg.drivers.openni2.options import DeviceOptions
+    from nurbseg.drivers.source import FrameSource
+
+#: URI schemes and the modules whose ``open_uri(rest, options)`` opens them.
+SCHEMES = {"openni2": "nurbseg.drivers.openni2", "synthetic": "nurbseg.drivers.synthetic"}
+
+_MCAP_MAGIC = b"\x89MCAP0\r\n"
+_ONI_MAGIC = b"NI10"
+_HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+_MATLAB5_MAGIC = b"MATLAB 5.0 MAT-file"
+#: MATLAB writes its own 512 bytes before the HDF5 signature.
+_HDF5_OFFSETS = (0, 512)
+_HEAD_BYTES = 1024
+
+_FORMATS = "an MCAP recording, an OpenNI2 recording (.oni), an organised PCD cloud, or NYU Depth v2 (.mat)"
+_FOLDERS = "pairs of color and depth images, rgb.txt and depth.txt (TUM), PCD clouds, or one recording"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,16 +44,127 @@ class SourceOptions:
         Depth units per metre of a recording that does not say it; None takes the format's own.
     association_limit_s : float
         Largest difference between the stamps of a depth image and its color image, seconds.
+    calibration : Calibration or None
+        Counts before what a recording or camera brings.
+    device : DeviceOptions or None
+        Settings of a camera; None leaves them as they are.
+
+    Raises
+    ------
+    ValueError
+        If `depth_scale` or `association_limit_s` is not over 0.
     """
 
     intrinsics: tuple[float, float, float, float] | None = None
     depth_scale: float | None = None
     association_limit_s: float = 0.02
+    calibration: Calibration | None = None
+    device: DeviceOptions | None = None
+
+    def __post_init__(self) -> None:
+        if self.intrinsics is not None and len(self.intrinsics) != 4:
+            raise ValueError(f"intrinsics: expected fx, fy, cx, cy, got {self.intrinsics}")
+        if self.depth_scale is not None and not 0 < self.depth_scale < float("inf"):
+            raise ValueError(f"depth_scale: expected units per metre over 0, got {self.depth_scale}")
+        if not self.association_limit_s > 0:
+            raise ValueError(f"association_limit_s: expected more than 0, got {self.association_limit_s}")
 
 
-def open_source(uri: str, options: SourceOptions | None = None) -> FrameSource:
-    """Open a camera, a recording or the synthetic scene."""
-    raise NotImplementedError
+def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameSource:
+    """Open a camera, a recording or the synthetic scene.
+
+    Parameters
+    ----------
+    uri : str or Path
+        ``openni2:`` or ``synthetic:`` with what these understand, or the path of a file or folder,
+        which is recognised by its content.
+    options : SourceOptions, optional
+        What the recording does not say itself.
+
+    Returns
+    -------
+    FrameSource
+        Open; to be closed by the caller.
+
+    Raises
+    ------
+    DeviceNotFoundError
+        If the path does not exist or no such camera is connected.
+    RecordingFormatError
+        If the file or folder is of no known form, or damaged.
+    CalibrationError
+        If a recording brings no calibration and `options` give none.
+    BackendMissingError
+        If a library that the source needs is not installed.
+    """
+    options = options or SourceOptions()
+    scheme, separator, rest = str(uri).partition(":")
+    if separator and scheme in SCHEMES:
+        return _open_with(SCHEMES[scheme], "open_uri", rest, options)
+    path = Path(uri)
+    if not path.exists():
+        schemes = " or ".join(f"{name}:" for name in SCHEMES)
+        raise DeviceNotFoundError(f"{path}: no such file or folder (and a URI begins with {schemes})")
+    return _open_folder(path, options) if path.is_dir() else _open_file(path, options)
 
 
-__all__ = ["Intrinsics", "SourceOptions", "open_source"]
+def _open_file(path: Path, options: SourceOptions) -> FrameSource:
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD_BYTES)
+    except OSError as err:
+        raise RecordingFormatError(f"{path}: cannot be read ({err.strerror})") from err
+    if head.startswith(_MCAP_MAGIC):
+        return _open_with("nurbseg.drivers.recording_reader", "open_path", path, options)
+    if head.startswith(_ONI_MAGIC):
+        return _open_with("nurbseg.drivers.openni2.playback", "open_path", path, options)
+    if _is_pcd(head):
+        return _open_with("nurbseg.drivers.pcd", "open_path", path, options)
+    hdf5 = any(head[offset:].startswith(_HDF5_MAGIC) for offset in _HDF5_OFFSETS)
+    if hdf5 or head.startswith(_MATLAB5_MAGIC):
+        return _open_with("nurbseg.drivers.nyu", "open_path", path)
+    if not head:
+        raise RecordingFormatError(f"{path}: the file is empty; expected {_FORMATS}")
+    raise RecordingFormatError(f"{path}: not a recording of a known form; expected {_FORMATS}")
+
+
+def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
+    from nurbseg.drivers.folders import FolderSource
+    from nurbseg.drivers.pairs import find_pairs
+    from nurbseg.drivers.tum import TumSource, is_tum
+
+    if is_tum(path):
+        return TumSource(path, options)
+    pairs, single = find_pairs(path)
+    if pairs:
+        return FolderSource(path, options)
+    if any(path.glob("*.pcd")):
+        return _open_with("nurbseg.drivers.pcd", "open_path", path, options)
+    if any(path.glob("nyu_v2_*.mat")):
+        return _open_with("nurbseg.drivers.nyu", "open_path", path)
+    recordings = sorted([*path.glob("*.mcap"), *path.glob("*.oni")])
+    if len(recordings) == 1:
+        # A bag of ROS 2 is a folder with one MCAP file.
+        return _open_file(recordings[0], options)
+    if single:
+        # Says which names are expected.
+        return FolderSource(path, options)
+    if recordings:
+        raise RecordingFormatError(f"{path}: holds {len(recordings)} recordings; name one of them")
+    found = "is empty" if not any(path.iterdir()) else "holds nothing that can be replayed"
+    raise RecordingFormatError(f"{path}: the folder {found}; expected {_FOLDERS}")
+
+
+def _is_pcd(head: bytes) -> bool:
+    for line in head.splitlines():
+        if line.strip() and not line.startswith(b"#"):
+            return line.startswith((b"VERSION ", b"FIELDS "))
+    return head.startswith(b"# .PCD")
+
+
+def _open_with(module: str, function: str, *arguments: object) -> FrameSource:
+    source: FrameSource = getattr(import_module(module), function)(*arguments)
+    return source
+
+
+__all__ = ["SCHEMES", "SourceOptions", "open_source"]

@@ -1,0 +1,183 @@
+"""What a calibration file says of the two cameras, before the images' sizes are known."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.errors import CalibrationError
+from nurbseg.drivers.frame import Calibration, Intrinsics
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraModel:
+    """One camera of a calibration file.
+
+    Parameters
+    ----------
+    path, field
+        Where it was read, for messages.
+    fx, fy, cx, cy : float
+        Pixels of an image of `size`.
+    distortion : (K,) float64
+        OpenCV's coefficients.
+    size : (width, height) or None
+        None where the file does not say.
+    """
+
+    path: Path
+    field: str
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: NDArray[np.float64] = dataclasses.field(default_factory=lambda: np.zeros(0))
+    size: tuple[int, int] | None = None
+
+    @classmethod
+    def of_intrinsics(cls, camera: Intrinsics, path: Path, field: str) -> CameraModel:
+        """Return a known camera as if it had been read from `path`."""
+        return cls(
+            path=path,
+            field=field,
+            fx=camera.fx,
+            fy=camera.fy,
+            cx=camera.cx,
+            cy=camera.cy,
+            distortion=camera.distortion,
+            size=(camera.width, camera.height),
+        )
+
+    def intrinsics(self, size: tuple[int, int] | None, base: tuple[int, int] | None = None) -> Intrinsics:
+        """Return the camera of images of `size`; `base` is its own size where the file does not say.
+
+        Raises
+        ------
+        CalibrationError
+            If no size is known, the shapes differ or a value is unusable.
+        """
+        own = self.size or base or size
+        if own is None:
+            raise CalibrationError(f"{self.path}: {self.field}: width and height are missing")
+        size = size or own
+        if own[0] * size[1] != own[1] * size[0]:
+            raise CalibrationError(
+                f"{self.path}: {self.field}: the camera of {own[0]}x{own[1]} images "
+                f"does not fit images of another shape, {size[0]}x{size[1]}"
+            )
+        try:
+            camera = Intrinsics(
+                width=own[0],
+                height=own[1],
+                fx=self.fx,
+                fy=self.fy,
+                cx=self.cx,
+                cy=self.cy,
+                distortion=self.distortion,
+            )
+        except ValueError as err:
+            raise CalibrationError(f"{self.path}: {self.field}: {err}") from err
+        return camera if size == own else camera.scaled_to(*size)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraFile:
+    """A calibration file's two cameras, their transform and the depth images' scale.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    depth, color : CameraModel
+        One and the same where the images are registered.
+    color_from_depth : (4, 4) float64
+        Translation in metres.
+    depth_scale : float or None
+        Depth units per metre, where the file says so.
+    """
+
+    path: Path
+    depth: CameraModel
+    color: CameraModel
+    color_from_depth: NDArray[np.float64] = dataclasses.field(default_factory=lambda: np.eye(4))
+    depth_scale: float | None = None
+
+    @classmethod
+    def of_calibration(cls, calibration: Calibration, path: Path) -> CameraFile:
+        """Return a known calibration as if it had been read from `path`."""
+        depth = CameraModel.of_intrinsics(calibration.depth, path, "depth")
+        registered = calibration.is_registered
+        color = depth if registered else CameraModel.of_intrinsics(calibration.color, path, "color")
+        return cls(path=path, depth=depth, color=color, color_from_depth=calibration.color_from_depth)
+
+    def calibration(
+        self, *, depth_size: tuple[int, int] | None = None, color_size: tuple[int, int] | None = None
+    ) -> Calibration:
+        """Return the calibration for images of these sizes (width, height).
+
+        Intrinsics are scaled to another size of the same shape. One camera without a size, standing for
+        both, is that of the depth images.
+
+        Raises
+        ------
+        CalibrationError
+            If a size is missing, a shape does not fit or a value is unusable.
+        """
+        base = depth_size if self.color is self.depth else None
+        depth = self.depth.intrinsics(depth_size)
+        color = self.color.intrinsics(color_size, base)
+        try:
+            return Calibration(depth=depth, color=color, color_from_depth=self.color_from_depth)
+        except ValueError as err:
+            raise CalibrationError(f"{self.path}: {err}") from err
+
+
+def number(path: Path, field: str, value: Any) -> float:
+    """Return a finite number of a calibration file.
+
+    Raises
+    ------
+    CalibrationError
+        If it is not one.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise CalibrationError(f"{path}: {field}: expected a finite number, got {value!r}")
+    return float(value)
+
+
+def camera_of_matrix(
+    path: Path,
+    field: str,
+    matrix: NDArray[np.float64],
+    distortion: NDArray[np.float64] | None = None,
+    size: tuple[int, int] | None = None,
+) -> CameraModel:
+    """Return the camera of a (3, 3) camera matrix.
+
+    Raises
+    ------
+    CalibrationError
+        If it is not one.
+    """
+    if matrix.shape != (3, 3):
+        raise CalibrationError(f"{path}: {field}: expected a 3 x 3 camera matrix, got {matrix.shape}")
+    if not np.isfinite(matrix).all():
+        raise CalibrationError(f"{path}: {field}: expected finite numbers, got {matrix.tolist()}")
+    if not np.allclose(matrix[2], [0, 0, 1]):
+        raise CalibrationError(f"{path}: {field}: expected the last row 0 0 1, got {matrix[2].tolist()}")
+    return CameraModel(
+        path=path,
+        field=field,
+        fx=float(matrix[0, 0]),
+        fy=float(matrix[1, 1]),
+        cx=float(matrix[0, 2]),
+        cy=float(matrix[1, 2]),
+        distortion=np.zeros(0) if distortion is None else distortion,
+        size=size,
+    )

@@ -1,0 +1,205 @@
+"""Decodes one color, depth or label image, and says what is wrong with one that cannot be used."""
+
+from __future__ import annotations
+
+import re
+import zlib
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.errors import FrameFormatError
+
+PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
+JPEG_MAGIC = b"\xff\xd8\xff"
+#: Bytes after the end-of-image marker that some cameras add.
+_JPEG_TRAILER = 4096
+#: A Kinect's 11-bit disparity for "nothing measured".
+_RAW_DISPARITY_NONE = 2047
+_RAW_DEPTH_MAX_MM = 10_000
+
+
+def _check_png(content: bytes, name: str) -> None:
+    place = len(PNG_MAGIC)
+    kind = b""
+    while kind != b"IEND":
+        length, kind = int.from_bytes(content[place : place + 4]), content[place + 4 : place + 8]
+        end = place + 12 + length
+        if end > len(content):
+            raise FrameFormatError(f"{name}: the PNG is cut off after {len(content)} bytes")
+        if zlib.crc32(content[place + 4 : end - 4]) != int.from_bytes(content[end - 4 : end]):
+            raise FrameFormatError(f"{name}: the PNG is damaged (checksum of its part {kind!r})")
+        place = end
+
+
+def _check_pnm(content: bytes, name: str) -> None:
+    header = re.match(rb"P[56]\s(?:\s*#[^\n]*\n)*\s*(\d+)\s+(\d+)\s+(\d+)\s", content)
+    if header is None:
+        raise FrameFormatError(f"{name}: expected a binary PGM or PPM with width, height and maximum")
+    width, height, maximum = map(int, header.groups())
+    expected = width * height * (3 if content[1:2] == b"6" else 1) * (2 if maximum > 255 else 1)
+    if len(content) - header.end() < expected:
+        raise FrameFormatError(
+            f"{name}: the image is cut off: {len(content) - header.end()} bytes of {expected}"
+        )
+
+
+def check_complete(content: bytes, name: str) -> None:
+    """Find out that an encoded image is cut off or damaged, which decoders may pass over in silence.
+
+    Raises
+    ------
+    FrameFormatError
+        If a PNG, JPEG, PGM or PPM does not reach its end, or a PNG's checksums do not hold.
+    """
+    if not content:
+        raise FrameFormatError(f"{name}: the image is empty (0 bytes)")
+    if content.startswith(PNG_MAGIC):
+        _check_png(content, name)
+    elif content.startswith(JPEG_MAGIC):
+        if b"\xff\xd9" not in content[-_JPEG_TRAILER:]:
+            raise FrameFormatError(f"{name}: the JPEG is cut off after {len(content)} bytes")
+    elif content[:2] in (b"P5", b"P6"):
+        _check_pnm(content, name)
+
+
+def _decode(content: bytes, flags: int, name: str) -> NDArray[Any]:
+    check_complete(content, name)
+    try:
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+    except cv2.error as err:
+        raise FrameFormatError(f"{name}: the image cannot be decoded ({err.err})") from err
+    if image is None:
+        raise FrameFormatError(f"{name}: not an image that can be decoded (PNG, JPEG, TIFF, PGM, PPM)")
+    return image
+
+
+def decode_color(content: bytes, name: str) -> NDArray[np.uint8]:
+    """Decode a color image.
+
+    Parameters
+    ----------
+    content : bytes
+        The encoded image.
+    name : str
+        What an error calls it, such as its file's path.
+
+    Returns
+    -------
+    (H, W, 3) uint8
+        RGB; gray images are spread over the three channels.
+
+    Raises
+    ------
+    FrameFormatError
+        If the image is cut off, damaged or of an unknown form.
+    """
+    bgr = _decode(content, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION, name)
+    color: NDArray[np.uint8] = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB).astype(np.uint8, copy=False)
+    return color
+
+
+def decode_depth(content: bytes, name: str, *, units_per_metre: float = 1000.0) -> NDArray[np.uint16]:
+    """Decode a depth image.
+
+    Two encodings are known by their values and need no scale: the 11-bit disparities of a Kinect in
+    low-byte-first PGM, as in the raw NYU Depth v2 set [1]_, and millimetres rotated by three bits, as
+    in SUN RGB-D [2]_.
+
+    Parameters
+    ----------
+    content : bytes
+        The encoded image, 16 bits per pixel, or 32-bit floating point in metres.
+    name : str
+        What an error calls it, such as its file's path.
+    units_per_metre : float
+        Depth units per metre of 16-bit images.
+
+    Returns
+    -------
+    (H, W) uint16
+        Depth, millimetres; 0 where there is none or it does not fit.
+
+    Raises
+    ------
+    FrameFormatError
+        If the image is cut off, damaged or does not have one channel of 16 bits.
+
+    References
+    ----------
+    .. [1] N. Silberman, D. Hoiem, P. Kohli, R. Fergus, "Indoor segmentation and support inference from
+       RGBD images", ECCV 2012.
+    .. [2] S. Song, S. Lichtenberg, J. Xiao, "SUN RGB-D: a RGB-D scene understanding benchmark suite",
+       CVPR 2015.
+    """
+    image = _decode(content, cv2.IMREAD_UNCHANGED, name)
+    if image.ndim == 2 and image.dtype == np.float32:
+        return millimetres(image, units_per_metre=1.0)
+    if image.ndim != 2 or image.dtype != np.uint16:
+        channels = 1 if image.ndim == 2 else image.shape[2]
+        raise FrameFormatError(
+            f"{name}: expected a depth image of 1 channel of 16 bits, "
+            f"got {channels} of {8 * image.dtype.itemsize} bits"
+        )
+    if content.startswith(b"P5") and _is_swapped_disparity(image):
+        return _from_disparity(image.byteswap())
+    if _is_rotated(image):
+        rotated: NDArray[np.uint16] = (image >> 3) | (image << 13)
+        return rotated
+    return millimetres(image, units_per_metre=units_per_metre)
+
+
+def decode_labels(content: bytes, name: str) -> NDArray[np.uint16]:
+    """Decode a label image of one channel of 8 or 16 bits to (H, W) uint16.
+
+    Raises
+    ------
+    FrameFormatError
+        If the image is cut off, damaged or has more than one channel.
+    """
+    image = _decode(content, cv2.IMREAD_UNCHANGED, name)
+    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
+        raise FrameFormatError(f"{name}: expected labels of 1 channel of 8 or 16 bits, got {image.shape}")
+    return image.astype(np.uint16)
+
+
+def millimetres(depth: NDArray[Any], *, units_per_metre: float) -> NDArray[np.uint16]:
+    """Turn depth in any unit into the sensor's millimetres.
+
+    Parameters
+    ----------
+    depth : (H, W) number
+        Depth; 0, negative or not finite where there is none.
+    units_per_metre : float
+        How many of its units are a metre.
+
+    Returns
+    -------
+    (H, W) uint16
+        Depth, millimetres; 0 where there is none or it does not fit.
+    """
+    if units_per_metre == 1000.0 and depth.dtype == np.uint16:
+        return np.array(depth)
+    scaled = np.rint(np.nan_to_num(depth * (1000.0 / units_per_metre), nan=0.0, posinf=0.0, neginf=0.0))
+    scaled[(scaled < 0) | (scaled > 65535)] = 0
+    depth_mm: NDArray[np.uint16] = scaled.astype(np.uint16)
+    return depth_mm
+
+
+def _is_swapped_disparity(image: NDArray[np.uint16]) -> bool:
+    return bool(image.max() > _RAW_DISPARITY_NONE and image.byteswap().max() <= _RAW_DISPARITY_NONE)
+
+
+def _from_disparity(disparity: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    # The constants of the NYU Depth v2 toolbox for its sensor: depth in metres = 351.3 / (1092.5 - d).
+    depth_mm = 351_300.0 / (1092.5 - np.minimum(disparity, 1092))
+    depth_mm[(disparity == 0) | (depth_mm > _RAW_DEPTH_MAX_MM)] = 0
+    rounded: NDArray[np.uint16] = np.rint(depth_mm).astype(np.uint16)
+    return rounded
+
+
+def _is_rotated(image: NDArray[np.uint16]) -> bool:
+    # Millimetres under 16 m leave bits 1 and 2 empty; plain units that go past 16384 do not all do so.
+    return bool(image.max() > 16_384 and not (image & 6).any())

@@ -1,0 +1,58 @@
+"""Recordings whose frames can be loaded by number."""
+
+from __future__ import annotations
+
+import re
+from abc import abstractmethod
+from pathlib import Path
+
+from nurbseg.drivers.errors import EndOfRecordingError
+from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.drivers.source import FrameSource
+
+#: Between frames of recordings that keep no time.
+FRAME_INTERVAL_NS = 33_333_333
+
+
+def natural_key(text: str) -> tuple[tuple[int, str], ...]:
+    """Order names as people do: ``learn9`` before ``learn10``."""
+    parts = re.split(r"(\d+)", text.casefold())
+    return tuple((int(part), "") if number % 2 else (0, part) for number, part in enumerate(parts))
+
+
+class SequenceSource(FrameSource):
+    """A recording of a known number of frames; subclasses fill in `_load` and set `calibration`.
+
+    Parameters
+    ----------
+    path : Path
+        What the recording is called in messages.
+    frames : int
+        Number of frames.
+    """
+
+    def __init__(self, path: Path, frames: int) -> None:
+        super().__init__()
+        self._path, self._frames, self._next = path, frames, 0
+
+    def __len__(self) -> int:
+        return self._frames
+
+    @abstractmethod
+    def _load(self, index: int) -> RGBDFrame: ...
+
+    def _read(self, timeout_s: float) -> RGBDFrame:
+        if self._next >= self._frames:
+            raise EndOfRecordingError(f"{self._path}: end after {self._frames} frames")
+        # Counted first, so that a frame that cannot be loaded is passed by.
+        self._next += 1
+        return self._load(self._next - 1)
+
+    def skip(self, frames: int) -> int:
+        """Go past the next frames without loading them; return how many there were to pass."""
+        passed = min(frames, self._frames - self._next)
+        self._next += passed
+        return passed
+
+    def _close(self) -> None:
+        pass
