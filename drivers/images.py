@@ -146,7 +146,7 @@ def decode_depth(content: bytes, name: str, *, units_per_metre: float = 1000.0) 
     if content.startswith(b"P5") and _is_swapped_disparity(image):
         return _from_disparity(image.byteswap())
     if _is_rotated(image):
-        rotated: NDArray[np.uint16] = (image >> 3) | (image << 13)
+        rotated: NDArray[np.uint16] = ((image >> 3) | (image << 13)).astype(np.uint16)
         return rotated
     return millimetres(image, units_per_metre=units_per_metre)
 
