@@ -24,6 +24,7 @@ example: nurbseg-live --replay my_folder --intrinsics 525,525,319.5,239.5 --spee
 #: What the help says above each section's flags.
 _TITLES = {
     "source": "source",
+    "camera": "camera (--calibration also for --replay)",
     "segmentation": "segmentation (the paper's symbols in the text)",
     "view": "view",
     "export": "files out",

@@ -10,6 +10,8 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+from nurbseg.app.view_config import ViewConfig
+from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.settings import check_settings, setting
 from nurbseg.segmentation.config import SegmentationConfig
 
@@ -93,14 +95,20 @@ class AppConfig:
     ----------
     source : SourceConfig
         Where frames come from.
+    camera : DeviceOptions
+        Settings of the camera, where the source is one.
     segmentation : SegmentationConfig
         How a frame is segmented.
+    view : ViewConfig
+        How results are shown and saved for viewing.
     export : ExportConfig
         What is written of them.
     """
 
     source: SourceConfig = field(default_factory=SourceConfig)
+    camera: DeviceOptions = field(default_factory=DeviceOptions)
     segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
+    view: ViewConfig = field(default_factory=ViewConfig)
     export: ExportConfig = field(default_factory=ExportConfig)
 
 

@@ -1,0 +1,97 @@
+"""The command nurbseg-live: flags, configuration, one run, an exit code."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Sequence
+
+from nurbseg.app.arguments import Arguments, parse_arguments
+from nurbseg.app.interruption import Interruption
+
+_log = logging.getLogger("nurbseg.live")
+
+DONE, FAILED, NOT_STARTED = 0, 1, 2
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code.
+
+    Parameters
+    ----------
+    words : sequence of str, optional
+        The arguments; the process's own by default.
+
+    Returns
+    -------
+    int
+        0 done, 1 failed while running, 2 no source or wrong configuration, 130 interrupted.
+
+    Raises
+    ------
+    SystemExit
+        With code 2 if an argument is wrong, with code 0 after ``--help`` and ``--version``.
+    """
+    arguments = parse_arguments(words)
+    if arguments.print_config:
+        from nurbseg.app.config_file import format_config
+
+        sys.stdout.write(format_config(arguments.config))
+        return DONE
+    _begin_logging(arguments.verbosity)
+    with Interruption() as interruption:
+        try:
+            return _run(arguments, interruption)
+        except KeyboardInterrupt:
+            pass
+        except Exception:
+            # Foreign code sometimes turns the interruption into an error of its own.
+            if interruption.signal_number is None:
+                _log.exception("unexpected failure")
+                return FAILED
+        _log.info("interrupted")
+        return interruption.exit_code
+
+
+def _run(arguments: Arguments, interruption: Interruption) -> int:
+    # Late, so that --help need not wait for numpy and OpenCV.
+    from nurbseg.app.export import ExportError
+    from nurbseg.app.run import SetupError, run
+    from nurbseg.drivers.errors import DriverError
+
+    config = arguments.config
+    try:
+        report = run(config, interruption)
+    except SetupError as err:
+        _log.error("%s", err, exc_info=arguments.verbosity > 0)
+        return NOT_STARTED
+    except (DriverError, ExportError) as err:
+        interruption.check()
+        _log.error("%s", err, exc_info=arguments.verbosity > 0)
+        return FAILED
+    _log.info("done: %d frames segmented, %.2f frames/s", report.segmented, report.frames_per_s)
+    for what, where in (("results", config.export.directory), ("report", config.export.report)):
+        if where is not None:
+            _log.info("%s: %s", what, where)
+    return DONE
+
+
+class _Format(logging.Formatter):
+    """Progress as plain lines; what is wrong with a word before it."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        level = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
+        return f"nurbseg-live: {level}{super().format(record)}"
+
+
+def _begin_logging(verbosity: int) -> None:
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(_Format())
+    logging.basicConfig(level=logging.WARNING, handlers=[handler], force=True)
+    levels = {-1: logging.WARNING, 0: logging.INFO, 1: logging.DEBUG}
+    logging.getLogger("nurbseg").setLevel(levels[verbosity])
+    logging.captureWarnings(True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

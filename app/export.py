@@ -1,0 +1,169 @@
+"""Files of each frame's result: labels as PNG, the tree as JSON, the surfaces as NPZ."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.app.atomic_file import write_atomically
+from nurbseg.app.worker import FrameResult
+from nurbseg.segmentation.config import Metric
+from nurbseg.segmentation.tree import Segment, SegmentationTree
+
+
+class ExportError(Exception):
+    """A result cannot be written; the message says where, why, and what is kept."""
+
+
+class Exporter:
+    """Writes results to a folder, each file whole or not at all.
+
+    A frame's files are named by its number: ``000012_labels.png``, ``000012_tree.json`` and, if asked
+    for, ``000012_surfaces.npz``. The tree is written last: where it is, the others are.
+
+    Parameters
+    ----------
+    directory : Path
+        Made where it does not exist; files of the same names are replaced.
+    metric : str
+        Which metric decided the splits; the tree tells it.
+    surfaces : bool
+        Whether the fitted surfaces are written too.
+
+    Attributes
+    ----------
+    written : int
+        Frames written so far.
+
+    Raises
+    ------
+    ExportError
+        If the folder cannot be made.
+    """
+
+    def __init__(self, directory: Path, *, metric: Metric, surfaces: bool = False) -> None:
+        self.directory = directory
+        self.written = 0
+        self._metric = metric
+        self._surfaces = surfaces
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+        except OSError as err:
+            raise ExportError(f"{directory}: cannot be made: {err.strerror}") from err
+
+    def write(self, result: FrameResult) -> None:
+        """Write the files of one frame.
+
+        Raises
+        ------
+        ExportError
+            If one cannot be written.
+        """
+        stem = f"{result.frame.index:06d}"
+        labels = result.tree.label_image()
+        contents = {f"{stem}_labels.png": _png(labels)}
+        if self._surfaces:
+            contents[f"{stem}_surfaces.npz"] = surfaces_npz(result.tree)
+        document = tree_document(result, self._metric)
+        contents[f"{stem}_tree.json"] = (json.dumps(document, indent=1) + "\n").encode()
+        for name, content in contents.items():
+            try:
+                write_atomically(self.directory / name, content)
+            except OSError as err:
+                raise ExportError(
+                    f"{self.directory / name}: cannot be written: {err.strerror}; "
+                    f"the {self.written} frames before are kept in {self.directory}"
+                ) from err
+        self.written += 1
+
+
+def tree_document(result: FrameResult, metric: Metric) -> dict[str, Any]:
+    """Return a frame's tree as what its JSON file holds.
+
+    Parameters
+    ----------
+    result : FrameResult
+        The frame and its tree.
+    metric : str
+        Which metric decided the splits.
+    """
+    tree = result.tree
+    label_of = {leaf.name: label for label, leaf in enumerate(tree.leaves(), start=1)}
+    return {
+        "frame": result.frame.index,
+        "name": result.frame.name,
+        "timestamp_ns": result.frame.timestamp_ns,
+        "height": tree.shape[0],
+        "width": tree.shape[1],
+        "metric": metric,
+        "segments": [_segment_document(each, label_of.get(each.name), metric) for each in tree.segments],
+    }
+
+
+def _segment_document(each: Segment, label: int | None, metric: Metric) -> dict[str, Any]:
+    return {
+        "name": display_name(each.name),
+        "parent": None if each.parent is None else display_name(each.parent),
+        "children": [display_name(child) for child in each.children],
+        "size": int(each.pixels.size),
+        "depth": each.depth,
+        "value": _number(each.fit.values.get(metric, math.nan)),
+        "values": {name: _number(value) for name, value in each.fit.values.items()},
+        "ratio": None if each.ratio is None else _number(each.ratio),
+        "stop": None if each.stop is None else each.stop.value,
+        "label": label,
+        "surface": each.fit.surface is not None,
+        "reason": each.fit.reason,
+    }
+
+
+def _number(value: float) -> float | None:
+    # JSON knows no infinity: a ratio against nothing and a metric of nothing are both "no value".
+    return float(value) if math.isfinite(value) else None
+
+
+def display_name(name: str) -> str:
+    """Return what the paper calls a segment: P for the whole cloud, P010 for a part."""
+    return f"P{name}"
+
+
+def surfaces_npz(tree: SegmentationTree) -> bytes:
+    """Return the surfaces of a tree's segments as an NPZ file.
+
+    It holds ``names`` (S,) of the segments that have a surface, ``degree`` (S, 2), ``window`` (S, 4) in
+    pixels (first row, first column, one past the last of each), and of the segment ``P010`` the arrays
+    ``P010_knots_u``, ``P010_knots_v`` in pixels, ``P010_control_points_m`` (n, m, 3) and
+    ``P010_weights`` (n, m).
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    names, degrees, windows = [], [], []
+    for each in tree.segments:
+        surface = each.fit.surface
+        if surface is None:
+            continue
+        name = display_name(each.name)
+        names.append(name)
+        degrees.append(surface.degree)
+        windows.append(surface.window)
+        for part in ("knots_u", "knots_v", "control_points_m", "weights"):
+            arrays[f"{name}_{part}"] = getattr(surface, part)
+    arrays["names"] = np.array(names, dtype=np.str_)
+    arrays["degree"] = np.array(degrees, dtype=np.int32).reshape(-1, 2)
+    arrays["window"] = np.array(windows, dtype=np.int32).reshape(-1, 4)
+    file = io.BytesIO()
+    np.savez_compressed(file, **arrays)
+    return file.getvalue()
+
+
+def _png(labels: NDArray[np.uint16]) -> bytes:
+    written, content = cv2.imencode(".png", labels)
+    if not written:
+        raise ExportError(f"labels of the shape {labels.shape} cannot be written as PNG")
+    return content.tobytes()

@@ -1,0 +1,142 @@
+"""Which source a run takes, and what it takes instead where no camera is found."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from pathlib import Path
+
+from nurbseg.app.config import AppConfig, SourceConfig
+from nurbseg.app.replay import Limited, Looped
+from nurbseg.drivers.calibration import read_calibration
+from nurbseg.drivers.diagnosis import explain_no_camera
+from nurbseg.drivers.errors import BackendMissingError, DeviceNotFoundError, RecordingFormatError
+from nurbseg.drivers.registry import SourceOptions, open_source
+from nurbseg.drivers.source import FrameSource, Paced
+
+_log = logging.getLogger(__name__)
+
+CAMERA, SYNTHETIC = "openni2:", "synthetic:"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenedSource:
+    """A source as the user wants it: from its start, paced, looped and limited.
+
+    Parameters
+    ----------
+    source : FrameSource
+        To be read; closing it closes all that is behind it.
+    uri : str
+        What was opened.
+    every_frame : bool
+        Whether each frame is to be segmented; otherwise the newest.
+    """
+
+    source: FrameSource
+    uri: str
+    every_frame: bool
+
+
+def open_chosen(app_config: AppConfig) -> OpenedSource:
+    """Open the source that the configuration names, or else a camera, or else the fallback.
+
+    Raises
+    ------
+    DriverError
+        If the source cannot be opened. Only an absent camera leads to the fallback, and only where a
+        fallback is named or no source is.
+    """
+    config = app_config.source
+    options = SourceOptions(
+        intrinsics=config.intrinsics,
+        depth_scale=config.depth_scale,
+        association_limit_s=config.association_limit_s,
+        device=app_config.camera,
+    )
+    uri = _named_uri(config)
+    if not uri.startswith(CAMERA):
+        # A camera reads the file itself, knowing the size of its images; a recording is told.
+        if app_config.camera.calibration is not None:
+            options = replace(options, calibration=read_calibration(Path(app_config.camera.calibration)))
+        return _prepared(uri, config, options)
+    try:
+        return _prepared(uri, config, options)
+    except (DeviceNotFoundError, BackendMissingError) as err:
+        if config.fallback is None and config.named:
+            raise DeviceNotFoundError(f"{err}\n{explain_no_camera(uri.removeprefix(CAMERA))}") from err
+        instead = config.fallback or demo_uri()
+        _log.warning("no camera found: %s", err)
+        _log.warning("replaying %s instead (nurbseg-devices doctor tells why there is no camera)", instead)
+        return _prepared(instead, config, options)
+
+
+def _named_uri(config: SourceConfig) -> str:
+    if config.replay is not None:
+        return config.replay
+    if config.synthetic:
+        return SYNTHETIC
+    device = config.device or "any"
+    return device if device.startswith(CAMERA) else f"{CAMERA}{device}"
+
+
+def demo_uri() -> str:
+    """Return where the demo recording lies, or the synthetic source where it was not installed."""
+    try:
+        recording = files("nurbseg.recordings") / "demo.mcap"
+    except ModuleNotFoundError:
+        recording = Path("demo.mcap")
+    if recording.is_file():
+        return str(recording)
+    _log.warning("the demo recording is not installed; rendering the synthetic scene")
+    return SYNTHETIC
+
+
+def _prepared(uri: str, config: SourceConfig, options: SourceOptions) -> OpenedSource:
+    """Open a source, and put on top of it what the user wants of a replay."""
+    source = _opened_at_start(uri, config, options)
+    try:
+        every_frame = not source.live and config.speed == 0
+        if source.live:
+            _warn_of_replay_settings(config)
+        elif config.loop:
+            source = Looped(source, lambda: _opened_at_start(uri, config, options))
+        if config.frames is not None or config.duration_s is not None:
+            source = Limited(source, frames=config.frames, duration_s=config.duration_s)
+        if not source.live and config.speed > 0:
+            source = Paced(source, config.speed)
+    except BaseException:
+        source.close()
+        raise
+    return OpenedSource(source, uri, every_frame)
+
+
+def _opened_at_start(uri: str, config: SourceConfig, options: SourceOptions) -> FrameSource:
+    source = open_source(uri, options)
+    if source.live or not config.start:
+        return source
+    try:
+        passed = source.skip(config.start)
+        if passed < config.start:
+            raise RecordingFormatError(
+                f"{uri}: has {passed} frames, so that none is left after --start {config.start}"
+            )
+    except BaseException:
+        source.close()
+        raise
+    return source
+
+
+def _warn_of_replay_settings(config: SourceConfig) -> None:
+    ignored = [
+        flag
+        for flag, is_set in (
+            ("--speed", config.speed != 1),
+            ("--loop", config.loop),
+            ("--start", config.start > 0),
+        )
+        if is_set
+    ]
+    if ignored:
+        _log.warning("%s: for replays only, ignored for a camera", ", ".join(ignored))

@@ -1,0 +1,127 @@
+"""What a user may ask of a replay beyond its frames in their order: a part of it, or again and again."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+from nurbseg.drivers.errors import EndOfRecordingError
+from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.drivers.source import FrameSource
+
+#: Distance of two passes where a recording has one frame only, and so no period of its own.
+_PERIOD_NS = 33_333_333
+
+
+class Looped(FrameSource):
+    """A recording that starts again at its end; frame numbers and timestamps go on rising.
+
+    Parameters
+    ----------
+    source : FrameSource
+        The first pass; closed with this one.
+    reopen : callable
+        Opens the recording for each further pass.
+    """
+
+    def __init__(self, source: FrameSource, reopen: Callable[[], FrameSource]) -> None:
+        super().__init__()
+        self.calibration = source.calibration
+        self.metadata = source.metadata
+        self._source = source
+        self._reopen = reopen
+        self._first: RGBDFrame | None = None
+        self._last: RGBDFrame | None = None
+        self._period_ns = _PERIOD_NS
+        self._index_offset = 0
+        self._time_offset_ns = 0
+
+    def _read(self, timeout_s: float) -> RGBDFrame:
+        try:
+            frame = self._source.read(timeout_s)
+        except EndOfRecordingError:
+            self._begin_again()
+            frame = self._source.read(timeout_s)
+        if self._first is None:
+            self._first = frame
+        elif self._last is not None and frame.timestamp_ns > self._last.timestamp_ns:
+            self._period_ns = frame.timestamp_ns - self._last.timestamp_ns
+        self._last = frame
+        return replace(
+            frame,
+            index=frame.index + self._index_offset,
+            timestamp_ns=frame.timestamp_ns + self._time_offset_ns,
+        )
+
+    def _begin_again(self) -> None:
+        if self._first is None or self._last is None:
+            raise EndOfRecordingError("the recording has no frame to repeat")
+        self._index_offset += self._last.index - self._first.index + 1
+        self._time_offset_ns += self._last.timestamp_ns - self._first.timestamp_ns + self._period_ns
+        self._first = self._last = None
+        self._source.close()
+        self._source = self._reopen()
+
+    def _close(self) -> None:
+        self._source.close()
+
+
+class Limited(FrameSource):
+    """The beginning of another source.
+
+    Parameters
+    ----------
+    source : FrameSource
+        Borrowed and closed with this one.
+    frames : int or None
+        Number of frames; damaged ones do not count.
+    duration_s : float or None
+        Time from the first frame, seconds: by the frames' own clock, and for a live source by the
+        computer's as well, so that a silent camera ends too.
+    clock : callable
+        Monotonic seconds.
+    """
+
+    def __init__(
+        self,
+        source: FrameSource,
+        *,
+        frames: int | None = None,
+        duration_s: float | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        super().__init__()
+        self.calibration = source.calibration
+        self.metadata = source.metadata
+        self.live = source.live
+        self._source = source
+        self._frames_left = frames
+        self._duration_s = duration_s
+        self._clock = clock
+        self._opened_s = clock()
+        self._first_ns: int | None = None
+
+    def _read(self, timeout_s: float) -> RGBDFrame:
+        if self._frames_left is not None and self._frames_left <= 0:
+            raise EndOfRecordingError("all the frames that were asked for are read")
+        if self.live and self._is_over(self._clock() - self._opened_s):
+            raise EndOfRecordingError("the time that was asked for is over")
+        frame = self._source.read(timeout_s)
+        if self._first_ns is None:
+            self._first_ns = frame.timestamp_ns
+        if self._is_over((frame.timestamp_ns - self._first_ns) * 1e-9):
+            raise EndOfRecordingError("the time that was asked for is over")
+        if self._frames_left is not None:
+            self._frames_left -= 1
+        return frame
+
+    def _is_over(self, elapsed_s: float) -> bool:
+        return self._duration_s is not None and elapsed_s >= self._duration_s
+
+    def skip(self, frames: int) -> int:
+        """Go past the next frames; they do not count."""
+        return self._source.skip(frames)
+
+    def _close(self) -> None:
+        self._source.close()

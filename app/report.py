@@ -1,0 +1,141 @@
+"""The figures of a run: what was read, what became of it, and how long that took."""
+
+from __future__ import annotations
+
+import json
+import platform
+import resource
+import sys
+import time
+from array import array
+from collections.abc import Mapping
+from dataclasses import asdict
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nurbseg.app.atomic_file import write_atomically
+from nurbseg.app.capture import CaptureThread
+from nurbseg.app.config import AppConfig
+
+_PACKAGES = ("nurbseg", "numpy", "scipy", "opencv-python-headless", "rerun-sdk", "mcap")
+
+
+class RunReport:
+    """Gathers a run's figures, and writes them as JSON.
+
+    Parameters
+    ----------
+    config : AppConfig
+        What the run was told.
+    source : str
+        What frames come from, as a person names it.
+
+    Attributes
+    ----------
+    segmented : int
+        Frames segmented so far.
+    """
+
+    def __init__(self, config: AppConfig, source: str) -> None:
+        self.segmented = 0
+        self._config = config
+        self._source = source
+        self._metadata: Mapping[str, str] = {}
+        self._began = datetime.now(UTC)
+        self._began_s = time.monotonic()
+        self._first_s: float | None = None
+        self._last_s = self._began_s
+        self._stages_ms: dict[str, array[float]] = {}
+
+    def add(self, elapsed_ms: Mapping[str, float]) -> None:
+        """Count a frame that was segmented, with the time of each stage, milliseconds."""
+        self._last_s = time.monotonic()
+        if self._first_s is None:
+            self._first_s = self._last_s
+        self.segmented += 1
+        for stage, value in elapsed_ms.items():
+            self._stages_ms.setdefault(stage, array("d")).append(value)
+
+    @property
+    def frames_per_s(self) -> float:
+        """Frames segmented per second, between the first and the last of them; 0 before there are two."""
+        if self._first_s is None or self.segmented < 2:
+            return 0.0
+        return (self.segmented - 1) / max(self._last_s - self._first_s, 1e-9)
+
+    def document(self, capture: CaptureThread | None, ended: str) -> dict[str, Any]:
+        """Return all the figures.
+
+        Parameters
+        ----------
+        capture : CaptureThread or None
+            Which read the frames; None where it did not come to that.
+        ended : str
+            Why the run ended.
+        """
+        read = 0 if capture is None else capture.read
+        overwritten = 0 if capture is None else capture.frames.overwritten
+        damaged = 0 if capture is None else capture.damaged
+        return {
+            "ended": ended,
+            "began": self._began.isoformat(timespec="milliseconds"),
+            "seconds": round(time.monotonic() - self._began_s, 3),
+            "source": self._source,
+            "frames": {
+                "read": read,
+                "segmented": self.segmented,
+                "dropped": {
+                    "overwritten_by_a_newer_frame": overwritten,
+                    "damaged": damaged,
+                    "unfinished_at_the_end": read - self.segmented - overwritten,
+                },
+                "damaged_frames": [] if capture is None else capture.damaged_frames,
+            },
+            "frames_per_s": round(self.frames_per_s, 3),
+            "first_result_after_s": None
+            if self._first_s is None
+            else round(self._first_s - self._began_s, 3),
+            "latency_ms": {stage: _percentiles(values) for stage, values in self._stages_ms.items()},
+            "peak_memory_mb": round(peak_memory_mb(), 1),
+            "configuration": asdict(self._config),
+            "versions": versions(),
+        }
+
+    def write(self, path: Path, capture: CaptureThread | None, ended: str) -> None:
+        """Write the figures as a JSON file, whole or not at all.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written.
+        """
+        content = json.dumps(self.document(capture, ended), indent=2) + "\n"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, content.encode())
+
+
+def _percentiles(values: array[float]) -> dict[str, float]:
+    p50, p95 = np.percentile(np.asarray(values), [50, 95])
+    return {"p50": round(float(p50), 3), "p95": round(float(p95), 3), "max": round(max(values), 3)}
+
+
+def peak_memory_mb() -> float:
+    """Return the largest resident size that this process had, in units of 10^6 bytes."""
+    # Linux counts in KiB; macOS in bytes.
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what the figures depend on."""
+    found = {"python": platform.python_version(), "platform": platform.platform()}
+    for package in _PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed as a package"
+    return found

@@ -1,0 +1,142 @@
+"""One run: opens what it needs, segments frame after frame, and closes everything in the right order."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+
+from nurbseg.app.capture import CaptureThread
+from nurbseg.app.config import AppConfig
+from nurbseg.app.export import Exporter, ExportError
+from nurbseg.app.interruption import Interruption
+from nurbseg.app.opening import open_chosen
+from nurbseg.app.progress import Progress
+from nurbseg.app.report import RunReport
+from nurbseg.app.view import open_view
+from nurbseg.app.worker import FrameResult, process_frame
+from nurbseg.drivers.errors import DriverError
+from nurbseg.segmentation.config import SegmentationConfig
+
+_log = logging.getLogger(__name__)
+
+#: Time between two looks whether the run was interrupted, seconds.
+_TAKE_TIMEOUT_S = 0.5
+
+#: What a result is given to, and the name under which the time for that is told.
+Consumer = tuple[str, Callable[[FrameResult], None]]
+
+
+class SetupError(Exception):
+    """The run cannot begin: no source, or nowhere to put the results."""
+
+
+class NoFramesError(DriverError):
+    """The source ended before it gave a single frame that can be read."""
+
+
+def run(config: AppConfig, interruption: Interruption) -> RunReport:
+    """Segment a source's frames until it ends.
+
+    Parameters
+    ----------
+    config : AppConfig
+        What to do.
+    interruption : Interruption
+        Ends the run early; everything is closed then as well, and the report written.
+
+    Raises
+    ------
+    SetupError
+        If the source, a folder or a file cannot be opened.
+    DriverError
+        If the source fails on the way, or gives no frame.
+    ExportError
+        If a result cannot be written.
+    KeyboardInterrupt
+        If the run was interrupted.
+    """
+    with ExitStack() as stack:
+        try:
+            opened = open_chosen(config)
+            stack.enter_context(opened.source)
+            _log.info("source: %s", opened.uri)
+            report = RunReport(config, opened.uri)
+            _write_report(config, report, None, "still running")
+            consumers: list[Consumer] = []
+            view = stack.enter_context(closing(open_view(config.view)))
+            consumers.append(("show", view.show))
+            if config.export.directory is not None:
+                exporter = Exporter(
+                    Path(config.export.directory),
+                    metric=config.segmentation.metric,
+                    surfaces=config.export.surfaces,
+                )
+                consumers.append(("export", exporter.write))
+        except (DriverError, ExportError, OSError, ValueError) as err:
+            raise SetupError(str(err)) from err
+
+        capture = CaptureThread(opened.source, lossless=opened.every_frame)
+        ended = "the source ended"
+        try:
+            with capture:
+                try:
+                    _work(capture, config.segmentation, consumers, report, interruption)
+                finally:
+                    interruption.hold()
+            if report.segmented == 0:
+                raise NoFramesError(f"{opened.uri}: no frame could be read ({capture.damaged} damaged)")
+        except BaseException as err:
+            ended = "interrupted" if interruption.signal_number else f"{type(err).__name__}: {err}"
+            raise
+        finally:
+            _write_report(config, report, capture, ended)
+        return report
+
+
+def _work(
+    capture: CaptureThread,
+    config: SegmentationConfig,
+    consumers: Sequence[Consumer],
+    report: RunReport,
+    interruption: Interruption,
+) -> None:
+    """Take frame after frame, segment it and hand it on, until the source ends."""
+    progress = Progress(capture)
+    while True:
+        interruption.check()
+        try:
+            captured = capture.frames.take(_TAKE_TIMEOUT_S)
+        except TimeoutError:
+            progress.waiting()
+            continue
+        if captured is None:
+            return
+        waited_s = time.monotonic() - captured.arrived_s
+        result = process_frame(captured.frame, config)
+        elapsed_ms = {
+            "wait": 1e3 * waited_s,
+            **result.elapsed_ms,
+            "capture_to_labels": 1e3 * (time.monotonic() - captured.arrived_s),
+        }
+        result = replace(result, elapsed_ms=MappingProxyType(elapsed_ms))
+        for stage, consume in consumers:
+            started_s = time.perf_counter()
+            consume(result)
+            elapsed_ms[stage] = 1e3 * (time.perf_counter() - started_s)
+        report.add(elapsed_ms)
+        progress.segmented(result)
+
+
+def _write_report(config: AppConfig, report: RunReport, capture: CaptureThread | None, ended: str) -> None:
+    if config.export.report is None:
+        return
+    path = Path(config.export.report)
+    try:
+        report.write(path, capture, ended)
+    except OSError as err:
+        raise ExportError(f"{path}: cannot be written: {err.strerror}") from err
