@@ -15,7 +15,13 @@ from nurbseg.drivers.finding import Finding, Probe, System
 from nurbseg.drivers.host import read_host
 from nurbseg.drivers.openni2_findings import driver_findings, library_findings, probe_findings
 from nurbseg.drivers.usb import scan_usb
-from nurbseg.drivers.usb_findings import bus_findings, camera_findings, not_plugged_in, power_findings
+from nurbseg.drivers.usb_findings import (
+    bus_findings,
+    camera_findings,
+    motor_findings,
+    not_plugged_in,
+    power_findings,
+)
 from nurbseg.drivers.usb_ids import families
 
 _ORDER = ("ok", "error", "warning", "note")
@@ -105,6 +111,9 @@ def _findings(system: System, wanted: str) -> Iterator[Finding]:
     for camera in cameras:
         yield from camera_findings(camera, system)
         yield from driver_findings(camera, installation)
+    for motor in parts:
+        if motor.model.role == "motor" and usb.bus_folder:
+            yield from motor_findings(motor, system.host)
     unpowered = list(power_findings(parts))
     yield from unpowered
     if not cameras and not unpowered and usb.bus_folder and (usb.libusb or usb.sysfs) and not usb.problem:

@@ -19,6 +19,7 @@ HostKind = Literal["computer", "container", "wsl"]
 
 _RULE_FOLDERS = ("etc/udev/rules.d", "run/udev/rules.d", "usr/lib/udev/rules.d", "lib/udev/rules.d")
 _CONTAINER_MARKS = (".dockerenv", "run/.containerenv", "run/systemd/container")
+_PERMISSION = re.compile(r"(?<![A-Z_])(MODE|GROUP)\s*:?=[^=]|uaccess")
 _CONTAINER_GROUPS = re.compile(r"docker|containerd|kubepods|lxc|libpod")
 
 
@@ -180,7 +181,7 @@ def _ruled_ids(root: Path) -> frozenset[tuple[int, int | None]]:
         for path in paths:
             for line in _text(path).splitlines():
                 # Other rules name ids too, to give a device a name or a power setting.
-                if line.lstrip().startswith("#") or not re.search(r"MODE|uaccess|GROUP", line):
+                if line.lstrip().startswith("#") or not _PERMISSION.search(line):
                     continue
                 vendor = re.search(r'ATTRS?\{idVendor\}=="([0-9a-fA-F]{4})"', line)
                 product = re.search(r'ATTRS?\{idProduct\}=="([0-9a-fA-F]{4})"', line)

@@ -245,7 +245,7 @@ def _scan_with_pyusb(
             speed=_SPEED_BY_NUMBER.get(each.speed, ""),
         )
         device = listed.get((seen.bus, seen.address), seen)
-        may_be_camera = device.model is not None or device.vendor_id == ASUS
+        may_be_camera = device.model is not None or (device.vendor_id == ASUS and not device.product)
         yield _tried(each, device) if may_be_camera and clock() < deadline_s else device
 
 

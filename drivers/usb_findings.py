@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 from nurbseg.drivers.finding import Finding, Part, System
 from nurbseg.drivers.host import Host
@@ -194,6 +195,12 @@ def power_findings(parts: Sequence[Part]) -> Iterator[Finding]:
                 "where it is connected: unplug the Kinect from USB and plug it in again",
             ),
         )
+
+
+def motor_findings(motor: Part, host: Host) -> Iterator[Finding]:
+    """Tell that a Kinect's motor may not be opened; its camera works all the same."""
+    if motor.device.access == "denied":
+        yield replace(_no_permission(motor, host), severity="warning")
 
 
 def not_plugged_in(usb: UsbScan, others: Sequence[Part], wanted: Sequence[Family]) -> Finding:
