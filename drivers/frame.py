@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.lens import Lens
+
 #: Coefficients that OpenCV's distortion model accepts (k1, k2, p1, p2[, k3[, k4, k5, k6[, ...]]]).
 _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 
@@ -76,23 +78,15 @@ class Intrinsics:
 
         NaN where the distortion cannot be undone, as at the far corners of a strongly bent lens.
         """
-        import cv2
-
         v, u = np.mgrid[: self.height, : self.width]
-        bent = np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy], axis=-1).reshape(-1, 1, 2)
-        if not self.distortion.any():
-            return np.asarray(bent.reshape(self.height, self.width, 2), dtype=np.float32)
-        straight = bent.copy()
-        for _ in range(50):
-            points = np.concatenate([straight, np.ones_like(straight[..., :1])], axis=-1)
-            again = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), self.distortion)[0]
-            error_px = np.abs((bent - again) * [self.fx, self.fy]).max(axis=-1)
-            straight += np.clip(bent - again, -0.2, 0.2)
-            if error_px.max() < 1e-3:
-                break
-        # Where the model folds over, the iteration has no end or a wrong one.
-        straight[~(error_px < 0.1)] = np.nan
-        return np.asarray(straight.reshape(self.height, self.width, 2), dtype=np.float32)
+        x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
+        if self.distortion.any():
+            x, y = self.lens().straighten(x, y, 1e-3 / max(self.fx, abs(self.fy)))
+        return np.stack([x, y], axis=-1).astype(np.float32)
+
+    def lens(self) -> Lens:
+        """Return the lens, which bends straight image coordinates and straightens bent ones."""
+        return Lens(self.distortion)
 
     def scaled_to(self, width: int, height: int) -> Intrinsics:
         """Return the same camera for an image of another size, pixel centres being at integers."""

@@ -137,8 +137,7 @@ class _Registration:
         self._bent = bool(np.isnan(rays).any())
         if self._registered:
             return
-        self._color = calibration.color
-        self._lens = _Lens(calibration.color.distortion)
+        self._color, self._lens = calibration.color, calibration.color.lens()
         rotation = calibration.color_from_depth[:3, :3].astype(np.float32)
         self._translation = calibration.color_from_depth[:3, 3].astype(np.float32)
         # A point z (x, y, 1) of the depth camera is at z * turned + translation for the color camera.
@@ -216,70 +215,3 @@ class _Registration:
         image = buffer[1:].reshape(self._cells)
         buffer[1:] = cv2.morphologyEx(image, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)).ravel()
         return inside & (np.take(buffer, cell) - nearness <= self._hiding_per_m)
-
-
-class _Lens:
-    """OpenCV's distortion model, in float32 over whole images.
-
-    References
-    ----------
-    .. [1] OpenCV, "Camera Calibration and 3D Reconstruction", the detailed description of the model.
-    """
-
-    def __init__(self, distortion: NDArray[np.float64]) -> None:
-        k = np.zeros(14)
-        k[: distortion.size] = distortion
-        self._k = k.astype(np.float32)
-        self._straight = not distortion.any()
-        self._fold = _fold_radius(self._k)
-        self._tilt = None
-        if k[12:].any():
-            self._tilt = _tilt(k[12], k[13]).astype(np.float32)
-
-    def bend(self, x: NDArray[np.float32], y: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
-        """Return where an undistorted image coordinate falls behind the lens."""
-        if self._straight:
-            return x, y
-        k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = self._k[:12]
-        x, y = np.clip(x, -10, 10), np.clip(y, -10, 10)
-        r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        if k4 or k5 or k6:
-            radial /= 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
-        # Beyond the fold the model would bring points back into the image: they are sent far outside.
-        radial[r2 > self._fold**2] = 10
-        twice_xy = 2 * x * y
-        bent_x = x * radial + p1 * twice_xy + p2 * (r2 + 2 * x * x)
-        bent_y = y * radial + p2 * twice_xy + p1 * (r2 + 2 * y * y)
-        if self._k[8:12].any():
-            bent_x += r2 * (s1 + r2 * s2)
-            bent_y += r2 * (s3 + r2 * s4)
-        if self._tilt is None:
-            return bent_x, bent_y
-        m = self._tilt
-        w = m[2, 0] * bent_x + m[2, 1] * bent_y + m[2, 2]
-        return (
-            (m[0, 0] * bent_x + m[0, 1] * bent_y + m[0, 2]) / w,
-            (m[1, 0] * bent_x + m[1, 1] * bent_y + m[1, 2]) / w,
-        )
-
-
-def _tilt(tau_x: float, tau_y: float) -> NDArray[np.float64]:
-    """Return the (3, 3) homography of a sensor that is tilted behind its lens."""
-    cx, sx, cy, sy = np.cos(tau_x), np.sin(tau_x), np.cos(tau_y), np.sin(tau_y)
-    rotation = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ np.array(
-        [[1, 0, 0], [0, cx, sx], [0, -sx, cx]]
-    )
-    r13, r23, r33 = rotation[:, 2]
-    return np.asarray(np.array([[r33, 0, -r13], [0, r33, -r23], [0, 0, 1]]) @ rotation)
-
-
-def _fold_radius(k: NDArray[np.float32]) -> float:
-    """Return the radius up to which the radial distortion grows with it; inf if it always does."""
-    r = np.linspace(0.0, 10.0, 10_001)
-    r2 = r * r
-    divisor = 1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        bent = r * (1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / divisor
-    folds = np.flatnonzero(~(np.diff(bent) > 0))
-    return float(r[folds[0]]) if folds.size else np.inf
