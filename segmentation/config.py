@@ -15,6 +15,7 @@ Method = Literal["stag15"]
 Metric = Literal["mse", "mae", "ve", "nle", "vmxc", "vmec", "vgc", "mmxc", "nlc"]
 SplittingPoint = Literal["zero", "kmeans", "ncut"]
 FirstSplit = Literal["kept", "judged"]
+ControlPoints = Literal["adaptive", "fixed"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +69,11 @@ class SegmentationConfig:
     control_points_max: int = setting(
         20, "control points along a direction for a segment that spans the image", least=4, most=200
     )
+    control_points: ControlPoints = setting(
+        "adaptive",
+        "whether smaller segments get fewer control points, or all the same number (Pagnutti 2014)",
+        choices=get_args(ControlPoints),
+    )
     decimation: int = setting(
         2,
         "pixel step of the grid on which splits are decided; borders are settled on every pixel",
@@ -81,6 +87,7 @@ class SegmentationConfig:
 
 
 __all__ = [
+    "ControlPoints",
     "FirstSplit",
     "Method",
     "Metric",

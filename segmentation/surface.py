@@ -324,15 +324,17 @@ def control_point_count(extent: int, image_extent: int, config: SegmentationConf
     extent, image_extent : int
         Of the segment and of the image in one direction, in the same unit.
     config : SegmentationConfig
-        Its `control_points_max` belongs to a segment that spans the image.
+        Its `control_points_max` belongs to a segment that spans the image; where its `control_points` is
+        "fixed", to every segment.
 
     Returns
     -------
     int
         At least 4, which a cubic needs, and beyond that no more than there are pixels.
     """
-    proportional = int(np.floor(config.control_points_max * extent / image_extent + 0.5))
-    return max(_FEWEST_CONTROL_POINTS, min(proportional, extent))
+    share = 1.0 if config.control_points == "fixed" else extent / image_extent
+    wanted = int(np.floor(config.control_points_max * share + 0.5))
+    return max(_FEWEST_CONTROL_POINTS, min(wanted, extent))
 
 
 def _full_image_knots(size: int, count: int, first: int, step: int) -> NDArray[np.float64]:

@@ -1,0 +1,1 @@
+"""Segmentations held against ground truth: methods, scores, tables, figures and tuning."""

@@ -1,0 +1,127 @@
+"""The scores of a study as one table of frames and variants, and its means."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.app.evaluation.scoring import SCORES
+from nurbseg.app.evaluation.statistics import Estimate, bootstrap_mean
+from nurbseg.app.evaluation.store import StudyStore
+from nurbseg.app.evaluation.variants import Variant
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StudyResults:
+    """The finished frames of a study.
+
+    Parameters
+    ----------
+    variants : tuple of Variant
+        In the order of the tables.
+    frames : tuple of dict
+        Finished frames in the order of their keys, with the results of all variants.
+    skipped : tuple of dict
+        Frames without a score, with the reason.
+    """
+
+    variants: tuple[Variant, ...]
+    frames: tuple[dict[str, Any], ...]
+    skipped: tuple[dict[str, Any], ...]
+
+    @classmethod
+    def load(cls, store: StudyStore, variants: Sequence[Variant]) -> StudyResults:
+        """Read what a store has for these variants; frames not finished for all of them are left out."""
+        frames, skipped = [], []
+        for frame in store.frames():
+            if frame.get("skipped"):
+                skipped.append(frame)
+            elif all(variant.key in frame["results"] for variant in variants):
+                frames.append(frame)
+        return cls(tuple(variants), tuple(frames), tuple(skipped))
+
+    def categories(self) -> tuple[str, ...]:
+        """Return the categories in the order of their first frames."""
+        return tuple(dict.fromkeys(frame["category"] for frame in self.frames))
+
+    def values(self, variant: Variant, score: str, category: str | None = None) -> NDArray[np.float64]:
+        """Return a score of every frame, (N,) float64, NaN where a frame has none.
+
+        Parameters
+        ----------
+        variant : Variant
+            One of the study's.
+        score : str
+            A field of `FrameScores`.
+        category : str, optional
+            Takes the frames of one category only.
+        """
+        return np.array(
+            [
+                np.nan if (value := frame["results"][variant.key][score]) is None else value
+                for frame in self.frames
+                if category is None or frame["category"] == category
+            ],
+            dtype=np.float64,
+        )
+
+    def estimate(self, variant: Variant, score: str, category: str | None = None) -> Estimate:
+        """Return a score's mean over frames with its 95 % bootstrap interval."""
+        return bootstrap_mean(self.values(variant, score, category))
+
+    def best(self, score: str, category: str | None = None) -> set[str]:
+        """Return the names of the variants with the best mean, as printed to three digits."""
+        means = {
+            variant.name: round(self.estimate(variant, score, category).mean, 3) for variant in self.variants
+        }
+        known = [value for value in means.values() if np.isfinite(value)]
+        if not known:
+            return set()
+        wanted = max(known) if SCORES[score][1] else min(known)
+        return {name for name, value in means.items() if value == wanted}
+
+    def worst_frames(self, variant: Variant) -> tuple[dict[str, Any], ...]:
+        """Return the frames by ground-truth region covering, the worst first."""
+        return tuple(
+            sorted(self.frames, key=lambda each: (each["results"][variant.key]["gtrc"], each["key"]))
+        )
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return one flat row for each frame and variant."""
+        return [
+            {
+                "frame": frame["name"],
+                "source": frame["uri"],
+                "index": frame["index"],
+                "category": frame["category"],
+                "variant": variant.name,
+                "method": variant.method,
+                **frame["results"][variant.key],
+            }
+            for frame in self.frames
+            for variant in self.variants
+        ]
+
+
+def write_rows(results: StudyResults, folder: Path) -> tuple[Path, Path]:
+    """Write ``results.parquet`` and ``results.csv``: a row for each frame and variant.
+
+    Returns
+    -------
+    tuple of Path
+        The two files.
+    """
+    import pyarrow
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    table = pyarrow.Table.from_pylist(results.rows())
+    parquet, csv = folder / "results.parquet", folder / "results.csv"
+    pyarrow.parquet.write_table(table, parquet)
+    pyarrow.csv.write_csv(table, csv)
+    return parquet, csv

@@ -1,0 +1,68 @@
+"""Means over frames and how sure they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A mean over frames with its bootstrap interval."""
+
+    mean: float
+    low: float
+    high: float
+    frames: int
+
+
+def bootstrap_mean(
+    values: NDArray[np.float64], *, level: float = 0.95, draws: int = 2000, seed: int = 0
+) -> Estimate:
+    """Estimate a mean over frames and its percentile bootstrap interval.
+
+    Parameters
+    ----------
+    values : (N,) float64
+        One value a frame; NaN where a frame has none, which leaves it out.
+    level : float
+        Share of resampled means that the interval holds.
+    draws : int
+        Number of resamples.
+    seed : int
+        The same seed gives the same interval.
+
+    Returns
+    -------
+    Estimate
+        NaN throughout where there is no value.
+
+    References
+    ----------
+    .. [1] B. Efron, R. Tibshirani, "An introduction to the bootstrap", 1993, chapter 13.
+    """
+    values = values[np.isfinite(values)]
+    if values.size == 0:
+        return Estimate(float("nan"), float("nan"), float("nan"), 0)
+    picked = np.random.default_rng(seed).integers(values.size, size=(draws, values.size))
+    means = values[picked].mean(axis=1)
+    tail = (1.0 - level) / 2.0
+    low, high = np.quantile(means, (tail, 1.0 - tail))
+    return Estimate(float(values.mean()), float(low), float(high), int(values.size))
+
+
+def bootstrap_gain(
+    ours: NDArray[np.float64], theirs: NDArray[np.float64], *, level: float = 0.95, draws: int = 2000
+) -> Estimate:
+    """Estimate the mean difference of two methods on the same frames, frame by frame.
+
+    Parameters
+    ----------
+    ours, theirs : (N,) float64
+        Values of the same frames in the same order; a frame that lacks one is left out.
+    level, draws
+        As for `bootstrap_mean`.
+    """
+    return bootstrap_mean(ours - theirs, level=level, draws=draws)

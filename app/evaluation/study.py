@@ -1,0 +1,347 @@
+"""Runs variants over labelled frames, in parallel, keeping each finished frame on disk."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.app.evaluation.categories import category_of
+from nurbseg.app.evaluation.methods import CLUSTERS, LABELS_PREFIX, labels_on_disk, rival
+from nurbseg.app.evaluation.scoring import score_frame
+from nurbseg.app.evaluation.store import StudyStore
+from nurbseg.app.evaluation.variants import TREE_METHODS, Variant
+from nurbseg.drivers.errors import FrameFormatError
+from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.drivers.registry import SourceOptions, open_source
+from nurbseg.segmentation.flat import best_lambda
+from nurbseg.segmentation.registration import PointMap, register
+from nurbseg.segmentation.tree import SegmentationTree, segment
+
+#: More frames than any source has: what passing over all of them is asked with.
+_ALL = 10**9
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRef:
+    """A frame of a source, by its place, so that any worker can read it."""
+
+    uri: str
+    index: int
+    key: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Study:
+    """What is compared on what.
+
+    Parameters
+    ----------
+    sources : tuple of str
+        URIs or paths of sources whose frames carry labels.
+    options : SourceOptions
+        For all sources.
+    variants : tuple of Variant
+        The rows of the tables.
+    seed : int
+        Of methods that draw random numbers; the tree methods have their own setting.
+    frames : int or None
+        Frames of each source at the most; None for all.
+    start : int
+        First frame of each source.
+    """
+
+    sources: tuple[str, ...]
+    variants: tuple[Variant, ...]
+    options: SourceOptions = field(default_factory=SourceOptions)
+    seed: int = 0
+    frames: int | None = None
+    start: int = 0
+
+    def description(self) -> dict[str, Any]:
+        """Return what kept results depend on, besides the variants, which have keys of their own."""
+        return {
+            "sources": list(self.sources),
+            "options": {
+                "intrinsics": self.options.intrinsics,
+                "depth_scale": self.options.depth_scale,
+                "association_limit_s": self.options.association_limit_s,
+            },
+            "seed": self.seed,
+        }
+
+
+def frame_refs(study: Study) -> list[FrameRef]:
+    """List the frames of a study without decoding them."""
+    refs = []
+    for place, uri in enumerate(study.sources):
+        with open_source(uri, study.options) as source:
+            first = source.skip(study.start)
+            count = source.skip(_ALL if study.frames is None else study.frames)
+        refs += [FrameRef(uri, i, f"{place:02d}-{i:06d}") for i in range(first, first + count)]
+    return refs
+
+
+def run_study(
+    study: Study,
+    store: StudyStore,
+    *,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    report: Callable[[int, int], None] = lambda done, total: None,
+) -> None:
+    """Do what of a study is not yet on disk.
+
+    Frames are shared out to processes, of this computer or of a Dask cluster; results are written by this
+    process alone, a frame at a time, and do not depend on who computed them or in which order.
+
+    Parameters
+    ----------
+    study : Study
+        What to do.
+    store : StudyStore
+        Where results are kept.
+    jobs : int
+        Processes on this computer.
+    scheduler : str, optional
+        Address of a Dask scheduler (``tcp://HOST:8786``) to use instead; its workers must see the same
+        files under the same names.
+    report : callable
+        Told the finished and all frames after each.
+
+    Raises
+    ------
+    nurbseg.drivers.errors.DriverError
+        If a source cannot be opened.
+    ValueError
+        If the scheduler does not answer.
+    """
+    import joblib
+
+    todo = []
+    refs = frame_refs(study)
+    for ref in refs:
+        known = store.frame(ref.key)
+        if known is not None and known.get("skipped"):
+            continue
+        missing = tuple(each for each in study.variants if each.key not in (known or {}).get("results", {}))
+        if missing:
+            todo.append((ref, missing))
+    done = len(refs) - len(todo)
+    report(done, len(refs))
+    work = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
+    with _backend(scheduler, jobs):
+        outcomes: Iterator[FrameOutcome] = work(
+            joblib.delayed(evaluate_frame)(ref, study.options, missing, study.seed) for ref, missing in todo
+        )
+        for outcome in outcomes:
+            known = store.frame(outcome.key) or {}
+            results = {**known.get("results", {}), **outcome.record.get("results", {})}
+            store.keep(outcome.key, {**outcome.record, "results": results}, outcome.files)
+            done += 1
+            report(done, len(refs))
+
+
+def _backend(scheduler: str | None, jobs: int) -> Any:
+    import joblib
+
+    if scheduler is None:
+        if jobs == 1:
+            return nullcontext()
+        return joblib.parallel_config("loky", inner_max_num_threads=1)
+    from distributed import Client
+
+    try:
+        Client(scheduler, timeout="10s", set_as_default=True)
+    except (OSError, TimeoutError, ValueError) as err:
+        raise ValueError(f"--scheduler {scheduler}: no Dask scheduler answers there ({err})") from err
+    return joblib.parallel_config("dask")
+
+
+@dataclass(frozen=True, slots=True)
+class FrameOutcome:
+    """What a worker found in a frame: JSON values, and files by their path in the store."""
+
+    key: str
+    record: dict[str, Any]
+    files: dict[str, bytes]
+
+
+def read_frame(ref: FrameRef, options: SourceOptions) -> RGBDFrame:
+    """Read one frame of a source by its place.
+
+    Raises
+    ------
+    FrameFormatError
+        If the frame is damaged.
+    """
+    with open_source(ref.uri, options) as source:
+        source.skip(ref.index)
+        return source.read(timeout_s=60.0)
+
+
+def evaluate_frame(
+    ref: FrameRef, options: SourceOptions, variants: Sequence[Variant], seed: int
+) -> FrameOutcome:
+    """Segment one frame with several variants and score each.
+
+    What the variants share (reading, registration, vectors, and every cut and fit that two settings of
+    one method both make) is done once.
+
+    Parameters
+    ----------
+    ref : FrameRef
+        Which frame.
+    options : SourceOptions
+        Of its source.
+    variants : sequence of Variant
+        What to do with it.
+    seed : int
+        With the frame's number, the state of the random generator of each variant.
+
+    Returns
+    -------
+    FrameOutcome
+        A frame that is damaged, has no ground truth or no pixel that counts is recorded as skipped.
+    """
+    cv2.setNumThreads(1)
+    try:
+        frame = read_frame(ref, options)
+    except FrameFormatError as err:
+        return FrameOutcome(ref.key, {"key": ref.key, "skipped": str(err)}, {})
+    cloud = register(frame)
+    about = {
+        "key": ref.key,
+        "uri": ref.uri,
+        "index": ref.index,
+        "name": frame.name or str(frame.index),
+        "category": category_of(frame.name, ref.uri),
+    }
+    if frame.labels is None:
+        return FrameOutcome(ref.key, {**about, "skipped": "no ground truth"}, {})
+    if not (cloud.valid & (frame.labels > 0)).any():
+        return FrameOutcome(ref.key, {**about, "skipped": "no pixel has both depth and ground truth"}, {})
+    results: dict[str, Any] = {}
+    files: dict[str, bytes] = {}
+    answers = Answers(cloud, frame.name, ref.index, seed)
+    for variant in variants:
+        labels, tree = answers.of(variant)
+        results[variant.key] = score_frame(labels, frame.labels, cloud.valid).as_record()
+        files[label_path(ref.key, variant)] = label_png(labels)
+        if tree is not None:
+            files[tree_path(ref.key, variant)] = outline(tree, variant)
+    return FrameOutcome(ref.key, {**about, "results": results}, files)
+
+
+class Answers:
+    """Segments one frame with one variant after the other; shares what they have in common.
+
+    Parameters
+    ----------
+    cloud : PointMap
+        The registered frame.
+    name : str
+        Its name, by which label images of other programs are found.
+    index : int
+        Its place in its source.
+    seed : int
+        See `evaluate_frame`.
+    """
+
+    def __init__(self, cloud: PointMap, name: str, index: int, seed: int) -> None:
+        self._cloud, self._name, self._index, self._seed = cloud, name, index, seed
+        self._lambdas: dict[tuple[Any, ...], float] = {}
+
+    def of(self, variant: Variant) -> tuple[NDArray[np.integer], SegmentationTree | None]:
+        """Return a variant's labels, (H, W), and its tree if it has one."""
+        rng = np.random.default_rng([self._seed, self._index])
+        if variant.method.startswith(LABELS_PREFIX):
+            folder = Path(variant.method.removeprefix(LABELS_PREFIX))
+            return labels_on_disk(folder, self._name, self._index), None
+        if variant.method not in TREE_METHODS:
+            return rival(variant)(self._cloud, rng), None
+        config = variant.config
+        if variant.lambda_auto:
+            chosen = (config.samples, config.affinity_scale)
+            if chosen not in self._lambdas:
+                self._lambdas[chosen] = best_lambda(self._cloud, config, clusters=CLUSTERS, seed=self._seed)[
+                    0
+                ]
+            config = replace(config, geometry_weight=self._lambdas[chosen])
+        tree = segment(self._cloud, config)
+        return tree.label_image(), tree
+
+
+def times_per_frame(study: Study, frames: int) -> Mapping[str, float]:
+    """Measure each variant alone, one after the other, nothing shared; registration is not counted.
+
+    Parameters
+    ----------
+    study : Study
+        The first `frames` frames of its first source are used.
+    frames : int
+        Number of frames; the first of each variant is done twice and counted once.
+
+    Returns
+    -------
+    mapping of str to float
+        Median seconds a frame, by the variant's name; label images of other programs have none.
+    """
+    refs = frame_refs(study)[:frames]
+    clouds = []
+    for ref in refs:
+        frame = read_frame(ref, study.options)
+        clouds.append((register(frame), frame.name, ref.index))
+    seconds = {}
+    for variant in study.variants:
+        if variant.method.startswith(LABELS_PREFIX):
+            continue
+        taken = []
+        for cloud, name, index in itertools.chain(clouds[:1], clouds):
+            start = time.perf_counter()
+            Answers(cloud, name, index, study.seed).of(variant)
+            taken.append(time.perf_counter() - start)
+        seconds[variant.name] = float(np.median(taken[1:]))
+    return seconds
+
+
+def label_path(key: str, variant: Variant) -> str:
+    """Return where a variant's labels of a frame are kept, within the store."""
+    return f"labels/{variant.key}/{key}.png"
+
+
+def tree_path(key: str, variant: Variant) -> str:
+    """Return where a variant's tree of a frame is kept, within the store."""
+    return f"trees/{variant.key}/{key}.json"
+
+
+def label_png(labels: NDArray[np.integer]) -> bytes:
+    """Encode labels as a PNG of 16 bits; labels are numbered anew where they need more."""
+    if labels.max(initial=0) > np.iinfo(np.uint16).max or labels.min(initial=0) < 0:
+        labels = np.unique(labels, return_inverse=True)[1].reshape(labels.shape)
+    encoded = cv2.imencode(".png", labels.astype(np.uint16))[1]
+    return bytes(encoded)
+
+
+def outline(tree: SegmentationTree, variant: Variant) -> bytes:
+    """Encode what a drawing of the tree needs as JSON."""
+    segments = [
+        {
+            "name": each.name,
+            "size": int(each.pixels.size),
+            "value": each.fit.values.get(variant.config.metric),
+            "ratio": each.ratio,
+            "stop": None if each.stop is None else each.stop.value,
+        }
+        for each in tree.segments
+    ]
+    return json.dumps({"segments": segments}).encode()

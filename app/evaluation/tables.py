@@ -1,0 +1,106 @@
+"""Tables laid out as the paper's: a row for each variant, a column for each category, and the mean."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from nurbseg.app.evaluation.results import StudyResults
+from nurbseg.app.evaluation.scoring import SCORES
+from nurbseg.app.evaluation.statistics import Estimate
+
+
+def score_rows(results: StudyResults, score: str) -> list[list[str]]:
+    """Lay out one score: variant, categories, mean and its interval; the best of a column in ``*``.
+
+    Parameters
+    ----------
+    results : StudyResults
+        What was found.
+    score : str
+        One of `SCORES`.
+
+    Returns
+    -------
+    list of list of str
+        The first row is the heading.
+    """
+    categories = results.categories()
+    columns: list[str | None] = [*categories, None] if len(categories) > 1 else [None]
+    heading = ["variant", *("mean" if each is None else each for each in columns), "95 % interval"]
+    best = {each: results.best(score, each) for each in columns}
+    rows = [heading]
+    for variant in results.variants:
+        row = [variant.name]
+        for each in columns:
+            text = digits(results.estimate(variant, score, each).mean)
+            row.append(f"*{text}*" if variant.name in best[each] else text)
+        row.append(interval(results.estimate(variant, score)))
+        rows.append(row)
+    return rows
+
+
+def detail_rows(results: StudyResults, seconds: Mapping[str, float]) -> list[list[str]]:
+    """Lay out what the paper's tables lack: segments, errors of either kind, boundaries and time."""
+    rows = [["variant", "segments", "of", "over", "under", "precision", "recall", "ms/frame"]]
+    for variant in results.variants:
+        means = [
+            results.estimate(variant, score).mean
+            for score in ("segments", "regions", "over", "under", "precision", "recall")
+        ]
+        time = seconds.get(variant.name)
+        rows.append(
+            [
+                variant.name,
+                f"{means[0]:.1f}",
+                f"{means[1]:.1f}",
+                *(digits(mean) for mean in means[2:]),
+                "" if time is None else f"{1000 * time:.0f}",
+            ]
+        )
+    return rows
+
+
+def as_text(rows: Sequence[Sequence[str]]) -> str:
+    """Align a table for a terminal; names to the left, figures to the right."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    lines = []
+    for number, row in enumerate(rows):
+        cells = [
+            cell.ljust(w) if i == 0 else cell.rjust(w)
+            for i, (cell, w) in enumerate(zip(row, widths, strict=True))
+        ]
+        lines.append("  ".join(cells).rstrip())
+        if number == 0:
+            lines.append("-" * len(lines[0]))
+    return "\n".join(lines)
+
+
+def as_markdown(rows: Sequence[Sequence[str]]) -> str:
+    """Write a table as Markdown; what is in ``*`` becomes bold."""
+    lines = []
+    for number, row in enumerate(rows):
+        lines.append("| " + " | ".join(cell.replace("*", "**") for cell in row) + " |")
+        if number == 0:
+            lines.append("| --- |" + " ---: |" * (len(row) - 1))
+    return "\n".join(lines)
+
+
+def all_tables(results: StudyResults, seconds: Mapping[str, float]) -> list[tuple[str, list[list[str]]]]:
+    """Return every table with its caption, in the order of the paper."""
+    tables = []
+    for score, (heading, greater) in SCORES.items():
+        direction = "greater" if greater else "smaller"
+        tables.append((f"{heading}: mean over frames, {direction} is better", score_rows(results, score)))
+    caption = "Segments found and regions there are, errors (bits), boundaries at 2 px, time"
+    return [*tables, (caption, detail_rows(results, seconds))]
+
+
+def digits(value: float) -> str:
+    """Write a score with three digits, and nothing where there is none."""
+    return "-" if math.isnan(value) else f"{value:.3f}"
+
+
+def interval(estimate: Estimate) -> str:
+    """Write an interval."""
+    return f"{digits(estimate.low)} to {digits(estimate.high)}"

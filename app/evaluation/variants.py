@@ -1,0 +1,181 @@
+"""What is compared: a method with its settings, and the grids that name many of them at once."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any, get_args
+
+from nurbseg.segmentation.config import Metric, SegmentationConfig
+
+#: Methods decided by the tree of surface fits; the metric and threshold grids apply to them alone.
+TREE_METHODS = ("nurbseg", "stag15", "pz14")
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """One row of a table: a method, its settings and the name under which it is reported.
+
+    Parameters
+    ----------
+    name : str
+        Unique in a study, e.g. ``stag15 mse T=0.9``.
+    method : str
+        Name of the method, or ``labels:DIR`` for label images of another program.
+    config : SegmentationConfig
+        Settings of the methods of this project; rivals use those they share with it.
+    lambda_auto : bool
+        Whether lambda is chosen for each frame by the unsupervised quality.
+    """
+
+    name: str
+    method: str
+    config: SegmentationConfig
+    lambda_auto: bool = False
+
+    @property
+    def key(self) -> str:
+        """Name of this variant's results on disk: equal for equal work and for nothing else."""
+        config = asdict(self.config) if self.method in (*TREE_METHODS, "dmzc12") else {}
+        content = json.dumps([self.method, config, self.lambda_auto], sort_keys=True)
+        return hashlib.sha256(content.encode()).hexdigest()[:16]
+
+
+def setting_value(name: str, text: str) -> Any:
+    """Turn the text of one setting into its value.
+
+    Parameters
+    ----------
+    name : str
+        A field of `SegmentationConfig` or its symbol (``lambda``).
+    text : str
+        As written by the user.
+
+    Raises
+    ------
+    ValueError
+        If there is no such setting, or the text is no value of it.
+    """
+    field = field_named(name)
+    default = getattr(SegmentationConfig(), field)
+    try:
+        if isinstance(default, bool):
+            value: Any = {"true": True, "1": True, "false": False, "0": False}[text.lower()]
+        else:
+            value = type(default)(text)
+    except (ValueError, KeyError):
+        raise ValueError(f"{name}: expected a value like {default!r}, got {text!r}") from None
+    replace(SegmentationConfig(), **{field: value})
+    return value
+
+
+def field_named(name: str) -> str:
+    """Return the field that a setting's name or symbol stands for.
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+    """
+    wanted = name.replace("-", "_")
+    for each in fields(SegmentationConfig):
+        if wanted in (each.name, each.metadata.get("symbol")):
+            return each.name
+    known = ", ".join(each.name for each in fields(SegmentationConfig))
+    raise ValueError(f"{name}: no such setting; there are {known}")
+
+
+def grid_of(texts: Iterable[str]) -> dict[str, list[Any]]:
+    """Read ``NAME=VALUE,VALUE,...`` texts into the values of each setting; ``lambda=auto`` is allowed.
+
+    Raises
+    ------
+    ValueError
+        If a text has another form, or a value is not one of its setting's.
+    """
+    grid: dict[str, list[Any]] = {}
+    for text in texts:
+        name, equals, values = text.partition("=")
+        if not equals or not values:
+            raise ValueError(f"{text}: expected NAME=VALUE,VALUE,...")
+        field = field_named(name)
+        grid[field] = [
+            "auto" if field == "geometry_weight" and value == "auto" else setting_value(name, value)
+            for value in values.split(",")
+        ]
+    return grid
+
+
+def variants_of(
+    methods: Sequence[str],
+    *,
+    metrics: Sequence[str] = (),
+    thresholds: Sequence[float] = (),
+    grid: Mapping[str, Sequence[Any]] | None = None,
+    base: SegmentationConfig | None = None,
+) -> tuple[Variant, ...]:
+    """Spell out a study's variants: every method with every combination of the settings that touch it.
+
+    Parameters
+    ----------
+    methods : sequence of str
+        Names of methods; the metric and threshold grids apply to the tree methods but ``pz14``,
+        whose metric is MSE by definition.
+    metrics, thresholds : sequence
+        Metrics and values of T; empty takes the base configuration's.
+    grid : mapping of str to sequence, optional
+        Further settings (see `grid_of`), for the methods of this project.
+    base : SegmentationConfig, optional
+        Settings that no grid names.
+
+    Raises
+    ------
+    ValueError
+        If a metric is unknown or a combination is out of bounds.
+    """
+    base = base or SegmentationConfig()
+    for metric in metrics:
+        if metric not in get_args(Metric):
+            raise ValueError(f"metric: expected one of {', '.join(get_args(Metric))}, got {metric!r}")
+    axes: dict[str, Sequence[Any]] = dict(grid or {})
+    variants: dict[str, Variant] = {}
+    for method in methods:
+        if method not in (*TREE_METHODS, "dmzc12"):
+            variants[method] = Variant(name=method, method=method, config=base)
+            continue
+        own = dict(axes)
+        if method in ("stag15", "nurbseg") and (metrics or thresholds):
+            own = {
+                "metric": list(metrics or [base.metric]),
+                "ratio_max": list(thresholds or [base.ratio_max]),
+                **own,
+            }
+        for values in itertools.product(*own.values()):
+            variant = _variant(method, dict(zip(own, values, strict=True)), base)
+            variants[variant.name] = variant
+    return tuple(variants.values())
+
+
+def _variant(method: str, chosen: Mapping[str, Any], base: SegmentationConfig) -> Variant:
+    settings = dict(chosen)
+    lambda_auto = settings.get("geometry_weight") == "auto"
+    if lambda_auto:
+        del settings["geometry_weight"]
+    words = [method]
+    for field, value in chosen.items():
+        words.append(str(value) if field == "metric" else f"{_symbol(field)}={value}")
+    kind = method if method in ("stag15", "nurbseg") else "stag15"
+    config = replace(base, **({"method": kind} | settings))
+    if method == "pz14":
+        config = replace(config, metric="mse", control_points="fixed")
+    return Variant(name=" ".join(words), method=method, config=config, lambda_auto=lambda_auto)
+
+
+def _symbol(field: str) -> str:
+    if field == "ratio_max":
+        return "T"
+    symbols = {each.name: each.metadata.get("symbol") for each in fields(SegmentationConfig)}
+    return symbols[field] or field
