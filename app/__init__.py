@@ -1,1 +1,41 @@
 """Wires, threads and shows: the commands."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from nurbseg.app.capture import Captured, CaptureThread, LatestSlot
+    from nurbseg.app.config import AppConfig
+    from nurbseg.app.view import View, open_view
+    from nurbseg.app.worker import FrameResult, process_frame
+
+__all__ = [
+    "AppConfig",
+    "CaptureThread",
+    "Captured",
+    "FrameResult",
+    "LatestSlot",
+    "View",
+    "open_view",
+    "process_frame",
+]
+
+_MODULES = {
+    "AppConfig": "config",
+    "CaptureThread": "capture",
+    "Captured": "capture",
+    "FrameResult": "worker",
+    "LatestSlot": "capture",
+    "View": "view",
+    "open_view": "view",
+    "process_frame": "worker",
+}
+
+
+def __getattr__(name: str) -> Any:
+    # Late, so that a command's --help need not wait for numpy and OpenCV.
+    if name in _MODULES:
+        return getattr(import_module(f"nurbseg.app.{_MODULES[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -57,6 +57,7 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
     # Late, so that --help need not wait for numpy and OpenCV.
     from nurbseg.app.export import ExportError
     from nurbseg.app.run import SetupError, run
+    from nurbseg.app.viewer_process import ViewError
     from nurbseg.drivers.errors import DriverError
 
     config = arguments.config
@@ -65,12 +66,16 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
     except SetupError as err:
         _log.error("%s", err, exc_info=arguments.verbosity > 0)
         return NOT_STARTED
-    except (DriverError, ExportError) as err:
-        interruption.check()
+    except (DriverError, ExportError, ViewError) as err:
         _log.error("%s", err, exc_info=arguments.verbosity > 0)
+        interruption.check()
         return FAILED
     _log.info("done: %d frames segmented, %.2f frames/s", report.segmented, report.frames_per_s)
-    for what, where in (("results", config.export.directory), ("report", config.export.report)):
+    for what, where in (
+        ("results", config.export.directory),
+        ("recording to look at", config.view.save),
+        ("report", config.export.report),
+    ):
         if where is not None:
             _log.info("%s: %s", what, where)
     return DONE

@@ -142,7 +142,7 @@ def surfaces_npz(tree: SegmentationTree) -> bytes:
     ``P010_knots_u``, ``P010_knots_v`` in pixels, ``P010_control_points_m`` (n, m, 3) and
     ``P010_weights`` (n, m).
     """
-    arrays: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, Any] = {}
     names, degrees, windows = [], [], []
     for each in tree.segments:
         surface = each.fit.surface

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import time
 from types import FrameType, TracebackType
 from typing import Any, Self
 
@@ -52,6 +53,13 @@ class Interruption:
     def hold(self) -> None:
         """Let no signal raise any more."""
         self._held = True
+
+    def wait(self) -> None:
+        """Wait for a signal; ends with `KeyboardInterrupt`."""
+        self._held = False
+        while True:
+            self.check()
+            time.sleep(0.2)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         first = self.signal_number is None

@@ -33,6 +33,8 @@ class RunReport:
         What the run was told.
     source : str
         What frames come from, as a person names it.
+    metadata : mapping of str to str
+        What is known of the source; read when the figures are written.
 
     Attributes
     ----------
@@ -40,11 +42,11 @@ class RunReport:
         Frames segmented so far.
     """
 
-    def __init__(self, config: AppConfig, source: str) -> None:
+    def __init__(self, config: AppConfig, source: str, metadata: Mapping[str, str]) -> None:
         self.segmented = 0
         self._config = config
         self._source = source
-        self._metadata: Mapping[str, str] = {}
+        self._metadata = metadata
         self._began = datetime.now(UTC)
         self._began_s = time.monotonic()
         self._first_s: float | None = None
@@ -84,13 +86,14 @@ class RunReport:
             "ended": ended,
             "began": self._began.isoformat(timespec="milliseconds"),
             "seconds": round(time.monotonic() - self._began_s, 3),
-            "source": self._source,
+            "source": {"opened": self._source, **self._metadata},
             "frames": {
                 "read": read,
                 "segmented": self.segmented,
                 "dropped": {
                     "overwritten_by_a_newer_frame": overwritten,
                     "damaged": damaged,
+                    "without_a_partner": int(self._metadata.get("dropped", 0)),
                     "unfinished_at_the_end": read - self.segmented - overwritten,
                 },
                 "damaged_frames": [] if capture is None else capture.damaged_frames,

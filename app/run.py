@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -17,7 +17,7 @@ from nurbseg.app.interruption import Interruption
 from nurbseg.app.opening import open_chosen
 from nurbseg.app.progress import Progress
 from nurbseg.app.report import RunReport
-from nurbseg.app.view import open_view
+from nurbseg.app.view import ViewError, open_view
 from nurbseg.app.worker import FrameResult, process_frame
 from nurbseg.drivers.errors import DriverError
 from nurbseg.segmentation.config import SegmentationConfig
@@ -55,7 +55,7 @@ def run(config: AppConfig, interruption: Interruption) -> RunReport:
         If the source, a folder or a file cannot be opened.
     DriverError
         If the source fails on the way, or gives no frame.
-    ExportError
+    ExportError, ViewError
         If a result cannot be written.
     KeyboardInterrupt
         If the run was interrupted.
@@ -65,11 +65,9 @@ def run(config: AppConfig, interruption: Interruption) -> RunReport:
             opened = open_chosen(config)
             stack.enter_context(opened.source)
             _log.info("source: %s", opened.uri)
-            report = RunReport(config, opened.uri)
+            report = RunReport(config, opened.uri, opened.source.metadata)
             _write_report(config, report, None, "still running")
             consumers: list[Consumer] = []
-            view = stack.enter_context(closing(open_view(config.view)))
-            consumers.append(("show", view.show))
             if config.export.directory is not None:
                 exporter = Exporter(
                     Path(config.export.directory),
@@ -77,8 +75,15 @@ def run(config: AppConfig, interruption: Interruption) -> RunReport:
                     surfaces=config.export.surfaces,
                 )
                 consumers.append(("export", exporter.write))
-        except (DriverError, ExportError, OSError, ValueError) as err:
+            name = Path(opened.uri).name
+            view = stack.enter_context(
+                open_view(config.view, config.segmentation, opened.source.metadata, name=name)
+            )
+            consumers.append(("show", view.show))
+        except (DriverError, ExportError, ViewError, OSError, ValueError) as err:
             raise SetupError(str(err)) from err
+        if view.how_to_look:
+            _log.info("to look: %s", view.how_to_look)
 
         capture = CaptureThread(opened.source, lossless=opened.every_frame)
         ended = "the source ended"
@@ -95,6 +100,9 @@ def run(config: AppConfig, interruption: Interruption) -> RunReport:
             raise
         finally:
             _write_report(config, report, capture, ended)
+        if view.serving:
+            _log.info("all frames are shown; Ctrl-C ends the serving")
+            interruption.wait()
         return report
 
 

@@ -1,0 +1,82 @@
+# make demo   installs into .venv, segments the demo recording, and says where the results are
+# make test   installs, checks the style and the types, and runs all tests
+# make clean  removes what these made
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+OUT ?= out
+
+SOURCES := $(shell find app drivers segmentation recordings -name '*.py' -o -name '*.mcap' -o -name py.typed)
+
+# Tests find more real recordings here; they skip what needs them where there are none.
+ifneq ($(wildcard ../shared/data),)
+export NURBSEG_DATA ?= $(abspath ../shared/data)
+endif
+
+# Cameras are tested against the real OpenNI2, pictures of the viewer need a Vulkan driver.
+TEST_PACKAGES := g++ libopenni2-0 libopenni2-dev libusb-1.0-0 mesa-vulkan-drivers
+
+.PHONY: demo test setup setup-test lint types clean
+
+demo: $(VENV)/demo.stamp
+	rm -rf $(OUT)/demo $(OUT)/demo.rrd
+	mkdir -p $(OUT)
+	$(BIN)/nurbseg-live --replay recordings/demo.mcap --speed 0 --view none \
+	    --save $(OUT)/demo.rrd --export $(OUT)/demo --report $(OUT)/demo.json
+	@echo
+	@echo "labels and trees of each frame:  $(OUT)/demo/NNNNNN_labels.png, NNNNNN_tree.json"
+	@echo "everything, to look at:          $(OUT)/demo.rrd    open it with: $(BIN)/rerun $(OUT)/demo.rrd"
+	@echo "rates, latency, memory:          $(OUT)/demo.json"
+	@echo "live, with a viewer:             $(BIN)/nurbseg-live"
+
+test: setup-test lint types
+	$(BIN)/pytest
+
+setup: $(VENV)/demo.stamp
+
+setup-test: $(VENV)/test.stamp
+	@.ci/system-packages $(TEST_PACKAGES)
+
+lint: $(VENV)/test.stamp
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/python .ci/file_lengths.py
+
+types: $(VENV)/test.stamp
+	$(BIN)/mypy -p nurbseg.app -p nurbseg.drivers -p nurbseg.segmentation
+
+# The virtual environment. Debian has venv's half in a package of its own.
+$(VENV)/bin/pip:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	    || { echo "$(PYTHON) is older than Python 3.11: make PYTHON=python3.11 ..."; exit 1; }
+	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || .ci/system-packages python3-venv
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --upgrade pip 'setuptools>=77'
+
+# What the project depends on, installed again when pyproject.toml changes ...
+$(VENV)/demo-dependencies.stamp: $(VENV)/bin/pip pyproject.toml
+	rm -rf build
+	$(BIN)/pip install --quiet --no-build-isolation .
+	touch $@
+
+$(VENV)/test-dependencies.stamp: $(VENV)/bin/pip pyproject.toml
+	rm -rf build
+	$(BIN)/pip install --quiet --no-build-isolation '.[dev]'
+	touch $@
+
+# ... and the project itself, when one of its files does. It is a plain install: what is tested is what is shipped.
+define install
+rm -rf build
+$(BIN)/pip install --quiet --no-build-isolation --no-deps --force-reinstall .
+touch $@
+endef
+
+$(VENV)/demo.stamp: $(VENV)/demo-dependencies.stamp $(SOURCES)
+	$(install)
+
+$(VENV)/test.stamp: $(VENV)/test-dependencies.stamp $(SOURCES)
+	$(install)
+
+clean:
+	rm -rf $(VENV) $(OUT) build *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
