@@ -7,11 +7,15 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh
+from scipy.linalg.lapack import dpstrf
 
 from nurbseg.segmentation.config import SplittingPoint
 
-#: Eigenvalues of the samples' affinities below this share of the largest hold rounding and no affinity.
-_EIGENVALUE_SHARE = 1e-6
+#: A sample is left out where the others explain its affinities but for this (of the 1 to itself, squared).
+_UNEXPLAINED = 1e-4
+#: A second eigenvalue at rounding level belongs to points that nothing tells apart.
+_LEAST_EIGENVALUE = 1e-6
 #: Thresholds that are tried where the cut is made at the least Ncut.
 _THRESHOLDS = 48
 
@@ -158,34 +162,35 @@ def normalized_cut(
     if not np.any(landmarks != landmarks[0]) and not np.any(vectors != landmarks[0]):
         return _no_cut(vectors, affinity_scale, "all points are equal")
 
-    # W = K A^-1 K^T, and A^-1 = R R^T without the directions that are rounding: W = Q Q^T with Q = K R.
-    A = _exact_affinity(landmarks, affinity_scale)
-    eigenvalues, U = np.linalg.eigh(A)
-    kept = eigenvalues > _EIGENVALUE_SHARE * eigenvalues[-1]
-    R = U[:, kept] / np.sqrt(eigenvalues[kept])
+    # W = K A^-1 K^T. Samples that the others already explain make A singular and are left out; with
+    # A = L L^T of the rest, W = Q Q^T where Q = K L^-T.
+    landmarks, L = _independent(landmarks, affinity_scale)
     K = affinity(vectors[chosen], landmarks, affinity_scale)
-    Q = K @ R.astype(np.float32)
-    total = Q.sum(axis=0, dtype=np.float64)
+    root = np.linalg.inv(L).T
+    Q = K @ root.astype(np.float32)
+    total = np.ones(size, dtype=np.float32) @ Q
     # A degree holds at least the affinity of 1 to the point itself; the approximation may fall below.
-    degrees = np.maximum(Q @ total.astype(np.float32), np.float32(1.0))
+    degrees = np.maximum(Q @ total, np.float32(1.0))
 
     # S and D^-1/2 W D^-1/2 share their eigenvalues. The first eigenvector, of the constant, is known: taking
     # it out leaves the second on top also where the affinities fall apart into components.
-    Qn = Q / np.sqrt(degrees)[:, np.newaxis]
+    scale = np.sqrt(degrees)
+    Qn = Q / scale[:, np.newaxis]
     S = (Qn.T @ Qn).astype(np.float64)
-    first = Qn.T.astype(np.float64) @ np.sqrt(degrees, dtype=np.float64)
+    first = (scale @ Qn).astype(np.float64)
     first /= np.linalg.norm(first)
-    deflated = S - np.outer(first, S @ first) - np.outer(S @ first, first)
-    deflated += np.outer(first, first) * float(first @ S @ first)
-    second_values, second_vectors = np.linalg.eigh(0.5 * (deflated + deflated.T))
-    if second_values[-1] <= 1e-6:
+    Sf = S @ first
+    S -= np.outer(first, Sf - first * float(first @ Sf)) + np.outer(Sf, first)
+    last = S.shape[0] - 1
+    eigenvalues, eigenvectors = eigh(0.5 * (S + S.T), subset_by_index=[last, last], check_finite=False)
+    if eigenvalues[0] <= _LEAST_EIGENVALUE:
         return _no_cut(vectors, affinity_scale, "the affinities tell no points apart")
-    second = second_vectors[:, -1]
+    second = eigenvectors[:, 0]
 
     # D^-1/2 times the second eigenvector is the relaxed indicator, (K a) / (K b) at any point.
-    a, b = R @ second, R @ total
+    a, b = root @ second, root @ total.astype(np.float64)
     indicator = (Q @ second.astype(np.float32)).astype(np.float64) / degrees
-    orientation = _orientation(indicator[: landmarks.shape[0]])
+    orientation = _orientation(indicator[:samples])
     a, indicator = orientation * a, orientation * indicator
     threshold = _threshold(splitting_point, indicator, Q, degrees)
     coefficients = (a - threshold * b).astype(np.float32)
@@ -201,13 +206,16 @@ def _no_cut(vectors: NDArray[np.float32], scale: float, reason: str) -> Cut:
     return Cut(side, np.inf, vectors[:1], np.zeros(min(1, len(vectors)), dtype=np.float32), scale, reason)
 
 
-def _exact_affinity(landmarks: NDArray[np.float32], scale: float) -> NDArray[np.float64]:
-    """Affinities of the sample to itself in double precision: its small eigenvalues are divided by."""
+def _independent(
+    landmarks: NDArray[np.float32], scale: float
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Leave out samples whose affinities the others explain; return the rest and their Cholesky factor."""
     s = landmarks.astype(np.float64)
     norms = np.einsum("ij,ij->i", s, s)
     distances = np.maximum(norms[:, np.newaxis] + norms - 2.0 * (s @ s.T), 0.0)
-    A: NDArray[np.float64] = np.exp(-0.5 / scale**2 * distances)
-    return A
+    A = np.exp(-0.5 / scale**2 * distances)
+    factor, pivots, rank, _ = dpstrf(A, tol=_UNEXPLAINED, lower=1)
+    return landmarks[pivots[:rank] - 1], np.tril(factor[:rank, :rank])
 
 
 def _orientation(indicator: NDArray[np.float64]) -> float:
@@ -260,8 +268,9 @@ def _ncut(side: NDArray[np.bool_], Q: NDArray[np.float32], degrees: NDArray[np.f
         return float(np.inf)
     value = 0.0
     for part in (side, ~side):
-        inside = Q[part].sum(axis=0, dtype=np.float64)
-        value += 1.0 - float(inside @ inside) / float(degrees[part].sum(dtype=np.float64))
+        weight = part.astype(np.float32)
+        inside = (weight @ Q).astype(np.float64)
+        value += 1.0 - float(inside @ inside) / float(weight @ degrees)
     return float(np.clip(value, 0.0, 2.0))
 
 

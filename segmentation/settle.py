@@ -12,6 +12,8 @@ from nurbseg.segmentation.cut import Cut
 from nurbseg.segmentation.grid import PixelGrid
 from nurbseg.segmentation.registration import PointMap
 
+_LEAVES_MAX = np.iinfo(np.uint16).max - 1
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Split:
@@ -37,13 +39,13 @@ def settle(
     leaves: Sequence[NDArray[np.intp]],
     splits: Sequence[Split],
     vectors_of: Callable[[NDArray[np.intp]], NDArray[np.float32]],
-) -> NDArray[np.int32]:
+) -> NDArray[np.uint16]:
     """Give every pixel that has a point to a leaf.
 
-    A pixel whose nearest places on the grid (up to four, around it) belong to one leaf belongs there too.
-    Where they disagree, the pixel's own vector decides, at the split that parted the leaves in question:
-    the extension of that cut says which part it belongs to. The clean-up of small pieces is kept, since
-    only leaves around the pixel are in question.
+    A place of the grid keeps its leaf, and a pixel between places that all belong to one leaf belongs there
+    too. Where the four places around a pixel disagree, the pixel's own vector decides, at the split that
+    parted the leaves in question: the extension of that cut says which part it belongs to. The clean-up of
+    small pieces is kept, since only leaves around the pixel are in question.
 
     Parameters
     ----------
@@ -60,29 +62,55 @@ def settle(
 
     Returns
     -------
-    (H * W,) int32
+    (H * W,) uint16
         Number of each pixel's leaf; ``len(leaves)`` where there is no point.
+
+    Raises
+    ------
+    ValueError
+        If there are more leaves than labels of 16 bits.
     """
-    height, width = grid.image_shape
     none = len(leaves)
-    on_grid = np.full(grid.valid.size, none, dtype=np.int32)
+    if none > _LEAVES_MAX:
+        raise ValueError(f"leaves: expected at most {_LEAVES_MAX}, got {none}")
+    on_grid = np.full(grid.valid.size, none, dtype=np.uint16)
     for number, places in enumerate(leaves):
         on_grid[places] = number
     if grid.step == 1:
         return on_grid
-    labels = np.full(height * width, none, dtype=np.int32)
-    pixels = np.flatnonzero(cloud.valid)
+    labels = np.full(grid.image_shape, none, dtype=np.uint16)
     if none == 1:
-        labels[pixels] = 0
-        return labels
-    around = _around(on_grid.reshape(grid.shape), pixels, grid)
-    around[around == none] = -1
-    largest = around.max(axis=1)
-    agreed = (largest >= 0) & ((around == largest[:, np.newaxis]) | (around < 0)).all(axis=1)
-    labels[pixels[agreed]] = largest[agreed]
-    undecided = pixels[~agreed]
-    labels[undecided] = _decide(around[~agreed], vectors_of(undecided), none, splits)
-    return labels
+        labels[cloud.valid] = 0
+        return labels.reshape(-1)
+
+    # Least and greatest leaf at the corners of every cell, places without a point not counted.
+    corners = _corners(on_grid.reshape(grid.shape))
+    greatest = np.where(corners == none, np.int32(-1), corners).max(axis=0)
+    agreed = (corners.min(axis=0) == greatest) | ((corners == greatest) | (corners == none)).all(axis=0)
+    agreed &= greatest >= 0
+    cells = _enlarged(np.where(agreed, greatest, none).astype(np.uint16), grid)
+    np.copyto(labels, cells, where=cloud.valid)
+    places = np.flatnonzero(grid.valid)
+    labels.reshape(-1)[grid.pixels(places)] = on_grid[places]
+
+    undecided = np.flatnonzero((labels == none) & cloud.valid)
+    rows, columns = np.divmod(undecided, grid.image_shape[1])
+    candidates = corners[:, rows // grid.step, columns // grid.step]
+    labels.reshape(-1)[undecided] = _decide(candidates, vectors_of(undecided), none, splits)
+    return labels.reshape(-1)
+
+
+def _corners(on_grid: NDArray[np.uint16]) -> NDArray[np.int32]:
+    """Return the leaves at the four corners of each cell, (4, h, w); the border is repeated beyond it."""
+    padded = np.pad(on_grid.astype(np.int32), ((0, 1), (0, 1)), mode="edge")
+    return np.stack([padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:]])
+
+
+def _enlarged(cells: NDArray[np.uint16], grid: PixelGrid) -> NDArray[np.uint16]:
+    """Give every pixel of the image the value of its cell."""
+    height, width = grid.image_shape
+    tall = np.repeat(cells, grid.step, axis=0)[:height]
+    return np.repeat(tall, grid.step, axis=1)[:, :width]
 
 
 def _decide(
@@ -90,14 +118,14 @@ def _decide(
     vectors: NDArray[np.float32],
     leaf_count: int,
     splits: Sequence[Split],
-) -> NDArray[np.int32]:
+) -> NDArray[np.uint16]:
     """Walk pixels down the tree; a cut is asked only where both of its parts are in question.
 
-    `candidates` (N, 4) holds leaves, -1 for none; a pixel without any is in question everywhere.
+    `candidates` (4, N) holds leaves, `leaf_count` for none; a pixel without any is in question everywhere.
     """
-    numbers = np.zeros(candidates.shape[0], dtype=np.int32)
+    numbers = np.zeros(candidates.shape[1], dtype=np.uint16)
     by_range = {(split.first, split.end): split for split in splits}
-    stack = [(0, leaf_count, np.arange(candidates.shape[0]))]
+    stack = [(0, leaf_count, np.arange(candidates.shape[1]))]
     while stack:
         first, end, rows = stack.pop()
         if rows.size == 0:
@@ -106,26 +134,14 @@ def _decide(
             numbers[rows] = first
             continue
         split = by_range[first, end]
-        near = candidates[rows]
-        in_first = np.any((near >= first) & (near < split.middle), axis=1)
-        second = np.any((near >= split.middle) & (near < end), axis=1)
+        near = candidates[:, rows]
+        in_first = np.any((near >= first) & (near < split.middle), axis=0)
+        second = np.any((near >= split.middle) & (near < end), axis=0)
         asked = in_first == second
         second[asked] = split.cut.classify(vectors[rows[asked]])
         stack.append((first, split.middle, rows[~second]))
         stack.append((split.middle, end, rows[second]))
     return numbers
-
-
-def _around(on_grid: NDArray[np.int32], pixels: NDArray[np.intp], grid: PixelGrid) -> NDArray[np.int32]:
-    """Return the leaves at the four places of the grid around each pixel, (N, 4)."""
-    rows, columns = np.divmod(pixels, grid.image_shape[1])
-    height, width = on_grid.shape
-    top, left = rows // grid.step, columns // grid.step
-    bottom = np.minimum((rows + grid.step - 1) // grid.step, height - 1)
-    right = np.minimum((columns + grid.step - 1) // grid.step, width - 1)
-    return np.stack(
-        [on_grid[top, left], on_grid[top, right], on_grid[bottom, left], on_grid[bottom, right]], axis=1
-    )
 
 
 __all__ = ["Split", "settle"]

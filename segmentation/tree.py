@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -47,7 +47,7 @@ class Segment:
     children : (str, str) or ()
         Names of the parts; none for a leaf.
     pixels : (N,) intp
-        Flat indices into the image, ascending.
+        Flat indices into the image: leaf by leaf, in the order of leaves, and ascending within each.
     fit : Fit
         The surface that explains it, fitted on the grid on which splits are decided.
     ratio : float or None
@@ -131,7 +131,6 @@ class _Node:
     ratio: float | None = None
     stop: StopReason | None = None
     cut: Cut | None = None
-    members: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     def value(self, config: SegmentationConfig) -> float:
         return self.fit.values.get(config.metric, 0.0)
@@ -318,22 +317,26 @@ def _splits(nodes: list[_Node], leaves: list[_Node]) -> list[Split]:
 
 
 def _finished(
-    nodes: list[_Node], leaves: list[_Node], labels: NDArray[np.int32], shape: tuple[int, int]
+    nodes: list[_Node], leaves: list[_Node], labels: NDArray[np.uint16], shape: tuple[int, int]
 ) -> SegmentationTree:
     """Give every node the pixels of the leaves below it."""
     order = np.argsort(labels, kind="stable")
-    bounds = np.searchsorted(labels[order], np.arange(len(leaves) + 1))
-    for leaf, start, end in zip(leaves, bounds[:-1], bounds[1:], strict=True):
-        leaf.members = order[start:end]
+    bounds = np.concatenate([[0], np.cumsum(np.bincount(labels, minlength=len(leaves) + 1))])
+    place = {leaf.name: number for number, leaf in enumerate(leaves)}
+    # Leaves come depth first, so those below a node stand side by side in the order of labels.
+    reach: dict[str, tuple[int, int]] = {}
     for node in reversed(nodes):
         if node.children:
-            node.members = np.sort(np.concatenate([child.members for child in node.children]))
+            first, second = (reach[child.name] for child in node.children)
+            reach[node.name] = first[0], second[1]
+        else:
+            reach[node.name] = bounds[place[node.name]], bounds[place[node.name] + 1]
     segments = tuple(
         Segment(
             name=node.name,
             parent=node.name[:-1] if node.name else None,
             children=tuple(child.name for child in node.children),  # type: ignore[arg-type]
-            pixels=node.members,
+            pixels=order[slice(*reach[node.name])],
             fit=node.fit,
             ratio=node.ratio,
             stop=node.stop,

@@ -52,7 +52,7 @@ def test_the_clean_up_of_the_grid_is_kept(cloud_of):
 
 
 def test_a_pixel_with_nothing_around_it_walks_down_the_tree(cloud_of):
-    cloud, vectors, grid, cut, leaves = scene(cloud_of, 2)
+    _, vectors, grid, cut, leaves = scene(cloud_of, 2)
     valid = np.zeros((40, 61))
     valid[:] = np.nan
     valid[11, 51] = 1.0
