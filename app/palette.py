@@ -1,0 +1,112 @@
+"""The colors of labels, of the tree's nodes and of residuals; a color means the same in every frame."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.tree import StopReason
+
+#: Labels that have a color of their own; the viewer makes up colors beyond.
+LABEL_COLORS = 1023
+
+#: Fill of a leaf by the reason why it stopped; the first four are those of the paper's figure 3.
+STOP_COLORS: dict[StopReason, tuple[int, int, int]] = {
+    StopReason.CRITERION: (222, 45, 38),
+    StopReason.CHILD_TOO_SMALL: (253, 141, 20),
+    StopReason.TOO_SMALL: (161, 225, 128),
+    StopReason.DEPTH: (26, 140, 65),
+    StopReason.SPLITS: (66, 133, 217),
+    StopReason.NO_CUT: (158, 97, 204),
+    StopReason.NO_FIT: (240, 98, 180),
+    StopReason.NO_POINTS: (240, 240, 240),
+}
+#: Fill of a segment that was split.
+INNER_COLOR = (150, 155, 162)
+
+#: Residuals from 0 to the largest drawn: blue, cyan, green, yellow, red.
+_RESIDUAL_STOPS = ((38, 70, 200), (30, 165, 200), (70, 185, 85), (245, 215, 60), (214, 32, 32))
+
+
+@lru_cache(maxsize=1)
+def label_colors() -> NDArray[np.uint8]:
+    """Return the colors of the labels 1, 2, ..., as (LABEL_COLORS, 3) RGB.
+
+    Each color is the one farthest, in the perceptual space OKLab, from all colors before it. So the
+    first few, which most frames use, differ most, and a label's color never depends on the others.
+
+    References
+    ----------
+    .. [1] B. Ottosson, "A perceptual color space for image processing", 2020.
+    """
+    levels = np.linspace(0, 255, 18).round().astype(np.uint8)
+    rgb = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(-1, 3)
+    lab = _oklab(rgb)
+    chroma = np.hypot(lab[:, 1], lab[:, 2])
+    # Neither so dark nor so pale that a label drowns in the viewer's background or looks unlabelled.
+    usable = (lab[:, 0] > 0.45) & (lab[:, 0] < 0.92) & (chroma > 0.06)
+    rgb, lab = rgb[usable], lab[usable]
+    first = int(np.argmin(np.abs(rgb.astype(int) - [30, 120, 220]).sum(axis=1)))
+    chosen = [first]
+    nearest = np.full(len(lab), np.inf)
+    for _ in range(LABEL_COLORS - 1):
+        np.minimum(nearest, ((lab - lab[chosen[-1]]) ** 2).sum(axis=1), out=nearest)
+        chosen.append(int(np.argmax(nearest)))
+    colors: NDArray[np.uint8] = rgb[chosen]
+    colors.flags.writeable = False
+    return colors
+
+
+def residual_colors(residuals_m: NDArray[np.floating], residual_max_m: float) -> NDArray[np.uint8]:
+    """Return the color of each residual: blue for 0, through green, to red for `residual_max_m` and more.
+
+    Parameters
+    ----------
+    residuals_m : (N,) float
+        Metres, none NaN.
+    residual_max_m : float
+        Metres, more than 0.
+
+    Returns
+    -------
+    (N, 3) uint8
+        RGB.
+    """
+    index = np.clip(residuals_m / residual_max_m * 255.0, 0.0, 255.0).astype(np.uint8)
+    colors: NDArray[np.uint8] = _residual_table()[index]
+    return colors
+
+
+@lru_cache(maxsize=1)
+def _residual_table() -> NDArray[np.uint8]:
+    at = np.linspace(0, len(_RESIDUAL_STOPS) - 1, 256)
+    stops = np.array(_RESIDUAL_STOPS, dtype=float)
+    channels = [np.interp(at, np.arange(len(stops)), stops[:, channel]) for channel in range(3)]
+    return np.stack(channels, axis=-1).round().astype(np.uint8)
+
+
+def _oklab(rgb: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Convert (N, 3) sRGB to OKLab."""
+    encoded = rgb / 255.0
+    linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+    lms_from_rgb = np.array(
+        [
+            [0.4122214708, 0.5363325363, 0.0514459929],
+            [0.2119034982, 0.6806995451, 0.1073969566],
+            [0.0883024619, 0.2817188376, 0.6299787005],
+        ]
+    )
+    lab_from_lms = np.array(
+        [
+            [0.2104542553, 0.7936177850, -0.0040720468],
+            [1.9779984951, -2.4285922050, 0.4505937099],
+            [0.0259040371, 0.7827717662, -0.8086757660],
+        ]
+    )
+    lab: NDArray[np.float64] = np.cbrt(linear @ lms_from_rgb.T) @ lab_from_lms.T
+    return lab
+
+
+__all__ = ["INNER_COLOR", "LABEL_COLORS", "STOP_COLORS", "label_colors", "residual_colors"]

@@ -1,0 +1,319 @@
+"""What a frame's result looks like to Rerun: entity paths and their contents."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from nurbseg.app.palette import (
+    INNER_COLOR,
+    LABEL_COLORS,
+    STOP_COLORS,
+    label_colors,
+    residual_colors,
+)
+from nurbseg.app.surface_mesh import surface_mesh
+from nurbseg.app.tree_layout import fitted, tidy_positions
+from nurbseg.app.view_config import ViewConfig
+from nurbseg.app.worker import FrameResult
+from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.segmentation.config import Metric, SegmentationConfig
+from nurbseg.segmentation.tree import Segment, SegmentationTree
+
+WORLD = "world"
+CAMERA = f"{WORLD}/camera"
+COLOR, DEPTH, LABELS = (f"{CAMERA}/image/{name}" for name in ("color", "depth", "labels"))
+GROUND_TRUTH = f"{CAMERA}/ground_truth"
+COLOR_CAMERA = f"{WORLD}/color_camera"
+UNREGISTERED_COLOR = f"{COLOR_CAMERA}/image"
+POINTS, SURFACES = f"{WORLD}/points", f"{WORLD}/surfaces"
+TREE, TREE_LABELS, TREE_TABLE = "tree/nodes", "tree/labels", "tree_table"
+LEGEND = "legend"
+RATE, LATENCY, SEGMENT_COUNT, METRIC = "plots/rate", "plots/latency", "plots/segments", "plots/metric"
+LOG = "log"
+
+#: The box in which the tree is drawn, whatever its size.
+TREE_WIDTH, TREE_HEIGHT = 1000.0, 440.0
+#: Distance of neighbouring nodes and of levels in a small tree, and a node's largest radius.
+_SPACING, _LEVEL, _RADIUS = 70.0, 90.0, 17.0
+
+Entities = Iterable[tuple[str, Any]]
+
+_METRIC_UNITS: dict[Metric, str] = {
+    "mse": "m²",
+    "mae": "m",
+    "ve": "m²",
+    "nle": "points",
+    "vmxc": "1/m²",
+    "vmec": "1/m²",
+    "vgc": "1/m⁴",
+    "mmxc": "1/m",
+    "nlc": "points",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """When something was: the frame's number, and the device's clock.
+
+    Parameters
+    ----------
+    frame : int
+        Number of the frame.
+    device_ns : int or None
+        Nanoseconds; None before the first frame.
+    since_epoch : bool
+        Whether the device's clock is a date; otherwise it counts from some start.
+    """
+
+    frame: int
+    device_ns: int | None
+    since_epoch: bool
+
+    def set_on(self, stream: rr.RecordingStream) -> None:
+        """Make it the time of what this thread logs next."""
+        stream.set_time("frame", sequence=self.frame)
+        if self.device_ns is None:
+            return
+        if self.since_epoch:
+            stream.set_time("device_time", timestamp=np.datetime64(self.device_ns, "ns"))
+        else:
+            stream.set_time("device_time", duration=np.timedelta64(self.device_ns, "ns"))
+
+
+@dataclass(slots=True, eq=False)
+class FrameEntities:
+    """One frame for all sinks: built by the first thread that needs it, shared with the others.
+
+    Parameters
+    ----------
+    result : FrameResult
+        The frame.
+    moment : Moment
+        When it was.
+    rate_hz : float
+        Frames segmented in a second; 0 where it is not known yet.
+    view : ViewConfig
+        How fine everything is drawn.
+    segmentation : SegmentationConfig
+        Names the metric.
+    """
+
+    result: FrameResult
+    moment: Moment
+    rate_hz: float
+    view: ViewConfig
+    segmentation: SegmentationConfig
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+    _built: list[tuple[str, Any]] | None = None
+
+    @property
+    def calibration(self) -> Calibration:
+        """Of the frame's cameras."""
+        return self.result.frame.calibration
+
+    def entities(self) -> Entities:
+        """Return paths and what is logged there."""
+        with self._lock:
+            if self._built is None:
+                labels = self.result.tree.label_image()
+                self._built = [
+                    *_images(self.result, labels, self.view),
+                    *_space(self.result, labels, self.view),
+                    *_tree(self.result.tree, self.segmentation.metric),
+                    *_scalars(self.result, self.rate_hz, self.segmentation.metric),
+                ]
+            return self._built
+
+
+def camera_entities(calibration: Calibration) -> Entities:
+    """Return the cameras; logged static, again whenever they change."""
+    yield CAMERA, _pinhole(calibration.depth, (250, 190, 60))
+    if not calibration.is_registered:
+        color_from_depth = calibration.color_from_depth
+        yield (
+            COLOR_CAMERA,
+            rr.Transform3D(
+                translation=color_from_depth[:3, 3],
+                mat3x3=color_from_depth[:3, :3],
+                relation=rr.TransformRelation.ChildFromParent,
+            ),
+        )
+        yield COLOR_CAMERA, _pinhole(calibration.color, (90, 170, 250))
+
+
+def opening_entities() -> Entities:
+    """Return what holds for the whole recording; logged static."""
+    yield WORLD, rr.ViewCoordinates.RDF
+    colors = label_colors()
+    yield (
+        WORLD,
+        rr.AnnotationContext(
+            [
+                rr.AnnotationInfo(id=0, label="none", color=(0, 0, 0, 0)),
+                *(
+                    rr.AnnotationInfo(id=label, label=str(label), color=tuple(map(int, color)))
+                    for label, color in zip(range(1, LABEL_COLORS + 1), colors, strict=True)
+                ),
+            ]
+        ),
+    )
+    for path, name, color in (
+        (RATE, "frames per second", (90, 200, 120)),
+        (SEGMENT_COUNT, "segments", (120, 170, 250)),
+        (f"{METRIC}/worst", "worst segment", (222, 45, 38)),
+        (f"{METRIC}/mean", "mean of all points", (240, 180, 60)),
+    ):
+        yield path, rr.SeriesLines(names=name, colors=color, widths=1.8)
+
+
+def _pinhole(camera: Intrinsics, color: tuple[int, int, int]) -> rr.Pinhole:
+    # Rerun knows no lens distortion: the frustum is that of the ideal camera.
+    return rr.Pinhole(
+        image_from_camera=camera.matrix,
+        resolution=[camera.width, camera.height],
+        camera_xyz=rr.ViewCoordinates.RDF,
+        image_plane_distance=0.25,
+        color=color,
+        line_width=1.0,
+    )
+
+
+def _images(result: FrameResult, labels: NDArray[np.uint16], view: ViewConfig) -> Entities:
+    frame = result.frame
+    color = frame.color if frame.calibration.is_registered else result.cloud.color
+    yield COLOR, rr.Image(color).compress(jpeg_quality=view.jpeg_quality)
+    if not frame.calibration.is_registered:
+        yield UNREGISTERED_COLOR, rr.Image(frame.color).compress(jpeg_quality=view.jpeg_quality)
+    yield DEPTH, rr.DepthImage(frame.depth_mm, meter=1000.0, colormap="turbo")
+    yield LABELS, rr.SegmentationImage(labels, opacity=1.0)
+    if frame.labels is not None:
+        yield GROUND_TRUTH, rr.SegmentationImage(frame.labels, opacity=1.0)
+
+
+def _space(result: FrameResult, labels: NDArray[np.uint16], view: ViewConfig) -> Entities:
+    pixels = labels.size
+    if view.points_max:
+        step = max(1, int(np.ceil(np.sqrt(pixels / view.points_max))))
+        shown = labels[::step, ::step] > 0
+        yield (
+            POINTS,
+            rr.Points3D(
+                result.cloud.points_m[::step, ::step][shown],
+                class_ids=labels[::step, ::step][shown],
+                radii=rr.Radius.ui_points(1.6),
+            ),
+        )
+    mesh = surface_mesh(result.tree, labels, view.mesh_step_px * np.sqrt(pixels / (640 * 480)))
+    yield (
+        SURFACES,
+        rr.Mesh3D(
+            vertex_positions=mesh.vertices_m,
+            vertex_normals=mesh.normals,
+            triangle_indices=mesh.triangles,
+            vertex_colors=residual_colors(mesh.residuals_m, view.residual_max_m),
+        ),
+    )
+
+
+def display_name(name: str) -> str:
+    """Return a segment's name as the paper writes it: P, P0, P01, ..."""
+    return f"P{name}"
+
+
+def _tree(tree: SegmentationTree, metric: Metric) -> Entities:
+    segments = tree.segments
+    labels = {leaf.name: label for label, leaf in enumerate(tree.leaves(), start=1)}
+    positions = tidy_positions({each.name: each.children for each in segments}, tree.root.name)
+    places, spacing = fitted(
+        [positions[each.name] for each in segments], TREE_WIDTH, TREE_HEIGHT, _SPACING, _LEVEL
+    )
+    radius = min(_RADIUS, 0.42 * spacing)
+    names = [display_name(each.name) for each in segments]
+    yield (
+        TREE,
+        rr.GraphNodes(
+            names,
+            positions=places,
+            colors=[_node_color(each) for each in segments],
+            labels=names,
+            show_labels=False,
+            radii=np.full(len(names), radius, dtype=np.float32),
+        ),
+    )
+    edges = [(display_name(each.name), display_name(child)) for each in segments for child in each.children]
+    yield TREE, rr.GraphEdges(edges, graph_type="directed")
+
+    at_leaf = [row for row, each in enumerate(segments) if each.is_leaf]
+    colors = label_colors()
+    numbers = [labels[segments[row].name] for row in at_leaf]
+    yield (
+        TREE_LABELS,
+        rr.GraphNodes(
+            [f"label {number}" for number in numbers],
+            positions=places[at_leaf] + np.array([0.0, 2.2 * radius], dtype=np.float32),
+            colors=[colors[(number - 1) % LABEL_COLORS] for number in numbers],
+            labels=[str(number) for number in numbers],
+            show_labels=False,
+            radii=np.full(len(numbers), 0.6 * radius, dtype=np.float32),
+        ),
+    )
+    yield TREE_TABLE, rr.TextDocument(tree_table(tree, metric), media_type=rr.MediaType.MARKDOWN)
+
+
+def _node_color(segment: Segment) -> tuple[int, int, int]:
+    return INNER_COLOR if segment.stop is None else STOP_COLORS[segment.stop]
+
+
+def tree_table(tree: SegmentationTree, metric: Metric) -> str:
+    """Return the tree as a Markdown table, one line for each segment."""
+    lines = [
+        f"| segment | label | pixels | {metric.upper()} ({_METRIC_UNITS[metric]}) | ratio | stopped by |",
+        "|---|---:|---:|---:|---:|---|",
+    ]
+    label = 0
+    for each in tree.segments:
+        label += each.is_leaf
+        value = each.fit.values.get(metric)
+        cells = (
+            display_name(each.name),
+            str(label) if each.is_leaf else "",
+            f"{each.pixels.size:,}",
+            "" if value is None else f"{value:.3g}",
+            "" if each.ratio is None else f"{each.ratio:.3f}",
+            "" if each.stop is None else str(each.stop),
+        )
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _scalars(result: FrameResult, rate_hz: float, metric: Metric) -> Entities:
+    if rate_hz > 0:
+        yield RATE, rr.Scalars(rate_hz)
+    for stage, elapsed_ms in result.elapsed_ms.items():
+        yield f"{LATENCY}/{stage}", rr.Scalars(elapsed_ms)
+    leaves = [leaf for leaf in result.tree.leaves() if leaf.fit.surface is not None]
+    yield SEGMENT_COUNT, rr.Scalars(len(leaves))
+    values = np.array([leaf.fit.values.get(metric, 0.0) for leaf in leaves])
+    if values.size:
+        weights = np.array([leaf.pixels.size for leaf in leaves], dtype=float)
+        yield f"{METRIC}/worst", rr.Scalars(values.max())
+        yield f"{METRIC}/mean", rr.Scalars(np.average(values, weights=np.maximum(weights, 1.0)))
+
+
+__all__ = [
+    "CAMERA",
+    "Entities",
+    "FrameEntities",
+    "Moment",
+    "camera_entities",
+    "display_name",
+    "opening_entities",
+    "tree_table",
+]
