@@ -13,8 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.errors import BackendMissingError, EndOfRecordingError, RecordingFormatError
+from nurbseg.drivers.errors import BackendMissingError, RecordingFormatError
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.drivers.sequence import FRAME_INTERVAL_NS, SequenceSource
 from nurbseg.drivers.source import FrameSource
 
 #: The color camera to which the labelled set's depth is registered, as its toolbox gives it.
@@ -26,7 +27,6 @@ HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 _MATLAB5_MAGIC = b"MATLAB 5.0 MAT-file"
 #: MATLAB writes its own 512 bytes before the HDF5 signature.
 _HDF5_OFFSETS = (0, 512)
-_FRAME_INTERVAL_NS = 33_333_333
 
 
 def is_hdf5(path: Path) -> bool:
@@ -70,7 +70,7 @@ def _regions(labels: NDArray[np.integer[Any]], instances: NDArray[np.integer[Any
     return (numbered + (0 if values[0] == 0 else 1)).astype(np.uint16)
 
 
-class NyuLabelledSource(FrameSource):
+class NyuLabelledSource(SequenceSource):
     """``nyu_depth_v2_labeled.mat``: 1449 frames, of which one at a time is in memory.
 
     The ground truth of a frame has a region for each pair of class and instance.
@@ -95,7 +95,6 @@ class NyuLabelledSource(FrameSource):
     """
 
     def __init__(self, path: Path) -> None:
-        super().__init__()
         try:
             import h5py
         except ImportError as err:
@@ -117,8 +116,7 @@ class NyuLabelledSource(FrameSource):
         except BaseException:
             self._file.close()
             raise
-        self._path = path
-        self._frames, self._next = frames, 0
+        super().__init__(path, frames)
         self.calibration = Calibration.registered(NYU_COLOR_CAMERA.scaled_to(width, height))
         self.metadata = {"format": "NYU Depth v2, labelled", "frames": str(frames)}
 
@@ -127,15 +125,12 @@ class NyuLabelledSource(FrameSource):
             raise RecordingFormatError(f"{path}: the set {name!r} is missing, as in nyu_depth_v2_labeled.mat")
         return self._file[name]
 
-    def _read(self, timeout_s: float) -> RGBDFrame:
-        if self._next >= self._frames:
-            raise EndOfRecordingError(f"{self._path}: end after {self._frames} frames")
-        index, self._next = self._next, self._next + 1
+    def _load(self, index: int) -> RGBDFrame:
         # MATLAB stores by columns: HDF5 shows every image transposed.
         color = np.ascontiguousarray(self._sets["images"][index].transpose(2, 1, 0), dtype=np.uint8)
         return RGBDFrame(
             index=index,
-            timestamp_ns=index * _FRAME_INTERVAL_NS,
+            timestamp_ns=index * FRAME_INTERVAL_NS,
             depth_mm=depth_to_mm(self._sets["depths"][index].T),
             color=color,
             calibration=self.calibration,
@@ -143,17 +138,11 @@ class NyuLabelledSource(FrameSource):
             name=f"{index + 1:04d}",
         )
 
-    def skip(self, frames: int) -> int:
-        """Go past the next frames without reading them."""
-        passed: int = min(frames, self._frames - self._next)
-        self._next += passed
-        return passed
-
     def _close(self) -> None:
         self._file.close()
 
 
-class NyuFrameSource(FrameSource):
+class NyuFrameSource(SequenceSource):
     """Single NYU Depth v2 frames in MATLAB 5 files, with 13-class labels beside them where present.
 
     Labels are taken from ``new_nyu_class13_NNNN.png`` beside ``nyu_v2_N.mat`` and sampled at the nearest
@@ -172,10 +161,10 @@ class NyuFrameSource(FrameSource):
     """
 
     def __init__(self, paths: list[Path]) -> None:
-        super().__init__()
         if not paths:
             raise RecordingFormatError("no NYU Depth v2 frame (nyu_v2_N.mat) in the folder")
-        self._paths, self._next = paths, 0
+        super().__init__(paths[0].parent, len(paths))
+        self._paths = paths
         self.calibration = self._load(0).calibration
         self.metadata = {"format": "NYU Depth v2, single frames", "frames": str(len(paths))}
 
@@ -197,28 +186,13 @@ class NyuFrameSource(FrameSource):
         height, width = depth_m.shape
         return RGBDFrame(
             index=index,
-            timestamp_ns=index * _FRAME_INTERVAL_NS,
+            timestamp_ns=index * FRAME_INTERVAL_NS,
             depth_mm=depth_to_mm(depth_m),
             color=np.ascontiguousarray(np.rint(np.clip(color, 0.0, 1.0) * 255.0).astype(np.uint8)),
             calibration=Calibration.registered(NYU_COLOR_CAMERA.scaled_to(width, height)),
             labels=_class_regions(path, width, height),
             name=path.stem,
         )
-
-    def _read(self, timeout_s: float) -> RGBDFrame:
-        if self._next >= len(self._paths):
-            raise EndOfRecordingError(f"end after {len(self._paths)} frames")
-        self._next += 1
-        return self._load(self._next - 1)
-
-    def skip(self, frames: int) -> int:
-        """Go past the next frames without reading them."""
-        passed = min(frames, len(self._paths) - self._next)
-        self._next += passed
-        return passed
-
-    def _close(self) -> None:
-        pass
 
 
 def _class_regions(path: Path, width: int, height: int) -> NDArray[np.uint16] | None:

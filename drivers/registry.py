@@ -131,6 +131,7 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
 def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
     from nurbseg.drivers.folders import FolderSource
     from nurbseg.drivers.pairs import find_pairs
+    from nurbseg.drivers.scenes import ScenesSource, scene_folders
     from nurbseg.drivers.tum import TumSource, is_tum
 
     if is_tum(path):
@@ -138,6 +139,8 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
     pairs, single = find_pairs(path)
     if pairs:
         return FolderSource(path, options)
+    if scene_folders(path):
+        return ScenesSource(path, options)
     if any(path.glob("*.pcd")):
         return _open_with("nurbseg.drivers.pcd", "open_path", path, options)
     if any(path.glob("nyu_v2_*.mat")):
