@@ -26,6 +26,18 @@ STOP_COLORS: dict[StopReason, tuple[int, int, int]] = {
 #: Fill of a segment that was split.
 INNER_COLOR = (150, 155, 162)
 
+#: Lines of a plot, in the order of their first appearance.
+SERIES_COLORS = (
+    (90, 170, 250),
+    (245, 165, 60),
+    (120, 210, 120),
+    (235, 105, 150),
+    (180, 140, 240),
+    (90, 210, 205),
+    (225, 215, 110),
+    (200, 200, 200),
+)
+
 #: Residuals from 0 to the largest drawn: blue, cyan, green, yellow, red.
 _RESIDUAL_STOPS = ((38, 70, 200), (30, 165, 200), (70, 185, 85), (245, 215, 60), (214, 32, 32))
 
@@ -46,7 +58,7 @@ def label_colors() -> NDArray[np.uint8]:
     lab = _oklab(rgb)
     chroma = np.hypot(lab[:, 1], lab[:, 2])
     # Neither so dark nor so pale that a label drowns in the viewer's background or looks unlabelled.
-    usable = (lab[:, 0] > 0.45) & (lab[:, 0] < 0.92) & (chroma > 0.06)
+    usable = (lab[:, 0] > 0.58) & (lab[:, 0] < 0.90) & (chroma > 0.07)
     rgb, lab = rgb[usable], lab[usable]
     first = int(np.argmin(np.abs(rgb.astype(int) - [30, 120, 220]).sum(axis=1)))
     chosen = [first]
@@ -109,4 +121,4 @@ def _oklab(rgb: NDArray[np.uint8]) -> NDArray[np.float64]:
     return lab
 
 
-__all__ = ["INNER_COLOR", "LABEL_COLORS", "STOP_COLORS", "label_colors", "residual_colors"]
+__all__ = ["INNER_COLOR", "LABEL_COLORS", "SERIES_COLORS", "STOP_COLORS", "label_colors", "residual_colors"]

@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
+from types import TracebackType
 from typing import Protocol, Self
 from urllib.parse import quote
 
@@ -54,7 +55,17 @@ _LEVELS = {
 
 
 class View(Protocol):
-    """What shows results."""
+    """What shows results; a context manager that closes itself."""
+
+    @property
+    def how_to_look(self) -> str:
+        """What a person does to see it; empty where a window opens by itself or nothing is shown."""
+        ...
+
+    @property
+    def serving(self) -> bool:
+        """Whether a web page is served, which ends with this view."""
+        ...
 
     def show(self, result: FrameResult) -> None:
         """Take a frame's result; never waits for a viewer."""
@@ -63,6 +74,15 @@ class View(Protocol):
     def close(self) -> None:
         """End within 2 s, with files whole; safe to call twice."""
         ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None: ...
 
 
 class NullView:
@@ -296,7 +316,7 @@ def open_view(
     *,
     name: str = "nurbseg",
     logger: logging.Logger | None = None,
-) -> NullView | RerunView:
+) -> View:
     """Open the view that a configuration asks for.
 
     Parameters
@@ -314,7 +334,7 @@ def open_view(
 
     Returns
     -------
-    NullView or RerunView
+    View
         Its `how_to_look` tells a person how to see it, where that needs telling.
 
     Raises

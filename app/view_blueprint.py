@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import rerun as rr
 import rerun.blueprint as rrb
 
 from nurbseg.app import view_entities as entity
-from nurbseg.app.palette import INNER_COLOR, STOP_COLORS
+from nurbseg.app.palette import STOP_COLORS
 from nurbseg.app.view_config import ViewConfig
 from nurbseg.segmentation.config import SegmentationConfig
 
@@ -21,46 +22,53 @@ _STOP_TEXTS = {
 }
 
 
-def blueprint() -> rrb.Blueprint:
-    """Return the layout: space above, pictures beside it, tree and figures below."""
+def blueprint(*, registered: bool = True, ground_truth: bool = False) -> rrb.Blueprint:
+    """Return the layout: space above, pictures beside it, tree and figures below.
+
+    Parameters
+    ----------
+    registered : bool
+        Whether depth and color have one camera; otherwise the color camera's own picture is shown too.
+    ground_truth : bool
+        Whether frames have one, which is then shown beside the segments.
+    """
     flat = [f"- {path}" for path in (entity.COLOR, entity.DEPTH, entity.LABELS, entity.GROUND_TRUTH)]
-    eye = rrb.EyeControls3D(
-        position=(-0.55, -0.75, -0.7), look_target=(0.0, 0.0, 1.2), eye_up=(0.0, -1.0, 0.0)
-    )
     space = [f"+ {entity.WORLD}/**", *flat, f"- {entity.UNREGISTERED_COLOR}"]
-    surfaces = rrb.Spatial3DView(
-        name="Surfaces, colored by residual",
-        origin=entity.WORLD,
-        contents=[*space, f"- {entity.POINTS}"],
-        eye_controls=eye,
-        line_grid=False,
+    views = [
+        rrb.Spatial3DView(
+            name=name,
+            origin=entity.WORLD,
+            contents=[*space, f"- {hidden}"],
+            eye_controls=rrb.EyeControls3D(
+                position=(-0.4, -0.45, -0.15), look_target=(0.0, 0.05, 1.1), eye_up=(0.0, -1.0, 0.0)
+            ),
+            line_grid=False,
+        )
+        for name, hidden in (
+            ("Surfaces, colored by residual", entity.POINTS),
+            ("Points, colored by segment", entity.SURFACES),
+        )
+    ]
+    color: rrb.View | rrb.Tabs = _picture("Color", entity.COLOR)
+    if not registered:
+        own = rrb.Spatial2DView(
+            name="Color camera", origin=entity.COLOR_CAMERA, contents=[entity.UNREGISTERED_COLOR]
+        )
+        color = rrb.Tabs(_picture("Color, as seen by the depth camera", entity.COLOR), own)
+    last = (
+        _picture("Ground truth", entity.GROUND_TRUTH) if ground_truth else _picture("Segments", entity.LABELS)
     )
-    points = rrb.Spatial3DView(
-        name="Points, colored by segment",
-        origin=entity.WORLD,
-        contents=[*space, f"- {entity.SURFACES}"],
-        eye_controls=eye,
-        line_grid=False,
+    overlay = rrb.Spatial2DView(
+        name="Segments on color",
+        origin=entity.CAMERA,
+        contents=[entity.COLOR, entity.LABELS],
+        overrides={entity.LABELS: rr.SegmentationImage.from_fields(opacity=0.6)},
     )
-    pictures = rrb.Grid(
-        _picture("Color", entity.COLOR),
-        _picture("Depth", entity.DEPTH),
-        _picture("Segments", entity.LABELS),
-        rrb.Spatial2DView(
-            name="Segments on color",
-            origin=entity.CAMERA,
-            contents=[entity.COLOR, entity.LABELS],
-            overrides={entity.LABELS: rrb.VisualizableArchetype()} if False else None,
-        ),
-        grid_columns=2,
-    )
+    pictures = rrb.Grid(color, _picture("Depth", entity.DEPTH), overlay, last, grid_columns=2)
     tree = rrb.GraphView(
         name="Tree",
-        origin="tree",
-        contents=["tree/**"],
-        visual_bounds=rrb.VisualBounds2D(
-            x_range=(0.0, entity.TREE_WIDTH), y_range=(-10.0, entity.TREE_HEIGHT + 10.0)
-        ),
+        origin=entity.TREE,
+        visual_bounds=rrb.VisualBounds2D(x_range=(0.0, entity.TREE_WIDTH), y_range=(0.0, entity.TREE_HEIGHT)),
     )
     texts = rrb.Tabs(
         rrb.TextDocumentView(name="Segments", origin=entity.TREE_TABLE),
@@ -68,15 +76,15 @@ def blueprint() -> rrb.Blueprint:
         rrb.TextLogView(name="Log", origin=entity.LOG),
     )
     plots = rrb.Grid(
-        _plot("Rate (1/s)", entity.RATE),
-        _plot("Latency (ms)", entity.LATENCY),
-        _plot("Segments", entity.SEGMENT_COUNT),
-        _plot("Metric", entity.METRIC),
+        _plot("Rate (1/s)", entity.RATE, legend=False),
+        _plot("Latency (ms)", entity.LATENCY, legend=True),
+        _plot("Segments", entity.SEGMENT_COUNT, legend=False),
+        _plot("Metric", entity.METRIC, legend=True),
         grid_columns=2,
     )
     return rrb.Blueprint(
         rrb.Vertical(
-            rrb.Horizontal(surfaces, points, pictures, column_shares=[3, 3, 4]),
+            rrb.Horizontal(*views, pictures, column_shares=[3, 3, 4]),
             rrb.Horizontal(tree, texts, plots, column_shares=[4, 3, 3]),
             row_shares=[5, 4],
         ),
@@ -90,11 +98,11 @@ def _picture(name: str, path: str) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(name=name, origin=entity.CAMERA, contents=[path])
 
 
-def _plot(name: str, path: str) -> rrb.TimeSeriesView:
+def _plot(name: str, path: str, *, legend: bool) -> rrb.TimeSeriesView:
     return rrb.TimeSeriesView(
         name=name,
         origin=path,
-        plot_legend=rrb.PlotLegend(visible=True),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend),
         time_ranges=[
             rrb.VisibleTimeRange(
                 "frame",
@@ -127,4 +135,4 @@ whole's (the column *ratio*).
 """
 
 
-__all__ = ["INNER_COLOR", "blueprint", "legend"]
+__all__ = ["blueprint", "legend"]

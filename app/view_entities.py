@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from nurbseg.app.palette import (
     INNER_COLOR,
     LABEL_COLORS,
+    SERIES_COLORS,
     STOP_COLORS,
     label_colors,
     residual_colors,
@@ -33,13 +34,13 @@ GROUND_TRUTH = f"{CAMERA}/ground_truth"
 COLOR_CAMERA = f"{WORLD}/color_camera"
 UNREGISTERED_COLOR = f"{COLOR_CAMERA}/image"
 POINTS, SURFACES = f"{WORLD}/points", f"{WORLD}/surfaces"
-TREE, TREE_LABELS, TREE_TABLE = "tree/nodes", "tree/labels", "tree_table"
+TREE, TREE_TABLE = "tree", "tree_table"
 LEGEND = "legend"
 RATE, LATENCY, SEGMENT_COUNT, METRIC = "plots/rate", "plots/latency", "plots/segments", "plots/metric"
 LOG = "log"
 
 #: The box in which the tree is drawn, whatever its size.
-TREE_WIDTH, TREE_HEIGHT = 1000.0, 440.0
+TREE_WIDTH, TREE_HEIGHT = 1000.0, 540.0
 #: Distance of neighbouring nodes and of levels in a small tree, and a node's largest radius.
 _SPACING, _LEVEL, _RADIUS = 70.0, 90.0, 17.0
 
@@ -114,6 +115,11 @@ class FrameEntities:
     _built: list[tuple[str, Any]] | None = None
 
     @property
+    def stages(self) -> tuple[str, ...]:
+        """Names of the stages that were timed."""
+        return tuple(self.result.elapsed_ms)
+
+    @property
     def calibration(self) -> Calibration:
         """Of the frame's cameras."""
         return self.result.frame.calibration
@@ -126,7 +132,7 @@ class FrameEntities:
                 self._built = [
                     *_images(self.result, labels, self.view),
                     *_space(self.result, labels, self.view),
-                    *_tree(self.result.tree, self.segmentation.metric),
+                    *_tree(self.result, self.segmentation.metric),
                     *_scalars(self.result, self.rate_hz, self.segmentation.metric),
                 ]
             return self._built
@@ -164,13 +170,20 @@ def opening_entities() -> Entities:
             ]
         ),
     )
-    for path, name, color in (
-        (RATE, "frames per second", (90, 200, 120)),
-        (SEGMENT_COUNT, "segments", (120, 170, 250)),
-        (f"{METRIC}/worst", "worst segment", (222, 45, 38)),
-        (f"{METRIC}/mean", "mean of all points", (240, 180, 60)),
-    ):
-        yield path, rr.SeriesLines(names=name, colors=color, widths=1.8)
+    yield RATE, _line("frames per second", 2)
+    yield SEGMENT_COUNT, _line("segments", 0)
+    yield f"{METRIC}/worst", _line("worst segment", 3)
+    yield f"{METRIC}/mean", _line("mean of all points", 1)
+
+
+def stage_entities(stages: Iterable[str]) -> Entities:
+    """Return how the lines of the stages' times are drawn; logged static."""
+    for place, stage in enumerate(stages):
+        yield f"{LATENCY}/{stage}", _line(stage.replace("_", " "), place)
+
+
+def _line(name: str, place: int) -> rr.SeriesLines:
+    return rr.SeriesLines(names=name, colors=SERIES_COLORS[place % len(SERIES_COLORS)], widths=1.8)
 
 
 def _pinhole(camera: Intrinsics, color: tuple[int, int, int]) -> rr.Pinhole:
@@ -179,9 +192,9 @@ def _pinhole(camera: Intrinsics, color: tuple[int, int, int]) -> rr.Pinhole:
         image_from_camera=camera.matrix,
         resolution=[camera.width, camera.height],
         camera_xyz=rr.ViewCoordinates.RDF,
-        image_plane_distance=0.25,
+        image_plane_distance=0.15,
         color=color,
-        line_width=1.0,
+        line_width=-1.0,  # negative: points on the screen rather than metres
     )
 
 
@@ -207,7 +220,7 @@ def _space(result: FrameResult, labels: NDArray[np.uint16], view: ViewConfig) ->
             rr.Points3D(
                 result.cloud.points_m[::step, ::step][shown],
                 class_ids=labels[::step, ::step][shown],
-                radii=rr.Radius.ui_points(1.6),
+                radii=rr.Radius.ui_points(1.8),
             ),
         )
     mesh = surface_mesh(result.tree, labels, view.mesh_step_px * np.sqrt(pixels / (640 * 480)))
@@ -227,48 +240,49 @@ def display_name(name: str) -> str:
     return f"P{name}"
 
 
-def _tree(tree: SegmentationTree, metric: Metric) -> Entities:
+def _tree(result: FrameResult, metric: Metric) -> Entities:
+    tree = result.tree
     segments = tree.segments
     labels = {leaf.name: label for label, leaf in enumerate(tree.leaves(), start=1)}
     positions = tidy_positions({each.name: each.children for each in segments}, tree.root.name)
     places, spacing = fitted(
-        [positions[each.name] for each in segments], TREE_WIDTH, TREE_HEIGHT, _SPACING, _LEVEL
+        [positions[each.name] for each in segments], TREE_WIDTH, TREE_HEIGHT - _RADIUS, _SPACING, _LEVEL
     )
     radius = min(_RADIUS, 0.42 * spacing)
     names = [display_name(each.name) for each in segments]
+    edges = [(display_name(each.name), display_name(child)) for each in segments for child in each.children]
+    # Below each leaf a dot in the color of its label; in the same graph, because the viewer frames each.
+    at_leaf = [row for row, each in enumerate(segments) if each.is_leaf]
+    numbers = [labels[segments[row].name] for row in at_leaf]
+    dots = places[at_leaf] + np.array([0.0, 1.9 * radius], dtype=np.float32)
+    fills = np.array([_node_color(each) for each in segments], dtype=np.uint8).reshape(-1, 3)
+    dot_fills = label_colors()[(np.array(numbers, dtype=np.intp) - 1) % LABEL_COLORS]
     yield (
         TREE,
         rr.GraphNodes(
-            names,
-            positions=places,
-            colors=[_node_color(each) for each in segments],
-            labels=names,
+            names + [f"label {number}" for number in numbers],
+            positions=np.concatenate([places, dots]),
+            colors=np.concatenate([fills, dot_fills]),
+            labels=names + [f"label {number}" for number in numbers],
             show_labels=False,
-            radii=np.full(len(names), radius, dtype=np.float32),
+            radii=np.repeat(np.array([radius, 0.5 * radius], dtype=np.float32), [len(names), len(numbers)]),
         ),
     )
-    edges = [(display_name(each.name), display_name(child)) for each in segments for child in each.children]
     yield TREE, rr.GraphEdges(edges, graph_type="directed")
-
-    at_leaf = [row for row, each in enumerate(segments) if each.is_leaf]
-    colors = label_colors()
-    numbers = [labels[segments[row].name] for row in at_leaf]
     yield (
-        TREE_LABELS,
-        rr.GraphNodes(
-            [f"label {number}" for number in numbers],
-            positions=places[at_leaf] + np.array([0.0, 2.2 * radius], dtype=np.float32),
-            colors=[colors[(number - 1) % LABEL_COLORS] for number in numbers],
-            labels=[str(number) for number in numbers],
-            show_labels=False,
-            radii=np.full(len(numbers), 0.6 * radius, dtype=np.float32),
-        ),
+        TREE_TABLE,
+        rr.TextDocument(_headline(result) + tree_table(tree, metric), media_type=rr.MediaType.MARKDOWN),
     )
-    yield TREE_TABLE, rr.TextDocument(tree_table(tree, metric), media_type=rr.MediaType.MARKDOWN)
 
 
 def _node_color(segment: Segment) -> tuple[int, int, int]:
     return INNER_COLOR if segment.stop is None else STOP_COLORS[segment.stop]
+
+
+def _headline(result: FrameResult) -> str:
+    name = result.frame.name or f"frame {result.frame.index}"
+    leaves = len(result.tree.leaves())
+    return f"**{name}**: {leaves} final segments of {len(result.tree.segments)}\n\n"
 
 
 def tree_table(tree: SegmentationTree, metric: Metric) -> str:
@@ -315,5 +329,6 @@ __all__ = [
     "camera_entities",
     "display_name",
     "opening_entities",
+    "stage_entities",
     "tree_table",
 ]

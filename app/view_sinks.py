@@ -14,7 +14,7 @@ import rerun as rr
 from nurbseg.app.outbox import Outbox
 from nurbseg.app.view_blueprint import blueprint
 from nurbseg.app.view_config import viewer_address
-from nurbseg.app.view_entities import LOG, Entities, FrameEntities, Moment, camera_entities
+from nurbseg.app.view_entities import LOG, Entities, FrameEntities, Moment, camera_entities, stage_entities
 from nurbseg.app.viewer_process import ViewError, cut_connections, listens
 from nurbseg.drivers.frame import Calibration
 
@@ -92,20 +92,29 @@ def _log(stream: rr.RecordingStream, entities: Entities, *, static: bool = False
 
 
 class _Writer:
-    """Writes items to one stream, and the cameras whenever they have changed."""
+    """Writes items to one stream; first the layout for their kind, and the cameras when they change."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
         self._calibration: Calibration | None = None
+        self._stages: tuple[str, ...] = ()
 
     def write(self, item: Item) -> None:
         item.moment.set_on(self._stream)
         if isinstance(item, LogLine):
             self._stream.log(LOG, rr.TextLog(item.text, level=item.level))
             return
+        if self._calibration is None:
+            frame = item.result.frame
+            self._stream.send_blueprint(
+                blueprint(registered=frame.calibration.is_registered, ground_truth=frame.labels is not None)
+            )
         if item.calibration is not self._calibration:
             self._calibration = item.calibration
             _log(self._stream, camera_entities(item.calibration), static=True)
+        if item.stages != self._stages:
+            self._stages = item.stages
+            _log(self._stream, stage_entities(item.stages), static=True)
         _log(self._stream, item.entities())
 
 
@@ -131,7 +140,7 @@ class FileSink:
         self._error: BaseException | None = None
         self._stream = opening.stream()
         try:
-            self._stream.set_sinks(rr.FileSink(path), default_blueprint=blueprint())
+            self._stream.set_sinks(rr.FileSink(path))
         except (RuntimeError, OSError) as err:
             raise ViewError(f"{path}: cannot be created: {err}") from err
         self._thread = threading.Thread(target=self._run, args=(opening,), name=f"view-file-{path.name}")
@@ -289,7 +298,7 @@ class ViewerSink:
         stream = self._opening.stream()
         taken = False
         try:
-            stream.set_sinks(rr.GrpcSink(self._url), default_blueprint=blueprint())
+            stream.set_sinks(rr.GrpcSink(self._url))
             self._opening.send(stream)
             taken = self._taken(stream)
             if taken:
