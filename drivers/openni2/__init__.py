@@ -1,0 +1,56 @@
+"""Depth cameras and .oni recordings through OpenNI2."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nurbseg.drivers.openni2.options import DeviceOptions
+
+if TYPE_CHECKING:
+    from nurbseg.drivers.registry import SourceOptions
+    from nurbseg.drivers.source import FrameSource
+
+__all__ = ["DeviceOptions", "open_uri"]
+
+
+def open_uri(rest: str, options: SourceOptions) -> FrameSource:
+    """Open a camera, or an .oni recording.
+
+    Parameters
+    ----------
+    rest : str
+        What follows ``openni2:`` in the URI: "any" or nothing, "xtion", "kinect", "orbbec", OpenNI2's
+        own URI of a device, a serial number, or the path of an .oni file.
+    options : SourceOptions
+        Its ``device`` has the camera's settings.
+
+    Raises
+    ------
+    BackendMissingError
+        If OpenNI2 is not installed.
+    DeviceNotFoundError
+        If there is no such camera.
+    DriverError
+        If the camera cannot do what is asked of it.
+    RecordingFormatError
+        If it is a recording, and damaged.
+    """
+    # Imported here: who only asks for the options needs neither numpy nor the library.
+    from nurbseg.drivers.openni2.device import DeviceSource
+    from nurbseg.drivers.reconnect import Reconnecting
+
+    if rest.lower().endswith(".oni"):
+        from nurbseg.drivers.openni2.playback import open_path
+
+        return open_path(Path(rest), options)
+    settings = options.device or DeviceOptions()
+
+    def open_camera(wanted: str) -> DeviceSource:
+        return DeviceSource(wanted, settings, pairing_limit_s=options.association_limit_s)
+
+    camera = open_camera(rest)
+    if not settings.reconnect:
+        return camera
+    same = camera.metadata["serial"] or f"port:{camera.metadata['usb_port']}"
+    return Reconnecting(camera, lambda: open_camera(same), interval_s=settings.reconnect_interval_s)

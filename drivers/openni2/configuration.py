@@ -1,0 +1,160 @@
+"""Applies a user's settings to a running camera, and tells what came of them."""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+from nurbseg.drivers.frame import Calibration
+from nurbseg.drivers.openni2 import nominal
+from nurbseg.drivers.openni2.capi import OniCropping, PixelFormat, StreamProperty
+from nurbseg.drivers.openni2.opened import OpenedDevice
+from nurbseg.drivers.openni2.options import DeviceOptions, parse_mode
+from nurbseg.drivers.openni2.stream import Stream
+
+logger = logging.getLogger(__name__)
+
+_DEPTH_FORMATS = {"1mm": (PixelFormat.DEPTH_1_MM,), "100um": (PixelFormat.DEPTH_100_UM,)}
+_COLOR_FORMATS = (PixelFormat.RGB888, PixelFormat.YUYV, PixelFormat.YUV422, PixelFormat.GRAY8)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What the camera does, once it was asked.
+
+    Parameters
+    ----------
+    registered : bool
+        Whether the camera brings depth onto the color image.
+    flip_depth, flip_color : bool
+        Whether the images must be mirrored here, because the camera does not do as asked.
+    told : dict of str to str
+        What is on and off, for a person and for recordings.
+    """
+
+    registered: bool
+    flip_depth: bool
+    flip_color: bool
+    told: dict[str, str]
+
+
+def set_modes(depth: Stream, color: Stream, options: DeviceOptions) -> None:
+    """Set sizes, rates and formats, before the streams start.
+
+    Raises
+    ------
+    DriverError
+        If the camera does not have a mode, or refuses it.
+    """
+    depth.set_mode(*parse_mode(options.depth_mode), _DEPTH_FORMATS[options.depth_unit])
+    color.set_mode(*parse_mode(options.color_mode), _COLOR_FORMATS)
+    for stream in (depth, color):
+        cropping = stream.find(StreamProperty.CROPPING, OniCropping)
+        if cropping is not None and cropping.enabled:
+            stream.try_to_set(StreamProperty.CROPPING, OniCropping())
+
+
+def configure(device: OpenedDevice, options: DeviceOptions, name: str) -> Outcome:
+    """Set everything else, after the streams have started: some devices silently ignore it before.
+
+    Parameters
+    ----------
+    device : OpenedDevice
+        With its depth and its color stream, both started.
+    options : DeviceOptions
+        What is wanted.
+    name : str
+        What messages call the camera.
+    """
+    depth, color = device.streams
+    synchronised = options.sync and device.synchronise()
+    wants_registration = options.registration == "hardware"
+    registered = device.register(wants_registration)
+    if wants_registration and not registered:
+        reason = "it stays off when asked" if device.can_register else "it cannot"
+        logger.warning("%s does not register depth to color (%s): software does it instead", name, reason)
+    told = {
+        "depth_mode": str(depth.mode),
+        "color_mode": str(color.mode),
+        "sync": "on" if synchronised else "off",
+        "registration": "hardware" if registered else "software",
+        "mirror": "on" if options.mirror else "off",
+    }
+    flips = [_mirror(stream, options.mirror) != options.mirror for stream in (depth, color)]
+    _set_color_controls(color, options, name, told)
+    return Outcome(registered, flips[0], flips[1], told)
+
+
+def _mirror(stream: Stream, wanted: bool) -> bool:
+    stream.try_to_set(StreamProperty.MIRRORING, ctypes.c_int(wanted))
+    return bool(stream.find(StreamProperty.MIRRORING, ctypes.c_int))
+
+
+def _set_color_controls(color: Stream, options: DeviceOptions, name: str, told: dict[str, str]) -> None:
+    # Automatic controls first: while they are on, a camera may refuse the values.
+    for field, control in (
+        ("auto_exposure", StreamProperty.AUTO_EXPOSURE),
+        ("auto_white_balance", StreamProperty.AUTO_WHITE_BALANCE),
+        ("exposure", StreamProperty.EXPOSURE),
+        ("gain", StreamProperty.GAIN),
+    ):
+        asked = getattr(options, field)
+        if asked in (None, "keep"):
+            continue
+        value = {"on": 1, "off": 0}.get(asked, asked)
+        if not color.try_to_set(control, ctypes.c_int(value)):
+            logger.warning("%s does not take %s %s", name, field, asked)
+        told[field] = str(color.find(control, ctypes.c_int))
+
+
+def calibrate(depth: Stream, color: Stream, options: DeviceOptions, *, registered: bool) -> Calibration:
+    """Return the calibration of what the streams deliver.
+
+    Parameters
+    ----------
+    depth, color : Stream
+        Of a camera or a recording.
+    options : DeviceOptions
+        May name a calibration file, and say that images are mirrored.
+    registered : bool
+        Whether depth was brought onto the color image, and so is seen from the color camera.
+
+    Raises
+    ------
+    CalibrationError
+        If the calibration file is damaged or does not fit.
+    """
+    depth_size, color_size = depth.mode[:2], color.mode[:2]
+    given = None
+    if options.calibration is not None:
+        from nurbseg.drivers.calibration import read_camera_file
+
+        file = read_camera_file(Path(options.calibration))
+        given = file.calibration(
+            depth_size=file.depth.size or depth_size, color_size=file.color.size or color_size
+        )
+    fov = [stream.find(StreamProperty.HORIZONTAL_FOV, ctypes.c_float) for stream in (depth, color)]
+    if registered:
+        camera = given.color if given else nominal.from_field_of_view(*color_size, fov[1])
+        calibration = Calibration(
+            depth=nominal.fitted(camera, *depth_size), color=nominal.fitted(camera, *color_size)
+        )
+    elif given:
+        calibration = Calibration(
+            depth=nominal.fitted(given.depth, *depth_size),
+            color=nominal.fitted(given.color, *color_size),
+            color_from_depth=given.color_from_depth,
+        )
+    else:
+        logger.warning(
+            "no calibration given: color is put onto depth with PrimeSense's nominal values, which may be "
+            "some pixels off; --calibration FILE takes a real one"
+        )
+        calibration = Calibration(
+            depth=nominal.from_field_of_view(*depth_size, fov[0]),
+            color=nominal.color_camera(*color_size),
+            color_from_depth=nominal.color_from_depth(),
+        )
+    return nominal.mirrored(calibration) if options.mirror else calibration

@@ -1,0 +1,179 @@
+"""A depth camera through OpenNI2, as a source of frames."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.errors import DeviceLostError, FrameTimeoutError
+from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.drivers.openni2.capi import DeviceState, Sensor
+from nurbseg.drivers.openni2.configuration import calibrate, configure, set_modes
+from nurbseg.drivers.openni2.library import in_use
+from nurbseg.drivers.openni2.opened import OpenedDevice, describe, find_camera
+from nurbseg.drivers.openni2.options import DeviceOptions
+from nurbseg.drivers.openni2.pairing import Pairing
+from nurbseg.drivers.openni2.stream import Image, Stream, wait_for_any
+from nurbseg.drivers.source import FrameSource
+
+#: Longest single wait in the library, seconds: how late an unplugged camera is noticed.
+_SLICE_S = 0.1
+#: A camera may take this long to deliver its first frames, seconds.
+_START_LIMIT_S = 5.0
+#: Pairs passed over after the settings were made: images taken before them are still on their way.
+_SETTLING_PAIRS = 2
+
+
+class DeviceSource(FrameSource):
+    """Frames of a camera, each a depth image and the color image taken with it.
+
+    Frames wait nowhere: whoever reads late gets the newest, and `missed` counts the others.
+
+    Parameters
+    ----------
+    wanted : str
+        Which camera, as `nurbseg.drivers.openni2.selection.choose` reads it.
+    options : DeviceOptions, optional
+        Its settings.
+    pairing_limit_s : float
+        Largest difference between the times of a depth image and its color image, seconds. Where it
+        is longer than half a period of the faster stream, that is the limit.
+
+    Attributes
+    ----------
+    missed : int
+        Depth images that the camera numbered but that were never seen here.
+    half_pairs : int
+        Images whose other half never came.
+
+    Raises
+    ------
+    BackendMissingError
+        If OpenNI2 is not installed.
+    DeviceNotFoundError
+        If there is no such camera, or it cannot be opened.
+    CalibrationError
+        If the options name a calibration file that is damaged.
+    DriverError
+        If the camera has no such streams or modes.
+    """
+
+    live = True
+
+    def __init__(
+        self,
+        wanted: str = "any",
+        options: DeviceOptions | None = None,
+        *,
+        pairing_limit_s: float = 0.02,
+    ) -> None:
+        super().__init__()
+        self.missed = 0
+        self._options = options or DeviceOptions()
+        self._gone = threading.Event()
+        self._index = 0
+        self._last_number: int | None = None
+        self._settling = _SETTLING_PAIRS
+        self._silent_s = 0.0
+        with in_use():  # so that cameras are looked for once, and not once more to open one
+            listing = find_camera(wanted, self._options.serial)
+            self._device = OpenedDevice(listing.uri, self._on_event)
+        try:
+            depth = self._device.add_stream(Sensor.DEPTH)
+            color = self._device.add_stream(Sensor.COLOR)
+            set_modes(depth, color, self._options)
+            depth.start()
+            color.start()
+            self.metadata.update(describe(listing, self._device))
+            self._outcome = configure(self._device, self._options, self.metadata["device"])
+            self.metadata.update(self._outcome.told)
+            self.calibration = calibrate(depth, color, self._options, registered=self._outcome.registered)
+            self._streams = (depth, color)
+            period_us = min(stream.mode.period_us for stream in self._streams)
+            self._pairing = Pairing(min(round(pairing_limit_s * 1e6), period_us // 2 + 1000))
+        except BaseException:
+            self._device.close()
+            raise
+
+    @property
+    def half_pairs(self) -> int:
+        """Images whose other half never came."""
+        return self._pairing.half_pairs
+
+    @property
+    def device(self) -> OpenedDevice:
+        """The opened camera; not to be closed."""
+        return self._device
+
+    def _on_event(self, event: str) -> None:
+        # On a thread of the library's.
+        if event in ("disconnected", f"state {DeviceState.ERROR.value}"):
+            self._gone.set()
+
+    def _read(self, timeout_s: float) -> RGBDFrame:
+        deadline = time.monotonic() + timeout_s
+        while True:
+            self._check_present()
+            begun = time.monotonic()
+            left_s = max(deadline - begun, 0.0)
+            stream = wait_for_any(self._device.library, self._streams, min(left_s, _SLICE_S))
+            # A stale image may follow the camera's going.
+            image = None if stream is None or self._gone.is_set() else stream.take()
+            pair = None if stream is None or image is None else self._add(stream, image)
+            if pair is None:
+                now = time.monotonic()
+                self._silent_s += now - begun
+                if now >= deadline:
+                    self._check_present()
+                    raise FrameTimeoutError(
+                        f"{self.metadata['device']}: no depth and color within {timeout_s:g} s"
+                    )
+                continue
+            self._silent_s = 0.0
+            if self._settling == 0:
+                return self._frame(*pair)
+            self._settling -= 1
+
+    def _check_present(self) -> None:
+        name = f"{self.metadata['device']} at {self.metadata['uri']}"
+        if self._gone.is_set():
+            raise DeviceLostError(f"{name} was unplugged or has failed")
+        limit_s = self._options.silence_limit_s
+        if self._index == 0:
+            limit_s = max(limit_s, _START_LIMIT_S)
+        if self._silent_s > limit_s:
+            raise DeviceLostError(f"{name}: no depth and color for {limit_s:g} s")
+
+    def _add(self, stream: Stream, image: Image) -> tuple[Image, Image] | None:
+        if stream.sensor == Sensor.COLOR:
+            return self._pairing.add_color(image)
+        if self._last_number is not None and not self._settling:
+            self.missed += max(0, image.number - self._last_number - 1)
+        self._last_number = image.number
+        return self._pairing.add_depth(image)
+
+    def _frame(self, depth: Image, color: Image) -> RGBDFrame:
+        depth_mm: NDArray[Any] = depth.pixels
+        if self._options.depth_unit == "100um":
+            depth_mm = ((depth_mm.astype(np.uint32) + 5) // 10).astype(np.uint16)
+        pixels = color.pixels
+        if self._outcome.flip_depth:
+            depth_mm = np.ascontiguousarray(depth_mm[:, ::-1])
+        if self._outcome.flip_color:
+            pixels = np.ascontiguousarray(pixels[:, ::-1])
+        frame = RGBDFrame(
+            index=self._index,
+            timestamp_ns=depth.timestamp_us * 1000,
+            depth_mm=depth_mm,
+            color=pixels,
+            calibration=self.calibration,
+        )
+        self._index += 1
+        return frame
+
+    def _close(self) -> None:
+        self._device.close()

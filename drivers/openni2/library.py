@@ -1,0 +1,244 @@
+"""Finds, loads and initialises the OpenNI2 library, and turns its answers into our errors."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from nurbseg.drivers.errors import BackendMissingError, DeviceNotFoundError, DriverError
+from nurbseg.drivers.openni2.capi import (
+    API_VERSION,
+    DeviceCallback,
+    OniDeviceCallbacks,
+    OniDeviceInfo,
+    StateCallback,
+    Status,
+    declare,
+)
+
+#: Name of the library file; the one without the number comes only with the development package.
+LIBRARY_FILE = "libOpenNI2.so.0"
+#: Environment variable that names the folder to take the library from, drivers and all.
+REDIST_VARIABLE = "OPENNI2_REDIST"
+
+_INSTALL_HINT = (
+    "install Debian's and Ubuntu's package libopenni2-0 (apt install libopenni2-0), "
+    f"or set {REDIST_VARIABLE} to the folder that holds {LIBRARY_FILE}"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceListing:
+    """A device as the library lists it, before it is opened.
+
+    Parameters
+    ----------
+    uri : str
+        What opens it; for USB cameras usually vendor/product@bus/address.
+    vendor, name : str
+        Who made it, and what the driver calls it.
+    usb_vendor, usb_product : int
+        USB ids; 0 for a device that is not on USB.
+    """
+
+    uri: str
+    vendor: str
+    name: str
+    usb_vendor: int
+    usb_product: int
+
+    @classmethod
+    def of(cls, listed: OniDeviceInfo) -> DeviceListing:
+        """Copy what the library shows only for a moment."""
+        return cls(
+            uri=os.fsdecode(listed.uri),
+            vendor=listed.vendor.decode(errors="replace"),
+            name=listed.name.decode(errors="replace"),
+            usb_vendor=listed.usb_vendor_id,
+            usb_product=listed.usb_product_id,
+        )
+
+
+def find_library() -> str:
+    """Return what to load: the library in `OPENNI2_REDIST`'s folder, else the system's.
+
+    Raises
+    ------
+    BackendMissingError
+        If the folder named by `OPENNI2_REDIST` does not hold the library.
+    """
+    folder = os.environ.get(REDIST_VARIABLE)
+    if not folder:
+        return LIBRARY_FILE
+    path = Path(folder) / LIBRARY_FILE
+    if not path.is_file():
+        raise BackendMissingError(
+            f"{REDIST_VARIABLE}={folder}: no {LIBRARY_FILE} in this folder; correct or unset it"
+        )
+    return str(path.absolute())
+
+
+class Library:
+    """The native library, initialised for as long as anybody uses it.
+
+    Use `acquire` and `release`, which count the users; the last one to go shuts it down, so that the
+    next one finds the cameras that are there by then (some drivers look only once).
+
+    Attributes
+    ----------
+    native : ctypes.CDLL
+        The functions; Python's other threads run during a call.
+    quick : ctypes.PyDLL
+        The same functions without that: for calls that are known not to wait. Every call through
+        `native` may cost a whole switch interval (5 ms) when other threads are busy, and half a dozen
+        of these are more than a frame has time for.
+    """
+
+    def __init__(self, path: str) -> None:
+        try:
+            self.native = ctypes.CDLL(path)
+            self.quick = ctypes.PyDLL(path)
+            declare(self.native)
+            declare(self.quick)
+        except OSError as err:
+            raise BackendMissingError(f"OpenNI2 cannot be loaded ({err}); {_INSTALL_HINT}") from err
+        except AttributeError as err:
+            raise BackendMissingError(f"{path} is not OpenNI2 2.2 ({err}); {_INSTALL_HINT}") from err
+        self.path = path
+        self._users = 0
+        self._handle = ctypes.c_void_p()
+        self._listeners: dict[object, tuple[str, Callable[[str], None]]] = {}
+        # The library calls these from its own threads for as long as it is initialised, and would not
+        # keep them alive.
+        self._callbacks = OniDeviceCallbacks(
+            DeviceCallback(),
+            DeviceCallback(self._on_disconnected),
+            StateCallback(self._on_state_changed),
+        )
+
+    # Called from the library's threads: they only hand on a word, and take no lock.
+    def _on_disconnected(self, device: Any, _cookie: object) -> None:
+        self._tell(device, "disconnected")
+
+    def _on_state_changed(self, device: Any, state: int, _cookie: object) -> None:
+        self._tell(device, f"state {state}")
+
+    def _tell(self, device: Any, event: str) -> None:
+        uri = os.fsdecode(device.contents.uri)
+        for watched, listener in tuple(self._listeners.values()):
+            if watched == uri:
+                listener(event)
+
+    def listen(self, uri: str, listener: Callable[[str], None]) -> object:
+        """Have `listener` called with "disconnected" or "state N" when that happens to a device.
+
+        It runs on a thread of the library's, so it must be quick and wait for nothing.
+
+        Returns
+        -------
+        object
+            What `unlisten` wants.
+        """
+        token = object()
+        self._listeners[token] = (uri, listener)
+        return token
+
+    def unlisten(self, token: object) -> None:
+        """Call that listener no more; safe to repeat."""
+        self._listeners.pop(token, None)
+
+    def check(self, status: int, doing: str, error: type[DriverError] = DriverError) -> None:
+        """Raise an error if a function did not answer OK; must follow it on the same thread.
+
+        Raises
+        ------
+        DeviceNotFoundError
+            If the library says that there is no such device.
+        DriverError
+            Or what `error` says; the message holds `doing` and the library's own words.
+        """
+        if status == Status.OK:
+            return
+        words = (self.native.oniGetExtendedError() or b"").decode(errors="replace").strip()
+        known = status in Status.__members__.values()
+        name = Status(status).name.lower().replace("_", " ") if known else f"status {status}"
+        message = f"{doing}: OpenNI2 answers {name}" + (f" ({' '.join(words.split())})" if words else "")
+        raise (DeviceNotFoundError if status == Status.NO_DEVICE else error)(message)
+
+    def devices(self) -> list[DeviceListing]:
+        """Return what is listed now; opened recordings are among it."""
+        listed, count = ctypes.POINTER(OniDeviceInfo)(), ctypes.c_int()
+        self.check(self.native.oniGetDeviceList(ctypes.byref(listed), ctypes.byref(count)), "listing devices")
+        try:
+            return [DeviceListing.of(listed[i]) for i in range(count.value)]
+        finally:
+            self.native.oniReleaseDeviceList(listed)
+
+    def version(self) -> str:
+        """Return the library's version."""
+        version = self.native.oniGetVersion()
+        return f"{version.major}.{version.minor}.{version.maintenance}.{version.build}"
+
+    def _add_user(self) -> None:
+        if self._users == 0:
+            status = self.native.oniInitialize(API_VERSION)
+            if status != Status.OK:
+                try:
+                    self.check(status, f"initialising OpenNI2 from {self.path}", BackendMissingError)
+                finally:
+                    self.native.oniShutdown()
+            self.native.oniRegisterDeviceCallbacks(
+                ctypes.byref(self._callbacks), None, ctypes.byref(self._handle)
+            )
+        self._users += 1
+
+    def _remove_user(self) -> None:
+        self._users -= 1
+        if self._users == 0:
+            self.native.oniUnregisterDeviceCallbacks(self._handle)
+            self._handle = ctypes.c_void_p()
+            self.native.oniShutdown()
+            self._listeners.clear()
+
+
+_lock = threading.Lock()
+_loaded: dict[str, Library] = {}
+
+
+def acquire() -> Library:
+    """Return the library, initialised; pair with `release`.
+
+    Raises
+    ------
+    BackendMissingError
+        If it is not installed, or finds no drivers; the message says what to do.
+    """
+    path = find_library()
+    with _lock:
+        library = _loaded.get(path)
+        if library is None:
+            library = _loaded[path] = Library(path)
+        library._add_user()
+        return library
+
+
+def release(library: Library) -> None:
+    """Give the library back; the last user shuts it down."""
+    with _lock:
+        library._remove_user()
+
+
+@contextmanager
+def in_use() -> Iterator[Library]:
+    """Keep the library initialised for a while, as `acquire` and `release` do."""
+    library = acquire()
+    try:
+        yield library
+    finally:
+        release(library)

@@ -1,0 +1,96 @@
+"""Calibrations made from what a camera reports, and from PrimeSense's nominal values where it is silent."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from nurbseg.drivers.frame import Calibration, Intrinsics
+
+#: Horizontal field of view of the depth camera of PrimeSense's design, radians: 570.3 pixels at VGA.
+DEPTH_FOV = 1.0226
+#: Focal length of its color camera at VGA, pixels.
+COLOR_FOCAL_PX = 525.0
+#: How far the color camera is to the right of the depth camera, metres.
+BASELINE_M = 0.025
+
+
+def _pinhole(width: int, height: int, focal_px: float) -> Intrinsics:
+    """Return a camera that looks straight ahead, with the 4:3 view that these cameras have.
+
+    An SXGA image is 5:4: it goes on below the view that the 4:3 modes show, so its optical axis is
+    where it would be in the upper 1280x960 pixels.
+    """
+    cy = width * 3 / 8 - 0.5 if height * 4 > width * 3 else height / 2 - 0.5
+    return Intrinsics(width, height, focal_px, focal_px, width / 2 - 0.5, cy)
+
+
+def from_field_of_view(width: int, height: int, horizontal_fov: float | None) -> Intrinsics:
+    """Return a camera's intrinsics, by its field of view.
+
+    Parameters
+    ----------
+    width, height : int
+        Size of its images, pixels.
+    horizontal_fov : float or None
+        Radians; the nominal value is taken where it is unknown or makes no sense.
+    """
+    known = horizontal_fov is not None and math.isfinite(horizontal_fov) and 0.1 < horizontal_fov < 3.0
+    fov = horizontal_fov if known and horizontal_fov is not None else DEPTH_FOV
+    return _pinhole(width, height, width / (2 * math.tan(fov / 2)))
+
+
+def color_camera(width: int, height: int) -> Intrinsics:
+    """Return the nominal color camera for images of this size, pixels."""
+    return _pinhole(width, height, COLOR_FOCAL_PX * width / 640)
+
+
+def color_from_depth() -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Return the nominal (4, 4) transform from the depth camera's frame to the color camera's, metres."""
+    transform = np.eye(4)
+    transform[0, 3] = -BASELINE_M
+    return transform
+
+
+def fitted(camera: Intrinsics, width: int, height: int) -> Intrinsics:
+    """Return a calibrated camera for images of another size, knowing how 5:4 and 4:3 modes overlap.
+
+    Parameters
+    ----------
+    camera : Intrinsics
+        As calibrated.
+    width, height : int
+        Size of the images it is wanted for, pixels.
+    """
+    scaled = camera.scaled_to(width, round(camera.height * width / camera.width))
+    return Intrinsics(width, height, scaled.fx, scaled.fy, scaled.cx, scaled.cy, scaled.distortion)
+
+
+def mirrored(calibration: Calibration) -> Calibration:
+    """Return the calibration of the same cameras with both images mirrored left to right."""
+    flip = np.diag([-1.0, 1.0, 1.0, 1.0])
+    return Calibration(
+        depth=_mirrored_camera(calibration.depth),
+        color=_mirrored_camera(calibration.color),
+        color_from_depth=flip @ calibration.color_from_depth @ flip,
+    )
+
+
+def _mirrored_camera(camera: Intrinsics) -> Intrinsics:
+    distortion = np.array(camera.distortion)
+    if distortion.size >= 4:
+        distortion[3] = -distortion[3]  # p2, the tangential term that is odd in x
+    if distortion.size >= 12:
+        distortion[8:10] = -distortion[8:10]  # s1 and s2, the thin prism in x
+    if distortion.size == 14:
+        distortion[13] = -distortion[13]  # tilt about the y axis
+    return Intrinsics(
+        camera.width,
+        camera.height,
+        camera.fx,
+        camera.fy,
+        camera.width - 1 - camera.cx,
+        camera.cy,
+        distortion,
+    )

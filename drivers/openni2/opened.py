@@ -1,0 +1,200 @@
+"""An opened device: the library in use, the device's handle and properties, and its two streams."""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import os
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Self
+
+from nurbseg.drivers.errors import DeviceNotFoundError, DriverError
+from nurbseg.drivers.openni2.capi import DeviceProperty, OniVersion, Sensor, Status
+from nurbseg.drivers.openni2.library import DeviceListing, Library, acquire, in_use, release
+from nurbseg.drivers.openni2.selection import choose, family_of, usb_port
+from nurbseg.drivers.openni2.stream import Stream
+
+logger = logging.getLogger(__name__)
+
+_DEPTH_TO_COLOR = 1
+
+
+class OpenedDevice:
+    """A device that is open until `close`.
+
+    Parameters
+    ----------
+    uri : str
+        Of the device.
+    on_event : callable, optional
+        Called with "disconnected" or "state N", on a thread of the library's.
+
+    Attributes
+    ----------
+    library : Library
+        In use for as long as the device is open.
+    streams : tuple of Stream
+        Those made by `add_stream`, in that order.
+
+    Raises
+    ------
+    BackendMissingError
+        If OpenNI2 is not installed.
+    DeviceNotFoundError
+        If the library cannot open it.
+    """
+
+    def __init__(self, uri: str, on_event: Callable[[str], None] | None = None) -> None:
+        self.uri = uri
+        self.streams: tuple[Stream, ...] = ()
+        self._handle = ctypes.c_void_p()
+        self._closed = False
+        self._listening: object = None
+        self.library: Library = acquire()
+        try:
+            if on_event is not None:
+                # Before it is opened, so that its going in between is not missed.
+                self._listening = self.library.listen(uri, on_event)
+            self.library.check(
+                self.library.native.oniDeviceOpen(os.fsencode(uri), ctypes.byref(self._handle)),
+                f"opening {uri}",
+                DeviceNotFoundError,
+            )
+        except BaseException:
+            # A handle of a device that did not open is not to be closed.
+            self._handle = ctypes.c_void_p()
+            self.close()
+            raise
+
+    def find(self, name: DeviceProperty, kind: type[Any]) -> Any | None:
+        """Return a property as a ctypes value, or None where the device does not tell it."""
+        value, size = kind(), ctypes.c_int(ctypes.sizeof(kind))
+        status = self.library.native.oniDeviceGetProperty(
+            self._handle, name, ctypes.byref(value), ctypes.byref(size)
+        )
+        return value if status == Status.OK else None
+
+    def try_to_set(self, name: DeviceProperty, value: Any) -> bool:
+        """Set a property; return whether the device says that it did."""
+        status: int = self.library.native.oniDeviceSetProperty(
+            self._handle, name, ctypes.byref(value), ctypes.sizeof(value)
+        )
+        return status == Status.OK
+
+    def has(self, sensor: Sensor) -> bool:
+        """Whether the device has a stream of this sensor."""
+        return bool(self.library.native.oniDeviceGetSensorInfo(self._handle, sensor))
+
+    def add_stream(self, sensor: Sensor) -> Stream:
+        """Make the stream of a sensor.
+
+        Raises
+        ------
+        DriverError
+            If the device does not give it.
+        """
+        if not self.has(sensor):
+            raise DriverError(f"{self.uri}: the camera has no {sensor.name.lower()} stream")
+        stream = Stream(self.library, self._handle, sensor)
+        self.streams += (stream,)
+        return stream
+
+    @property
+    def serial(self) -> str:
+        """The serial number; empty where the device tells none."""
+        text = self.find(DeviceProperty.SERIAL_NUMBER, ctypes.c_char * 256)
+        return "" if text is None else text.value.decode(errors="replace").strip()
+
+    @property
+    def driver_version(self) -> str:
+        """The version of the device's driver; empty where the device tells none."""
+        version = self.find(DeviceProperty.DRIVER_VERSION, OniVersion)
+        return "" if version is None else f"{version.major}.{version.minor}.{version.maintenance}"
+
+    @property
+    def can_register(self) -> bool:
+        """Whether the device says that it can bring depth onto the color image."""
+        native = self.library.native
+        return bool(native.oniDeviceIsImageRegistrationModeSupported(self._handle, _DEPTH_TO_COLOR))
+
+    def register(self, wanted: bool) -> bool:
+        """Ask the device to bring depth onto the color image, or not to; return whether it does now."""
+        if self.can_register:
+            mode = ctypes.c_int(_DEPTH_TO_COLOR if wanted else 0)
+            self.try_to_set(DeviceProperty.IMAGE_REGISTRATION, mode)
+        state = self.find(DeviceProperty.IMAGE_REGISTRATION, ctypes.c_int)
+        return state is not None and state.value == _DEPTH_TO_COLOR
+
+    def synchronise(self) -> bool:
+        """Ask the device to take depth and color at the same moment; return whether it does."""
+        native = self.library.native
+        status = native.oniDeviceEnableDepthColorSync(self._handle)
+        return bool(status == Status.OK and native.oniDeviceGetDepthColorSyncEnabled(self._handle))
+
+    def close(self) -> None:
+        """Give everything back, in the order that the library wants; safe to repeat."""
+        if self._closed:
+            return
+        self._closed = True
+        if self._listening is not None:
+            self.library.unlisten(self._listening)
+        try:
+            for stream in self.streams:
+                stream.stop()
+            for stream in self.streams:
+                stream.destroy()
+            self.streams = ()
+            if self._handle:
+                self.library.native.oniDeviceClose(self._handle)
+        finally:
+            release(self.library)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def serial_of(listing: DeviceListing) -> str:
+    """Return a listed device's serial number, for which it is opened; empty where it tells none."""
+    try:
+        with OpenedDevice(listing.uri) as device:
+            return device.serial
+    except DriverError as err:
+        logger.info("serial number of %s: %s", listing.uri, err)
+        return ""
+
+
+def find_camera(wanted: str, serial: str = "") -> DeviceListing:
+    """Return the camera that is meant, as `nurbseg.drivers.openni2.selection.choose` reads it.
+
+    Raises
+    ------
+    BackendMissingError
+        If OpenNI2 is not installed.
+    DeviceNotFoundError
+        If there is no such camera.
+    """
+    with in_use() as library:
+        return choose(library.devices(), wanted, serial, serial_of)
+
+
+def describe(listing: DeviceListing, device: OpenedDevice) -> dict[str, str]:
+    """Return what is known of an opened camera, for a person and for recordings."""
+    return {
+        "device": f"{listing.vendor} {listing.name}".strip(),
+        "family": family_of(listing),
+        "uri": listing.uri,
+        "usb_id": f"{listing.usb_vendor:04x}:{listing.usb_product:04x}",
+        "usb_port": usb_port(listing.uri),
+        "serial": device.serial,
+        "driver_version": device.driver_version,
+        "openni2_version": device.library.version(),
+    }

@@ -1,0 +1,120 @@
+"""What a user may ask of a camera."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from nurbseg.drivers.settings import check_settings, setting
+
+DepthUnit = Literal["1mm", "100um"]
+Registration = Literal["hardware", "software"]
+Switch = Literal["keep", "on", "off"]
+
+_MODE_NAMES = {"vga": (640, 480, 30), "qvga": (320, 240, 60), "sxga": (1280, 1024, 30)}
+_MODE_TEXT = re.compile(r"(?P<width>\d+)x(?P<height>\d+)(@(?P<fps>\d+))?")
+
+
+def parse_mode(text: str) -> tuple[int, int, int]:
+    """Return width and height in pixels and frames per second of ``"640x480@30"`` or a name.
+
+    The names are ``vga`` (640x480@30), ``qvga`` (320x240@60) and ``sxga`` (1280x1024@30), with a rate
+    of one's own after them where wanted: ``qvga30``. Without a rate, WxH means 30.
+
+    Raises
+    ------
+    ValueError
+        If `text` is neither.
+    """
+    found = _MODE_TEXT.fullmatch(text.lower())
+    if found:
+        return int(found["width"]), int(found["height"]), int(found["fps"] or 30)
+    name = re.fullmatch(r"([a-z]+)@?(\d*)", text.lower())
+    if name and name[1] in _MODE_NAMES:
+        width, height, fps = _MODE_NAMES[name[1]]
+        return width, height, int(name[2] or fps)
+    raise ValueError(f"expected a mode such as 640x480@30, vga, qvga or sxga, got {text!r}")
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceOptions:
+    """Settings of a camera; each is set after the streams start, and read back.
+
+    Parameters
+    ----------
+    serial : str
+        Only the camera with this serial number; empty for any.
+    depth_mode, color_mode : str
+        Size and rate of the streams, as `parse_mode` reads them.
+    depth_unit : {"1mm", "100um"}
+        Step in which the camera tells depth. Frames hold whole millimetres in both cases; with 100um
+        they are rounded here instead of by the camera.
+    mirror : bool
+        Whether the images are as in a mirror.
+    registration : {"hardware", "software"}
+        Whether the camera is asked to bring depth onto the color image. Where it cannot, the frames
+        carry the calibration with which software does it.
+    sync : bool
+        Whether the camera is asked to take depth and color at the same moment.
+    auto_exposure, auto_white_balance : {"keep", "on", "off"}
+        Automatic controls of the color camera.
+    exposure, gain : int or None
+        Of the color camera, in the device's own units; None leaves them.
+    silence_limit_s : float
+        A camera that delivers nothing for this long while it is read is taken for lost, seconds.
+    calibration : str or None
+        File with the camera's calibration, in a form that `nurbseg.drivers.calibration` reads; without
+        it, what the camera reports and nominal values.
+    reconnect : bool
+        Whether to wait for a lost camera and go on when it is back.
+    reconnect_interval_s : float
+        Time between two looks whether it is back, seconds.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of its bounds, or a mode cannot be read.
+    """
+
+    serial: str = setting("", "serial number of the camera, where there are several")
+    depth_mode: str = setting("vga", "size and rate of the depth stream: 640x480@30, vga, qvga, ...")
+    color_mode: str = setting("vga", "size and rate of the color stream: 640x480@30, vga, qvga, sxga, ...")
+    depth_unit: DepthUnit = setting(
+        "1mm", "step in which the camera tells depth", choices=get_args(DepthUnit)
+    )
+    mirror: bool = setting(False, "images as in a mirror")
+    registration: Registration = setting(
+        "hardware", "who brings depth onto the color image", choices=get_args(Registration)
+    )
+    sync: bool = setting(True, "take depth and color at the same moment, where the camera can")
+    auto_exposure: Switch = setting(
+        "keep", "automatic exposure of the color camera", choices=get_args(Switch)
+    )
+    auto_white_balance: Switch = setting(
+        "keep", "automatic white balance of the color camera", choices=get_args(Switch)
+    )
+    exposure: int | None = setting(None, "exposure of the color camera, in its own units", least=0)
+    gain: int | None = setting(None, "gain of the color camera, in its own units", least=0)
+    silence_limit_s: float = setting(
+        3.0, "a camera silent for this long is taken for lost", unit="s", least=0.1, flag="silence-limit"
+    )
+    calibration: str | None = setting(
+        None, "calibration of the camera: TOML, OpenCV's YAML or XML, ROS camera_info YAML", unit="FILE"
+    )
+    reconnect: bool = setting(True, "wait for a camera that was unplugged, and go on when it is back")
+    reconnect_interval_s: float = setting(
+        0.5,
+        "time between two looks whether a lost camera is back",
+        unit="s",
+        above=0.0,
+        flag="reconnect-interval",
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        for name in ("depth_mode", "color_mode"):
+            try:
+                parse_mode(getattr(self, name))
+            except ValueError as err:
+                raise ValueError(f"{name}: {err}") from None

@@ -1,0 +1,105 @@
+"""Which camera is meant: by kind, USB ids, vendor and name, URI, serial number or USB port."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Final
+
+from nurbseg.drivers.errors import DeviceNotFoundError
+from nurbseg.drivers.openni2.library import DeviceListing
+from nurbseg.drivers.usb_ids import WANTED, identify
+
+#: What vendor or name says where a driver reports no USB ids, and the family that it means.
+_WORDS: Final = (
+    (re.compile(r"xtion 2", re.IGNORECASE), "xtion2"),
+    (re.compile(r"xtion|primesense|ps1080|carmine|asus", re.IGNORECASE), "ps1080"),
+    (re.compile(r"kinect.*(v2|2)|freenect2", re.IGNORECASE), "kinect2"),
+    (re.compile(r"kinect|freenect", re.IGNORECASE), "kinect1"),
+    (re.compile(r"orbbec|astra", re.IGNORECASE), "orbbec"),
+)
+_USB_ADDRESS: Final = re.compile(r"@(\d+)/(\d+)$")
+
+
+def is_camera(listing: DeviceListing) -> bool:
+    """Whether this is a camera, and not a recording or the library's dummy."""
+    return not listing.uri.lower().endswith(".oni") and listing.uri != "Dummy"
+
+
+def family_of(listing: DeviceListing) -> str:
+    """Return the key of the camera's family, as in `usb_ids.FAMILIES`; empty where it is none of them."""
+    words = f"{listing.vendor} {listing.name}"
+    model = identify(listing.usb_vendor, listing.usb_product, words)
+    if model is not None:
+        return model.family.key
+    return next((family for pattern, family in _WORDS if pattern.search(words)), "")
+
+
+def usb_port(uri: str, devices: Path = Path("/sys/bus/usb/devices")) -> str:
+    """Return where a camera is plugged in, such as "2-1.3"; the URI itself where nobody knows.
+
+    A camera keeps its port when it is plugged in again, but not its address.
+    """
+    address = _USB_ADDRESS.search(uri)
+    if address:
+        for device in sorted(devices.glob("[0-9]*")):
+            try:
+                bus = int((device / "busnum").read_text())
+                number = int((device / "devnum").read_text())
+            except (OSError, ValueError):
+                continue
+            if (bus, number) == (int(address[1]), int(address[2])):
+                return device.name
+    return uri
+
+
+def choose(
+    listings: Iterable[DeviceListing],
+    wanted: str,
+    serial: str,
+    serial_of: Callable[[DeviceListing], str],
+) -> DeviceListing:
+    """Return the camera that is meant.
+
+    Parameters
+    ----------
+    listings : iterable of DeviceListing
+        What is there.
+    wanted : str
+        "any" or nothing, a kind ("xtion", "kinect", ...: `usb_ids.WANTED`), a URI, a serial number, or
+        "port:" and a USB port.
+    serial : str
+        Also with this serial number; empty for any.
+    serial_of : callable
+        Finds a camera's serial number, for which it must be opened.
+
+    Raises
+    ------
+    DeviceNotFoundError
+        If there is none; says what there is instead.
+    """
+    cameras = [listing for listing in listings if is_camera(listing)]
+    if wanted.startswith("port:"):
+        matching = [each for each in cameras if usb_port(each.uri) == wanted.removeprefix("port:")]
+    elif wanted in ("", "any"):
+        matching = cameras
+    elif wanted in WANTED:
+        matching = [each for each in cameras if family_of(each) in WANTED[wanted]]
+    else:
+        matching = [each for each in cameras if each.uri == wanted]
+        if not matching:
+            matching = [each for each in cameras if serial_of(each) == wanted]
+    if serial:
+        matching = [each for each in matching if serial_of(each) == serial]
+    if matching:
+        return matching[0]
+    name = f"{wanted or 'any'}" + (f" with serial number {serial}" if serial else "")
+    there = "; ".join(
+        f"{each.vendor} {each.name} ({each.usb_vendor:04x}:{each.usb_product:04x}) at {each.uri}"
+        for each in cameras
+    )
+    raise DeviceNotFoundError(
+        f"openni2:{name}: no such camera; OpenNI2 finds {there or 'no camera at all'}; "
+        "run nurbseg-devices doctor to find out why"
+    )

@@ -1,0 +1,273 @@
+"""One stream of an opened device: its modes, its settings and its images."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameFormatError
+from nurbseg.drivers.openni2.capi import (
+    OniFrame,
+    OniVideoMode,
+    PixelFormat,
+    Sensor,
+    Status,
+    StreamProperty,
+)
+from nurbseg.drivers.openni2.library import Library
+
+_BYTES_PER_PIXEL = {
+    PixelFormat.DEPTH_1_MM: 2,
+    PixelFormat.DEPTH_100_UM: 2,
+    PixelFormat.RGB888: 3,
+    PixelFormat.YUV422: 2,
+    PixelFormat.YUYV: 2,
+    PixelFormat.GRAY8: 1,
+}
+_TO_RGB = {
+    PixelFormat.YUV422: cv2.COLOR_YUV2RGB_UYVY,
+    PixelFormat.YUYV: cv2.COLOR_YUV2RGB_YUY2,
+    PixelFormat.GRAY8: cv2.COLOR_GRAY2RGB,
+}
+
+
+class VideoMode(NamedTuple):
+    """Size in pixels, frames per second and pixel format of a stream."""
+
+    width: int
+    height: int
+    fps: int
+    pixel_format: PixelFormat
+
+    def __str__(self) -> str:
+        return f"{self.width}x{self.height}@{self.fps} {self.pixel_format.name}"
+
+    @property
+    def period_us(self) -> int:
+        """Time from one frame to the next, microseconds."""
+        return 1_000_000 // max(self.fps, 1)
+
+
+class Image(NamedTuple):
+    """A copy of one image: its device time in microseconds, its number, and its pixels."""
+
+    timestamp_us: int
+    number: int
+    pixels: NDArray[Any]
+
+
+class Stream:
+    """A stream of one sensor of a device.
+
+    Parameters
+    ----------
+    library : Library
+        Acquired by the caller.
+    device : ctypes.c_void_p
+        An opened device's handle.
+    sensor : Sensor
+        Which of its sensors.
+
+    Raises
+    ------
+    DriverError
+        If the device does not give the stream.
+    """
+
+    def __init__(self, library: Library, device: ctypes.c_void_p, sensor: Sensor) -> None:
+        self._library = library
+        self.handle = ctypes.c_void_p()
+        self.sensor = sensor
+        info = library.native.oniDeviceGetSensorInfo(device, sensor)
+        if not info:
+            raise DriverError(f"the camera has no {sensor.name.lower()} stream")
+        self.modes = tuple(_mode(info.contents.modes[i]) for i in range(info.contents.mode_count))
+        library.check(
+            library.native.oniDeviceCreateStream(device, sensor, ctypes.byref(self.handle)),
+            f"creating the {sensor.name.lower()} stream",
+        )
+
+    @property
+    def mode(self) -> VideoMode:
+        """The mode that is set."""
+        return _mode(self.get(StreamProperty.VIDEO_MODE, OniVideoMode))
+
+    def set_mode(self, width: int, height: int, fps: int, formats: tuple[PixelFormat, ...]) -> None:
+        """Choose a mode from what the device lists; of several formats the first one listed.
+
+        Raises
+        ------
+        DriverError
+            If the device lists no such mode, or refuses it.
+        """
+        name = self.sensor.name.lower()
+        for pixel_format in formats:
+            wanted = VideoMode(width, height, fps, pixel_format)
+            if wanted not in self.modes:
+                continue
+            value = OniVideoMode(pixel_format, width, height, fps)
+            self._library.check(
+                self._set(StreamProperty.VIDEO_MODE, value), f"setting the {name} stream to {wanted}"
+            )
+            if self.mode != wanted:
+                raise DriverError(f"{name} stream: asked for {wanted}, the camera stays at {self.mode}")
+            return
+        listed = ", ".join(str(mode) for mode in self.modes)
+        raise DriverError(
+            f"{name} stream: the camera has no {width}x{height}@{fps} as "
+            f"{' or '.join(each.name for each in formats)}; it lists {listed or 'nothing'}"
+        )
+
+    def supports(self, name: StreamProperty) -> bool:
+        """Whether the stream has a property."""
+        return bool(self._library.native.oniStreamIsPropertySupported(self.handle, name))
+
+    def get(self, name: StreamProperty, kind: type[Any]) -> Any:
+        """Return a property as a ctypes structure, or as a plain value for a simple type.
+
+        Raises
+        ------
+        DriverError
+            If the stream does not tell it.
+        """
+        value, size = kind(), ctypes.c_int(ctypes.sizeof(kind))
+        self._library.check(
+            self._library.native.oniStreamGetProperty(
+                self.handle, name, ctypes.byref(value), ctypes.byref(size)
+            ),
+            f"reading {name.name} of the {self.sensor.name.lower()} stream",
+        )
+        return value.value if isinstance(value, ctypes._SimpleCData) else value
+
+    def find(self, name: StreamProperty, kind: type[Any]) -> Any | None:
+        """Return a property as `get` does, or None where the stream does not tell it."""
+        try:
+            return self.get(name, kind)
+        except DriverError:
+            return None
+
+    def try_to_set(self, name: StreamProperty, value: Any) -> bool:
+        """Set a property and read it back; return whether it has the value now."""
+        if self._set(name, value) != Status.OK:
+            return False
+        wanted = value.value if isinstance(value, ctypes._SimpleCData) else value
+        return bool(self.find(name, type(value)) == wanted)
+
+    def _set(self, name: StreamProperty, value: Any) -> int:
+        status: int = self._library.native.oniStreamSetProperty(
+            self.handle, name, ctypes.byref(value), ctypes.sizeof(value)
+        )
+        return status
+
+    def start(self) -> None:
+        """Have frames delivered.
+
+        Raises
+        ------
+        DriverError
+            If the device refuses.
+        """
+        self._library.check(
+            self._library.native.oniStreamStart(self.handle),
+            f"starting the {self.sensor.name.lower()} stream",
+        )
+
+    def stop(self) -> None:
+        """Have no more frames delivered."""
+        self._library.native.oniStreamStop(self.handle)
+
+    def destroy(self) -> None:
+        """Give the stream back; safe to repeat."""
+        if self.handle:
+            self._library.native.oniStreamDestroy(self.handle)
+            self.handle = ctypes.c_void_p()
+
+    def take(self) -> Image | None:
+        """Copy the image that is waiting, for a stream that `wait_for_any` has named.
+
+        Returns
+        -------
+        Image or None
+            Depth as uint16 in the mode's unit, color as RGB uint8; None where the image has gone
+            again, as it may when a camera is unplugged.
+
+        Raises
+        ------
+        DeviceLostError
+            If the library cannot give it.
+        FrameFormatError
+            If the image is not what its mode says.
+        """
+        frame = ctypes.POINTER(OniFrame)()
+        # This cannot wait: an image is there, and nobody else takes it.
+        status = self._library.quick.oniStreamReadFrame(self.handle, ctypes.byref(frame))
+        if status != Status.OK:
+            self._library.check(status, f"reading the {self.sensor.name.lower()} stream", DeviceLostError)
+        if not frame:
+            return None
+        try:
+            head = frame.contents
+            mode = _mode(head.mode)
+            size = head.stride * head.height
+            if (
+                mode.pixel_format not in _BYTES_PER_PIXEL
+                or head.stride < head.width * _BYTES_PER_PIXEL[mode.pixel_format]
+                or not 0 < size <= head.data_size
+                or not head.data
+            ):
+                raise FrameFormatError(
+                    f"{self.sensor.name.lower()} frame {head.frame_index}: {head.width}x{head.height} "
+                    f"{mode.pixel_format.name}, {head.stride} bytes a row, does not fit "
+                    f"{head.data_size} bytes"
+                )
+            copy = ctypes.string_at(head.data, size)
+            shape = (head.height, head.stride)
+            width, timestamp_us, number = head.width, head.timestamp, head.frame_index
+        finally:
+            self._library.quick.oniFrameRelease(frame)
+        return Image(timestamp_us, number, _pixels(copy, shape, width, mode.pixel_format))
+
+
+def _mode(mode: OniVideoMode) -> VideoMode:
+    try:
+        pixel_format = PixelFormat(mode.pixel_format)
+    except ValueError:
+        pixel_format = PixelFormat.GRAY16  # a format that nothing here asks for
+    return VideoMode(mode.width, mode.height, mode.fps, pixel_format)
+
+
+def _pixels(copy: bytes, shape: tuple[int, int], width: int, pixel_format: PixelFormat) -> NDArray[Any]:
+    rows = np.frombuffer(copy, np.uint8).reshape(shape)
+    bytes_per_pixel = _BYTES_PER_PIXEL[pixel_format]
+    rows = rows[:, : width * bytes_per_pixel]
+    if pixel_format in (PixelFormat.DEPTH_1_MM, PixelFormat.DEPTH_100_UM):
+        return rows.view(np.uint16)
+    image = rows.reshape(shape[0], width, bytes_per_pixel)
+    if pixel_format == PixelFormat.RGB888:
+        return image
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), _TO_RGB[pixel_format]), np.uint8)
+
+
+def wait_for_any(library: Library, streams: tuple[Stream, ...], timeout_s: float) -> Stream | None:
+    """Return a stream that has an image, or None if none came in time.
+
+    Of several, the one whose image is oldest.
+
+    Raises
+    ------
+    DeviceLostError
+        If the library cannot wait.
+    """
+    handles = (ctypes.c_void_p * len(streams))(*(stream.handle for stream in streams))
+    index = ctypes.c_int(-1)
+    status = library.native.oniWaitForAnyStream(
+        handles, len(streams), ctypes.byref(index), max(0, round(timeout_s * 1000))
+    )
+    if status == Status.TIME_OUT:
+        return None
+    library.check(status, "waiting for a frame", DeviceLostError)
+    return streams[index.value]

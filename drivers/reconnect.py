@@ -1,0 +1,136 @@
+"""Takes a lost camera up again when it is back, so that frames go on."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import time
+from collections.abc import Callable
+
+from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameTimeoutError
+from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.drivers.source import FrameSource
+
+logger = logging.getLogger(__name__)
+
+
+class Reconnecting(FrameSource):
+    """A live source that outlasts its camera's being unplugged.
+
+    While the camera is away `read` raises FrameTimeoutError when its time is over, as for a camera that
+    is slow. When it is back frames go on with the next index, and with times that continue those
+    before by the time that has passed: a camera's clock starts anew when it is plugged in.
+
+    Parameters
+    ----------
+    source : FrameSource
+        The open camera; owned and closed by this one.
+    reopen : callable
+        Opens the same camera again; raises DriverError for as long as it is away.
+    interval_s : float
+        Time between two tries, seconds.
+    clock, sleep : callable
+        Monotonic seconds, and a wait of that many seconds.
+
+    Attributes
+    ----------
+    connected : bool
+        Whether the camera is there.
+    reconnections : int
+        How often it was taken up again.
+    """
+
+    live = True
+
+    def __init__(
+        self,
+        source: FrameSource,
+        reopen: Callable[[], FrameSource],
+        *,
+        interval_s: float = 0.5,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        super().__init__()
+        self.calibration = source.calibration
+        self.metadata = source.metadata
+        self.reconnections = 0
+        self._source: FrameSource | None = source
+        self._reopen = reopen
+        self._interval_s = interval_s
+        self._clock = clock
+        self._sleep = sleep
+        self._next_try_s = 0.0
+        self._index = 0
+        self._last_ns = 0
+        self._last_s: float | None = None
+        self._ahead_ns: int | None = 0
+
+    @property
+    def connected(self) -> bool:
+        """Whether the camera is there."""
+        return self._source is not None
+
+    @property
+    def source(self) -> FrameSource | None:
+        """The camera's own source; None while it is away."""
+        return self._source
+
+    def _read(self, timeout_s: float) -> RGBDFrame:
+        deadline = self._clock() + timeout_s
+        while True:
+            source = self._source or self._wait_for_camera(deadline, timeout_s)
+            try:
+                frame = source.read(max(deadline - self._clock(), 0.0))
+            except DeviceLostError as err:
+                logger.warning("%s; waiting until it is back", err)
+                self._let_go()
+            else:
+                return self._continued(frame)
+
+    def _let_go(self) -> None:
+        source, self._source = self._source, None
+        # Unplugged cameras that come back at once are found at once.
+        self._next_try_s = self._clock()
+        self._ahead_ns = None
+        if source is not None:
+            source.close()
+
+    def _wait_for_camera(self, deadline: float, timeout_s: float) -> FrameSource:
+        while True:
+            now = self._clock()
+            if now >= self._next_try_s:
+                self._next_try_s = now + self._interval_s
+                try:
+                    source = self._reopen()
+                except DriverError as err:
+                    logger.debug("still away: %s", err)
+                else:
+                    self._source = source
+                    self.calibration = source.calibration
+                    self.metadata = source.metadata
+                    return source
+            now = self._clock()
+            if now >= deadline:
+                raise FrameTimeoutError(f"the camera is away: no frame within {timeout_s:g} s")
+            self._sleep(max(0.0, min(self._next_try_s, deadline) - now))
+
+    def _continued(self, frame: RGBDFrame) -> RGBDFrame:
+        now_s = self._clock()
+        if self._ahead_ns is None:
+            self.reconnections += 1
+            logger.warning("%s is back; frames go on", self.metadata.get("device", "the camera"))
+            away_s = 0.0 if self._last_s is None else now_s - self._last_s
+            self._ahead_ns = self._last_ns + round(away_s * 1e9) - frame.timestamp_ns
+        if self._ahead_ns or frame.index != self._index:
+            frame = dataclasses.replace(
+                frame, index=self._index, timestamp_ns=frame.timestamp_ns + self._ahead_ns
+            )
+        self._index += 1
+        self._last_ns, self._last_s = frame.timestamp_ns, now_s
+        return frame
+
+    def _close(self) -> None:
+        if self._source is not None:
+            self._source.close()
+            self._source = None

@@ -1,0 +1,279 @@
+"""The device source over a real OpenNI2 with a virtual camera."""
+
+import logging
+
+import numpy as np
+import pytest
+from virtual_camera import color_image, depth_image, dump_frames, frame_number
+
+from nurbseg.drivers.calibration import write_calibration
+from nurbseg.drivers.errors import DeviceNotFoundError, DriverError
+from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.drivers.openni2.device import DeviceSource
+from nurbseg.drivers.openni2.options import DeviceOptions, parse_mode
+from nurbseg.drivers.source import FrameSource
+
+
+def test_pixels_arrive_exactly_as_the_camera_shows_them(virtual_cameras):
+    virtual_cameras.add()
+    with DeviceSource() as source:
+        for index in range(20):
+            frame = source.read()
+            number = frame_number(frame)
+            assert frame.index == index
+            np.testing.assert_array_equal(frame.depth_mm, depth_image(number))
+            np.testing.assert_array_equal(frame.color, color_image(number))
+            assert frame.calibration.is_registered
+
+
+def test_frames_stay_as_they_are_when_later_ones_are_read(virtual_cameras):
+    virtual_cameras.add()
+    with DeviceSource() as source:
+        frames = [source.read() for _ in range(8)]
+    for frame in frames:
+        np.testing.assert_array_equal(frame.depth_mm, depth_image(frame_number(frame)))
+        np.testing.assert_array_equal(frame.color, color_image(frame_number(frame)))
+
+
+@pytest.mark.parametrize(
+    ("depth_mode", "color_mode", "size", "color_size", "fps"),
+    [
+        ("vga", "vga", (640, 480), (640, 480), 30),
+        ("qvga", "qvga", (320, 240), (320, 240), 60),
+        ("vga", "sxga", (640, 480), (1280, 1024), 30),
+        ("320x240@30", "640x480@30", (320, 240), (640, 480), 30),
+    ],
+)
+def test_each_listed_mode_is_delivered(virtual_cameras, depth_mode, color_mode, size, color_size, fps):
+    virtual_cameras.add()
+    with DeviceSource(options=DeviceOptions(depth_mode=depth_mode, color_mode=color_mode)) as source:
+        first, second = source.read(), source.read()
+        steps = frame_number(second, fps) - frame_number(first, fps)
+        assert 1 <= steps <= 1 + source.missed
+        for frame in (first, second):
+            number = frame_number(frame, fps)
+            np.testing.assert_array_equal(frame.depth_mm, depth_image(number, *size))
+            np.testing.assert_array_equal(frame.color, color_image(number, *color_size))
+
+
+def test_intrinsics_follow_from_the_field_of_view(virtual_cameras):
+    virtual_cameras.add(fov_horizontal=1.0)
+    with DeviceSource() as source:
+        camera = source.calibration.depth
+    assert camera.fx == pytest.approx(320 / np.tan(0.5), rel=1e-6)
+    assert camera.fy == camera.fx
+    assert (camera.cx, camera.cy) == (319.5, 239.5)
+
+
+def test_an_sxga_image_continues_below_the_view_of_the_vga_image(virtual_cameras):
+    virtual_cameras.add()
+    with DeviceSource(options=DeviceOptions(color_mode="sxga")) as source:
+        color, depth = source.calibration.color, source.calibration.depth
+    assert color.fx == pytest.approx(2 * depth.fx)
+    # The same ray, through both images: pixel centers of the double size are half a pixel apart.
+    assert color.cy + 0.5 == pytest.approx(2 * (depth.cy + 0.5))
+    assert not np.any(source.calibration.color_from_depth - np.eye(4))
+
+
+def test_depth_in_tenths_of_a_millimetre_is_rounded_to_millimetres(virtual_cameras):
+    virtual_cameras.add()
+    with DeviceSource(options=DeviceOptions(depth_unit="100um")) as source:
+        frame = source.read()
+        assert source.metadata["depth_mode"] == "640x480@30 DEPTH_100_UM"
+    columns = np.arange(640)
+    rounding_up = columns % 10 >= 5  # the camera's last digit is the column's
+    expected = depth_image(frame_number(frame)) + rounding_up.astype(np.uint16)
+    np.testing.assert_array_equal(frame.depth_mm, expected)
+
+
+@pytest.mark.parametrize("behaviour", ["obeys", "stuck"])
+@pytest.mark.parametrize("mirror", [False, True])
+def test_images_are_mirrored_only_when_asked_whatever_the_camera_does(virtual_cameras, behaviour, mirror):
+    virtual_cameras.add(mirror=behaviour)
+    with DeviceSource(options=DeviceOptions(mirror=mirror)) as source:
+        frame = source.read()
+    number = frame_number(frame)
+    np.testing.assert_array_equal(frame.depth_mm, depth_image(number, mirrored=mirror))
+    np.testing.assert_array_equal(frame.color, color_image(number, mirrored=mirror))
+
+
+def calibration_file(folder, calibration):
+    path = folder / "camera.toml"
+    write_calibration(path, calibration)
+    return str(path)
+
+
+def test_the_calibration_of_mirrored_images_is_mirrored_too(virtual_cameras, tmp_path):
+    virtual_cameras.add()
+    camera = Intrinsics(640, 480, 500.0, 501.0, 300.0, 250.0, np.array([0.1, 0.01, 0.002, 0.003, 0.0]))
+    shifted = np.eye(4)
+    shifted[:3, 3] = (-0.025, 0.001, 0.002)
+    given = Calibration(depth=camera, color=camera, color_from_depth=shifted)
+    file = calibration_file(tmp_path, given)
+    options = DeviceOptions(mirror=True, registration="software", calibration=file)
+    with DeviceSource(options=options) as source:
+        mirrored = source.calibration
+    assert mirrored.depth.cx == 339.0
+    np.testing.assert_allclose(mirrored.depth.distortion, [0.1, 0.01, 0.002, -0.003, 0.0])
+    np.testing.assert_allclose(mirrored.color_from_depth[:3, 3], [0.025, 0.001, 0.002])
+
+
+def test_registration_is_set_after_the_streams_started(virtual_cameras):
+    # The camera ignores it before: without the right order, depth would come unregistered.
+    virtual_cameras.add(registration="on")
+    with DeviceSource() as source:
+        assert source.metadata["registration"] == "hardware"
+        frame = source.read()
+    np.testing.assert_array_equal(frame.depth_mm, depth_image(frame_number(frame), registered=True))
+
+
+@pytest.mark.parametrize("registration", ["silent", "refused", "absent"])
+def test_software_registers_where_the_camera_does_not(virtual_cameras, registration, caplog):
+    virtual_cameras.add(registration=registration)
+    with caplog.at_level(logging.WARNING), DeviceSource() as source:
+        assert source.metadata["registration"] == "software"
+        frame = source.read()
+    assert "software does it instead" in caplog.text
+    assert "nominal values" in caplog.text
+    np.testing.assert_array_equal(frame.depth_mm, depth_image(frame_number(frame), registered=False))
+    assert not frame.calibration.is_registered
+    assert frame.calibration.color.fx == 525.0
+    np.testing.assert_allclose(frame.calibration.color_from_depth[:3, 3], [-0.025, 0, 0])
+
+
+def test_registration_can_be_left_to_software(virtual_cameras, tmp_path):
+    virtual_cameras.add()
+    camera = Intrinsics(640, 480, 520.0, 521.0, 310.0, 242.0)
+    given = Calibration(depth=Intrinsics(640, 480, 580.0, 581.0, 315.0, 244.0), color=camera)
+    options = DeviceOptions(registration="software", calibration=calibration_file(tmp_path, given))
+    with DeviceSource(options=options) as source:
+        frame = source.read()
+        assert source.metadata["registration"] == "software"
+    np.testing.assert_array_equal(frame.depth_mm, depth_image(frame_number(frame), registered=False))
+    assert (frame.calibration.depth.fx, frame.calibration.color.fx) == (580.0, 520.0)
+
+
+def test_a_given_calibration_is_used_for_registered_images_of_another_size(virtual_cameras, tmp_path):
+    virtual_cameras.add()
+    camera = Intrinsics(640, 480, 520.0, 521.0, 310.0, 242.0)
+    file = calibration_file(tmp_path, Calibration.registered(camera))
+    options = DeviceOptions(depth_mode="qvga", color_mode="qvga", calibration=file)
+    with DeviceSource(options=options) as source:
+        assert source.calibration.is_registered
+        assert source.calibration.depth.fx == 260.0
+        assert source.read().depth_mm.shape == (240, 320)
+
+
+@pytest.mark.parametrize("formats", ["yuv422", "yuyv", "gray8"])
+def test_other_color_formats_become_rgb(virtual_cameras, formats):
+    virtual_cameras.add(color_formats=formats)
+    with DeviceSource() as source:
+        frame = source.read()
+    # These streams are gray, with the pattern's red channel as luminance; YUV has its own black and white.
+    red = color_image(frame_number(frame))[..., 0].astype(float)
+    expected = red if formats == "gray8" else np.clip((red - 16) * 255 / 219, 0, 255)
+    for channel in range(3):
+        np.testing.assert_allclose(frame.color[..., channel], expected, atol=1.5)
+
+
+def test_color_controls_are_set_and_read_back(virtual_cameras, caplog):
+    virtual_cameras.add()
+    options = DeviceOptions(auto_exposure="off", auto_white_balance="off", exposure=42, gain=7)
+    with caplog.at_level(logging.WARNING), DeviceSource(options=options) as source:
+        told = {
+            name: source.metadata[name]
+            for name in ("auto_exposure", "auto_white_balance", "exposure", "gain")
+        }
+    assert told == {"auto_exposure": "0", "auto_white_balance": "0", "exposure": "42", "gain": "7"}
+    assert not caplog.text
+
+
+def test_color_controls_that_the_camera_lacks_are_said_so(virtual_cameras, caplog):
+    virtual_cameras.add(controls=0)
+    with caplog.at_level(logging.WARNING), DeviceSource(options=DeviceOptions(gain=7)):
+        pass
+    assert "does not take gain 7" in caplog.text
+
+
+def test_a_mode_that_is_not_listed_is_refused_with_what_is(virtual_cameras):
+    virtual_cameras.add()
+    with pytest.raises(DriverError, match="no 1280x1024@30 as DEPTH_1_MM; it lists 640x480@30"):
+        DeviceSource(options=DeviceOptions(depth_mode="sxga"))
+
+
+def test_a_mode_that_the_camera_refuses_is_named(virtual_cameras):
+    virtual_cameras.add(refuse_color_mode="1280x1024@30")
+    with pytest.raises(DriverError, match="setting the color stream to 1280x1024@30 RGB888"):
+        DeviceSource(options=DeviceOptions(color_mode="sxga"))
+    with DeviceSource() as source:
+        source.read()
+
+
+def test_a_camera_without_color_is_refused(virtual_cameras):
+    virtual_cameras.add(color=0)
+    with pytest.raises(DriverError, match="no color stream"):
+        DeviceSource()
+
+
+def test_a_camera_in_use_elsewhere_cannot_be_opened(virtual_cameras):
+    virtual_cameras.add(busy=1)
+    with pytest.raises(DeviceNotFoundError, match="opening virtual/one"):
+        DeviceSource()
+
+
+def test_cropping_left_behind_by_another_program_is_switched_off(virtual_cameras):
+    virtual_cameras.add(cropped=1)
+    with DeviceSource() as source:
+        frame = source.read()
+    np.testing.assert_array_equal(frame.depth_mm, depth_image(frame_number(frame)))
+
+
+def test_images_from_files_are_played_exactly(virtual_cameras, tmp_path, rng):
+    class Noise(FrameSource):
+        calibration = Calibration.registered(Intrinsics(640, 480, 525, 525, 319.5, 239.5))
+
+        def _read(self, timeout_s):
+            from nurbseg.drivers.frame import RGBDFrame
+
+            depth = rng.integers(0, 10000, (480, 640), np.uint16)
+            color = rng.integers(0, 256, (480, 640, 3), np.uint8)
+            return RGBDFrame(0, 0, depth, color, self.calibration)
+
+        def _close(self):
+            pass
+
+    dump_frames(Noise(), tmp_path / "raw", 3)
+    images = [
+        (
+            np.fromfile(tmp_path / f"raw/depth_{k:04d}.raw", np.uint16).reshape(480, 640),
+            np.fromfile(tmp_path / f"raw/color_{k:04d}.raw", np.uint8).reshape(480, 640, 3),
+        )
+        for k in range(3)
+    ]
+    virtual_cameras.add(frames=tmp_path / "raw")
+    with DeviceSource() as source:
+        for _ in range(6):
+            frame = source.read()
+            depth, color = images[frame_number(frame) % 3]
+            np.testing.assert_array_equal(frame.depth_mm, depth)
+            np.testing.assert_array_equal(frame.color, color)
+
+
+@pytest.mark.parametrize(
+    ("text", "mode"),
+    [
+        ("640x480@30", (640, 480, 30)),
+        ("320x240", (320, 240, 30)),
+        ("VGA", (640, 480, 30)),
+        ("qvga", (320, 240, 60)),
+        ("qvga30", (320, 240, 30)),
+        ("sxga@15", (1280, 1024, 15)),
+    ],
+)
+def test_modes_are_read_from_words(text, mode):
+    assert parse_mode(text) == mode
+
+
+def test_a_mode_that_cannot_be_read_names_its_option():
+    with pytest.raises(ValueError, match=r"color_mode: expected a mode such as 640x480@30.*'4k'"):
+        DeviceOptions(color_mode="4k")
