@@ -121,7 +121,7 @@ class Renderer:
     ) -> NDArray[np.uint8]:
         image = np.empty((*depth.shape, 3), dtype=np.uint8)
         image[objects == 0] = _BACKGROUND
-        lights = _lights(self._scene)
+        lights = _lights(self._scene.seed)
         ball = self._scene.world_from_object(self._scene.ball, index)
         for number, (each, view) in enumerate(zip(self._scene.objects, views, strict=True)):
             if view is None:
@@ -270,8 +270,8 @@ def _under_ball(
 
 
 @lru_cache(maxsize=2)
-def _lights(scene: Scene) -> _Lights:
-    return _Lights(scene)
+def _lights(seed: int) -> _Lights:
+    return _Lights(Scene(seed))
 
 
 def _lamp_share(

@@ -77,6 +77,7 @@ class Scene:
 
     def __init__(self, seed: int, hidden_frames: int = 0) -> None:
         rng = np.random.default_rng(seed)
+        self.seed = seed
         self._hidden_frames = hidden_frames
         self._phase = float(rng.uniform(-0.4, 0.4)) if seed else 0.0
         self.objects = _objects(rng, 0.0 if seed == 0 else 1.0)

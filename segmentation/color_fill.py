@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -43,12 +44,17 @@ def fill_colors(
     if not wanted.size or not known.any():
         return
     flat_color, depth = color.reshape(-1, 3), depth_m.ravel()
-    sources = known.ravel().copy()
+    # Beside what hides them, colors are mixed with its own: such pixels lend only where nothing else can.
+    beside = cv2.dilate(missing.view(np.uint8), np.ones((5, 5), np.uint8)).view(np.bool_)
+    sources = (known & ~beside).ravel()
     for _ in range(_PASSES):
         source = _nearest_in_line(wanted, sources, known.shape, depth, tolerance_per_m)
         found = source >= 0
         if not found.any():
-            break
+            if sources.all() or sources[np.flatnonzero(known)].all():
+                break
+            sources |= known.ravel()
+            continue
         flat_color[wanted[found]] = flat_color[source[found]]
         sources[wanted[found]] = True
         wanted = wanted[~found]
