@@ -116,6 +116,15 @@ class CameraFile:
         color = depth if registered else CameraModel.of_intrinsics(calibration.color, path, "color")
         return cls(path=path, depth=depth, color=color, color_from_depth=calibration.color_from_depth)
 
+    @classmethod
+    def of_intrinsics(cls, values: tuple[float, float, float, float]) -> CameraFile:
+        """Return the one camera of registered images whose fx, fy, cx, cy (pixels) the user gives."""
+        fx, fy, cx, cy = values
+        # Named after the flag, since that is what there is to correct.
+        path = Path("--intrinsics")
+        camera = CameraModel(path=path, field="fx,fy,cx,cy", fx=fx, fy=fy, cx=cx, cy=cy)
+        return cls(path=path, depth=camera, color=camera)
+
     def calibration(
         self, *, depth_size: tuple[int, int] | None = None, color_size: tuple[int, int] | None = None
     ) -> Calibration:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nurbseg.drivers.calibration import read_camera_file
-from nurbseg.drivers.camera_file import CameraFile, CameraModel
+from nurbseg.drivers.camera_file import CameraFile
 from nurbseg.drivers.errors import CalibrationError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.images import decode_color, decode_depth, decode_labels
@@ -72,10 +72,7 @@ def folder_camera(
     if options.calibration is not None:
         camera, origin = CameraFile.of_calibration(options.calibration, Path("--calibration")), "given"
     elif options.intrinsics is not None:
-        fx, fy, cx, cy = options.intrinsics
-        # Named after the flag, since that is what there is to correct.
-        given = CameraModel(path=Path("--intrinsics"), field="fx,fy,cx,cy", fx=fx, fy=fy, cx=cx, cy=cy)
-        camera, origin = CameraFile(path=given.path, depth=given, color=given), "given"
+        camera, origin = CameraFile.of_intrinsics(options.intrinsics), "given"
     else:
         path = next((p for pattern in _CALIBRATION_PATTERNS for p in sorted(folder.glob(pattern))), None)
         if path is None:
