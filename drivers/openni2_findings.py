@@ -117,16 +117,16 @@ def probe_findings(probe: Probe, found: Sequence[Finding]) -> Iterator[Finding]:
         What was found without asking; an error among it explains an empty or failed answer.
     """
     for name in probe.cameras:
-        yield Finding("ready", "ok", f"Ready: {name}", "OpenNI2 lists it and opens it.")
+        yield Finding("ready", "ok", f"Ready: {name}", "OpenNI2 opens it, and images come.")
     for name, words in probe.refused:
         yield Finding(
             "not-opened",
             "error",
-            f"OpenNI2 lists {name} but cannot open it",
+            f"OpenNI2 lists {name}, but it cannot be used",
             words,
             (
                 "try a USB 2 port, or a USB 2 hub in between (docs/cameras.md, USB 3)"
-                if "interface" in words.lower()
+                if "interface" in words.lower() or "no image" in words
                 else "close other programs that use it, unplug it and plug it in again",
             ),
         )

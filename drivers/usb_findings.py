@@ -54,8 +54,9 @@ def _no_bus(host: Host, cameras: Sequence[Part]) -> Finding:
     title, reason, steps = {
         "container": (
             "This container has no USB",
-            "/dev/bus/usb does not exist here, so no camera can be opened.",
-            (_PASS_USB_ON, "(with --device /dev/bus/usb, a camera plugged in later would stay out)"),
+            "/dev/bus/usb does not exist here, so no camera can be opened. "
+            "(With docker's --device /dev/bus/usb, a camera plugged in later would stay out.)",
+            (_PASS_USB_ON,),
         ),
         "wsl": (
             "Windows has not handed a USB device to this Linux",
