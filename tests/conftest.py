@@ -1,0 +1,61 @@
+"""What every test is held to: no thread and no source may be left open. And where real data lies."""
+
+from __future__ import annotations
+
+import gc
+import os
+import threading
+import time
+import weakref
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nurbseg.drivers.source import FrameSource
+
+#: How long a thread may take to end after its test, seconds.
+_GRACE_S = 2.0
+_DATA_VARIABLE = "NURBSEG_DATA"
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_left_open(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    opened: list[weakref.ref[FrameSource]] = []
+    construct = FrameSource.__init__
+
+    def construct_and_remember(source: FrameSource, *args: Any, **options: Any) -> None:
+        construct(source, *args, **options)
+        opened.append(weakref.ref(source))
+
+    monkeypatch.setattr(FrameSource, "__init__", construct_and_remember)
+    before = set(threading.enumerate())
+    yield
+    deadline_s = time.monotonic() + _GRACE_S
+    threads = [each for each in threading.enumerate() if each not in before and not each.daemon]
+    for thread in threads:
+        thread.join(max(0.0, deadline_s - time.monotonic()))
+    alive = [thread.name for thread in threads if thread.is_alive()]
+    assert not alive, f"threads left running: {alive}"
+    if any(each() is not None for each in opened):
+        # A source whose construction failed may live on in the traceback of the error.
+        gc.collect()
+    sources = [source for each in opened if (source := each()) is not None and not source._closed]
+    assert not sources, f"sources left open: {sources}"
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Callable[[str], Path]:
+    """Return a function that finds a folder of real recordings by name, or skips the test."""
+
+    def find(name: str) -> Path:
+        root = os.environ.get(_DATA_VARIABLE)
+        if not root:
+            pytest.skip(f"{_DATA_VARIABLE} names no folder of real recordings, needed: {name}")
+        folder = Path(root) / name
+        if not folder.exists():
+            pytest.skip(f"{folder} does not exist")
+        return folder
+
+    return find

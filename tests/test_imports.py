@@ -1,0 +1,65 @@
+"""Imports point one way: app to segmentation and drivers, segmentation to two modules of drivers only."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+ALLOWED = {
+    "app": ("nurbseg.app", "nurbseg.segmentation", "nurbseg.drivers"),
+    "segmentation": ("nurbseg.segmentation", "nurbseg.drivers.frame", "nurbseg.drivers.settings"),
+    "drivers": ("nurbseg.drivers",),
+}
+
+
+def imported(path: Path) -> set[str]:
+    """The project's modules that a file imports, anywhere in it."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            whole = [f"{node.module}.{alias.name}" for alias in node.names]
+            names |= {node.module} if node.module.count(".") > 1 else set(whole)
+    return {name for name in names if name.split(".")[0] == "nurbseg"}
+
+
+@pytest.mark.parametrize("package", ALLOWED)
+def test_imports_point_one_way(package: str) -> None:
+    files = sorted((ROOT / package).rglob("*.py"))
+    assert files
+    wrong = [
+        f"{path.relative_to(ROOT)} imports {name}"
+        for path in files
+        for name in imported(path)
+        if not any(name == each or name.startswith(f"{each}.") for each in ALLOWED[package])
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize(
+    "module",
+    [
+        "nurbseg.drivers",
+        "nurbseg.drivers.errors",
+        "nurbseg.drivers.registry",
+        "nurbseg.drivers.settings",
+        "nurbseg.segmentation",
+        "nurbseg.segmentation.config",
+    ],
+)
+def test_what_the_command_line_needs_for_its_help_imports_no_numpy(module: str) -> None:
+    program = f"import sys, {module}; sys.exit('numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", program], timeout=60).returncode == 0
+
+
+def test_every_exported_name_of_the_drivers_can_be_had() -> None:
+    import nurbseg.drivers
+
+    for name in nurbseg.drivers.__all__:
+        assert getattr(nurbseg.drivers, name).__name__ == name
+    with pytest.raises(AttributeError, match="nothing_of_the_kind"):
+        nurbseg.drivers.nothing_of_the_kind  # noqa: B018
