@@ -105,6 +105,27 @@ def basis_matrix(
 
 
 @lru_cache(maxsize=256)
+def pixel_knots(size: int, count: int) -> NDArray[np.float64]:
+    """Return the knots of a cubic fit to `size` pixels in a row, whose parameters are 0, 1, ..., size - 1.
+
+    Parameters
+    ----------
+    size : int
+        Number of pixels.
+    count : int
+        Number of control points.
+
+    Returns
+    -------
+    (count + 4,) float64
+        Read-only, since they are kept for the next segment of the same size.
+    """
+    knots = averaged_knots(np.arange(size, dtype=np.float64), count)
+    knots.flags.writeable = False
+    return knots
+
+
+@lru_cache(maxsize=256)
 def pixel_basis(size: int, count: int, derivative: int = 0) -> NDArray[np.float64]:
     """Return the cubic basis at `size` pixels in a row, whose parameters are 0, 1, ..., size - 1.
 
@@ -120,10 +141,9 @@ def pixel_basis(size: int, count: int, derivative: int = 0) -> NDArray[np.float6
     Returns
     -------
     (size, count) float64
-        Read-only, since it is kept for the next segment of the same size.
+        Read-only.
     """
-    pixels = np.arange(size, dtype=np.float64)
-    basis = basis_matrix(averaged_knots(pixels, count), CUBIC, pixels, derivative)
+    basis = basis_matrix(pixel_knots(size, count), CUBIC, np.arange(size, dtype=np.float64), derivative)
     basis.flags.writeable = False
     return basis
 
@@ -153,4 +173,4 @@ def neighbor_products(size: int, count: int) -> NDArray[np.float64]:
     return products
 
 
-__all__ = ["CUBIC", "averaged_knots", "basis_matrix", "neighbor_products", "pixel_basis"]
+__all__ = ["CUBIC", "averaged_knots", "basis_matrix", "neighbor_products", "pixel_basis", "pixel_knots"]

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh
-from scipy.linalg.lapack import dpstrf
+from scipy.linalg.lapack import dpstrf, dsyevr, dtrtri
 
 from nurbseg.segmentation.config import SplittingPoint
 
@@ -87,7 +86,7 @@ def affinity(
     Returns
     -------
     (N, M) float32
-        In [0, 1].
+        In [0, 1], to rounding.
     """
     n, dimensions = vectors.shape
     if n == 0 or landmarks.shape[0] == 0:
@@ -103,7 +102,6 @@ def affinity(
     right[dimensions + 1] = -0.5 * np.einsum("ij,ij->i", landmarks, landmarks)
     right *= np.float32(1.0 / scale**2)
     exponent = left @ right
-    np.minimum(exponent, 0.0, out=exponent)
     return np.asarray(cv2.exp(exponent, dst=exponent), dtype=np.float32)
 
 
@@ -166,7 +164,7 @@ def normalized_cut(
     # A = L L^T of the rest, W = Q Q^T where Q = K L^-T.
     landmarks, L = _independent(landmarks, affinity_scale)
     K = affinity(vectors[chosen], landmarks, affinity_scale)
-    root = np.linalg.inv(L).T
+    root = dtrtri(L, lower=1)[0].T
     Q = K @ root.astype(np.float32)
     total = np.ones(size, dtype=np.float32) @ Q
     # A degree holds at least the affinity of 1 to the point itself; the approximation may fall below.
@@ -181,9 +179,9 @@ def normalized_cut(
     first /= np.linalg.norm(first)
     Sf = S @ first
     S -= np.outer(first, Sf - first * float(first @ Sf)) + np.outer(Sf, first)
-    last = S.shape[0] - 1
-    eigenvalues, eigenvectors = eigh(0.5 * (S + S.T), subset_by_index=[last, last], check_finite=False)
-    if eigenvalues[0] <= _LEAST_EIGENVALUE:
+    size_s = S.shape[0]
+    eigenvalues, eigenvectors, _, _, failed = dsyevr(S, range="I", il=size_s, iu=size_s, lower=1)
+    if failed or eigenvalues[0] <= _LEAST_EIGENVALUE:
         return _no_cut(vectors, affinity_scale, "the affinities tell no points apart")
     second = eigenvectors[:, 0]
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, solveh_banded
+from scipy.linalg.lapack import dpbsv
 
 from nurbseg.segmentation.bspline import CUBIC, neighbor_products, pixel_basis
 
@@ -58,15 +59,8 @@ def fit_control_points(
     band[0] += _RIDGE_SHARE * band[0].max()
     right = Bv.T @ (values @ Bu)
     right -= centers[:, np.newaxis, np.newaxis] * (Bv.T @ (weight @ Bu))
-    solution = solveh_banded(
-        band,
-        right.reshape(values.shape[0], nv * nu).T,
-        overwrite_ab=True,
-        overwrite_b=True,
-        lower=True,
-        check_finite=False,
-    )
-    if not np.isfinite(solution).all():
+    _, solution, failed = dpbsv(band, right.reshape(values.shape[0], nv * nu).T, lower=1, overwrite_ab=1)
+    if failed or not np.isfinite(solution).all():
         raise LinAlgError("the normal equations have no finite solution")
     control: NDArray[np.float64] = solution.T.reshape(values.shape[0], nv, nu)
     control += centers[:, np.newaxis, np.newaxis]

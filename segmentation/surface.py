@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.bspline import CUBIC, averaged_knots, basis_matrix, pixel_basis
+from nurbseg.segmentation.bspline import CUBIC, basis_matrix, pixel_basis, pixel_knots
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.grid import PixelGrid, full_grid
 from nurbseg.segmentation.leastsquares import LinAlgError, fit_control_points
@@ -338,7 +338,7 @@ def control_point_count(extent: int, image_extent: int, config: SegmentationConf
 
 
 def _full_image_knots(size: int, count: int, first: int, step: int) -> NDArray[np.float64]:
-    return (averaged_knots(np.arange(size, dtype=np.float64), count) + first) * step
+    return (pixel_knots(size, count) + first) * step
 
 
 __all__ = [
