@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +58,11 @@ def fh04_color_depth(cloud: PointMap, rng: np.random.Generator) -> Labels:
     smallest = max(1, round(750 * cloud.valid.size / (640 * 480)))
     depth = 3.0 * _as_unit_range(_filled_depth(cloud))
     image = np.dstack([cloud.color / 255.0, depth])
-    return np.asarray(felzenszwalb(image, scale=1000, sigma=0.8, min_size=smallest, channel_axis=2)) + 1
+    with warnings.catch_warnings():
+        # It warns of four channels although the channel axis is given.
+        warnings.filterwarnings("ignore", "Got image with third dimension", RuntimeWarning)
+        found = felzenszwalb(image, scale=1000, sigma=0.8, min_size=smallest, channel_axis=2)
+    return np.asarray(found) + 1
 
 
 def slic_ncut(cloud: PointMap, rng: np.random.Generator) -> Labels:

@@ -6,7 +6,7 @@ import itertools
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -138,8 +138,9 @@ def run_study(
             todo.append((ref, missing))
     done = len(refs) - len(todo)
     report(done, len(refs))
-    work = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
-    with _backend(scheduler, jobs):
+    with workers(scheduler, jobs):
+        count = jobs if scheduler is None else -1
+        work = joblib.Parallel(n_jobs=count, return_as="generator_unordered", batch_size=1)
         outcomes: Iterator[FrameOutcome] = work(
             joblib.delayed(evaluate_frame)(ref, study.options, missing, study.seed) for ref, missing in todo
         )
@@ -151,20 +152,31 @@ def run_study(
             report(done, len(refs))
 
 
-def _backend(scheduler: str | None, jobs: int) -> Any:
+@contextmanager
+def workers(scheduler: str | None, jobs: int) -> Iterator[None]:
+    """Choose who does the work, and let go of them afterwards."""
     import joblib
 
     if scheduler is None:
         if jobs == 1:
-            return nullcontext()
-        return joblib.parallel_config("loky", inner_max_num_threads=1)
+            yield
+            return
+        from joblib.externals.loky import get_reusable_executor
+
+        try:
+            with joblib.parallel_config("loky", inner_max_num_threads=1):
+                yield
+        finally:
+            get_reusable_executor().shutdown(wait=True)
+        return
     from distributed import Client
 
     try:
-        Client(scheduler, timeout="10s", set_as_default=True)
+        client = Client(scheduler, timeout="10s", set_as_default=True)
     except (OSError, TimeoutError, ValueError) as err:
         raise ValueError(f"--scheduler {scheduler}: no Dask scheduler answers there ({err})") from err
-    return joblib.parallel_config("dask")
+    with client, joblib.parallel_config("dask"):
+        yield
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nurbseg.app.evaluation.scoring import score_frame
 from nurbseg.app.evaluation.statistics import Estimate, bootstrap_gain
-from nurbseg.app.evaluation.study import FrameRef, Study, frame_refs, read_frame
+from nurbseg.app.evaluation.study import FrameRef, Study, frame_refs, read_frame, workers
 from nurbseg.segmentation.config import Metric, SegmentationConfig, SplittingPoint
 from nurbseg.segmentation.registration import PointMap, register
 from nurbseg.segmentation.tree import segment
@@ -98,7 +98,7 @@ def tune(
     search.enqueue_trial(_as_parameters(start))
     tried: list[SegmentationConfig] = []
     scores: list[NDArray[np.float64]] = []
-    with joblib.Parallel(n_jobs=jobs) as work:
+    with workers(None, jobs), joblib.Parallel(n_jobs=jobs) as work:
         for number in range(budget):
             trial = search.ask()
             config = start if number == 0 else _suggested(trial, start)

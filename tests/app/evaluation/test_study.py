@@ -1,0 +1,130 @@
+"""Running a study: the same table whoever computes it, however often it is cut short."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from nurbseg.app.evaluate import main
+from nurbseg.app.evaluation.methods import labels_on_disk
+from nurbseg.app.evaluation.store import StudyStore
+
+METHODS = "stag15,pz14,fh04,kmeans"
+
+
+def evaluate(frames: Path, out: Path, *more: str) -> str:
+    words = ["run", str(frames), "--methods", METHODS, "--metrics", "mse,nlc", "--thresholds", "1,0.9"]
+    assert main([*words, "--out", str(out), "--time-frames", "0", "--no-report", *more]) == 0
+    return (out / "tables.md").read_text()
+
+
+def test_a_killed_run_goes_on_where_it_was_and_gives_the_same_tables(frames: Path, tmp_path: Path) -> None:
+    whole = evaluate(frames, tmp_path / "whole")
+    out = tmp_path / "killed"
+    command = [sys.executable, "-m", "nurbseg.app.evaluate", "run", str(frames), "--methods", METHODS]
+    command += ["--metrics", "mse,nlc", "--thresholds", "1,0.9", "--out", str(out), "--no-report"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    limit = time.monotonic() + 60
+    while len(list(out.glob("frames/*.json"))) < 2 and process.poll() is None:
+        assert time.monotonic() < limit, "no frame was finished in a minute"
+        time.sleep(0.01)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait(10)
+    finished = {path.name: path.stat().st_mtime_ns for path in out.glob("frames/*.json")}
+    assert finished
+    assert evaluate(frames, out) == whole
+    kept = {path.name: path.stat().st_mtime_ns for path in out.glob("frames/*.json")}
+    assert kept.items() >= finished.items(), "finished frames were done again"
+    assert len(kept) == 5
+
+
+def test_the_table_does_not_depend_on_the_number_of_workers(frames: Path, tmp_path: Path) -> None:
+    assert evaluate(frames, tmp_path / "one") == evaluate(frames, tmp_path / "four", "--jobs", "4")
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_dask_cluster_of_two_workers_gives_the_same_table(frames: Path, tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    alone = evaluate(frames, tmp_path / "alone")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
+    ) as cluster:
+        shared = evaluate(frames, tmp_path / "shared", "--scheduler", cluster.scheduler_address)
+    assert shared == alone
+
+
+def test_no_scheduler_at_the_address_is_a_usage_error(
+    frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["run", str(frames), "--methods", "fh04", "--out", str(tmp_path / "out")]
+    assert main([*words, "--scheduler", "tcp://127.0.0.1:9"]) == 2
+    assert "no Dask scheduler answers" in capsys.readouterr().err
+
+
+def test_a_second_run_with_more_settings_does_only_the_new_ones(frames: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    evaluate(frames, out)
+    labels = {path: path.stat().st_mtime_ns for path in out.glob("labels/*/*.png")}
+    evaluate(frames, out, "--grid", "lambda=1,2")
+    assert all(path.stat().st_mtime_ns == moment for path, moment in labels.items())
+    assert len(list(out.glob("labels/*/*.png"))) > len(labels)
+
+
+def test_another_study_s_folder_is_refused(frames: Path, tmp_path: Path) -> None:
+    StudyStore(tmp_path / "out", {"sources": ["elsewhere"], "seed": 0})
+    with pytest.raises(ValueError, match=r"study\.json: holds a study that differs in sources"):
+        StudyStore(tmp_path / "out", {"sources": [str(frames)], "seed": 0})
+
+
+def test_label_images_of_another_program_are_scored(
+    frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "theirs"
+    folder.mkdir()
+    for path in frames.glob("*_label.png"):
+        truth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        cv2.imwrite(str(folder / path.name.replace("_label", "_labels")), truth.astype(np.uint16))
+    words = [str(frames), "--methods", "fh04", "--labels", str(folder), "--out", str(tmp_path / "out")]
+    assert main([*words, "--no-report"]) == 0
+    row = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("labels:"))
+    assert row.split()[1] == "*1.000*"
+
+
+def test_a_missing_label_image_names_what_was_looked_for(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"learn3_labels\.png"):
+        labels_on_disk(tmp_path, "learn3", 3)
+
+
+def test_frames_without_ground_truth_are_no_data_set(
+    frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for path in frames.glob("*_label.png"):
+        path.unlink()
+    assert main([str(frames), "--methods", "fh04", "--out", str(tmp_path / "out")]) == 2
+    assert "no frame has ground truth" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--methods", "magic"],
+        ["--metrics", "mses"],
+        ["--thresholds", "one"],
+        ["--grid", "lambda"],
+        ["--labels", "/no/such/folder"],
+        ["--intrinsics", "1,2,3"],
+        ["--frames", "0"],
+        ["--set", "samples=1"],
+    ],
+)
+def test_wrong_arguments_end_with_2_and_name_themselves(
+    frames: Path, tmp_path: Path, words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", str(frames), "--out", str(tmp_path / "out"), *words]) == 2
+    assert capsys.readouterr().err.startswith("nurbseg-eval: ")

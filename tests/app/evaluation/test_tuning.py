@@ -1,0 +1,30 @@
+"""The search for settings."""
+
+from pathlib import Path
+
+import pytest
+
+from nurbseg.app.config_file import read_config
+from nurbseg.app.evaluate import main
+
+
+def test_tuning_writes_settings_that_the_live_command_reads(
+    frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "tuned.toml"
+    words = ["tune", str(frames), "--budget", "4", "--out", str(out), "--set", "samples=40"]
+    assert main(words) == 0
+    assert read_config(out).segmentation.samples == 40
+    assert "95 % interval" in capsys.readouterr().out
+
+
+def test_the_same_seed_finds_the_same_settings(frames: Path, tmp_path: Path) -> None:
+    for name in ("a.toml", "b.toml"):
+        words = ["tune", str(frames), "--budget", "3", "--seed", "5", "--frames", "3"]
+        assert main([*words, "--out", str(tmp_path / name)]) == 0
+    assert (tmp_path / "a.toml").read_text() == (tmp_path / "b.toml").read_text()
+
+
+def test_one_setting_is_no_search(frames: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["tune", str(frames), "--budget", "1"]) == 2
+    assert "at least 2" in capsys.readouterr().err
