@@ -82,7 +82,10 @@ def _nearest(key: str) -> str:
             for spelling in (full, each.name, each.metadata["symbol"], each.metadata["flag"]):
                 valid.setdefault(spelling, full)
     valid.pop("", None)
-    for wanted in (key, key.rpartition(".")[2]):
+    bare = key.rpartition(".")[2]
+    if bare in valid:
+        return f" (did you mean {valid[bare]}?)"
+    for wanted in (key, bare):
         close = difflib.get_close_matches(wanted, valid, n=1, cutoff=0.7)
         if close:
             return f" (did you mean {valid[close[0]]}?)"
