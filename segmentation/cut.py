@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -148,17 +149,64 @@ def normalized_cut(
     .. [1] J. Shi and J. Malik, "Normalized cuts and image segmentation", IEEE TPAMI 22(8), 2000.
     .. [2] C. Fowlkes et al., "Spectral grouping using the Nystrom method", IEEE TPAMI 26(2), 2004.
     """
+    return next(
+        normalized_cuts(
+            vectors,
+            count=1,
+            samples=samples,
+            rng=rng,
+            affinity_scale=affinity_scale,
+            splitting_point=splitting_point,
+            points=points,
+        )
+    )
+
+
+def normalized_cuts(
+    vectors: NDArray[np.float32],
+    *,
+    count: int,
+    samples: int,
+    rng: np.random.Generator,
+    affinity_scale: float = 1.0,
+    splitting_point: SplittingPoint = "zero",
+    points: int | None = None,
+) -> Iterator[Cut]:
+    """Yield the cuts by the second eigenvector, the third, and so on, each computed when it is asked for.
+
+    Where the second eigenvector sets a few odd points apart, one of the next often parts the surfaces.
+
+    Parameters
+    ----------
+    vectors, samples, rng, affinity_scale, splitting_point, points
+        As for `normalized_cut`.
+    count : int
+        Number of cuts, at most; the first is that of `normalized_cut`.
+
+    Yields
+    ------
+    Cut
+        One without parts and with a reason where there is none; no others follow where nothing tells the
+        points apart.
+
+    Raises
+    ------
+    ValueError
+        As `normalized_cut`.
+    """
     if vectors.ndim != 2 or not np.isfinite(vectors).all():
         raise ValueError(f"vectors: expected finite (N, D) values, got shape {vectors.shape}")
     vectors = np.asarray(vectors, dtype=np.float32)
     n = vectors.shape[0]
     if n < 2:
-        return _no_cut(vectors, affinity_scale, f"{n} points, 2 needed")
+        yield _no_cut(vectors, affinity_scale, f"{n} points, 2 needed")
+        return
     size = n if points is None else min(n, max(points, samples))
     chosen: NDArray[np.intp] = rng.choice(np.arange(n), size=size, replace=False)
     landmarks = vectors[chosen[:samples]]
     if not np.any(landmarks != landmarks[0]) and not np.any(vectors != landmarks[0]):
-        return _no_cut(vectors, affinity_scale, "all points are equal")
+        yield _no_cut(vectors, affinity_scale, "all points are equal")
+        return
 
     # W = K A^-1 K^T. Samples that the others already explain make A singular and are left out; with
     # A = L L^T of the rest, W = Q Q^T where Q = K L^-T.
@@ -179,24 +227,29 @@ def normalized_cut(
     first /= np.linalg.norm(first)
     Sf = S @ first
     S -= np.outer(first, Sf - first * float(first @ Sf)) + np.outer(Sf, first)
-    size_s = S.shape[0]
-    eigenvalues, eigenvectors, _, _, failed = dsyevr(S, range="I", il=size_s, iu=size_s, lower=1)
-    if failed or eigenvalues[0] <= _LEAST_EIGENVALUE:
-        return _no_cut(vectors, affinity_scale, "the affinities tell no points apart")
-    second = eigenvectors[:, 0]
-
-    # D^-1/2 times the second eigenvector is the relaxed indicator, (K a) / (K b) at any point.
-    a, b = root @ second, root @ total.astype(np.float64)
-    indicator = (Q @ second.astype(np.float32)).astype(np.float64) / degrees
-    orientation = _orientation(indicator[:samples])
-    a, indicator = orientation * a, orientation * indicator
-    threshold = _threshold(splitting_point, indicator, Q, degrees)
-    coefficients = (a - threshold * b).astype(np.float32)
-    cut = Cut(np.zeros(0, dtype=np.bool_), np.inf, landmarks, coefficients, affinity_scale)
-    side = cut.classify(vectors)
-    if side.all() or not side.any():
-        return _no_cut(vectors, affinity_scale, "all points fall on one side")
-    return Cut(side, _ncut(side[chosen], Q, degrees), landmarks, coefficients, affinity_scale)
+    last = S.shape[0]
+    eigenvalues, eigenvectors, _, _, failed = dsyevr(
+        S, range="I", il=max(1, last - count + 1), iu=last, lower=1
+    )
+    found = [] if failed else np.flatnonzero(eigenvalues > _LEAST_EIGENVALUE)[::-1]
+    if len(found) == 0:
+        yield _no_cut(vectors, affinity_scale, "the affinities tell no points apart")
+        return
+    for each in found:
+        # D^-1/2 times the eigenvector is the relaxed indicator, (K a) / (K b) at any point.
+        vector = eigenvectors[:, each]
+        a, b = root @ vector, root @ total.astype(np.float64)
+        indicator = (Q @ vector.astype(np.float32)).astype(np.float64) / degrees
+        orientation = _orientation(indicator[:samples])
+        a, indicator = orientation * a, orientation * indicator
+        threshold = _threshold(splitting_point, indicator, Q, degrees)
+        coefficients = (a - threshold * b).astype(np.float32)
+        cut = Cut(np.zeros(0, dtype=np.bool_), np.inf, landmarks, coefficients, affinity_scale)
+        side = cut.classify(vectors)
+        if side.all() or not side.any():
+            yield _no_cut(vectors, affinity_scale, "all points fall on one side")
+        else:
+            yield Cut(side, _ncut(side[chosen], Q, degrees), landmarks, coefficients, affinity_scale)
 
 
 def _no_cut(vectors: NDArray[np.float32], scale: float, reason: str) -> Cut:
@@ -272,4 +325,4 @@ def _ncut(side: NDArray[np.bool_], Q: NDArray[np.float32], degrees: NDArray[np.f
     return float(np.clip(value, 0.0, 2.0))
 
 
-__all__ = ["Cut", "affinity", "normalized_cut"]
+__all__ = ["Cut", "affinity", "normalized_cut", "normalized_cuts"]

@@ -20,10 +20,11 @@ class Normalization:
 
     Parameters
     ----------
-    mean : (6,) float32
-        Mean of L, a, b (CIELab units) and x, y, z (metres).
-    factor : (6,) float32
-        1 / sigma_c three times, lambda / sigma_g three times; 0 where the deviation is 0.
+    mean : (D,) float32
+        Mean of L, a, b (CIELab units), x, y, z (metres) and, where there are normals, their x, y, z.
+    factor : (D,) float32
+        Each weight over its deviation, three times: 1 / sigma_c, lambda / sigma_g and so on; 0 where the
+        deviation is 0.
     """
 
     mean: NDArray[np.float32]
@@ -70,38 +71,47 @@ def raw_vectors(cloud: PointMap, pixels: NDArray[np.intp]) -> NDArray[np.float32
     return vectors
 
 
-def normalization(raw: NDArray[np.float32], geometry_weight: float) -> Normalization:
-    """Measure what makes color and position of these points comparable (eq. 3).
+def normalization(
+    raw: NDArray[np.float32],
+    geometry_weight: float,
+    *,
+    color_weight: float = 1.0,
+    normal_weight: float = 1.0,
+) -> Normalization:
+    """Measure what makes color and position of these points comparable (eq. 3), and normals where given.
 
     Parameters
     ----------
-    raw : (N, 6) float32
-        L, a, b, x, y, z.
+    raw : (N, 6) or (N, 9) float32
+        L, a, b, x, y, z, and the unit normal's x, y, z.
     geometry_weight : float
         The paper's lambda.
+    color_weight, normal_weight : float
+        What color and normals are multiplied by.
 
     Returns
     -------
     Normalization
         sigma_c is the mean of the deviations of L, a, b; sigma_g of those of x, y, z.
     """
+    dimensions = raw.shape[1]
     if raw.shape[0] == 0:
-        return Normalization(np.zeros(6, dtype=np.float32), np.zeros(6, dtype=np.float32))
+        zeros = np.zeros(dimensions, dtype=np.float32)
+        return Normalization(zeros, zeros.copy())
     mean = raw.mean(axis=0, dtype=np.float64)
     deviation = np.sqrt(np.mean(np.square(raw - mean.astype(np.float32)), axis=0, dtype=np.float64))
-    sigma_c, sigma_g = float(deviation[:3].mean()), float(deviation[3:].mean())
+    # sigma_c and sigma_g: the mean deviation of each triple.
+    sigma = deviation.reshape(-1, 3).mean(axis=1)
     # A deviation at the level of float32 rounding is that of a constant: it must not be blown up.
-    size = np.abs(mean).reshape(2, 3).max(axis=1)
-    factor = np.zeros(6)
-    if sigma_c > 1e-5 * (1.0 + size[0]):
-        factor[:3] = 1.0 / sigma_c
-    if sigma_g > 1e-6 * size[1]:
-        factor[3:] = geometry_weight / sigma_g
-    return Normalization(mean.astype(np.float32), factor.astype(np.float32))
+    size = np.abs(mean).reshape(-1, 3).max(axis=1)
+    rounding = np.array([1e-5 * (1.0 + size[0]), *(1e-6 * size[1:])])
+    weights = np.array([color_weight, geometry_weight, normal_weight])[: sigma.size]
+    factor = np.where(sigma > rounding, weights / np.where(sigma > 0, sigma, 1.0), 0.0)
+    return Normalization(mean.astype(np.float32), np.repeat(factor, 3).astype(np.float32))
 
 
 def normalized(raw: NDArray[np.float32], scale: Normalization) -> NDArray[np.float32]:
-    """Apply a normalization to raw vectors, (N, 6) float32 each."""
+    """Apply a normalization to raw vectors, (N, D) float32 each."""
     vectors: NDArray[np.float32] = (raw - scale.mean) * scale.factor
     return vectors
 

@@ -9,7 +9,7 @@ from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpbsv
 
-from nurbseg.segmentation.bspline import CUBIC, neighbor_products, pixel_basis
+from nurbseg.segmentation.bspline import CUBIC, neighbor_products, pixel_basis, pixel_knots
 
 #: Added to the diagonal of the normal matrix, as a share of its largest entry. It decides only what the
 #: data leave open: in the limit the solution is the one of least norm.
@@ -17,7 +17,10 @@ _RIDGE_SHARE = 1e-10
 
 
 def fit_control_points(
-    values: NDArray[np.float64], mask: NDArray[np.bool_], counts: tuple[int, int]
+    values: NDArray[np.float64],
+    mask: NDArray[np.bool_],
+    counts: tuple[int, int],
+    smoothness: float = 0.0,
 ) -> NDArray[np.float64]:
     """Fit the control points of a bicubic spline to values on part of a window of pixels.
 
@@ -27,12 +30,15 @@ def fit_control_points(
 
     Parameters
     ----------
-    values : (C, h, w) float64
-        Images to fit, 0 outside of `mask`.
+    values : (C, h, w) floating
+        Images to fit, finite; read only where `mask` is set.
     mask : (h, w) bool
         Pixels that have a value, at least one.
     counts : (int, int)
         Control points along rows' parameter u (columns of the image) and v (rows of the image).
+    smoothness : float
+        Weight of the squared second differences of the control values along both axes, against the squared
+        residuals. Linear functions have none, so that the spline goes on linearly where there is no data.
 
     Returns
     -------
@@ -49,21 +55,32 @@ def fit_control_points(
     height, width = mask.shape
     # The narrower direction inside gives the narrower band.
     if nu > nv:
-        swapped: NDArray[np.float64] = fit_control_points(values.transpose(0, 2, 1), mask.T, (nv, nu))
+        swapped: NDArray[np.float64] = fit_control_points(
+            values.transpose(0, 2, 1), mask.T, (nv, nu), smoothness
+        )
         return swapped.transpose(0, 2, 1)
     Bu, Bv = pixel_basis(width, nu), pixel_basis(height, nv)
     weight = mask.astype(np.float64)
-    centers = values.sum(axis=(1, 2)) / weight.sum()
     overlaps = neighbor_products(height, nv).T @ (weight @ neighbor_products(width, nu))
     band = np.append(overlaps.ravel(), 0.0)[_band_sources(nv, nu)]
+    if smoothness > 0:
+        band += smoothness * _second_differences(height, nv, width, nu)
     band[0] += _RIDGE_SHARE * band[0].max()
-    right = Bv.T @ (values @ Bu)
-    right -= centers[:, np.newaxis, np.newaxis] * (Bv.T @ (weight @ Bu))
+    right = np.empty((values.shape[0], nv, nu))
+    centers = np.empty((values.shape[0], 1, 1))
+    masked = np.empty(mask.shape)
+    ones = Bv.T @ (weight @ Bu)
+    points = weight.sum()
+    # One image at a time: all of them would not stay in the cache.
+    for center, sums, image in zip(centers, right, values, strict=True):
+        np.multiply(image, weight, out=masked)
+        center[...] = masked.sum() / points
+        np.subtract(Bv.T @ (masked @ Bu), center * ones, out=sums)
     _, solution, failed = dpbsv(band, right.reshape(values.shape[0], nv * nu).T, lower=1, overwrite_ab=1)
     if failed or not np.isfinite(solution).all():
         raise LinAlgError("the normal equations have no finite solution")
     control: NDArray[np.float64] = solution.T.reshape(values.shape[0], nv, nu)
-    control += centers[:, np.newaxis, np.newaxis]
+    control += centers
     return control
 
 
@@ -88,6 +105,31 @@ def _band_sources(nv: int, nu: int) -> NDArray[np.intp]:
             sources[k * nu + step, np.flatnonzero(inside)] = row * (spread * nu) + column
     sources.flags.writeable = False
     return sources
+
+
+@lru_cache(maxsize=256)
+def _second_differences(height: int, nv: int, width: int, nu: int) -> NDArray[np.float64]:
+    """Return the quadratic form of the squared second differences of control values, as a lower band.
+
+    A control value belongs to the mean of three successive knots, its Greville abscissa; the differences
+    are divided by the distances of these, in units of their mean, so that linear functions have none.
+    """
+    along = []
+    for size, count in ((height, nv), (width, nu)):
+        knots = pixel_knots(size, count)
+        place = (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3
+        slopes = np.diff(np.eye(count), axis=0) * (np.diff(place).mean() / np.diff(place))[:, np.newaxis]
+        bends = np.diff(slopes, axis=0)
+        along.append(bends.T @ bends)
+    rows, columns = along
+    band = np.zeros((min(CUBIC * nu + CUBIC, nv * nu - 1) + 1, nv * nu))
+    for apart in range(CUBIC):
+        inner = np.append(np.diagonal(columns, apart), np.zeros(apart))
+        band[apart] += np.tile(inner, nv)
+        outer = np.append(np.diagonal(rows, apart), np.zeros(apart))
+        band[apart * nu] += np.repeat(outer, nu)
+    band.flags.writeable = False
+    return band
 
 
 __all__ = ["LinAlgError", "fit_control_points"]

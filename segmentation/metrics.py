@@ -78,20 +78,15 @@ def curvature_metrics(
     }
 
 
-def acceptance_ratio(
-    metric: Metric,
-    parent: tuple[float, int],
-    first: tuple[float, int],
-    second: tuple[float, int],
-) -> float:
+def acceptance_ratio(metric: Metric, parent: tuple[float, int], *parts: tuple[float, int]) -> float:
     """Compare a metric after a split with the one before it (eq. 5, 8, 10, 12, 13, 16, 18, 20-22).
 
     Parameters
     ----------
     metric : str
         Which of the nine.
-    parent, first, second : (float, int)
-        Value and number of points of the segment and of its two parts.
+    parent, *parts : (float, int)
+        Value and number of points of the segment and of each of its parts, two in the paper.
 
     Returns
     -------
@@ -102,8 +97,8 @@ def acceptance_ratio(
     if not parent[0] > 0 or parent[1] == 0:
         return float(np.inf)
     if metric in COUNTS:
-        return (first[0] + second[0]) / parent[0]
-    return (first[0] * first[1] + second[0] * second[1]) / (parent[0] * parent[1])
+        return sum(value for value, _ in parts) / parent[0]
+    return sum(value * points for value, points in parts) / (parent[0] * parent[1])
 
 
 def metric_value(values: Mapping[Metric, float], metric: Metric) -> float:
