@@ -22,7 +22,7 @@ class PixelGrid:
         Distance of neighbours on the grid, pixels.
     image_shape : (int, int)
         Rows and columns of the full image.
-    coordinates_m : (3, h, w) float64
+    coordinates_m : (3, h, w) float32
         x, y, z in metres, 0 where there is no point.
     valid : (h, w) bool
         Where there is a point.
@@ -30,7 +30,7 @@ class PixelGrid:
 
     step: int
     image_shape: tuple[int, int]
-    coordinates_m: NDArray[np.float64]
+    coordinates_m: NDArray[np.float32]
     valid: NDArray[np.bool_]
 
     @property
@@ -53,8 +53,19 @@ class PixelGrid:
             (int(rows[0]), int(columns.min()), int(rows[-1]) + 1, int(columns.max()) + 1),
         )
 
+    def window_mask(self, places: NDArray[np.intp]) -> tuple[Window, NDArray[np.bool_]]:
+        """Return the tight window of flat places and which of its places they are."""
+        flat = np.zeros(self.valid.size, dtype=np.bool_)
+        flat[places] = True
+        image = flat.reshape(self.valid.shape)
+        rows, columns = np.flatnonzero(image.any(axis=1)), np.flatnonzero(image.any(axis=0))
+        top, left, bottom, right = int(rows[0]), int(columns[0]), int(rows[-1]) + 1, int(columns[-1]) + 1
+        return (top, left, bottom, right), image[top:bottom, left:right]
+
     def pixels(self, places: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the flat indices into the full image of flat places of the grid."""
+        if self.step == 1:
+            return places
         rows, columns = np.divmod(places, self.shape[1])
         return (rows * self.image_shape[1] + columns) * self.step
 
@@ -86,10 +97,9 @@ def decimated_grid(cloud: PointMap, step: int) -> PixelGrid:
     """
     valid = np.ascontiguousarray(cloud.valid[::step, ::step])
     points = cloud.points_m[::step, ::step]
-    coordinates = np.empty((3, *valid.shape))
+    coordinates = np.zeros((3, *valid.shape), dtype=np.float32)
     for axis in range(3):
-        coordinates[axis] = points[..., axis]
-    coordinates[:, ~valid] = 0.0
+        np.copyto(coordinates[axis], points[..., axis], where=valid)
     height, width = cloud.valid.shape
     return PixelGrid(step, (height, width), coordinates, valid)
 

@@ -268,7 +268,8 @@ def fit_surface(cloud: PointMap, pixels: NDArray[np.intp], config: SegmentationC
     """
     if not cloud.valid.reshape(-1)[pixels].all():
         raise ValueError("pixels: expected pixels that have a point")
-    return fit_on_grid(full_grid(cloud), np.sort(pixels), config)
+    ascending = pixels if np.all(pixels[1:] > pixels[:-1]) else np.unique(pixels)
+    return fit_on_grid(full_grid(cloud), ascending, config)
 
 
 def fit_on_grid(grid: PixelGrid, places: NDArray[np.intp], config: SegmentationConfig) -> Fit:
@@ -290,21 +291,17 @@ def fit_on_grid(grid: PixelGrid, places: NDArray[np.intp], config: SegmentationC
     """
     if places.size == 0:
         return Fit(None, np.zeros(0), {}, "0 points, 1 needed", places)
-    rows, columns, (top, left, bottom, right) = grid.locate(places)
-    mask = np.zeros((bottom - top, right - left), dtype=np.bool_)
-    mask[rows - top, columns - left] = True
+    (top, left, bottom, right), mask = grid.window_mask(places)
     counts = (
         control_point_count(right - left, grid.shape[1], config),
         control_point_count(bottom - top, grid.shape[0], config),
     )
-    values = grid.coordinates_m[:, top:bottom, left:right] * mask
+    points = grid.coordinates_m[:, top:bottom, left:right]
     try:
-        control = fit_control_points(values, mask, counts)
+        control = fit_control_points(points, mask, counts)
     except LinAlgError as error:
         return Fit(None, np.zeros(0), {}, f"no least-squares solution: {error}", grid.pixels(places))
-    fitted = pixel_basis(mask.shape[0], counts[1]) @ (control @ pixel_basis(mask.shape[1], counts[0]).T)
-    np.subtract(fitted, values, out=fitted)
-    residuals = np.sqrt(np.einsum("cij,cij->ij", fitted, fitted)[mask])
+    residuals = _distances(control, points, mask)
     surface = NurbsSurface(
         degree=(CUBIC, CUBIC),
         knots_u=_full_image_knots(right - left, counts[0], left, grid.step),
@@ -314,6 +311,23 @@ def fit_on_grid(grid: PixelGrid, places: NDArray[np.intp], config: SegmentationC
         window=grid.full_window((top, left, bottom, right)),
     )
     return Fit(surface, residuals, residual_metrics(residuals, config), "", grid.pixels(places))
+
+
+def _distances(
+    control: NDArray[np.float64], points: NDArray[np.float32], mask: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Distance of each point of a window to the surface at its own parameters, in the order of pixels."""
+    Bu, Bv = pixel_basis(mask.shape[1], control.shape[2]), pixel_basis(mask.shape[0], control.shape[1])
+    squares = np.zeros(mask.shape)
+    fitted = np.empty(mask.shape)
+    # One coordinate at a time: three images at once would not stay in the cache.
+    for net, coordinate in zip(control, points, strict=True):
+        np.matmul(Bv, net @ Bu.T, out=fitted)
+        fitted -= coordinate
+        fitted *= fitted
+        squares += fitted
+    distances: NDArray[np.float64] = squares[mask]
+    return np.sqrt(distances, out=distances)
 
 
 def control_point_count(extent: int, image_extent: int, config: SegmentationConfig) -> int:
