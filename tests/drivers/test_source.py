@@ -1,0 +1,90 @@
+"""What a source is by itself, and a replay at the recorded pace."""
+
+import pytest
+from scripted_source import ScriptedSource, small_frame
+
+from nurbseg.drivers import DriverError, EndOfRecordingError, FrameFormatError, FrameTimeoutError, Paced
+
+
+class Clock:
+    """Time that passes only where somebody sleeps."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+        self.slept_s: list[float] = []
+
+    def __call__(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        assert seconds > 0
+        self.slept_s.append(seconds)
+        self.now_s += seconds
+
+
+def paced(stamps_s: list[float], clock: Clock, speed: float = 1.0) -> Paced:
+    source = ScriptedSource([small_frame(n, stamp_s) for n, stamp_s in enumerate(stamps_s)])
+    return Paced(source, speed, clock=clock, sleep=clock.sleep)
+
+
+@pytest.mark.parametrize("speed", [0.5, 1.0, 4.0])
+def test_frames_come_at_their_recorded_moments(speed: float) -> None:
+    clock = Clock()
+    with paced([5.0, 5.1, 5.4, 5.45], clock, speed) as source:
+        moments = []
+        for _ in source:
+            moments.append(clock.now_s - 100.0)
+    assert moments == pytest.approx([0.0, 0.1 / speed, 0.4 / speed, 0.45 / speed])
+
+
+def test_a_late_reader_gets_what_it_missed_at_once_and_delays_do_not_add_up() -> None:
+    clock = Clock()
+    with paced([0.0, 0.1, 0.2, 0.3, 0.4], clock) as source:
+        source.read()
+        clock.now_s += 0.25
+        source.read()
+        source.read()
+        assert clock.slept_s == []
+        source.read()
+        assert clock.now_s == pytest.approx(100.3)
+        source.read()
+        assert clock.now_s == pytest.approx(100.4)
+
+
+def test_skipped_frames_are_not_waited_for() -> None:
+    clock = Clock()
+    with paced([0.0, 10.0, 20.0, 20.5], clock) as source:
+        assert source.skip(2) == 2
+        assert source.read().index == 2
+        assert clock.slept_s == []
+        source.read()
+        assert clock.slept_s == pytest.approx([0.5])
+
+
+def test_the_end_and_errors_come_through_and_closing_closes_the_source_inside() -> None:
+    inside = ScriptedSource([FrameFormatError("bad"), small_frame(0), EndOfRecordingError("end")])
+    source = Paced(inside)
+    with pytest.raises(FrameFormatError, match="bad"):
+        source.read()
+    assert source.read().index == 0
+    with pytest.raises(EndOfRecordingError):
+        source.read()
+    source.close()
+    with pytest.raises(DriverError, match="closed"):
+        inside.read()
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, float("nan")])
+def test_a_speed_that_is_none_is_refused(speed: float) -> None:
+    inside = ScriptedSource([])
+    with inside, pytest.raises(ValueError, match="speed"):
+        Paced(inside, speed)
+
+
+def test_skipping_by_reading_counts_damaged_frames_and_passes_other_errors_on() -> None:
+    script = [small_frame(0), FrameFormatError("bad"), small_frame(2), FrameTimeoutError("late")]
+    with ScriptedSource(script) as source:
+        assert source.skip(2) == 2
+        assert source.read().index == 2
+        with pytest.raises(FrameTimeoutError):
+            source.skip(1)

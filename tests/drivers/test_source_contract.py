@@ -1,0 +1,190 @@
+"""What every source keeps to, whatever its frames come from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded_scene import (
+    APART,
+    back_projected,
+    scenes,
+    write_mcap,
+    write_pairs,
+    write_pcd,
+    write_tum,
+)
+from virtual_camera import openni2_redist, virtual_cameras
+
+from nurbseg.drivers import DriverError, EndOfRecordingError, FrameSource, RGBDFrame, open_source
+from nurbseg.drivers.registry import SCHEMES
+
+__all__ = ["openni2_redist", "virtual_cameras"]
+
+FRAMES = 5
+
+
+@dataclass(frozen=True)
+class Case:
+    """How to open a source anew, and how many frames it has; None for a camera."""
+
+    open: Callable[[], FrameSource]
+    frames: int | None
+
+
+def recorded(write: Callable[[Path], Path]) -> Callable[[pytest.FixtureRequest], Case]:
+    def case(request: pytest.FixtureRequest) -> Case:
+        path = write(request.getfixturevalue("tmp_path") / "recording")
+        return Case(lambda: open_source(str(path)), FRAMES)
+
+    return case
+
+
+def pcd_folder(folder: Path) -> Path:
+    for frame in scenes(FRAMES):
+        write_pcd(folder / f"cloud{frame.index}.pcd", back_projected(frame), frame.color, "binary")
+    return folder
+
+
+def synthetic(request: pytest.FixtureRequest) -> Case:
+    return Case(lambda: open_source(f"synthetic:?frames={FRAMES}&width=64&height=48"), FRAMES)
+
+
+def openni2(request: pytest.FixtureRequest) -> Case:
+    camera = request.getfixturevalue("virtual_cameras").add()
+    return Case(lambda: open_source(f"openni2:{camera.uri}"), None)
+
+
+CASES = {
+    "mcap": recorded(lambda path: write_mcap(path, scenes(FRAMES))),
+    "mcap-jpeg": recorded(lambda path: write_mcap(path, scenes(FRAMES), "jpeg95")),
+    "mcap-raw-apart": recorded(lambda path: write_mcap(path, scenes(FRAMES, APART), "raw")),
+    "pairs": recorded(lambda path: write_pairs(path, scenes(FRAMES))),
+    "pairs-apart": recorded(lambda path: write_pairs(path, scenes(FRAMES, APART))),
+    "tum": recorded(lambda path: write_tum(path, scenes(FRAMES))),
+    "pcd": recorded(pcd_folder),
+    "synthetic": synthetic,
+    "openni2": openni2,
+}
+
+
+@pytest.fixture(params=CASES)
+def case(request: pytest.FixtureRequest) -> Case:
+    return CASES[request.param](request)
+
+
+@pytest.fixture
+def recording(case: Case) -> Case:
+    if case.frames is None:
+        pytest.skip("a camera has no end")
+    return case
+
+
+def some(source: FrameSource) -> Iterator[RGBDFrame]:
+    return (source.read(timeout_s=5.0) for _ in range(FRAMES))
+
+
+def same(one: RGBDFrame, other: RGBDFrame) -> bool:
+    labels = (one.labels is None) == (other.labels is None) and (
+        one.labels is None or np.array_equal(one.labels, other.labels)
+    )
+    pixels = np.array_equal(one.depth_mm, other.depth_mm) and np.array_equal(one.color, other.color)
+    return pixels and labels and (one.index, one.timestamp_ns) == (other.index, other.timestamp_ns)
+
+
+def test_frames_are_numbered_and_their_time_goes_on(case: Case) -> None:
+    with case.open() as source:
+        frames = list(some(source))
+    assert [frame.index for frame in frames] == list(range(FRAMES))
+    stamps = [frame.timestamp_ns for frame in frames]
+    assert stamps == sorted(set(stamps))
+
+
+def test_images_have_their_cameras_sizes_and_show_something(case: Case) -> None:
+    with case.open() as source:
+        for frame in some(source):
+            assert frame.depth_mm.shape == (source.calibration.depth.height, source.calibration.depth.width)
+            assert frame.color.shape[:2] == (source.calibration.color.height, source.calibration.color.width)
+            assert frame.depth_mm.any()
+            assert frame.color.any()
+
+
+def test_images_cannot_be_changed(case: Case) -> None:
+    with case.open() as source:
+        frame = source.read(timeout_s=5.0)
+    for image in (frame.depth_mm, frame.color):
+        with pytest.raises(ValueError, match="read-only"):
+            image[0] = 1
+
+
+def test_a_frame_stays_as_it_is_when_later_ones_are_read_and_the_source_is_closed(case: Case) -> None:
+    with case.open() as source:
+        first = source.read(timeout_s=5.0)
+        depth_mm, color = first.depth_mm.copy(), first.color.copy()
+        for _ in range(FRAMES - 1):
+            source.read(timeout_s=5.0)
+    np.testing.assert_array_equal(first.depth_mm, depth_mm)
+    np.testing.assert_array_equal(first.color, color)
+
+
+def test_closing_twice_is_fine_and_reading_afterwards_is_an_error(case: Case) -> None:
+    source = case.open()
+    source.read(timeout_s=5.0)
+    source.close()
+    source.close()
+    with pytest.raises(DriverError, match="closed"):
+        source.read()
+
+
+def test_a_source_is_closed_when_its_block_is_left_by_an_error(case: Case) -> None:
+    with pytest.raises(ZeroDivisionError), case.open() as source:
+        raise ZeroDivisionError
+    with pytest.raises(DriverError, match="closed"):
+        source.read()
+
+
+def test_metadata_is_text_and_says_what_the_source_is(case: Case) -> None:
+    with case.open() as source:
+        assert source.metadata
+        assert all(isinstance(each, str) for pair in source.metadata.items() for each in pair)
+        assert source.live is (case.frames is None)
+
+
+def test_a_recording_ends_and_stays_at_its_end(recording: Case) -> None:
+    with recording.open() as source:
+        assert len(list(source)) == recording.frames
+        for _ in range(2):
+            with pytest.raises(EndOfRecordingError):
+                source.read()
+
+
+def test_a_recording_is_the_same_each_time(recording: Case) -> None:
+    with recording.open() as one, recording.open() as other:
+        assert all(same(a, b) for a, b in zip(one, other, strict=True))
+
+
+@pytest.mark.parametrize("passed", [0, 1, 3, FRAMES])
+def test_skipping_leads_to_the_frame_that_reading_leads_to(recording: Case, passed: int) -> None:
+    with recording.open() as source:
+        frames = list(source)
+    with recording.open() as source:
+        assert source.skip(passed) == passed
+        rest = list(source)
+    assert len(rest) == FRAMES - passed
+    assert all(same(a, b) for a, b in zip(rest, frames[passed:], strict=True))
+
+
+def test_skipping_past_the_end_says_how_many_frames_there_were(recording: Case) -> None:
+    with recording.open() as source:
+        source.read()
+        assert source.skip(100) == FRAMES - 1
+        assert source.skip(1) == 0
+        with pytest.raises(EndOfRecordingError):
+            source.read()
+
+
+def test_every_scheme_has_a_case_here() -> None:
+    assert set(SCHEMES) <= set(CASES)
