@@ -70,7 +70,7 @@ def projector_shadow(depth_m: NDArray[np.float32], camera: Intrinsics) -> NDArra
     columns = np.arange(depth_m.shape[1], dtype=np.float32)
     place = columns - np.float32(camera.fx * PROJECTOR_OFFSET_M) / depth_m
     reached = np.minimum.accumulate(place[:, ::-1], axis=1)[:, ::-1]
-    return np.asarray(place > reached + 1.0)
+    return np.asarray(place > reached + 0.5)
 
 
 class SensorModel:
@@ -115,8 +115,8 @@ class SensorModel:
         inverse, around = 1 / depth_m, np.ones((3, 3), np.uint8)
         spread = cv2.dilate(inverse, around) - cv2.erode(inverse, around)
         edge = spread > _EDGE_PER_M
-        places = np.clip(self._places + self._jitter[cuts[1]] * edge, 0, depth_m.size - 1)
-        moved = np.take(depth_m, places)
+        edge[:2], edge[-2:], edge[:, :2], edge[:, -2:] = False, False, False, False
+        moved = np.take(depth_m, self._places + self._jitter[cuts[1]] * edge)
         known = np.isfinite(moved)
         moved = np.where(known, moved, np.float32(RANGE_M[1]))
         noisy = quantised(moved + axial_noise_m(moved) * self._axial[cuts[0]])

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from nurbseg.drivers.synthetic_shapes import Bowl, Box, Cushion, Cylinder, Ellip
 PERIOD = 120
 _BALL_RADIUS_M = 0.045
 _BALL_NAME = "ball"
+#: How far the ball rolls to either side, and behind the screen's middle, metres.
+_REACH_M = 0.6
+_BEHIND_M = 0.19
 #: The box that the ball rolls behind where the scene is to hide it.
 _SCREEN_NAME = "carton"
 
@@ -83,6 +87,8 @@ class Scene:
         self.objects = _objects(rng, 0.0 if seed == 0 else 1.0)
         self.names = tuple(each.name for each in self.objects)
         self.ball = self.names.index(_BALL_NAME)
+        self._screen = self.objects[self.names.index(_SCREEN_NAME)]
+        self._hidden_step_m = self._step_that_hides(hidden_frames) if hidden_frames else 0.0
 
     def world_from_depth(self, index: int) -> NDArray[np.float64]:
         """Return the depth camera's pose: on an arc about the table, with a hand's tremor."""
@@ -114,20 +120,43 @@ class Scene:
     def _ball_place(self, index: int) -> tuple[float, float]:
         if not self._hidden_frames:
             return -0.36 * float(np.cos(2 * np.pi * index / PERIOD)), -0.34
-        # Straight through the middle of the carton's shadow, as seen from the camera at that moment.
-        screen = self.objects[self.names.index(_SCREEN_NAME)]
-        middle = PERIOD // 2
-        eye, center = self.world_from_depth(middle)[:3, 3], screen.world_from_object[:3, 3]
-        y = center[1] + 0.19
-        stretch = (y - eye[1]) / (center[1] - eye[1])
-        x = eye[0] + stretch * (center[0] - eye[0])
-        corners = screen.world_from_object[:3, :3] @ screen.shape.corners_m.T
-        shadow = stretch * float(np.ptp(corners[0]))
-        step = max(shadow - 2.2 * _BALL_RADIUS_M, 0.02) / self._hidden_frames
-        # Back and forth between the sides of the table, without a jump.
-        reach = 0.75
-        travelled = (x + step * (index - middle) + reach) % (4 * reach)
-        return float(min(travelled, 4 * reach - travelled) - reach), float(y)
+        x, y = self._behind_screen()
+        return float(_to_and_fro(x + self._hidden_step_m * (index - PERIOD // 2))), y
+
+    def _behind_screen(self) -> tuple[float, float]:
+        """Return the place behind the screen's middle, as seen halfway through the period."""
+        eye = self.world_from_depth(PERIOD // 2)[:3, 3]
+        center = self._screen.world_from_object[:3, 3]
+        y = center[1] + _BEHIND_M
+        return float(eye[0] + (y - eye[1]) / (center[1] - eye[1]) * (center[0] - eye[0])), float(y)
+
+    def _step_that_hides(self, frames: int) -> float:
+        """Return the ball's way per frame, metres, at which the screen never covers it for longer.
+
+        Seen from above, the screen covers a sector; the ball is hidden while its own sector lies within.
+        """
+        eyes = np.array([self.world_from_depth(index)[:2, 3] for index in range(PERIOD)])
+        corners = self._screen.world_from_object[:3, :3] @ self._screen.shape.corners_m.T
+        edges = corners[:2].T + self._screen.world_from_object[:2, 3] - eyes[:, None]
+        bearings = np.arctan2(edges[..., 0], edges[..., 1])
+        x, y = self._behind_screen()
+        for step in np.geomspace(0.002, 0.3, 400):
+            places = _to_and_fro(x + step * (np.arange(PERIOD) - PERIOD // 2))
+            way = np.stack([places, np.full(PERIOD, y)], axis=1) - eyes
+            bearing = np.arctan2(way[:, 0], way[:, 1])
+            # A sliver of the ball can slip between pixels: what counts is a little less than all of it.
+            half = np.arcsin((_BALL_RADIUS_M - 0.003) / np.hypot(*way.T))
+            hidden = (bearing - half > bearings.min(axis=1)) & (bearing + half < bearings.max(axis=1))
+            changes = np.flatnonzero(np.diff(np.concatenate([[False], hidden, [False]])))
+            if (changes[1::2] - changes[::2]).max(initial=0) <= frames:
+                return float(step)
+        return 0.3
+
+
+def _to_and_fro(way: Any) -> Any:
+    """Return the place on a line of which both ends are turned at."""
+    travelled = (way + _REACH_M) % (4 * _REACH_M)
+    return np.minimum(travelled, 4 * _REACH_M - travelled) - _REACH_M
 
 
 def looking(eye: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:

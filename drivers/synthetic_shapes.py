@@ -209,12 +209,12 @@ class Bowl(Shape):
 class Cushion(Shape):
     """A freeform sheet z = h(x, y) over a rectangle: a bump with folds, flat at its rim.
 
-    Rays are followed in steps through the slab that holds the sheet, then the crossing is refined by
-    regula falsi.
+    Rays are followed in steps through the slab that holds the sheet, then the crossing is refined.
     """
 
     _STEPS = 10
-    _REFINEMENTS = 4
+    #: Halvings until the sheet is all but straight between the ends, then steps of regula falsi.
+    _REFINEMENTS = (True, True, True, False, False, False)
 
     def __init__(self, half_x_m: float, half_y_m: float, height_m: float, folds: float = 2.5) -> None:
         self._half = np.float32(half_x_m), np.float32(half_y_m)
@@ -254,8 +254,9 @@ class Cushion(Shape):
             found |= crossing
             before, above = after, below
         t = low
-        for _ in range(self._REFINEMENTS):
-            t = low + (high - low) * f_low / _not_zero(f_low - f_high)
+        for bisect in self._REFINEMENTS:
+            share = np.float32(0.5) if bisect else f_low / _not_zero(f_low - f_high)
+            t = low + (high - low) * share
             f = self._over(origin, direction, t)
             over = f >= 0
             low, f_low = np.where(over, t, low), np.where(over, f, f_low)
