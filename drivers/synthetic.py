@@ -16,7 +16,7 @@ from nurbseg.drivers.sensor_model import SensorModel
 from nurbseg.drivers.settings import check_settings, setting
 from nurbseg.drivers.source import FrameSource
 from nurbseg.drivers.synthetic_render import Renderer, Rendering
-from nurbseg.drivers.synthetic_scene import Scene, ScenePoses
+from nurbseg.drivers.synthetic_scene import TICKS_PER_S, Scene, ScenePoses
 
 LabelKind = Literal["objects", "surfaces"]
 #: Focal lengths of a camera 640 pixels wide: of the registered pair and color, and of infrared.
@@ -48,7 +48,7 @@ class SyntheticOptions:
     color_height: int = setting(
         0, "height of the color image, 0 for the depth's", unit="px", least=0, most=4096
     )
-    fps: float = setting(30.0, "rate of the stamps", unit="1/s", above=0.0)
+    fps: float = setting(30.0, "frames per second; the scene moves by its own clock", unit="1/s", above=0.0)
     seed: int = setting(0, "seed of places, paint and noise", least=0)
     noise: bool = setting(True, "the sensor's faults (noise, steps, shadows, edges, range)")
     offset: bool = setting(False, "separate cameras: depth is not registered to color")
@@ -86,7 +86,7 @@ class SyntheticSource(FrameSource):
         self.options = options or SyntheticOptions()
         self.calibration = _calibration(self.options)
         self.metadata = {"name": "synthetic scene", "seed": str(self.options.seed)}
-        self._scene = Scene(self.options.seed, self.options.hide)
+        self._scene = Scene(self.options.seed, round(self.options.hide * TICKS_PER_S / self.options.fps))
         self._depth = Renderer(self._scene, self.calibration.depth)
         self._color = Renderer(self._scene, self.calibration.color) if self.options.offset else None
         self._sensor = SensorModel(self.calibration.depth, self.options.seed) if self.options.noise else None
@@ -109,11 +109,12 @@ class SyntheticSource(FrameSource):
 
         Objects go by their labels in ``labels=objects``, whatever labels the frames carry.
         """
-        return self._scene.poses(index)
+        return self._scene.poses(self._tick(index))
 
     def exact_depth_m(self, index: int) -> NDArray[np.float32]:
         """Return the depth of a frame before any fault, (H, W) float32 metres; inf where there is nothing."""
-        return self._depth.render(self._scene.world_from_depth(index), index, color=False).depth_m
+        tick = self._tick(index)
+        return self._depth.render(self._scene.world_from_depth(tick), tick, color=False).depth_m
 
     def frame(self, index: int) -> RGBDFrame:
         """Return any frame of the sequence, whichever is read next.
@@ -125,12 +126,13 @@ class SyntheticSource(FrameSource):
         """
         if not 0 <= index < self.options.frames:
             raise ValueError(f"index: expected 0 to {self.options.frames - 1}, got {index}")
-        world_from_depth = self._scene.world_from_depth(index)
-        seen = self._depth.render(world_from_depth, index, color=self._color is None)
+        tick = self._tick(index)
+        world_from_depth = self._scene.world_from_depth(tick)
+        seen = self._depth.render(world_from_depth, tick, color=self._color is None)
         color = seen.color
         if self._color is not None:
             world_from_color = world_from_depth @ np.linalg.inv(self.calibration.color_from_depth)
-            color = self._color.render(world_from_color, index, color=True).color
+            color = self._color.render(world_from_color, tick, color=True).color
         if color is None:
             raise RuntimeError("the renderer gave no color image though one was asked for")
         return RGBDFrame(
@@ -158,6 +160,9 @@ class SyntheticSource(FrameSource):
 
     def _close(self) -> None:
         pass
+
+    def _tick(self, index: int) -> float:
+        return index * TICKS_PER_S / self.options.fps
 
     def _measured(self, depth_m: NDArray[np.float32], index: int) -> NDArray[np.uint16]:
         if self._sensor is not None:

@@ -59,14 +59,14 @@ class Renderer:
         # A pixel whose distortion cannot be undone looks far aside, at nothing.
         self._x, self._y = (np.nan_to_num(rays[..., i], nan=1e6) for i in (0, 1))
 
-    def render(self, world_from_camera: NDArray[np.float64], index: int, *, color: bool) -> Rendering:
-        """Return what the camera sees from a place at the moment of a frame."""
+    def render(self, world_from_camera: NDArray[np.float64], tick: float, *, color: bool) -> Rendering:
+        """Return what the camera sees from a place at a moment."""
         shape = self._x.shape
         depth = np.full(shape, np.inf, dtype=np.float32)
         objects, faces = np.zeros(shape, dtype=np.uint8), np.zeros(shape, dtype=np.uint8)
         views: list[_View | None] = []
         for number, each in enumerate(self._scene.objects):
-            pose = self._scene.world_from_object(number, index)
+            pose = self._scene.world_from_object(number, tick)
             view = self._view(each, np.linalg.inv(pose) @ world_from_camera)
             views.append(view)
             if view is None:
@@ -76,7 +76,7 @@ class Renderer:
             np.copyto(depth[view.window], t, where=nearer)
             np.copyto(objects[view.window], np.uint8(number + 1), where=nearer)
             np.copyto(faces[view.window], face, where=nearer)
-        image = self._paint(views, depth, objects, faces, index) if color else None
+        image = self._paint(views, depth, objects, faces, tick) if color else None
         return Rendering(depth, objects, faces, image)
 
     def _view(self, each: SceneObject, object_from_camera: NDArray[np.float64]) -> _View | None:
@@ -109,12 +109,12 @@ class Renderer:
         depth: NDArray[np.float32],
         objects: NDArray[np.uint8],
         faces: NDArray[np.uint8],
-        index: int,
+        tick: float,
     ) -> NDArray[np.uint8]:
         image = np.empty((*depth.shape, 3), dtype=np.uint8)
         image[objects == 0] = _BACKGROUND
         grounds = grounds_of(self._scene.seed)
-        ball = self._scene.world_from_object(self._scene.ball, index)
+        ball = self._scene.world_from_object(self._scene.ball, tick)
         for number, (each, view) in enumerate(zip(self._scene.objects, views, strict=True)):
             if view is None:
                 continue
@@ -129,7 +129,7 @@ class Renderer:
             if isinstance(each.shape, Rectangle):
                 painted = grounds.painted(number, each, point, ball)
             else:
-                pose = self._scene.world_from_object(number, index)
+                pose = self._scene.world_from_object(number, tick)
                 painted = shaded(each, pose, point, faces[window], view.origin)
             # OpenCV writes through the view; numpy would broadcast the mask slowly.
             cv2.copyTo(painted, mine.view(np.uint8), image[window])

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from nurbseg.drivers import synthetic_textures as textures
 from nurbseg.drivers.synthetic_shapes import Bowl, Box, Cushion, Cylinder, Ellipsoid, Rectangle, Shape
 
-#: Frames in which the camera and the ball return to where they were.
+#: Ticks of the scene's clock per second, and those in which camera and ball return to where they were.
+TICKS_PER_S = 30.0
 PERIOD = 120
 _BALL_RADIUS_M = 0.045
 _BALL_NAME = "ball"
@@ -74,25 +75,25 @@ class Scene:
     ----------
     seed : int
         Draws paint and places; what there is stays the same.
-    hidden_frames : int
-        0 to let the ball roll in front, else for how many frames it shall be wholly behind the carton,
-        about, in the middle of the first `PERIOD` frames.
+    hidden_ticks : int
+        0 to let the ball roll in front, else for how many ticks it shall be wholly behind the carton, at
+        most, halfway through the period.
     """
 
-    def __init__(self, seed: int, hidden_frames: int = 0) -> None:
+    def __init__(self, seed: int, hidden_ticks: int = 0) -> None:
         rng = np.random.default_rng(seed)
         self.seed = seed
-        self._hidden_frames = hidden_frames
+        self._hidden_ticks = hidden_ticks
         self._phase = float(rng.uniform(-0.4, 0.4)) if seed else 0.0
         self.objects = _objects(rng, 0.0 if seed == 0 else 1.0)
         self.names = tuple(each.name for each in self.objects)
         self.ball = self.names.index(_BALL_NAME)
         self._screen = self.objects[self.names.index(_SCREEN_NAME)]
-        self._hidden_step_m = self._step_that_hides(hidden_frames) if hidden_frames else 0.0
+        self._hidden_step_m = self._step_that_hides(hidden_ticks) if hidden_ticks else 0.0
 
-    def world_from_depth(self, index: int) -> NDArray[np.float64]:
+    def world_from_depth(self, tick: float) -> NDArray[np.float64]:
         """Return the depth camera's pose: on an arc about the table, with a hand's tremor."""
-        turn = 2 * np.pi * index / PERIOD + self._phase
+        turn = 2 * np.pi * tick / PERIOD + self._phase
         azimuth = 0.20 * np.sin(turn)
         distance, height = 0.90 + 0.03 * np.cos(2 * turn), 0.58 + 0.03 * np.sin(turn + 1)
         tremor = 0.0015 * np.array([np.sin(9 * turn), np.sin(11 * turn + 2), np.sin(13 * turn + 4)])
@@ -100,28 +101,28 @@ class Scene:
         target = np.array([0.03, 0.03, 0.055]) + 1.5 * tremor[::-1]
         return looking(eye, target)
 
-    def world_from_object(self, number: int, index: int) -> NDArray[np.float64]:
-        """Return an object's pose at a frame."""
+    def world_from_object(self, number: int, tick: float) -> NDArray[np.float64]:
+        """Return an object's pose at a moment."""
         pose = self.objects[number].world_from_object
         if number != self.ball:
             return pose
-        x, y = self._ball_place(index)
+        x, y = self._ball_place(tick)
         moved = pose.copy()
-        # It rolls without slipping, from the place where it is drawn at frame 0.
+        # It rolls without slipping, from the place where x is 0.
         moved[:3, :3] = _turn_y(x / _BALL_RADIUS_M) @ pose[:3, :3]
         moved[:3, 3] = x, y, _BALL_RADIUS_M
         return moved
 
-    def poses(self, index: int) -> ScenePoses:
+    def poses(self, tick: float) -> ScenePoses:
         """Return where everything is, objects by number + 1."""
-        objects = {n + 1: self.world_from_object(n, index) for n in range(len(self.objects))}
-        return ScenePoses(self.world_from_depth(index), objects)
+        objects = {n + 1: self.world_from_object(n, tick) for n in range(len(self.objects))}
+        return ScenePoses(self.world_from_depth(tick), objects)
 
-    def _ball_place(self, index: int) -> tuple[float, float]:
-        if not self._hidden_frames:
-            return -0.36 * float(np.cos(2 * np.pi * index / PERIOD)), -0.34
+    def _ball_place(self, tick: float) -> tuple[float, float]:
+        if not self._hidden_ticks:
+            return -0.36 * float(np.cos(2 * np.pi * tick / PERIOD)), -0.34
         x, y = self._behind_screen()
-        return float(_to_and_fro(x + self._hidden_step_m * (index - PERIOD // 2))), y
+        return float(_to_and_fro(x + self._hidden_step_m * (tick - PERIOD // 2))), y
 
     def _behind_screen(self) -> tuple[float, float]:
         """Return the place behind the screen's middle, as seen halfway through the period."""
@@ -130,12 +131,12 @@ class Scene:
         y = center[1] + _BEHIND_M
         return float(eye[0] + (y - eye[1]) / (center[1] - eye[1]) * (center[0] - eye[0])), float(y)
 
-    def _step_that_hides(self, frames: int) -> float:
-        """Return the ball's way per frame, metres, at which the screen never covers it for longer.
+    def _step_that_hides(self, ticks: int) -> float:
+        """Return the ball's way per tick, metres, at which the screen never covers it for longer.
 
         Seen from above, the screen covers a sector; the ball is hidden while its own sector lies within.
         """
-        eyes = np.array([self.world_from_depth(index)[:2, 3] for index in range(PERIOD)])
+        eyes = np.array([self.world_from_depth(tick)[:2, 3] for tick in range(PERIOD)])
         corners = self._screen.world_from_object[:3, :3] @ self._screen.shape.corners_m.T
         edges = corners[:2].T + self._screen.world_from_object[:2, 3] - eyes[:, None]
         bearings = np.arctan2(edges[..., 0], edges[..., 1])
@@ -148,7 +149,7 @@ class Scene:
             half = np.arcsin((_BALL_RADIUS_M - 0.003) / np.hypot(*way.T))
             hidden = (bearing - half > bearings.min(axis=1)) & (bearing + half < bearings.max(axis=1))
             changes = np.flatnonzero(np.diff(np.concatenate([[False], hidden, [False]])))
-            if (changes[1::2] - changes[::2]).max(initial=0) <= frames:
+            if (changes[1::2] - changes[::2]).max(initial=0) <= ticks:
                 return float(step)
         return 0.3
 
