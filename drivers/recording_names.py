@@ -11,7 +11,7 @@ DEPTH_INFO_TOPIC = "/camera/depth/camera_info"
 COLOR_TOPIC = "/camera/color/image_raw"
 COLOR_COMPRESSED_TOPIC = "/camera/color/image_raw/compressed"
 COLOR_INFO_TOPIC = "/camera/color/camera_info"
-LABELS_TOPIC = "/camera/labels/image_raw"
+LABELS_TOPIC = "/camera/labels/image_raw/compressed"
 TRANSFORMS_TOPIC = "/tf_static"
 
 DEPTH_FRAME = "camera_depth_optical_frame"

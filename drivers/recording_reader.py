@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,7 +70,9 @@ class RecordingReader(FrameSource):
         try:
             samples, transforms = self._look()
             self._topics = self._choose(samples)
-            self._schemas = {topic: samples[topic].schema for topic in samples}
+            self._schemas = {names.LABELS_TOPIC: ros.COMPRESSED_IMAGE} | {
+                topic: sample.schema for topic, sample in samples.items()
+            }
             self._cameras = self._camera_file(options, samples, transforms)
             self.calibration = self._calibration(samples)
             self.metadata = self._metadata()
@@ -163,13 +166,13 @@ class RecordingReader(FrameSource):
             for channel in self._file.channels.values()
             if channel.topic == topic
         )
-        decode = self._decoders.decoder_for("cdr", schema)
-        if decode is None:
-            raise FrameFormatError(f"{name}: {topic}: expected a ROS 2 message in CDR")
         try:
-            return decode(content)
+            decode = self._decoders.decoder_for("cdr", schema)
+            if decode is not None:
+                return decode(content)
         except Exception as err:  # The decoder raises whatever a damaged message leads it to.
             raise FrameFormatError(f"{name}: {topic}: the message is damaged ({err})") from err
+        raise FrameFormatError(f"{name}: {topic}: expected a ROS 2 message (ros2msg, cdr)")
 
     def _look(self) -> tuple[dict[str, TopicSample], list[tuple[str, str, NDArray[np.float64]]]]:
         """Return the first message of each topic and the transforms, of the recording's first seconds."""
@@ -202,7 +205,10 @@ class RecordingReader(FrameSource):
 
     def _is_complete(self, samples: dict[str, TopicSample]) -> bool:
         # Our own recordings say everything with the first frame.
-        return names.RECORDING_RECORD in self._file.metadata and names.DEPTH_TOPIC in samples
+        return self._is_ours() and names.DEPTH_TOPIC in samples
+
+    def _is_ours(self) -> bool:
+        return names.RECORDING_RECORD in self._file.metadata
 
     def _has_images(self, samples: dict[str, TopicSample]) -> bool:
         try:
@@ -215,7 +221,11 @@ class RecordingReader(FrameSource):
         if not samples and not self._file.whole:
             raise RecordingFormatError(f"{self._path}: the recording is cut off before its first frame")
         try:
-            return choose_topics(self._path, samples)
+            topics = choose_topics(self._path, samples)
+            if topics.labels is None and self._is_ours():
+                # Perhaps later frames have ground truth.
+                topics = replace(topics, labels=names.LABELS_TOPIC)
+            return topics
         except RecordingFormatError as err:
             if self._file.whole:
                 raise

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, Self, get_args
+from typing import Any, Literal, Self, get_args
 
 import cv2
-import numpy as np
 from mcap_ros2.writer import Writer
+from numpy.typing import NDArray
 
 from nurbseg.drivers import recording_names as names
 from nurbseg.drivers import ros_messages as ros
@@ -18,9 +18,8 @@ from nurbseg.drivers.frame import Calibration, RGBDFrame
 
 ColorFormat = Literal["jpeg95", "png", "raw"]
 
-_JPEG_QUALITY = 95
-#: The fastest; the next levels gain a few percent for many times the time.
-_PNG_COMPRESSION = 1
+#: JPEG of quality 95; the fastest PNG, of which the next levels gain a few percent for many times the time.
+_ENCODING = {".jpg": [cv2.IMWRITE_JPEG_QUALITY, 95], ".png": [cv2.IMWRITE_PNG_COMPRESSION, 1]}
 
 
 class RecordingWriter:
@@ -109,9 +108,8 @@ class RecordingWriter:
         self._add(names.DEPTH_INFO_TOPIC, ros.CAMERA_INFO, depth_info, stamp)
         self._add_color(frame)
         if frame.labels is not None:
-            # "mono16": viewers would take 16UC1 for another depth image.
-            labels = ros.image_message(stamp, self._depth_frame, frame.labels, "mono16")
-            self._add(names.LABELS_TOPIC, ros.IMAGE, labels, stamp)
+            # PNG, because viewers take every plain image of one channel for depth.
+            self._add_compressed(names.LABELS_TOPIC, self._depth_frame, frame, ".png", frame.labels)
         # Last, so that a frame whose depth is in the file is whole.
         depth = ros.image_message(stamp, self._depth_frame, frame.depth_mm, "16UC1")
         self._add(names.DEPTH_TOPIC, ros.IMAGE, depth, stamp)
@@ -151,17 +149,21 @@ class RecordingWriter:
             message = ros.image_message(stamp, names.COLOR_FRAME, frame.color, "rgb8")
             self._add(names.COLOR_TOPIC, ros.IMAGE, message, stamp)
             return
-        if self._color_format == "png":
-            extension, parameters = ".png", [cv2.IMWRITE_PNG_COMPRESSION, _PNG_COMPRESSION]
-        else:
-            extension, parameters = ".jpg", [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
-        encoded = cv2.imencode(extension, cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR), parameters)[1]
+        extension = ".png" if self._color_format == "png" else ".jpg"
+        bgr = cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR)
+        self._add_compressed(names.COLOR_COMPRESSED_TOPIC, names.COLOR_FRAME, frame, extension, bgr)
+
+    def _add_compressed(
+        self, topic: str, camera_frame: str, frame: RGBDFrame, extension: str, image: NDArray[Any]
+    ) -> None:
+        encoded = cv2.imencode(extension, image, _ENCODING[extension])[1]
+        kind = "jpeg" if extension == ".jpg" else "png"
         message = {
-            "header": ros.header(stamp, names.COLOR_FRAME),
-            "format": "png" if extension == ".png" else "jpeg",
-            "data": np.asarray(encoded).tobytes(),
+            "header": ros.header(frame.timestamp_ns, camera_frame),
+            "format": f"{'bgr8' if image.ndim == 3 else 'mono16'}; {kind} compressed",
+            "data": encoded.tobytes(),
         }
-        self._add(names.COLOR_COMPRESSED_TOPIC, ros.COMPRESSED_IMAGE, message, stamp)
+        self._add(topic, ros.COMPRESSED_IMAGE, message, frame.timestamp_ns)
 
     def _add(self, topic: str, schema: str, message: object, stamp: int) -> None:
         self._writer.write_message(

@@ -1,0 +1,232 @@
+"""Recordings: what is written comes back, and other programs read it."""
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded_scene import APART, REGISTERED, scene, scenes, write_mcap
+
+from nurbseg.drivers import (
+    Calibration,
+    CalibrationError,
+    DriverError,
+    EndOfRecordingError,
+    Intrinsics,
+    RecordingFormatError,
+    SourceOptions,
+    open_source,
+)
+from nurbseg.drivers import recording_names as names
+from nurbseg.drivers.recording_writer import ColorFormat, RecordingWriter
+
+RERUN = [sys.executable, "-m", "rerun"]
+
+
+@pytest.mark.parametrize("color_format", ["png", "raw"])
+@pytest.mark.parametrize("calibration", [REGISTERED, APART], ids=["registered", "apart"])
+def test_what_is_written_comes_back_exactly(tmp_path: Path, color_format: ColorFormat, calibration) -> None:
+    frames = scenes(4, calibration)
+    path = write_mcap(tmp_path / "a.mcap", frames, color_format)
+    with open_source(path) as source:
+        again = list(source)
+        np.testing.assert_allclose(
+            source.calibration.color_from_depth, calibration.color_from_depth, atol=1e-12
+        )
+        for name in ("depth", "color"):
+            read, written = getattr(source.calibration, name), getattr(calibration, name)
+            np.testing.assert_array_equal(read.matrix, written.matrix)
+            np.testing.assert_array_equal(read.distortion, written.distortion)
+        assert source.calibration.is_registered == calibration.is_registered
+        assert source.metadata["name"] == "test"
+        assert source.metadata["frames"] == "4"
+    assert len(again) == 4
+    for one, other in zip(frames, again, strict=True):
+        assert (one.index, one.timestamp_ns) == (other.index, other.timestamp_ns)
+        np.testing.assert_array_equal(one.depth_mm, other.depth_mm)
+        np.testing.assert_array_equal(one.color, other.color)
+        np.testing.assert_array_equal(one.labels, other.labels)
+
+
+def test_jpeg_is_close_and_depth_beside_it_exact(tmp_path: Path) -> None:
+    frames = scenes(3, APART)
+    path = write_mcap(tmp_path / "a.mcap", frames, "jpeg95")
+    with open_source(path) as source:
+        for one, other in zip(frames, source, strict=True):
+            np.testing.assert_array_equal(one.depth_mm, other.depth_mm)
+            assert np.abs(one.color.astype(int) - other.color).mean() < 6
+
+
+def test_frames_without_ground_truth_come_back_without(tmp_path: Path) -> None:
+    frames = [scene(0, labels=False), scene(1), scene(2, labels=False)]
+    with open_source(write_mcap(tmp_path / "a.mcap", frames)) as source:
+        assert [frame.labels is None for frame in source] == [True, False, True]
+
+
+def test_more_labels_than_8_bits_hold_come_back(tmp_path: Path) -> None:
+    labels = np.arange(64 * 48, dtype=np.uint16).reshape(48, 64)
+    with open_source(write_mcap(tmp_path / "a.mcap", [replace(scene(0), labels=labels)])) as source:
+        np.testing.assert_array_equal(source.read().labels, labels)
+
+
+def test_a_turn_of_any_kind_survives(tmp_path: Path) -> None:
+    import cv2
+
+    for number, axis in enumerate([(3.1, 0.2, 0), (0, np.pi, 0), (0.4, -2, 1), (0, 0, -np.pi)]):
+        turned = np.eye(4)
+        turned[:3, :3] = cv2.Rodrigues(np.array(axis, dtype=float))[0]
+        calibration = replace(APART, color_from_depth=turned)
+        path = write_mcap(tmp_path / f"{number}.mcap", [scene(0, calibration)])
+        with open_source(path) as source:
+            np.testing.assert_allclose(source.calibration.color_from_depth, turned, atol=1e-9)
+
+
+def test_frames_of_another_size_and_times_before_zero_are_refused(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "a.mcap", REGISTERED) as writer:
+        with pytest.raises(ValueError, match="color: expected 64x48"):
+            writer.write(scene(0, APART))
+        with pytest.raises(ValueError, match="timestamp_ns"):
+            writer.write(replace(scene(0), timestamp_ns=-1))
+        writer.write(scene(0))
+    with open_source(tmp_path / "a.mcap") as source:
+        assert len(list(source)) == 1
+
+
+def test_an_unknown_color_format_is_refused_before_a_file_is_made(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"jpeg95, png, raw.*'gif'"):
+        RecordingWriter(tmp_path / "a.mcap", REGISTERED, color_format="gif")  # type: ignore[arg-type]
+    assert not (tmp_path / "a.mcap").exists()
+
+
+def test_writing_after_closing_is_an_error_and_closing_twice_is_not(tmp_path: Path) -> None:
+    writer = RecordingWriter(tmp_path / "a.mcap", REGISTERED)
+    writer.close()
+    writer.close()
+    with pytest.raises(DriverError, match="closed"):
+        writer.write(scene(0))
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_is_reported_and_the_file_is_closed() -> None:
+    with pytest.raises(OSError, match="No space left"):
+        RecordingWriter(Path("/dev/full"), REGISTERED)
+
+
+def test_an_empty_recording_says_that_it_has_no_images(tmp_path: Path) -> None:
+    RecordingWriter(tmp_path / "a.mcap", REGISTERED).close()
+    with pytest.raises(RecordingFormatError, match=r"a\.mcap: no topic of depth images"):
+        open_source(tmp_path / "a.mcap")
+
+
+def test_a_given_calibration_counts_before_the_recorded_one(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a.mcap", scenes(1))
+    with open_source(path, SourceOptions(intrinsics=(50.0, 51.0, 30.0, 20.0))) as source:
+        assert source.calibration.depth.fy == 51.0
+    with open_source(path, SourceOptions(calibration=replace(REGISTERED))) as source:
+        assert source.calibration.is_registered
+    square = Calibration.registered(Intrinsics(64, 64, 50.0, 50.0, 32.0, 32.0))
+    with pytest.raises(CalibrationError, match="another shape, 64x48"):
+        open_source(path, SourceOptions(calibration=square))
+
+
+def test_a_depth_scale_of_ones_own_is_used(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a.mcap", scenes(1))
+    with open_source(path, SourceOptions(depth_scale=500.0)) as source:
+        np.testing.assert_array_equal(source.read().depth_mm, scene(0).depth_mm * 2)
+
+
+def test_a_killed_writer_leaves_almost_all_of_its_frames(tmp_path: Path, caplog) -> None:
+    path = tmp_path / "killed.mcap"
+    program = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[2])
+import numpy as np
+from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.drivers.recording_writer import RecordingWriter
+camera = Calibration.registered(Intrinsics(640, 480, 525, 525, 319.5, 239.5))
+writer = RecordingWriter(Path(sys.argv[1]), camera)
+color = np.zeros((480, 640, 3), np.uint8)
+for index in range(1000):
+    depth = np.full((480, 640), 1000 + index, np.uint16)
+    writer.write(RGBDFrame(index, index * 33_333_333, depth, color, camera))
+    if index == 29:
+        print("written", flush=True)
+        sys.stdin.read()
+"""
+    command = [sys.executable, "-c", program, str(path), str(Path(__file__).parent.parent / "fakes")]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"written\n"
+        os.kill(process.pid, signal.SIGKILL)
+    with caplog.at_level(logging.WARNING), open_source(path) as source:
+        frames = list(source)
+    assert "cut off" in caplog.text
+    # 0.2 s of 30 Hz.
+    assert len(frames) >= 30 - 6
+    assert all((frame.depth_mm == 1000 + frame.index).all() for frame in frames)
+
+
+def converted(path: Path) -> dict[str, set[str]]:
+    """The components that Rerun makes of each topic."""
+    from rerun.chunk import RrdReader
+
+    rrd = path.with_suffix(".rrd")
+    command = [*RERUN, "mcap", "convert", str(path), "-o", str(rrd)]
+    subprocess.run(command, check=True, timeout=120, capture_output=True)
+    found: dict[str, set[str]] = {}
+    for chunk in RrdReader(rrd).stream():
+        components = set(chunk.to_record_batch().schema.names)
+        found.setdefault(str(chunk.entity_path), set()).update(components)
+    return found
+
+
+@pytest.mark.parametrize("color_format", ["jpeg95", "png", "raw"])
+def test_rerun_is_content_with_it_and_finds_images_and_cameras(
+    tmp_path: Path, color_format: ColorFormat
+) -> None:
+    path = write_mcap(tmp_path / "a.mcap", scenes(3, APART), color_format)
+    check = subprocess.run(
+        [*RERUN, "mcap", "check", str(path)], timeout=120, capture_output=True, text=True, check=True
+    )
+    lines = [line for line in check.stdout.splitlines() if "/camera" in line or "/tf" in line]
+    assert len(lines) == 6
+    assert all(line.startswith("ok") and line.rstrip().endswith("—") for line in lines), check.stdout
+    found = converted(path)
+    assert "DepthImage:buffer" in found[names.DEPTH_TOPIC]
+    assert "Pinhole:image_from_camera" in found[names.DEPTH_INFO_TOPIC]
+    assert "Pinhole:image_from_camera" in found[names.COLOR_INFO_TOPIC]
+    assert "Transform3D:translation" in found[names.TRANSFORMS_TOPIC]
+    if color_format == "raw":
+        assert "Image:buffer" in found[names.COLOR_TOPIC]
+    else:
+        assert "EncodedImage:blob" in found[names.COLOR_COMPRESSED_TOPIC]
+    assert "EncodedImage:blob" in found[names.LABELS_TOPIC]
+    assert "DepthImage:buffer" not in found[names.LABELS_TOPIC]
+
+
+def test_the_mcap_library_reads_it_and_finds_its_index(tmp_path: Path) -> None:
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+
+    path = write_mcap(tmp_path / "a.mcap", scenes(3))
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        messages = list(reader.iter_decoded_messages(topics=[names.DEPTH_TOPIC]))
+        summary = reader.get_summary()
+    assert [each.decoded_message.encoding for each in messages] == ["16UC1"] * 3
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == 3 * 5
+
+
+def test_the_end_comes_after_the_last_frame(tmp_path: Path) -> None:
+    with open_source(write_mcap(tmp_path / "a.mcap", scenes(1))) as source:
+        source.read()
+        with pytest.raises(EndOfRecordingError, match="after 1 frames"):
+            source.read()
