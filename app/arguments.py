@@ -28,6 +28,7 @@ _TITLES = {
     "segmentation": "segmentation (the paper's symbols in the text)",
     "view": "view",
     "export": "files out",
+    "record": "recording",
 }
 
 

@@ -7,11 +7,14 @@ import threading
 import time
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Generic, Self, TypeVar
+from typing import TYPE_CHECKING, Generic, Self, TypeVar
 
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.source import FrameSource
+
+if TYPE_CHECKING:
+    from nurbseg.app.record import Recording
 
 _log = logging.getLogger(__name__)
 
@@ -127,6 +130,8 @@ class CaptureThread:
         Read by this thread alone from now on.
     lossless : bool
         Whether the source waits for the consumer instead of running on.
+    recording : Recording, optional
+        Gets every frame first; while it is behind, frames are not left in the slot.
 
     Attributes
     ----------
@@ -134,13 +139,19 @@ class CaptureThread:
         Where the frames are left.
     read : int
         Frames read.
+    withheld : int
+        Frames that were not left in the slot, because the recording was behind.
     damaged : int
         Frames that could not be read.
     damaged_frames : list of str
         What was wrong with the first of them.
     """
 
-    def __init__(self, source: FrameSource, *, lossless: bool = False) -> None:
+    def __init__(
+        self, source: FrameSource, *, lossless: bool = False, recording: Recording | None = None
+    ) -> None:
+        self.recording = recording
+        self.withheld = 0
         self.frames: LatestSlot[Captured] = LatestSlot(lossless=lossless)
         self.read = 0
         self.damaged = 0
@@ -184,6 +195,11 @@ class CaptureThread:
                     self._pass_over(err)
                     continue
                 self.read += 1
+                if self.recording is not None:
+                    self.recording.put(frame)
+                    if self.recording.behind:
+                        self.withheld += 1
+                        continue
                 if not self.frames.put(Captured(frame, time.monotonic())):
                     return
             self.frames.finish()

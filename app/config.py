@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+from nurbseg.app.record_config import RecordConfig
 from nurbseg.app.view_config import ViewConfig
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.settings import check_settings, setting
@@ -103,6 +104,8 @@ class AppConfig:
         How results are shown and saved for viewing.
     export : ExportConfig
         What is written of them.
+    record : RecordConfig
+        How the frames themselves are recorded.
     """
 
     source: SourceConfig = field(default_factory=SourceConfig)
@@ -110,6 +113,7 @@ class AppConfig:
     segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
     view: ViewConfig = field(default_factory=ViewConfig)
     export: ExportConfig = field(default_factory=ExportConfig)
+    record: RecordConfig = field(default_factory=RecordConfig)
 
 
 def sections() -> dict[str, type[Any]]:

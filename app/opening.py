@@ -60,16 +60,16 @@ def open_chosen(app_config: AppConfig) -> OpenedSource:
         # A camera reads the file itself, knowing the size of its images; a recording is told.
         if app_config.camera.calibration is not None:
             options = replace(options, calibration=read_calibration(Path(app_config.camera.calibration)))
-        return _prepared(uri, config, options)
+        return _prepared(uri, app_config, options)
     try:
-        return _prepared(uri, config, options)
+        return _prepared(uri, app_config, options)
     except (DeviceNotFoundError, BackendMissingError) as err:
         if config.fallback is None and config.named:
             raise DeviceNotFoundError(f"{err}\n{explain_no_camera(uri.removeprefix(CAMERA))}") from err
         instead = config.fallback or demo_uri()
         _log.warning("no camera found: %s", err)
         _log.warning("replaying %s instead (nurbseg-devices doctor tells why there is no camera)", instead)
-        return _prepared(instead, config, options)
+        return _prepared(instead, app_config, options)
 
 
 def _named_uri(config: SourceConfig) -> str:
@@ -93,8 +93,9 @@ def demo_uri() -> str:
     return SYNTHETIC
 
 
-def _prepared(uri: str, config: SourceConfig, options: SourceOptions) -> OpenedSource:
+def _prepared(uri: str, app_config: AppConfig, options: SourceOptions) -> OpenedSource:
     """Open a source, and put on top of it what the user wants of a replay."""
+    config = app_config.source
     source = _opened_at_start(uri, config, options)
     try:
         every_frame = not source.live and config.speed == 0
@@ -103,7 +104,12 @@ def _prepared(uri: str, config: SourceConfig, options: SourceOptions) -> OpenedS
         elif config.loop:
             source = Looped(source, lambda: _opened_at_start(uri, config, options))
         if config.frames is not None or config.duration_s is not None:
-            source = Limited(source, frames=config.frames, duration_s=config.duration_s)
+            source = Limited(
+                source,
+                frames=config.frames,
+                duration_s=config.duration_s,
+                delay_s=app_config.record.delay_s,
+            )
         if not source.live and config.speed > 0:
             source = Paced(source, config.speed)
     except BaseException:

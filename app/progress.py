@@ -47,12 +47,25 @@ class Progress:
         elif elapsed_s >= _INTERVAL_S:
             dropped = self._capture.frames.overwritten
             drops = f", {dropped} overwritten by newer ones" if dropped else ""
+            drops += self._recorded()
             _log.info(
                 "%s; %.1f frames/s, %d read%s", line, self._frames / elapsed_s, self._capture.read, drops
             )
         else:
             return
         self._is_first, self._frames, self._told_s = False, 0, self._clock()
+
+    def recorded(self) -> None:
+        """Say how the recording goes, if it is time to."""
+        if self._clock() - self._told_s >= _INTERVAL_S:
+            _log.info("%d read%s", self._capture.read, self._recorded())
+            self._told_s = self._clock()
+
+    def _recorded(self) -> str:
+        recording = self._capture.recording
+        if recording is None:
+            return ""
+        return f", {recording.frames} recorded" + (f", {recording.lost} lost" if recording.lost else "")
 
     def waiting(self) -> None:
         """Say that no frame comes, if that lasts."""

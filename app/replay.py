@@ -75,10 +75,12 @@ class Limited(FrameSource):
     source : FrameSource
         Borrowed and closed with this one.
     frames : int or None
-        Number of frames; damaged ones do not count.
+        Number of frames; damaged ones do not count, nor those of the delay.
     duration_s : float or None
         Time from the first frame, seconds: by the frames' own clock, and for a live source by the
         computer's as well, so that a silent camera ends too.
+    delay_s : float
+        Time at the beginning that both do not count, seconds.
     clock : callable
         Monotonic seconds.
     """
@@ -89,6 +91,7 @@ class Limited(FrameSource):
         *,
         frames: int | None = None,
         duration_s: float | None = None,
+        delay_s: float = 0.0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__()
@@ -98,6 +101,7 @@ class Limited(FrameSource):
         self._source = source
         self._frames_left = frames
         self._duration_s = duration_s
+        self._delay_ns = round(delay_s * 1e9)
         self._clock = clock
         self._opened_s = clock()
         self._first_ns: int | None = None
@@ -110,14 +114,15 @@ class Limited(FrameSource):
         frame = self._source.read(timeout_s)
         if self._first_ns is None:
             self._first_ns = frame.timestamp_ns
-        if self._is_over((frame.timestamp_ns - self._first_ns) * 1e-9):
+        elapsed_ns = frame.timestamp_ns - self._first_ns
+        if self._is_over(elapsed_ns * 1e-9):
             raise EndOfRecordingError("the time that was asked for is over")
-        if self._frames_left is not None:
+        if self._frames_left is not None and elapsed_ns >= self._delay_ns:
             self._frames_left -= 1
         return frame
 
     def _is_over(self, elapsed_s: float) -> bool:
-        return self._duration_s is not None and elapsed_s >= self._duration_s
+        return self._duration_s is not None and elapsed_s >= self._duration_s + self._delay_ns * 1e-9
 
     def skip(self, frames: int) -> int:
         """Go past the next frames; they do not count."""

@@ -40,10 +40,12 @@ class RunReport:
     ----------
     segmented : int
         Frames segmented so far.
+    passed_by : int
+        Frames taken that were to be recorded only.
     """
 
     def __init__(self, config: AppConfig, source: str, metadata: Mapping[str, str]) -> None:
-        self.segmented = 0
+        self.segmented = self.passed_by = 0
         self._config = config
         self._source = source
         self._metadata = metadata
@@ -81,6 +83,8 @@ class RunReport:
         """
         read = 0 if capture is None else capture.read
         overwritten = 0 if capture is None else capture.frames.overwritten
+        withheld = 0 if capture is None else capture.withheld
+        recording = None if capture is None else capture.recording
         damaged = 0 if capture is None else capture.damaged
         return {
             "ended": ended,
@@ -90,14 +94,17 @@ class RunReport:
             "frames": {
                 "read": read,
                 "segmented": self.segmented,
+                "recorded_only": self.passed_by,
                 "dropped": {
                     "overwritten_by_a_newer_frame": overwritten,
+                    "withheld_for_the_recording": withheld,
                     "damaged": damaged,
                     "without_a_partner": int(self._metadata.get("dropped", 0)),
-                    "unfinished_at_the_end": read - self.segmented - overwritten,
+                    "unfinished_at_the_end": read - self.segmented - self.passed_by - overwritten - withheld,
                 },
                 "damaged_frames": [] if capture is None else capture.damaged_frames,
             },
+            "recording": None if recording is None else recording.figures(),
             "frames_per_s": round(self.frames_per_s, 3),
             "first_result_after_s": None
             if self._first_s is None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -16,8 +16,10 @@ from nurbseg.app.export import Exporter, ExportError
 from nurbseg.app.interruption import Interruption
 from nurbseg.app.opening import open_chosen
 from nurbseg.app.progress import Progress
+from nurbseg.app.record import open_recording, tell_recorded
 from nurbseg.app.report import RunReport
 from nurbseg.app.view import ViewError, open_view
+from nurbseg.app.view_config import ViewConfig
 from nurbseg.app.worker import FrameResult, process_frame
 from nurbseg.drivers.errors import DriverError
 from nurbseg.segmentation.config import SegmentationConfig
@@ -56,7 +58,7 @@ def run(config: AppConfig, interruption: Interruption) -> RunReport:
     DriverError
         If the source fails on the way, or gives no frame.
     ExportError, ViewError
-        If a result cannot be written.
+        If a result cannot be written, or a recording is not whole.
     KeyboardInterrupt
         If the run was interrupted.
     """
@@ -76,24 +78,36 @@ def run(config: AppConfig, interruption: Interruption) -> RunReport:
                 )
                 consumers.append(("export", exporter.write))
             name = Path(opened.uri).name
+            view_config = ViewConfig(mode="none") if config.record.only else config.view
             view = stack.enter_context(
-                open_view(config.view, config.segmentation, opened.source.metadata, name=name)
+                open_view(view_config, config.segmentation, opened.source.metadata, name=name)
             )
             consumers.append(("show", view.show))
+            recording = open_recording(
+                config.record,
+                opened.source.calibration,
+                opened.source.metadata,
+                lossless=opened.every_frame,
+            )
         except (DriverError, ExportError, ViewError, OSError, ValueError) as err:
             raise SetupError(str(err)) from err
         if view.how_to_look:
             _log.info("to look: %s", view.how_to_look)
 
-        capture = CaptureThread(opened.source, lossless=opened.every_frame)
+        capture = CaptureThread(opened.source, lossless=opened.every_frame, recording=recording)
         ended = "the source ended"
         try:
-            with capture:
+            with recording or nullcontext(), capture:
                 try:
-                    _work(capture, config.segmentation, consumers, report, interruption)
+                    if config.record.only:
+                        _pass_by(capture, report, interruption)
+                    else:
+                        _work(capture, config.segmentation, consumers, report, interruption)
                 finally:
                     interruption.hold()
-            if report.segmented == 0:
+            if recording is not None:
+                tell_recorded(recording)
+            if report.segmented + report.passed_by == 0:
                 raise NoFramesError(f"{opened.uri}: no frame could be read ({capture.damaged} damaged)")
         except BaseException as err:
             ended = "interrupted" if interruption.signal_number else f"{type(err).__name__}: {err}"
@@ -138,6 +152,22 @@ def _work(
             elapsed_ms[stage] = 1e3 * (time.perf_counter() - started_s)
         report.add(elapsed_ms)
         progress.segmented(result)
+
+
+def _pass_by(capture: CaptureThread, report: RunReport, interruption: Interruption) -> None:
+    """Take frame after frame, which are recorded already, until the source or the recording ends."""
+    progress = Progress(capture)
+    while capture.recording is not None and not capture.recording.ended:
+        interruption.check()
+        try:
+            captured = capture.frames.take(_TAKE_TIMEOUT_S)
+        except TimeoutError:
+            progress.waiting()
+            continue
+        if captured is None:
+            return
+        report.passed_by += 1
+        progress.recorded()
 
 
 def _write_report(config: AppConfig, report: RunReport, capture: CaptureThread | None, ended: str) -> None:

@@ -1,0 +1,58 @@
+"""What a user may ask of a recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from nurbseg.drivers.settings import check_settings, setting
+
+RecordColor = Literal["jpeg95", "png", "raw"]
+
+_SUFFIXES = (".mcap", ".oni")
+
+
+@dataclass(frozen=True, slots=True)
+class RecordConfig:
+    """Settings of the recording that is made while a run goes on.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of its bounds, or the file is of neither kind.
+    """
+
+    file: str | None = setting(
+        None,
+        "record the frames while they are segmented: .mcap, or .oni by OpenNI2 itself",
+        unit="FILE",
+        flag="record",
+    )
+    only: bool = setting(False, "record without segmenting and showing", flag="record-only")
+    delay_s: float = setting(
+        0.0,
+        "begin recording this long after the first frame; --frames and --duration count from there",
+        unit="s",
+        least=0.0,
+        flag="record-delay",
+    )
+    color: RecordColor = setting(
+        "jpeg95",
+        "how color is kept: JPEG of quality 95, or exactly as PNG or raw (an .oni: JPEG or raw)",
+        choices=get_args(RecordColor),
+        flag="record-color",
+    )
+    space_min_mb: int = setting(
+        200,
+        "stop recording, with a readable file, when less disk space is left",
+        unit="MB",
+        least=1,
+        flag="record-space-min",
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if self.file is not None and not self.file.lower().endswith(_SUFFIXES):
+            raise ValueError(f"file: expected a name that ends in .mcap or .oni, got {self.file!r}")
+        if self.only and self.file is None:
+            raise ValueError("only: expected a file to record to as well (--record FILE)")
