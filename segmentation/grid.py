@@ -23,7 +23,7 @@ class PixelGrid:
     image_shape : (int, int)
         Rows and columns of the full image.
     coordinates_m : (3, h, w) float32
-        x, y, z in metres, 0 where there is no point.
+        x, y, z in metres; 0, or NaN on a full grid, where there is no point.
     valid : (h, w) bool
         Where there is a point.
     """
@@ -105,8 +105,9 @@ def decimated_grid(cloud: PointMap, step: int) -> PixelGrid:
 
 
 def full_grid(cloud: PointMap) -> PixelGrid:
-    """Take every pixel of a frame."""
-    return decimated_grid(cloud, 1)
+    """Take every pixel of a frame, without copying; coordinates are NaN where there is no point."""
+    height, width = cloud.valid.shape
+    return PixelGrid(1, (height, width), np.moveaxis(cloud.points_m, -1, 0), cloud.valid)
 
 
 __all__ = ["PixelGrid", "Window", "decimated_grid", "full_grid"]

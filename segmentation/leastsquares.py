@@ -17,7 +17,7 @@ _RIDGE_SHARE = 1e-10
 
 
 def fit_control_points(
-    values: NDArray[np.float64],
+    values: NDArray[np.floating],
     mask: NDArray[np.bool_],
     counts: tuple[int, int],
     smoothness: float = 0.0,
@@ -31,7 +31,7 @@ def fit_control_points(
     Parameters
     ----------
     values : (C, h, w) floating
-        Images to fit, finite; read only where `mask` is set.
+        Images to fit; read only where `mask` is set.
     mask : (h, w) bool
         Pixels that have a value, at least one.
     counts : (int, int)
@@ -53,35 +53,45 @@ def fit_control_points(
     """
     nu, nv = counts
     height, width = mask.shape
-    # The narrower direction inside gives the narrower band.
-    if nu > nv:
-        swapped: NDArray[np.float64] = fit_control_points(
-            values.transpose(0, 2, 1), mask.T, (nv, nu), smoothness
-        )
-        return swapped.transpose(0, 2, 1)
     Bu, Bv = pixel_basis(width, nu), pixel_basis(height, nv)
     weight = mask.astype(np.float64)
     overlaps = neighbor_products(height, nv).T @ (weight @ neighbor_products(width, nu))
-    band = np.append(overlaps.ravel(), 0.0)[_band_sources(nv, nu)]
-    if smoothness > 0:
-        band += smoothness * _second_differences(height, nv, width, nu)
-    band[0] += _RIDGE_SHARE * band[0].max()
     right = np.empty((values.shape[0], nv, nu))
     centers = np.empty((values.shape[0], 1, 1))
-    masked = np.empty(mask.shape)
+    masked = np.zeros(mask.shape)
     ones = Bv.T @ (weight @ Bu)
     points = weight.sum()
     # One image at a time: all of them would not stay in the cache.
     for center, sums, image in zip(centers, right, values, strict=True):
-        np.multiply(image, weight, out=masked)
+        np.copyto(masked, image, where=mask)
         center[...] = masked.sum() / points
         np.subtract(Bv.T @ (masked @ Bu), center * ones, out=sums)
-    _, solution, failed = dpbsv(band, right.reshape(values.shape[0], nv * nu).T, lower=1, overwrite_ab=1)
+    # Numbering control points along the direction that has fewer gives the narrower band.
+    if nu > nv:
+        turned = _solved(overlaps.T, right.transpose(0, 2, 1), (width, height), smoothness)
+        control = turned.transpose(0, 2, 1)
+    else:
+        control = _solved(overlaps, right, (height, width), smoothness)
+    return control + centers
+
+
+def _solved(
+    overlaps: NDArray[np.float64],
+    right: NDArray[np.float64],
+    sizes: tuple[int, int],
+    smoothness: float,
+) -> NDArray[np.float64]:
+    """Solve the normal equations for (C, outer, inner) control values, given the pixels along both axes."""
+    images, outer, inner = right.shape
+    band = np.append(overlaps.ravel(), 0.0)[_band_sources(outer, inner)]
+    if smoothness > 0:
+        band += smoothness * _second_differences(sizes[0], outer, sizes[1], inner)
+    band[0] += _RIDGE_SHARE * band[0].max()
+    columns = right.reshape(images, outer * inner).T
+    _, solution, failed = dpbsv(band, columns, lower=1, overwrite_ab=1)
     if failed or not np.isfinite(solution).all():
         raise LinAlgError("the normal equations have no finite solution")
-    control: NDArray[np.float64] = solution.T.reshape(values.shape[0], nv, nu)
-    control += centers
-    return control
+    return np.asarray(solution.T.reshape(images, outer, inner), dtype=np.float64)
 
 
 @lru_cache(maxsize=256)

@@ -1,0 +1,116 @@
+"""The paper's text followed literally, as a yardstick: every pixel, double precision, dense systems.
+
+Nystrom normalized cuts keep the affinities of every point to the sample and all eigenvectors; a fit is one
+row per point of a dense system, solved by singular value decomposition. Nothing of the fast path's
+numerics is used: no decimation, no separable normal equations, no classification by one dot product.
+"""
+
+from __future__ import annotations
+
+import heapq
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.bspline import averaged_knots, basis_matrix
+from nurbseg.segmentation.components import give_away_small_pieces
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.registration import PointMap
+
+
+def vectors(cloud: PointMap, config: SegmentationConfig) -> NDArray[np.float64]:
+    """Eq. 1-3 for every valid pixel, (N, 6)."""
+    lab = cv2.cvtColor(cloud.color.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)[cloud.valid].astype(float)
+    points = cloud.points_m[cloud.valid].astype(float)
+    sigma_c = lab.std(axis=0).mean() or 1.0
+    sigma_g = points.std(axis=0).mean() or 1.0
+    return np.hstack([lab / sigma_c, config.geometry_weight * points / sigma_g])
+
+
+def cut(x: NDArray[np.float64], config: SegmentationConfig, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Split by the sign of the second eigenvector: one-shot Nystrom of Fowlkes et al., section 3.1."""
+    order = rng.permutation(len(x))
+    m = min(config.samples, len(x) - 1)
+    sample, rest = x[order[:m]], x[order[m:]]
+
+    def gaussian(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+        distances = np.zeros((len(a), len(b)))
+        for axis in range(a.shape[1]):
+            distances += (a[:, axis, None] - b[None, :, axis]) ** 2
+        return np.exp(-distances / (2 * config.affinity_scale**2))
+
+    A, B = gaussian(sample, sample), gaussian(sample, rest)
+    degree_sample = A.sum(axis=1) + B.sum(axis=1)
+    degree_rest = B.sum(axis=0) + B.T @ (np.linalg.pinv(A, rcond=1e-6) @ B.sum(axis=1))
+    degree = np.maximum(np.concatenate([degree_sample, degree_rest]), 1.0)
+    A = A / np.sqrt(np.outer(degree[:m], degree[:m]))
+    B = B / np.sqrt(np.outer(degree[:m], degree[m:]))
+    values, U = np.linalg.eigh(A)
+    kept = values > 1e-6 * values[-1]
+    inverse_root = (U[:, kept] / np.sqrt(values[kept])) @ U[:, kept].T
+    R = A + inverse_root @ (B @ B.T) @ inverse_root
+    L, UR = np.linalg.eigh(R)
+    L, UR = L[::-1], UR[:, ::-1]
+    positive = L / L[0] > 1e-6
+    V = np.vstack([A, B.T]) @ inverse_root @ (UR[:, positive] / np.sqrt(L[positive]))
+    side = np.zeros(len(x), dtype=bool)
+    if V.shape[1] > 1:
+        side[order] = V[:, 1] / np.sqrt(degree) > 0
+    return side
+
+
+def mse(cloud: PointMap, pixels: NDArray[np.intp], config: SegmentationConfig) -> float:
+    """Mean squared error of a fit by SVD of the dense system (section 3.2, eq. 7)."""
+    height, width = cloud.valid.shape
+    rows, columns = np.divmod(pixels, width)
+    bases = []
+    for places, extent in ((rows, height), (columns, width)):
+        parameters = np.arange(places.min(), places.max() + 1, dtype=float)
+        share = config.control_points_max * parameters.size / extent
+        count = max(4, min(int(np.floor(share + 0.5)), parameters.size))
+        bases.append(basis_matrix(averaged_knots(parameters, count), 3, places.astype(float)))
+    system = np.einsum("ka,kb->kab", *bases).reshape(pixels.size, -1)
+    points = cloud.points_m.reshape(-1, 3)[pixels].astype(float)
+    U, s, Vt = np.linalg.svd(system, full_matrices=False)
+    kept = s > 1e-12 * s[0]
+    control = Vt[kept].T @ ((U[:, kept].T @ points) / s[kept, None])
+    return float(np.square(system @ control - points).sum(axis=1).mean())
+
+
+def segment(cloud: PointMap, config: SegmentationConfig) -> NDArray[np.uint16]:
+    """Grow the tree of section 3.3 with the metric MSE; labels from 1, 0 where there is no depth."""
+    x = vectors(cloud, config)
+    shape = cloud.valid.shape
+    everything = np.flatnonzero(cloud.valid)
+    row_of = np.zeros(cloud.valid.size, dtype=np.intp)
+    row_of[everything] = np.arange(everything.size)
+    smallest = config.segment_pixels_min * cloud.valid.size / (640 * 480)
+    waiting = [(-mse(cloud, everything, config), "", everything)]
+    leaves, splits = [], 0
+    while waiting:
+        negative, name, pixels = heapq.heappop(waiting)
+        stop = pixels.size <= 2 * smallest or len(name) >= config.depth_max or splits >= config.splits_max
+        if not stop:
+            rng = np.random.default_rng([config.seed, int(f"1{name}", 2)])
+            image, mask = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
+            mask.flat[pixels] = True
+            image.flat[pixels] = cut(x[row_of[pixels]], config, rng)
+            side = give_away_small_pieces(mask, image, smallest).ravel()[pixels]
+            parts = pixels[~side], pixels[side]
+            stop = min(part.size for part in parts) < smallest
+        if not stop:
+            values = [mse(cloud, part, config) for part in parts]
+            before = -negative * pixels.size
+            after = sum(value * part.size for value, part in zip(values, parts, strict=True))
+            stop = not (name == "" or (before > 0 and after / before < config.ratio_max))
+        if stop:
+            leaves.append(pixels)
+            continue
+        splits += 1
+        for digit, (value, part) in enumerate(zip(values, parts, strict=True)):
+            heapq.heappush(waiting, (-value, f"{name}{digit}", part))
+    labels = np.zeros(cloud.valid.size, dtype=np.uint16)
+    for number, pixels in enumerate(leaves, start=1):
+        labels[pixels] = number
+    return labels.reshape(shape)

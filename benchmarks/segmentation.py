@@ -1,0 +1,188 @@
+"""Time the segmentation by stage and by size, beside scikit-image's felzenszwalb on the same frames.
+
+Examples
+--------
+The demo recording, then frames without calibration, with the literal version of the method as well::
+
+    python benchmarks/segmentation.py
+    python benchmarks/segmentation.py FOLDER --intrinsics 525,525,319.5,239.5 --frames 9 --literal
+"""
+
+from __future__ import annotations
+
+import argparse
+import platform
+import statistics
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import scipy
+import skimage
+from skimage.segmentation import felzenszwalb
+
+from nurbseg.drivers.frame import Calibration, RGBDFrame
+from nurbseg.drivers.registry import SourceOptions, open_source
+from nurbseg.segmentation import tree
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.registration import PointMap, register
+from nurbseg.segmentation.surface import fit_surface
+
+DEMO = Path(__file__).parent.parent / "recordings" / "demo.mcap"
+#: Functions that the tree calls, and the stage that their time belongs to.
+STAGES = {
+    "decimated_grid": "grid",
+    "raw_vectors": "vectors",
+    "normalization": "vectors",
+    "normalized": "vectors",
+    "normalized_cut": "cut",
+    "_cleaned": "clean-up",
+    "fit_on_grid": "fit",
+    "all_metrics": "curvature",
+    "settle": "settle",
+}
+SIZES = {"QVGA": (320, 240), "VGA": (640, 480), "SXGA": (1280, 960)}
+
+
+def milliseconds(work: Callable[[], Any], repeat: int) -> float:
+    """Median time of some work after one call to warm up."""
+    work()
+    times = []
+    for _ in range(repeat):
+        start = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - start)
+    return 1e3 * statistics.median(times)
+
+
+@contextmanager
+def stage_clock() -> Iterator[dict[str, float]]:
+    """Measure the time spent in each stage while the tree is made, in ms."""
+    spent: dict[str, float] = defaultdict(float)
+    originals = {name: getattr(tree, name) for name in STAGES if hasattr(tree, name)}
+
+    def timed(name: str) -> Callable[..., Any]:
+        def call(*arguments: Any, **options: Any) -> Any:
+            start = time.perf_counter()
+            try:
+                return originals[name](*arguments, **options)
+            finally:
+                spent[STAGES[name]] += 1e3 * (time.perf_counter() - start)
+
+        return call
+
+    for name in originals:
+        setattr(tree, name, timed(name))
+    try:
+        yield spent
+    finally:
+        for name, original in originals.items():
+            setattr(tree, name, original)
+
+
+def resized(frame: RGBDFrame, width: int, height: int) -> RGBDFrame:
+    """Return a registered frame at another size, depth by nearest neighbour."""
+    camera = frame.calibration.depth.scaled_to(width, height)
+    return replace(
+        frame,
+        depth_mm=cv2.resize(frame.depth_mm, (width, height), interpolation=cv2.INTER_NEAREST),
+        color=cv2.resize(frame.color, (width, height), interpolation=cv2.INTER_LINEAR),
+        calibration=Calibration.registered(camera),
+        labels=None,
+    )
+
+
+def full_frame_fit(config: SegmentationConfig, repeat: int) -> float:
+    """Time one fit to every pixel of a VGA frame, residuals included."""
+    rows, columns = np.mgrid[:480, :640].astype(np.float32)
+    depth = 1.5 + 0.001 * rows + 0.2 * np.sin(columns / 50)
+    points = np.stack([(columns - 319.5) / 525 * depth, (rows - 239.5) / 525 * depth, depth], axis=-1)
+    cloud = PointMap(points, np.zeros((480, 640, 3), dtype=np.uint8), np.ones((480, 640), dtype=bool))
+    pixels = np.arange(480 * 640)
+    return milliseconds(lambda: fit_surface(cloud, pixels, config), repeat)
+
+
+def main() -> None:
+    """Run and print the tables."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("data", nargs="?", default=str(DEMO), help="what nurbseg-live replays (the demo)")
+    parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="of frames without calibration, pixels")
+    parser.add_argument("--frames", type=int, default=5, help="frames, spread over the data (5)")
+    parser.add_argument("--repeat", type=int, default=5, help="runs of which the median is taken (5)")
+    parser.add_argument("--method", default="stag15", help="segmentation method (stag15)")
+    parser.add_argument("--literal", action="store_true", help="time the literal version too: minutes")
+    arguments = parser.parse_args()
+    intrinsics = tuple(float(x) for x in arguments.intrinsics.split(",")) if arguments.intrinsics else None
+    with open_source(arguments.data, SourceOptions(intrinsics=intrinsics)) as source:  # type: ignore[arg-type]
+        frames = list(source)
+    frames = frames[:: max(1, len(frames) // arguments.frames)][: arguments.frames]
+    config = SegmentationConfig(method=arguments.method)
+    versions = f"numpy {np.__version__}, scipy {scipy.__version__}, OpenCV {cv2.__version__}"
+    print(f"Python {platform.python_version()}, {versions}, scikit-image {skimage.__version__}")
+    print(f"{len(frames)} frames of {arguments.data}, medians of {arguments.repeat} runs, ms\n")
+
+    columns = sorted(set(STAGES.values()), key=list(STAGES.values()).index)
+    print(
+        "frame".ljust(12),
+        "register",
+        "  tree",
+        *(each.rjust(9) for each in columns),
+        " segments    fh04  ratio",
+    )
+    rows = []
+    for frame in frames:
+        cloud = register(frame)
+        registered = milliseconds(lambda frame=frame: register(frame), arguments.repeat)
+        whole = milliseconds(lambda cloud=cloud: tree.segment(cloud, config), arguments.repeat)
+        with stage_clock() as spent:
+            found = tree.segment(cloud, config)
+        peer = milliseconds(
+            lambda frame=frame: felzenszwalb(frame.color, scale=1000, sigma=0.8, min_size=750),
+            arguments.repeat,
+        )
+        rows.append((registered, whole, peer, whole / peer))
+        stages = (f"{spent[each]:9.1f}" for each in columns)
+        name = frame.name or str(frame.index)
+        print(f"{name:12} {registered:8.1f} {whole:6.1f}", *stages, end=" ")
+        print(f"{len(found.leaves()):9} {peer:7.1f} {whole / peer:6.3f}")
+    medians = [statistics.median(column) for column in zip(*rows, strict=True)]
+    print("median".ljust(12), f"{medians[0]:8.1f} {medians[1]:6.1f}", " " * (10 * len(columns) + 9), end="")
+    print(f"{medians[2]:7.1f} {medians[3]:6.3f}")
+    print(f"\nfull VGA frame, 20x20 control points, residuals: {full_frame_fit(config, 15):.1f} ms")
+
+    print("\nsize    pixels     tree   per megapixel")
+    chosen = [frame for frame in frames if frame.calibration.is_registered][:3]
+    sums = []
+    for name, (width, height) in SIZES.items():
+        if chosen:
+            clouds = [register(resized(frame, width, height)) for frame in chosen]
+            total = statistics.mean(
+                milliseconds(lambda cloud=cloud: tree.segment(cloud, config), arguments.repeat)
+                for cloud in clouds
+            )
+            sums.append((width * height, total))
+            print(f"{name:6} {width * height:8} {total:8.1f} {1e6 * total / (width * height):10.1f}")
+    if len(sums) > 1:
+        exponent = np.polyfit(*np.log(np.array(sums)).T, 1)[0]
+        print(f"time grows with pixels to the power of {exponent:.2f}")
+
+    if arguments.literal:
+        import literal
+
+        cloud = register(frames[0])
+        start = time.perf_counter()
+        literal.segment(cloud, config)
+        spent_literally = 1e3 * (time.perf_counter() - start)
+        print(
+            f"\nliteral version, first frame: {spent_literally:.0f} ms, {spent_literally / rows[0][1]:.0f} x"
+        )
+
+
+if __name__ == "__main__":
+    main()
