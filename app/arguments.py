@@ -55,9 +55,12 @@ class _Version(argparse.Action):
     """Prints the version; looks it up only when asked, because that takes a while."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
-        from importlib.metadata import version
+        from importlib.metadata import PackageNotFoundError, version
 
-        parser.exit(message=f"nurbseg-live {version('nurbseg')}\n")
+        try:
+            parser.exit(message=f"nurbseg-live {version('nurbseg')}\n")
+        except PackageNotFoundError:
+            parser.exit(1, "nurbseg-live: run from a folder, not installed as a package\n")
 
 
 def parse_arguments(words: Sequence[str] | None = None) -> Arguments:

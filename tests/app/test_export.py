@@ -1,0 +1,156 @@
+import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from nurbseg.app.atomic_file import write_atomically
+from nurbseg.app.export import Exporter, ExportError, surfaces_npz, tree_document
+from nurbseg.app.worker import FrameResult
+from nurbseg.segmentation.surface import NurbsSurface, evaluate
+from nurbseg.segmentation.tree import SegmentationTree
+
+
+def exported(result: FrameResult, folder: Path, *, surfaces: bool = True) -> None:
+    Exporter(folder, metric="mse", surfaces=surfaces).write(result)
+
+
+def test_files_are_named_by_the_frames_number(small_result: FrameResult, tmp_path: Path) -> None:
+    result = replace(small_result, frame=replace(small_result.frame, index=42))
+    exported(result, tmp_path / "out")
+    names = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert names == ["000042_labels.png", "000042_surfaces.npz", "000042_tree.json"]
+
+
+def test_surfaces_are_written_only_when_asked_for(small_result: FrameResult, tmp_path: Path) -> None:
+    exported(small_result, tmp_path, surfaces=False)
+    assert not list(tmp_path.glob("*.npz"))
+
+
+def test_the_labels_file_is_the_label_image(small_result: FrameResult, tmp_path: Path) -> None:
+    exported(small_result, tmp_path)
+    labels = cv2.imread(str(tmp_path / "000000_labels.png"), cv2.IMREAD_UNCHANGED)
+    assert labels.dtype == np.uint16
+    assert np.array_equal(labels, small_result.tree.label_image())
+
+
+def test_the_tree_file_agrees_with_itself_and_with_the_labels(
+    small_result: FrameResult, tmp_path: Path
+) -> None:
+    exported(small_result, tmp_path)
+    document = json.loads((tmp_path / "000000_tree.json").read_text())
+    labels = cv2.imread(str(tmp_path / "000000_labels.png"), cv2.IMREAD_UNCHANGED)
+    assert (document["height"], document["width"]) == labels.shape
+    segments = {each["name"]: each for each in document["segments"]}
+    assert len(segments) == len(small_result.tree.segments) > 2
+    assert segments["P"]["parent"] is None
+    assert segments["P"]["size"] == np.count_nonzero(labels)
+    for name, each in segments.items():
+        assert each["depth"] == len(name) - 1
+        if each["children"]:
+            assert each["label"] is None
+            assert each["stop"] is None
+            assert each["size"] == sum(segments[child]["size"] for child in each["children"])
+            assert {segments[child]["parent"] for child in each["children"]} == {name}
+        else:
+            assert each["size"] == np.count_nonzero(labels == each["label"])
+            assert each["stop"]
+        assert each["value"] == each["values"]["mse"]
+
+
+def test_the_surfaces_file_gives_the_surfaces_back(small_result: FrameResult, tmp_path: Path) -> None:
+    exported(small_result, tmp_path)
+    with np.load(tmp_path / "000000_surfaces.npz") as arrays:
+        names = arrays["names"].tolist()
+        assert len(names) == sum(each.fit.surface is not None for each in small_result.tree.segments) > 0
+        for at, name in enumerate(names):
+            original = small_result.tree[name.removeprefix("P")].fit.surface
+            assert original is not None
+            surface = NurbsSurface(
+                degree=tuple(arrays["degree"][at].tolist()),
+                knots_u=arrays[f"{name}_knots_u"],
+                knots_v=arrays[f"{name}_knots_v"],
+                control_points_m=arrays[f"{name}_control_points_m"],
+                weights=arrays[f"{name}_weights"],
+                window=tuple(arrays["window"][at].tolist()),
+            )
+            top, left, bottom, right = surface.window
+            u, v = np.linspace(left, right - 1, 7), np.linspace(top, bottom - 1, 7)
+            assert np.array_equal(evaluate(surface, u, v), evaluate(original, u, v))
+
+
+def test_a_frame_without_a_point_is_exported_too(
+    small_result: FrameResult, empty_result: Callable[[FrameResult], FrameResult], tmp_path: Path
+) -> None:
+    exported(empty_result(small_result), tmp_path)
+    document = json.loads((tmp_path / "000000_tree.json").read_text())
+    (root,) = document["segments"]
+    assert (root["size"], root["stop"], root["surface"]) == (0, "no-points", False)
+    assert root["reason"]
+    labels = cv2.imread(str(tmp_path / "000000_labels.png"), cv2.IMREAD_UNCHANGED)
+    assert not labels.any()
+    with np.load(tmp_path / "000000_surfaces.npz") as arrays:
+        assert arrays["names"].size == 0
+
+
+@pytest.fixture
+def empty_result() -> Callable[[FrameResult], FrameResult]:
+    from nurbseg.app.worker import process_frame
+    from nurbseg.segmentation.config import SegmentationConfig
+
+    def make(result: FrameResult) -> FrameResult:
+        frame = replace(result.frame, depth_mm=np.zeros_like(result.frame.depth_mm), labels=None)
+        return process_frame(frame, SegmentationConfig())
+
+    return make
+
+
+def test_infinite_values_become_null(small_result: FrameResult) -> None:
+    segments = list(small_result.tree.segments)
+    segments[0] = replace(segments[0], ratio=math.inf)
+    result = replace(small_result, tree=SegmentationTree(tuple(segments), small_result.tree.shape))
+    document = tree_document(result, "mse")
+    assert document["segments"][0]["ratio"] is None
+    json.dumps(document, allow_nan=False)
+
+
+def test_a_file_that_cannot_be_written_ends_with_what_is_kept(
+    small_result: FrameResult, tmp_path: Path
+) -> None:
+    exporter = Exporter(tmp_path, metric="mse")
+    exporter.write(small_result)
+    following = replace(small_result, frame=replace(small_result.frame, index=1))
+    (tmp_path / "000001_labels.png").mkdir()
+    with pytest.raises(ExportError, match=r"000001_labels\.png: cannot be written: .*; the 1 frames before"):
+        exporter.write(following)
+    assert not [path for path in tmp_path.iterdir() if path.name.endswith(".part")]
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(ExportError, match="file/out: cannot be made: Not a directory"):
+        Exporter(tmp_path / "file" / "out", metric="mse")
+
+
+def test_an_interrupted_write_leaves_the_old_file_and_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.json"
+    write_atomically(path, b"old")
+
+    def interrupted(self: Path, target: Path) -> Path:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_atomically(path, b"new")
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_same_tree_gives_the_same_bytes(small_result: FrameResult) -> None:
+    assert surfaces_npz(small_result.tree) == surfaces_npz(small_result.tree)

@@ -1,0 +1,221 @@
+"""The installed command, end to end, in processes of its own."""
+
+import importlib.metadata
+import json
+import resource
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+Live = Callable[..., subprocess.CompletedProcess[str]]
+
+SMALL = "synthetic:?width=96&height=72&frames={}"
+FAST = ("--speed", "0", "--view", "none")
+
+
+def test_help_is_there_in_a_third_of_a_second(live: Live) -> None:
+    def took_s() -> float:
+        began_s = time.perf_counter()
+        assert live("--help").returncode == 0
+        return time.perf_counter() - began_s
+
+    # The best of a few, because other programs run too.
+    assert min(took_s() for _ in range(5)) < 0.3
+
+
+def test_the_printed_configuration_can_be_fed_back(live: Live, tmp_path: Path) -> None:
+    words = (
+        "--metric",
+        "vmxc",
+        "--speed",
+        "0.5",
+        "--intrinsics",
+        "1,2,3,4",
+        "--view",
+        "none",
+        "--print-config",
+    )
+    first = live(*words)
+    assert first.returncode == 0
+    (tmp_path / "run.toml").write_text(first.stdout)
+    second = live("--config", "run.toml", "--print-config")
+    assert second.stdout == first.stdout
+    assert 'metric = "vmxc"' in second.stdout
+
+
+def test_version(live: Live) -> None:
+    try:
+        version = importlib.metadata.version("nurbseg")
+    except importlib.metadata.PackageNotFoundError:
+        pytest.skip("nurbseg is on the path, but not installed as a package")
+    assert live("--version").stdout == f"nurbseg-live {version}\n"
+
+
+def test_every_frame_of_a_recording_is_segmented_exported_and_reported(live: Live, tmp_path: Path) -> None:
+    done = live(
+        "--replay", SMALL.format(4), *FAST, "--export", "out", "--export-surfaces", "--report", "report.json"
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == ""
+    names = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert names == [
+        f"{i:06d}_{kind}" for i in range(4) for kind in ("labels.png", "surfaces.npz", "tree.json")
+    ]
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["ended"] == "the source ended"
+    assert (report["frames"]["read"], report["frames"]["segmented"]) == (4, 4)
+    assert set(report["frames"]["dropped"].values()) == {0}
+    assert set(report["latency_ms"]) >= {"wait", "register", "segment", "capture_to_labels", "export"}
+    assert report["frames_per_s"] > 0
+
+
+def test_the_same_seed_gives_the_same_files_and_another_gives_others(live: Live, tmp_path: Path) -> None:
+    for folder, seed in (("a", "1"), ("b", "1"), ("c", "2")):
+        assert live("--replay", SMALL.format(1), *FAST, "--seed", seed, "--export", folder).returncode == 0
+    trees = [(tmp_path / folder / "000000_tree.json").read_bytes() for folder in "abc"]
+    assert trees[0] == trees[1] != trees[2]
+
+
+def test_objects_of_different_depth_and_color_come_apart(
+    live: Live, write_pairs: Callable[..., Path], tmp_path: Path
+) -> None:
+    done = live("--replay", str(write_pairs(2)), *FAST, "--export", "out", "--depth-max", "1")
+    assert done.returncode == 0, done.stderr
+    for index in range(2):
+        labels = cv2.imread(str(tmp_path / f"out/{index:06d}_labels.png"), cv2.IMREAD_UNCHANGED)
+        box = np.zeros((48, 64), dtype=bool)
+        box[12:36, 10 + index : 34 + index] = True
+        assert set(labels.ravel().tolist()) == {1, 2}
+        inside = np.bincount(labels[box]).argmax()
+        assert np.mean((labels == inside) == box) > 0.99
+
+
+def test_a_paced_replay_drops_what_it_cannot_follow_and_says_so(live: Live, tmp_path: Path) -> None:
+    done = live("--replay", SMALL.format(60), "--speed", "20", "--view", "none", "--report", "report.json")
+    assert done.returncode == 0, done.stderr
+    frames = json.loads((tmp_path / "report.json").read_text())["frames"]
+    assert frames["read"] == 60
+    assert frames["segmented"] < 60
+    assert frames["segmented"] + frames["dropped"]["overwritten_by_a_newer_frame"] == 60
+
+
+def test_limits_and_loops(live: Live, tmp_path: Path) -> None:
+    done = live("--replay", SMALL.format(3), *FAST, "--loop", "--frames", "5", "--export", "out")
+    assert done.returncode == 0, done.stderr
+    assert len(list((tmp_path / "out").glob("*_labels.png"))) == 5
+    done = live("--replay", SMALL.format(9), *FAST, "--duration", "0.1", "--export", "short")
+    assert len(list((tmp_path / "short").glob("*_labels.png"))) == 3
+
+
+def test_a_damaged_frame_is_named_and_the_run_goes_on(
+    live: Live, write_pairs: Callable[..., Path], tmp_path: Path
+) -> None:
+    folder = write_pairs(4)
+    (folder / "f1_depth.png").write_bytes((folder / "f1_depth.png").read_bytes()[:60])
+    cv2.imwrite(str(folder / "f2_depth.png"), np.full((48, 64), 7, dtype=np.uint8))
+    done = live("--replay", str(folder), *FAST, "--export", "out", "--report", "report.json")
+    assert done.returncode == 0, done.stderr
+    assert "f1_depth.png" in done.stderr
+    assert "f2_depth.png" in done.stderr
+    assert sorted(path.name[:6] for path in (tmp_path / "out").glob("*_labels.png")) == ["000000", "000003"]
+    frames = json.loads((tmp_path / "report.json").read_text())["frames"]
+    assert frames["dropped"]["damaged"] == 2
+    assert len(frames["damaged_frames"]) == 2
+
+
+@pytest.mark.parametrize(
+    "values", [(0, 0), (1500, 1500)], ids=["no depth at all", "constant depth and color"]
+)
+def test_a_frame_without_content_is_a_result_too(
+    values: tuple[int, int], live: Live, write_pairs: Callable[..., Path], tmp_path: Path
+) -> None:
+    folder = write_pairs(2)
+    cv2.imwrite(str(folder / "f0_depth.png"), np.full((48, 64), values[0], dtype=np.uint16))
+    cv2.imwrite(str(folder / "f0_color.png"), np.full((48, 64, 3), 99, dtype=np.uint8))
+    done = live("--replay", str(folder), *FAST, "--export", "out")
+    assert done.returncode == 0, done.stderr
+    labels = cv2.imread(str(tmp_path / "out/000000_labels.png"), cv2.IMREAD_UNCHANGED)
+    assert (labels.max() > 0) == (values[0] > 0)
+
+
+def test_fewer_points_than_a_segment_needs_are_one_segment(
+    live: Live, write_pairs: Callable[..., Path], tmp_path: Path
+) -> None:
+    folder = write_pairs(1)
+    depth = np.zeros((48, 64), dtype=np.uint16)
+    depth[10, 10:13] = 900
+    cv2.imwrite(str(folder / "f0_depth.png"), depth)
+    done = live("--replay", str(folder), *FAST, "--export", "out")
+    assert done.returncode == 0, done.stderr
+    labels = cv2.imread(str(tmp_path / "out/000000_labels.png"), cv2.IMREAD_UNCHANGED)
+    assert np.array_equal(labels, depth // 900)
+
+
+def test_a_recording_without_a_usable_frame_is_refused(live: Live, write_pairs: Callable[..., Path]) -> None:
+    folder = write_pairs(2)
+    for path in folder.glob("*_depth.png"):
+        path.write_bytes(b"not a picture")
+    done = live("--replay", str(folder), *FAST)
+    assert done.returncode == 2
+    assert "_depth.png" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (("--replay", "none.mcap"), "none.mcap"),
+        (("--replay", "."), "empty"),
+        (("--device", "openni2:no-such-serial-0"), "nurbseg-devices doctor"),
+        (("--replay", SMALL.format(1), "--start", "9"), "--start 9"),
+        (("--replay", "synthetic:?sede=1"), "sede"),
+        (("--replay", SMALL.format(1), "--report", "/proc/none/r.json"), "/proc/none/r.json"),
+        (("--replay", SMALL.format(1), "--export", "/proc/none"), "/proc/none"),
+        (("--replay", SMALL.format(1), "--calibration", "none.toml"), "none.toml"),
+        (("--bogus",), "unrecognized arguments: --bogus"),
+    ],
+)
+def test_what_cannot_begin_ends_with_2_and_a_plain_message(
+    words: tuple[str, ...], complaint: str, live: Live, tmp_path: Path
+) -> None:
+    done = live(*words, "--view", "none")
+    assert done.returncode == 2, done.stderr
+    assert complaint in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_an_unknown_key_ends_with_2_and_its_nearest_neighbour(live: Live, tmp_path: Path) -> None:
+    (tmp_path / "run.toml").write_text("[segmentation]\nmetrik = 'mse'\n")
+    done = live("--config", "run.toml")
+    assert done.returncode == 2
+    assert "run.toml: unknown key segmentation.metrik (did you mean segmentation.metric?)" in done.stderr
+
+
+def test_the_fallback_is_said_and_replayed(live: Live) -> None:
+    done = live("--device", "openni2:no-such-serial-0", "--fallback", SMALL.format(1), *FAST)
+    assert done.returncode == 0, done.stderr
+    assert "no camera found" in done.stderr
+    assert f"replaying {SMALL.format(1)} instead" in done.stderr
+
+
+def test_a_full_disk_ends_with_1_and_says_what_is_kept(live: Live, tmp_path: Path) -> None:
+    def nearly_full() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+
+    done = live("--replay", SMALL.format(3), *FAST, "--export", "out", preexec_fn=nearly_full)
+    assert done.returncode == 1, done.stderr
+    assert "cannot be written: File too large; the 0 frames before are kept in out" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not list((tmp_path / "out").glob(".*"))
+
+
+def test_quiet_says_nothing_and_verbose_every_frame(live: Live) -> None:
+    quiet = live("--replay", SMALL.format(2), *FAST, "--quiet")
+    assert (quiet.returncode, quiet.stderr) == (0, "")
+    verbose = live("--replay", SMALL.format(3), *FAST, "--verbose")
+    assert all(f"(synthetic-{index:06d})" in verbose.stderr for index in range(3))
