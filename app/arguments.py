@@ -131,10 +131,12 @@ def _add_flag(group: Any, key: str, each: Field[Any], kind: ValueKind) -> None:
     options: dict[str, Any] = {"dest": key, "default": argparse.SUPPRESS}
     if kind.kind is bool:
         # A source is named or not; every other switch can be turned off again.
-        switch = "store_true" if each.name in SOURCE_KINDS else argparse.BooleanOptionalAction
+        is_source = each.name in SOURCE_KINDS
+        switch = "store_true" if is_source else argparse.BooleanOptionalAction
+        text += "" if is_source else f" (default: {'on' if each.default else 'off'})"
         group.add_argument(*flags(each), action=switch, help=text, **options)
         return
-    if each.default is not None:
+    if each.default not in (None, ""):
         text += f" (default: {each.default})"
     if metadata["choices"]:
         options |= {"choices": metadata["choices"], "metavar": "NAME"}
