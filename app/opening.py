@@ -30,12 +30,15 @@ class OpenedSource:
         To be read; closing it closes all that is behind it.
     uri : str
         What was opened.
+    camera : FrameSource
+        What is behind it: the camera or recording itself.
     every_frame : bool
         Whether each frame is to be segmented; otherwise the newest.
     """
 
     source: FrameSource
     uri: str
+    camera: FrameSource
     every_frame: bool
 
 
@@ -96,7 +99,7 @@ def demo_uri() -> str:
 def _prepared(uri: str, app_config: AppConfig, options: SourceOptions) -> OpenedSource:
     """Open a source, and put on top of it what the user wants of a replay."""
     config = app_config.source
-    source = _opened_at_start(uri, config, options)
+    source = camera = _opened_at_start(uri, config, options)
     try:
         every_frame = not source.live and config.speed == 0
         if source.live:
@@ -115,7 +118,7 @@ def _prepared(uri: str, app_config: AppConfig, options: SourceOptions) -> Opened
     except BaseException:
         source.close()
         raise
-    return OpenedSource(source, uri, every_frame)
+    return OpenedSource(source, uri, camera, every_frame)
 
 
 def _opened_at_start(uri: str, config: SourceConfig, options: SourceOptions) -> FrameSource:

@@ -54,5 +54,6 @@ class RecordConfig:
         check_settings(self)
         if self.file is not None and not self.file.lower().endswith(_SUFFIXES):
             raise ValueError(f"file: expected a name that ends in .mcap or .oni, got {self.file!r}")
-        if self.only and self.file is None:
-            raise ValueError("only: expected a file to record to as well (--record FILE)")
+        for name in ("only", "delay_s"):
+            if getattr(self, name) and self.file is None:
+                raise ValueError(f"{name}: expected a file to record to as well (--record FILE)")

@@ -83,12 +83,7 @@ def run(config: AppConfig, interruption: Interruption) -> RunReport:
                 open_view(view_config, config.segmentation, opened.source.metadata, name=name)
             )
             consumers.append(("show", view.show))
-            recording = open_recording(
-                config.record,
-                opened.source.calibration,
-                opened.source.metadata,
-                lossless=opened.every_frame,
-            )
+            recording = open_recording(config.record, opened.camera, lossless=opened.every_frame)
         except (DriverError, ExportError, ViewError, OSError, ValueError) as err:
             raise SetupError(str(err)) from err
         if view.how_to_look:

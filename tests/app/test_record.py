@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scripted_source import CALIBRATION, ScriptedSource, small_frame
+from scripted_source import ScriptedSource, small_frame
 
-from nurbseg.app import record
+from nurbseg.app import disk_space, record_queue
 from nurbseg.app.capture import CaptureThread
-from nurbseg.app.record import RecordError, Recording, open_recording, tell_recorded
+from nurbseg.app.record import RecordError, open_recording, tell_recorded
 from nurbseg.app.record_config import RecordConfig
+from nurbseg.app.record_queue import QueuedRecording
 from nurbseg.drivers.registry import open_source
 
 LARGE = 10**12
@@ -57,7 +58,9 @@ def test_every_frame_is_in_the_file_as_it_was(tmp_path):
     path = tmp_path / "new folder" / "run.mcap"
     config = RecordConfig(file=str(path), color="raw")
     frames = [small_frame(index) for index in range(20)]
-    with open_recording(config, CALIBRATION, {"serial": "S1"}) as recording:
+    source = ScriptedSource([])
+    source.metadata["serial"] = "S1"
+    with open_recording(config, source) as recording:
         for frame in frames:
             recording.put(frame)
     assert (recording.frames, recording.lost, recording.failure) == (20, 0, "")
@@ -70,13 +73,13 @@ def test_every_frame_is_in_the_file_as_it_was(tmp_path):
 
 
 def test_without_a_file_nothing_is_recorded():
-    assert open_recording(RecordConfig(), CALIBRATION, {}) is None
+    assert open_recording(RecordConfig(), ScriptedSource([])) is None
 
 
 def test_putting_a_frame_does_not_wait_for_the_file(path, monkeypatch):
-    monkeypatch.setattr(record, "_QUEUE_BYTES_MAX", 5 * small_frame(0).depth_mm.nbytes * 5 // 2)
+    monkeypatch.setattr(record_queue, "_QUEUE_BYTES_MAX", 5 * small_frame(0).depth_mm.nbytes * 5 // 2)
     pen = Pen(waits=True)
-    recording = Recording(path, pen, RecordConfig(), free_bytes=lambda _: LARGE)
+    recording = QueuedRecording(path, pen, RecordConfig(), free_bytes=lambda _: LARGE)
     recording.put(small_frame(0))
     assert pen.began.wait(10)
     assert not recording.behind
@@ -92,9 +95,9 @@ def test_putting_a_frame_does_not_wait_for_the_file(path, monkeypatch):
 
 
 def test_a_lossless_recording_makes_its_source_wait_and_loses_nothing(path, monkeypatch):
-    monkeypatch.setattr(record, "_QUEUE_BYTES_MAX", 1)
+    monkeypatch.setattr(record_queue, "_QUEUE_BYTES_MAX", 1)
     pen = Pen(waits=True)
-    recording = Recording(path, pen, RecordConfig(), lossless=True, free_bytes=lambda _: LARGE)
+    recording = QueuedRecording(path, pen, RecordConfig(), lossless=True, free_bytes=lambda _: LARGE)
 
     def put_all():
         for index in range(30):
@@ -111,10 +114,10 @@ def test_a_lossless_recording_makes_its_source_wait_and_loses_nothing(path, monk
 
 
 def test_while_the_recording_is_behind_frames_are_kept_from_being_segmented(path, monkeypatch):
-    monkeypatch.setattr(record, "_QUEUE_BYTES_MAX", 20 * small_frame(0).depth_mm.nbytes * 5 // 2)
+    monkeypatch.setattr(record_queue, "_QUEUE_BYTES_MAX", 20 * small_frame(0).depth_mm.nbytes * 5 // 2)
     pen = Pen(waits=True)
     source = ScriptedSource([small_frame(index) for index in range(15)])
-    with Recording(path, pen, RecordConfig(), free_bytes=lambda _: LARGE) as recording:
+    with QueuedRecording(path, pen, RecordConfig(), free_bytes=lambda _: LARGE) as recording:
         with CaptureThread(source, lossless=True, recording=recording) as capture:
             indexes = []
             while (captured := capture.frames.take(10.0)) is not None:
@@ -130,7 +133,7 @@ def test_while_the_recording_is_behind_frames_are_kept_from_being_segmented(path
 def test_the_delay_goes_by_the_frames_own_clock(path):
     pen = Pen()
     config = RecordConfig(file="x.mcap", delay_s=0.5)
-    with Recording(path, pen, config, free_bytes=lambda _: LARGE) as recording:
+    with QueuedRecording(path, pen, config, free_bytes=lambda _: LARGE) as recording:
         for index in range(30):
             recording.put(small_frame(index))
     assert pen.written == list(range(15, 30))
@@ -141,7 +144,7 @@ def test_recording_stops_before_the_disk_is_full_and_the_file_can_be_replayed(tm
     path = tmp_path / "run.mcap"
     left = iter([LARGE] * 6)
     config = RecordConfig(file=str(path), space_min_mb=100)
-    recording = open_recording(config, CALIBRATION, {}, free_bytes=lambda _: next(left, 99_000_000))
+    recording = open_recording(config, ScriptedSource([]), free_bytes=lambda _: next(left, 99_000_000))
     with recording:
         for index in range(12):
             recording.put(small_frame(index))
@@ -163,7 +166,7 @@ def test_recording_stops_before_the_disk_is_full_and_the_file_can_be_replayed(tm
 )
 def test_a_write_that_fails_ends_the_recording_but_not_the_run(path, error, words):
     pen = Pen(fails_at=3, error=error)
-    recording = Recording(path, pen, RecordConfig(), free_bytes=lambda _: LARGE)
+    recording = QueuedRecording(path, pen, RecordConfig(), free_bytes=lambda _: LARGE)
     for index in range(4):
         recording.put(small_frame(index))
     assert pen.closed.wait(10)
@@ -176,7 +179,7 @@ def test_a_write_that_fails_ends_the_recording_but_not_the_run(path, error, word
 def test_too_little_space_to_begin_with_is_refused(tmp_path):
     config = RecordConfig(file=str(tmp_path / "run.mcap"), space_min_mb=500)
     with pytest.raises(RecordError, match="only 400 MB of disk space are left"):
-        open_recording(config, CALIBRATION, {}, free_bytes=lambda _: 400_000_000)
+        open_recording(config, ScriptedSource([]), free_bytes=lambda _: 400_000_000)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -184,19 +187,19 @@ def test_an_existing_file_is_never_replaced(tmp_path):
     path = tmp_path / "run.mcap"
     path.write_bytes(b"precious")
     with pytest.raises(RecordError, match="exists already"):
-        open_recording(RecordConfig(file=str(path)), CALIBRATION, {})
+        open_recording(RecordConfig(file=str(path)), ScriptedSource([]))
     assert path.read_bytes() == b"precious"
 
 
 def test_a_folder_that_cannot_be_made_is_an_error_that_names_the_file(tmp_path):
     (tmp_path / "folder").touch()
     with pytest.raises(RecordError, match=r"run\.mcap: cannot be written"):
-        open_recording(RecordConfig(file=str(tmp_path / "folder/run.mcap")), CALIBRATION, {})
+        open_recording(RecordConfig(file=str(tmp_path / "folder/run.mcap")), ScriptedSource([]))
 
 
 def test_a_recording_without_frames_leaves_no_file(tmp_path):
     path = tmp_path / "run.mcap"
-    with open_recording(RecordConfig(file=str(path)), CALIBRATION, {}) as recording:
+    with open_recording(RecordConfig(file=str(path)), ScriptedSource([])) as recording:
         assert path.exists()
     assert not path.exists()
     assert recording.figures()["frames"] == 0
@@ -204,7 +207,7 @@ def test_a_recording_without_frames_leaves_no_file(tmp_path):
 
 def test_closing_gives_up_on_what_cannot_be_written_in_time_and_counts_it(path):
     pen = Pen(waits=True)
-    recording = Recording(path, pen, RecordConfig(), free_bytes=lambda _: LARGE)
+    recording = QueuedRecording(path, pen, RecordConfig(), free_bytes=lambda _: LARGE)
     for index in range(5):
         recording.put(small_frame(index))
     assert pen.began.wait(10)
@@ -219,7 +222,7 @@ def test_closing_gives_up_on_what_cannot_be_written_in_time_and_counts_it(path):
 
 def test_figures_tell_what_the_report_needs(tmp_path):
     path = tmp_path / "run.mcap"
-    with open_recording(RecordConfig(file=str(path)), CALIBRATION, {}) as recording:
+    with open_recording(RecordConfig(file=str(path)), ScriptedSource([])) as recording:
         recording.put(small_frame(0))
     assert recording.figures() == {
         "file": str(path),
@@ -245,5 +248,5 @@ def test_wrong_settings_are_refused(settings, words):
 
 
 def test_the_space_is_that_of_the_files_own_disk(tmp_path):
-    assert record.free_space(tmp_path / "x.mcap") > 0
-    assert isinstance(record.free_space(Path("x.mcap")), int)
+    assert disk_space.free_space(tmp_path / "x.mcap") > 0
+    assert isinstance(disk_space.free_space(Path("x.mcap")), int)
