@@ -6,12 +6,25 @@ import dataclasses
 import logging
 import time
 from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.source import FrameSource
 
 logger = logging.getLogger(__name__)
+
+
+@runtime_checkable
+class Recordable(Protocol):
+    """A source that brings its own recorder."""
+
+    def start_recording(self, path: Path, *, lossy: bool = False) -> None:
+        """Record to a file from the next frame on."""
+
+    def stop_recording(self) -> None:
+        """Finish the file."""
 
 
 class Reconnecting(FrameSource):
@@ -62,6 +75,8 @@ class Reconnecting(FrameSource):
         self._sleep = sleep
         self._next_try_s = 0.0
         self._index = 0
+        self._recording: tuple[Path, bool] | None = None
+        self._part = 1
         self._last_ns = 0
         self._last_s: float | None = None
         self._ahead_ns: int | None = 0
@@ -75,6 +90,45 @@ class Reconnecting(FrameSource):
     def source(self) -> FrameSource | None:
         """The camera's own source; None while it is away."""
         return self._source
+
+    def start_recording(self, path: Path, *, lossy: bool = False) -> None:
+        """Record with the camera's own recorder; after a loss, go on in a file with the next number.
+
+        Parameters
+        ----------
+        path : Path
+            The file; written over. After the camera was away, ``NAME-2.oni`` and so on.
+        lossy : bool
+            Whether color may be packed with loss.
+
+        Raises
+        ------
+        DriverError
+            If the camera is away, has no recorder, or cannot record to the file.
+        """
+        if not isinstance(self._source, Recordable):
+            raise DriverError(f"{path}: cannot be recorded to: the camera is away or has no recorder")
+        self._source.start_recording(path, lossy=lossy)
+        self._recording = (path, lossy)
+
+    def stop_recording(self) -> None:
+        """Finish the recording, if there is one."""
+        self._recording = None
+        if isinstance(self._source, Recordable):
+            self._source.stop_recording()
+
+    def _go_on_recording(self, source: FrameSource) -> None:
+        if self._recording is None or not isinstance(source, Recordable):
+            return
+        path, lossy = self._recording
+        self._part += 1
+        part = path.with_stem(f"{path.stem}-{self._part}")
+        try:
+            source.start_recording(part, lossy=lossy)
+        except DriverError as err:
+            logger.error("the recording does not go on: %s", err)
+        else:
+            logger.warning("the recording goes on in %s", part)
 
     def _read(self, timeout_s: float) -> RGBDFrame:
         deadline = self._clock() + timeout_s
@@ -90,11 +144,14 @@ class Reconnecting(FrameSource):
 
     def _let_go(self) -> None:
         source, self._source = self._source, None
-        # Unplugged cameras that come back at once are found at once.
+        # A camera that comes back at once is found at once.
         self._next_try_s = self._clock()
         self._ahead_ns = None
         if source is not None:
-            source.close()
+            try:
+                source.close()
+            except DriverError as err:  # of its recording, which ends here
+                logger.error("%s", err)
 
     def _wait_for_camera(self, deadline: float, timeout_s: float) -> FrameSource:
         while True:
@@ -109,6 +166,7 @@ class Reconnecting(FrameSource):
                     self._source = source
                     self.calibration = source.calibration
                     self.metadata = source.metadata
+                    self._go_on_recording(source)
                     return source
             now = self._clock()
             if now >= deadline:

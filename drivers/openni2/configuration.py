@@ -109,13 +109,22 @@ def _set_color_controls(color: Stream, options: DeviceOptions, name: str, told: 
         told[field] = str(color.find(control, ctypes.c_int))
 
 
-def calibrate(depth: Stream, color: Stream, options: DeviceOptions, *, registered: bool) -> Calibration:
-    """Return the calibration of what the streams deliver.
+def calibrate(
+    depth_size: tuple[int, int],
+    color_size: tuple[int, int],
+    fov: tuple[float | None, float | None],
+    options: DeviceOptions,
+    *,
+    registered: bool,
+) -> Calibration:
+    """Return the calibration of what two streams deliver.
 
     Parameters
     ----------
-    depth, color : Stream
-        Of a camera or a recording.
+    depth_size, color_size : (width, height)
+        Of their images, pixels.
+    fov : (depth, color)
+        Their horizontal fields of view, radians, where they are known.
     options : DeviceOptions
         May name a calibration file, and say that images are mirrored.
     registered : bool
@@ -126,7 +135,6 @@ def calibrate(depth: Stream, color: Stream, options: DeviceOptions, *, registere
     CalibrationError
         If the calibration file is damaged or does not fit.
     """
-    depth_size, color_size = depth.mode[:2], color.mode[:2]
     given = None
     if options.calibration is not None:
         from nurbseg.drivers.calibration import read_camera_file
@@ -135,7 +143,6 @@ def calibrate(depth: Stream, color: Stream, options: DeviceOptions, *, registere
         given = file.calibration(
             depth_size=file.depth.size or depth_size, color_size=file.color.size or color_size
         )
-    fov = [stream.find(StreamProperty.HORIZONTAL_FOV, ctypes.c_float) for stream in (depth, color)]
     if registered:
         camera = given.color if given else nominal.from_field_of_view(*color_size, fov[1])
         calibration = Calibration(

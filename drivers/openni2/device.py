@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.errors import DeviceLostError, FrameTimeoutError
+from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.drivers.openni2.calibration_note import calibration_note
 from nurbseg.drivers.openni2.capi import DeviceState, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate, configure, set_modes
 from nurbseg.drivers.openni2.library import in_use
 from nurbseg.drivers.openni2.opened import OpenedDevice, describe, find_camera
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.openni2.pairing import Pairing
+from nurbseg.drivers.openni2.recorder import OniRecorder
 from nurbseg.drivers.openni2.stream import Image, Stream, wait_for_any
 from nurbseg.drivers.source import FrameSource
+
+logger = logging.getLogger(__name__)
 
 #: Longest single wait in the library, seconds: how late an unplugged camera is noticed.
 _SLICE_S = 0.1
@@ -79,6 +85,7 @@ class DeviceSource(FrameSource):
         self._last_number: int | None = None
         self._settling = _SETTLING_PAIRS
         self._silent_s = 0.0
+        self._recorder: OniRecorder | None = None
         with in_use():  # so that cameras are looked for once, and not once more to open one
             listing = find_camera(wanted, self._options.serial)
             self._device = OpenedDevice(listing.uri, self._on_event)
@@ -91,12 +98,18 @@ class DeviceSource(FrameSource):
             self.metadata.update(describe(listing, self._device))
             self._outcome = configure(self._device, self._options, self.metadata["device"])
             self.metadata.update(self._outcome.told)
-            self.calibration = calibrate(depth, color, self._options, registered=self._outcome.registered)
+            self.calibration = calibrate(
+                depth.mode[:2],
+                color.mode[:2],
+                (depth.horizontal_fov, color.horizontal_fov),
+                self._options,
+                registered=self._outcome.registered,
+            )
             self._streams = (depth, color)
             period_us = min(stream.mode.period_us for stream in self._streams)
             self._pairing = Pairing(min(round(pairing_limit_s * 1e6), period_us // 2 + 1000))
         except BaseException:
-            self._device.close()
+            self.close()
             raise
 
     @property
@@ -108,6 +121,60 @@ class DeviceSource(FrameSource):
     def device(self) -> OpenedDevice:
         """The opened camera; not to be closed."""
         return self._device
+
+    def start_recording(self, path: Path, *, lossy: bool = False) -> None:
+        """Record with OpenNI2's recorder to an .oni file, from the next frame on.
+
+        The streams stop for a moment. Like `read`, this is for the one thread that reads.
+
+        Parameters
+        ----------
+        path : Path
+            The file; written over.
+        lossy : bool
+            Whether color is packed as JPEG; depth never is.
+
+        Raises
+        ------
+        DriverError
+            If it cannot be recorded to, or a recording is being made already.
+        DeviceLostError
+            If the camera is gone.
+        """
+        self._check_present()
+        if self._recorder is not None:
+            raise DriverError(f"{self._recorder.path}: is being recorded; stop that first")
+        for stream in self._streams:
+            stream.stop()
+        try:
+            self._recorder = OniRecorder(self._device, path, lossy=lossy)
+        finally:
+            for stream in self._streams:
+                stream.start()
+            # Some devices forget it when their streams stop.
+            wanted = self._outcome.registered
+            if self._device.register(wanted) != wanted:
+                logger.warning("%s lost its registration as the recording began", self.metadata["device"])
+            self._pairing.clear()
+            self._last_number = None
+
+    def stop_recording(self) -> None:
+        """Finish the recording, if there is one.
+
+        Raises
+        ------
+        RecordingFormatError
+            If the file could not be finished.
+        """
+        recorder, self._recorder = self._recorder, None
+        if recorder is not None:
+            recorder.close(
+                {
+                    "registered": self._outcome.registered,
+                    "calibration": calibration_note(self.calibration),
+                    "device": self.metadata,
+                }
+            )
 
     def _on_event(self, event: str) -> None:
         # On a thread of the library's.
@@ -149,8 +216,15 @@ class DeviceSource(FrameSource):
             raise DeviceLostError(f"{name}: no depth and color for {limit_s:g} s")
 
     def _add(self, stream: Stream, image: Image) -> tuple[Image, Image] | None:
+        recorder = self._recorder
         if stream.sensor == Sensor.COLOR:
+            if recorder is not None and recorder.first.color_us is None:
+                recorder.first.color_us = image.timestamp_us
             return self._pairing.add_color(image)
+        if recorder is not None:
+            if recorder.first.depth_us is None:
+                recorder.first.depth_us = image.timestamp_us
+            recorder.beyond_limit += int(image.pixels.max()) >= recorder.depth_limit
         if self._last_number is not None and not self._settling:
             self.missed += max(0, image.number - self._last_number - 1)
         self._last_number = image.number
@@ -176,4 +250,7 @@ class DeviceSource(FrameSource):
         return frame
 
     def _close(self) -> None:
-        self._device.close()
+        try:
+            self.stop_recording()
+        finally:
+            self._device.close()

@@ -25,6 +25,10 @@ class Pairing:
         self._color: Image | None = None
         self.half_pairs = 0
 
+    def clear(self) -> None:
+        """Forget what waits: its other half will not come."""
+        self._depth = self._color = None
+
     def add_depth(self, image: Image) -> tuple[Image, Image] | None:
         """Take a depth image in; return the pair that it completes, if it does."""
         self.half_pairs += self._depth is not None

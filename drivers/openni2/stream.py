@@ -96,6 +96,12 @@ class Stream:
         """The mode that is set."""
         return _mode(self.get(StreamProperty.VIDEO_MODE, OniVideoMode))
 
+    @property
+    def horizontal_fov(self) -> float | None:
+        """The horizontal field of view, radians; None where the stream does not tell it."""
+        fov: float | None = self.find(StreamProperty.HORIZONTAL_FOV, ctypes.c_float)
+        return fov
+
     def set_mode(self, width: int, height: int, fps: int, formats: tuple[PixelFormat, ...]) -> None:
         """Choose a mode from what the device lists; of several formats the first one listed.
 

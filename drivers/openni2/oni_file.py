@@ -1,0 +1,272 @@
+"""The structure of an .oni file: its streams, and which frames it holds. Pixels are left to OpenNI2.
+
+A file is a header and a chain of records, each with a small header of its own. Reading the chain tells
+without decoding how many frames there are and when they were taken, which OpenNI2 itself does not tell
+of a recording that was cut short, and keeps most damaged files away from its driver.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+from nurbseg.drivers.errors import RecordingFormatError
+from nurbseg.drivers.openni2.capi import PixelFormat, Sensor
+
+_HEADER = struct.Struct("<4sBBHIQI")  # magic, version, largest time, largest node number
+_RECORD = struct.Struct("<IIIIIQ")  # magic, type, node, size with fields, size of payload, undo position
+_MAGIC = 0x0052494E  # "NIR"
+_NODE_ADDED = (0x02, 0x0C, 0x0D)
+_INT_PROPERTY, _GENERAL_PROPERTY = 0x03, 0x06
+_NEW_DATA, _END = 0x0A, 0x0B
+_DATA_BEGIN = 0x08
+#: Where the record of a stream tells its seek table's place, counted from after the stream's name.
+_SEEK_TABLE_AT = 28
+_LARGEST_FIELDS = 1 << 20
+_LARGEST_SIDE = 4096
+#: The numbers of node types, in the file's own count.
+_SENSORS = {2: Sensor.DEPTH, 3: Sensor.COLOR, 5: Sensor.IR}
+_UNCOMPRESSED = b"NONE"
+_BYTES_PER_PIXEL = {
+    PixelFormat.DEPTH_1_MM: 2,
+    PixelFormat.DEPTH_100_UM: 2,
+    PixelFormat.RGB888: 3,
+    PixelFormat.YUV422: 2,
+    PixelFormat.YUYV: 2,
+    PixelFormat.GRAY8: 1,
+}
+
+#: What our own recorder writes after the end record, where OpenNI2 reads no more: this, a JSON text, the
+#: length of the text, and this again.
+_NOTE_MAGIC = b"nurbseg\n"
+_NOTE_LENGTH = struct.Struct("<Q")
+
+
+class StoredFrame(NamedTuple):
+    """A frame's number in its stream, and its time in microseconds from the stream's first frame."""
+
+    number: int
+    timestamp_us: int
+
+
+@dataclass(slots=True)
+class StoredStream:
+    """One stream of a recording.
+
+    Parameters
+    ----------
+    sensor : Sensor
+        What took it.
+    codec : bytes
+        Four letters: how the pixels are packed.
+    size : (width, height)
+        Pixels; (0, 0) until the file has said it.
+    fps : int
+        Frames a second, as the mode says.
+    pixel_format : int
+        As in `PixelFormat`.
+    frames : list of StoredFrame
+        In the order of the file.
+    """
+
+    sensor: Sensor
+    codec: bytes
+    size: tuple[int, int] = (0, 0)
+    fps: int = 30
+    pixel_format: int = 0
+    frames: list[StoredFrame] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class OniFile:
+    """What a recording holds.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    depth, color : StoredStream
+        Its two streams.
+    complete : bool
+        Whether the recorder got to write its end; otherwise the frames are those before the break.
+    note : dict
+        What our own recorder added; empty in the recordings of others.
+    """
+
+    path: Path
+    depth: StoredStream
+    color: StoredStream
+    complete: bool
+    note: dict[str, Any]
+
+
+def read_structure(path: Path) -> OniFile:
+    """Read which streams and frames a recording holds.
+
+    Raises
+    ------
+    RecordingFormatError
+        If it is no .oni file, lacks a stream or any frames, or holds a record that contradicts itself.
+    """
+    try:
+        with path.open("rb") as file:
+            return _read(path, file)
+    except OSError as err:
+        raise RecordingFormatError(f"{path}: cannot be read ({err.strerror})") from err
+
+
+def _read(path: Path, file: BinaryIO) -> OniFile:
+    head = file.read(_HEADER.size)
+    if len(head) < _HEADER.size or not head.startswith(b"NI10"):
+        raise RecordingFormatError(f"{path}: header: not an OpenNI recording (.oni)")
+    streams: dict[int, StoredStream] = {}
+    complete = False
+    note: dict[str, Any] = {}
+    for kind, node, fields, payload_size, end in _records(file):
+        if kind == _END:
+            complete, note = True, _read_note(file, end)
+            break
+        if kind in _NODE_ADDED:
+            _add_stream(path, streams, node, fields, path.stat().st_size)
+        elif node in streams and kind in (_INT_PROPERTY, _GENERAL_PROPERTY):
+            _take_property(path, streams[node], fields)
+        elif node in streams and kind == _NEW_DATA:
+            _add_frame(path, streams[node], fields, payload_size)
+    found = {stream.sensor: stream for stream in streams.values() if stream.frames}
+    for sensor in (Sensor.DEPTH, Sensor.COLOR):
+        if sensor not in found:
+            cut = "" if complete else " before it breaks off"
+            raise RecordingFormatError(f"{path}: {sensor.name.lower()}: the recording holds no frames{cut}")
+    return OniFile(path, found[Sensor.DEPTH], found[Sensor.COLOR], complete, note)
+
+
+def _records(file: BinaryIO) -> Iterator[tuple[int, int, bytes, int, int]]:
+    """Yield type, node, fields, payload size and end position of each whole record."""
+    position = file.tell()
+    size = file.seek(0, 2)
+    while position + _RECORD.size <= size:
+        file.seek(position)
+        magic, kind, node, fields_size, payload_size, _undo = _RECORD.unpack(file.read(_RECORD.size))
+        end = position + fields_size + payload_size
+        sound = magic == _MAGIC and _RECORD.size <= fields_size <= _LARGEST_FIELDS
+        if not sound or end > size:
+            return
+        yield kind, node, file.read(fields_size - _RECORD.size), payload_size, end
+        position = end
+
+
+def _name(path: Path, fields: bytes) -> tuple[bytes, bytes]:
+    """Return the name at the start of a record's fields, and what follows it."""
+    length = int.from_bytes(fields[:4], "little")
+    if len(fields) < 4 + length or length == 0 or fields[3 + length] != 0:
+        raise RecordingFormatError(f"{path}: a name in a record is longer than the record")
+    return fields[4 : 3 + length], fields[4 + length :]
+
+
+def _add_stream(
+    path: Path, streams: dict[int, StoredStream], node: int, fields: bytes, file_size: int
+) -> None:
+    name, rest = _name(path, fields)
+    if len(rest) < 8:
+        raise RecordingFormatError(
+            f"{path}: {name.decode(errors='replace')}: the stream's record is too short"
+        )
+    if len(rest) >= _SEEK_TABLE_AT + 8:
+        (seek_table,) = struct.unpack_from("<Q", rest, _SEEK_TABLE_AT)
+        if seek_table >= file_size:
+            # OpenNI2 does not open such a file, and says no reason.
+            raise RecordingFormatError(
+                f"{path}: cut short: {file_size} bytes, but the {name.decode(errors='replace')} stream's "
+                f"seek table is at {seek_table}; copy the whole file"
+            )
+    kind = int.from_bytes(rest[:4], "little")
+    if kind in _SENSORS and node not in streams:
+        streams[node] = StoredStream(_SENSORS[kind], rest[4:8])
+
+
+def _take_property(path: Path, stream: StoredStream, fields: bytes) -> None:
+    name, rest = _name(path, fields)
+    value = rest[4:]
+    if int.from_bytes(rest[:4], "little") != len(value):
+        raise RecordingFormatError(
+            f"{path}: {name.decode(errors='replace')}: its size contradicts the record's"
+        )
+    if name == b"xnMapOutputMode" and len(value) == 12:
+        width, height, fps = struct.unpack("<III", value)
+        if not (0 < width <= _LARGEST_SIDE and 0 < height <= _LARGEST_SIDE):
+            raise RecordingFormatError(f"{path}: xnMapOutputMode: {width}x{height} is no image size")
+        stream.size, stream.fps = (width, height), max(fps, 1)
+    elif name == b"oniPixelFormat" and len(value) == 8:
+        stream.pixel_format = int.from_bytes(value, "little")
+
+
+def _add_frame(path: Path, stream: StoredStream, fields: bytes, payload_size: int) -> None:
+    if len(fields) < 12:
+        raise RecordingFormatError(f"{path}: {stream.sensor.name.lower()}: a frame's record is too short")
+    timestamp_us, number = struct.unpack_from("<QI", fields)
+    width, height = stream.size
+    if width == 0:
+        raise RecordingFormatError(f"{path}: xnMapOutputMode: missing before the first frame")
+    bytes_per_pixel = _BYTES_PER_PIXEL.get(PixelFormat(stream.pixel_format), 0) if _known(stream) else 0
+    expected = width * height * bytes_per_pixel
+    if stream.codec == _UNCOMPRESSED and expected and payload_size != expected:
+        raise RecordingFormatError(
+            f"{path}: {stream.sensor.name.lower()} frame {number}: {payload_size} bytes, "
+            f"{expected} expected of {width}x{height}"
+        )
+    if stream.frames and number <= stream.frames[-1].number:
+        raise RecordingFormatError(
+            f"{path}: {stream.sensor.name.lower()} frame {number}: comes after "
+            f"frame {stream.frames[-1].number}"
+        )
+    stream.frames.append(StoredFrame(number, timestamp_us))
+
+
+def _known(stream: StoredStream) -> bool:
+    return stream.pixel_format in PixelFormat.__members__.values()
+
+
+def has_begun(path: Path, streams: int) -> bool:
+    """Whether a recorder that is at work has written the beginning of so many streams' data."""
+    with path.open("rb") as file:
+        file.seek(_HEADER.size)
+        return sum(kind == _DATA_BEGIN for kind, *_ in _records(file)) >= streams
+
+
+def _read_note(file: BinaryIO, end: int) -> dict[str, Any]:
+    file.seek(end)
+    tail = file.read(1 << 20)
+    if not tail.startswith(_NOTE_MAGIC) or not tail.endswith(_NOTE_MAGIC):
+        return {}
+    text = tail[len(_NOTE_MAGIC) : -len(_NOTE_MAGIC) - _NOTE_LENGTH.size]
+    try:
+        note = json.loads(text)
+    except ValueError:
+        return {}
+    return note if isinstance(note, dict) else {}
+
+
+def finish(path: Path, note: dict[str, Any]) -> None:
+    """Cut the empty tail that the recorder leaves after the end record, and put a note there.
+
+    Raises
+    ------
+    RecordingFormatError
+        If the recorder did not write its end record.
+    """
+    try:
+        with path.open("r+b") as file:
+            file.seek(_HEADER.size)
+            end = next((end for kind, _node, _fields, _size, end in _records(file) if kind == _END), None)
+            if end is None:
+                raise RecordingFormatError(f"{path}: the recorder has not written its end")
+            text = json.dumps(note).encode()
+            file.seek(end)
+            file.write(_NOTE_MAGIC + text + _NOTE_LENGTH.pack(len(text)) + _NOTE_MAGIC)
+            file.truncate()
+    except OSError as err:
+        raise RecordingFormatError(f"{path}: cannot be finished ({err.strerror})") from err

@@ -1,0 +1,409 @@
+"""Recordings by OpenNI2's recorder, replayed by OpenNI2's file driver; and files that are damaged."""
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import numpy as np
+import psutil
+import pytest
+from virtual_camera import color_image, depth_image, frame_number
+
+from nurbseg.drivers.calibration import write_calibration
+from nurbseg.drivers.errors import (
+    BackendMissingError,
+    DriverError,
+    EndOfRecordingError,
+    FrameTimeoutError,
+    RecordingFormatError,
+)
+from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.drivers.openni2 import open_uri, player_process
+from nurbseg.drivers.openni2.device import DeviceSource
+from nurbseg.drivers.openni2.oni_file import read_structure
+from nurbseg.drivers.openni2.options import DeviceOptions
+from nurbseg.drivers.openni2.playback import OniSource
+from nurbseg.drivers.registry import SourceOptions, open_source
+
+
+def record(path, options=None, frames=12, lossy=False):
+    """Record from the only camera; return its calibration and the last frame's number."""
+    with DeviceSource(options=options) as source:
+        source.start_recording(path, lossy=lossy)
+        for _ in range(frames):
+            frame = source.read()
+        source.stop_recording()
+        # The camera goes on.
+        source.read()
+        return source.calibration, frame_number(frame)
+
+
+def replay(path, **options):
+    with OniSource(path, DeviceOptions(**options)) as source:
+        return list(source)
+
+
+@pytest.fixture
+def recording(virtual_cameras, tmp_path):
+    virtual_cameras.add()
+    path = tmp_path / "clip.oni"
+    record(path)
+    return path
+
+
+def assert_exact(frames, registered=True, first=None):
+    """Each frame is the camera's next one, in depth and color, from its first on."""
+    for position, frame in enumerate(frames):
+        number = frame_number(frame)
+        assert frame.index == position
+        assert number == (frame_number(frames[0]) if first is None else first) + position
+        np.testing.assert_array_equal(frame.depth_mm, depth_image(number, registered=registered))
+        np.testing.assert_array_equal(frame.color, color_image(number))
+
+
+def test_a_recording_replays_exactly_and_whole(virtual_cameras, tmp_path):
+    virtual_cameras.add()
+    path = tmp_path / "clip.oni"
+    calibration, last = record(path, frames=30)
+    with open_source(str(path)) as source:
+        assert not source.live
+        frames = list(source)
+        assert source.half_pairs <= 1  # the recorder may stop between the two halves
+        assert source.metadata["serial"] == "VC0001"
+        with pytest.raises(EndOfRecordingError):
+            source.read()
+    # From the camera's first frame to at least the last one that was seen live.
+    assert_exact(frames, first=0)
+    assert len(frames) > last
+    assert frames[0].timestamp_ns == 0
+    for camera in ("depth", "color"):
+        replayed, live = getattr(frames[0].calibration, camera), getattr(calibration, camera)
+        np.testing.assert_array_equal(replayed.matrix, live.matrix)
+    assert frames[0].calibration.is_registered
+
+
+def test_lossy_color_is_close_and_depth_exact(virtual_cameras, tmp_path, rng):
+    # JPEG is made for pictures, so this camera shows a smooth one.
+    row, col = np.mgrid[:480, :640]
+    smooth = np.stack([row / 2, col / 3, (row + col) / 5], axis=-1).astype(np.uint8)
+    raw = tmp_path / "raw"
+    raw.mkdir()
+    (raw / "color_0000.raw").write_bytes(smooth.tobytes())
+    virtual_cameras.add(frames=raw)
+    path, exact = tmp_path / "clip.oni", tmp_path / "exact.oni"
+    record(path, frames=5, lossy=True)
+    record(exact, frames=5)
+    for frame in replay(path):
+        np.testing.assert_array_equal(frame.depth_mm, depth_image(frame_number(frame)))
+        error = frame.color.astype(float) - smooth
+        assert 10 * np.log10(255**2 / np.mean(error**2)) > 30
+    assert path.stat().st_size < exact.stat().st_size / 2
+
+
+@pytest.mark.parametrize("mirror", [False, True])
+def test_mirrored_recordings_replay_as_wanted(virtual_cameras, tmp_path, mirror):
+    virtual_cameras.add()
+    path = tmp_path / "clip.oni"
+    record(path, DeviceOptions(mirror=mirror), frames=3)
+    for wanted in (False, True):
+        frame = replay(path, mirror=wanted)[0]
+        np.testing.assert_array_equal(frame.depth_mm, depth_image(frame_number(frame), mirrored=wanted))
+        np.testing.assert_array_equal(frame.color, color_image(frame_number(frame), mirrored=wanted))
+
+
+def test_depth_in_tenths_of_a_millimetre_replays_in_millimetres(virtual_cameras, tmp_path):
+    # The format holds 32767 different depths an image, fewer than the usual pattern has in tenths.
+    depth = np.broadcast_to(np.arange(480, dtype=np.uint16)[:, None] * 2 + 4000, (480, 640))
+    raw = tmp_path / "raw"
+    raw.mkdir()
+    (raw / "depth_0000.raw").write_bytes(depth.tobytes())
+    virtual_cameras.add(frames=raw)
+    path = tmp_path / "clip.oni"
+    record(path, DeviceOptions(depth_unit="100um"), frames=3)
+    rounding_up = (np.arange(640) % 10 >= 5).astype(np.uint16)
+    for frame in replay(path):
+        np.testing.assert_array_equal(frame.depth_mm, depth + rounding_up)
+
+
+def test_software_registration_survives_with_its_calibration(virtual_cameras, tmp_path):
+    virtual_cameras.add()
+    camera = Intrinsics(640, 480, 580.0, 581.0, 315.0, 244.0, np.array([0.1, 0.01, 0.001, 0.002]))
+    shift = np.eye(4)
+    shift[0, 3] = -0.02
+    file = tmp_path / "camera.toml"
+    write_calibration(file, Calibration(camera, Intrinsics(640, 480, 520, 521, 310, 242), shift))
+    path = tmp_path / "clip.oni"
+    calibration, _ = record(path, DeviceOptions(registration="software", calibration=str(file)), frames=3)
+    frames = replay(path)
+    assert_exact(frames, registered=False)
+    np.testing.assert_array_equal(frames[0].calibration.color_from_depth, shift)
+    np.testing.assert_array_equal(frames[0].calibration.depth.distortion, camera.distortion)
+    assert calibration.color.fx == frames[0].calibration.color.fx == 520
+
+
+def test_streams_that_begin_at_different_moments_stay_in_step(virtual_cameras, tmp_path):
+    # The file's times begin at 0 in both streams, here six frames apart.
+    virtual_cameras.add(drop_color="0-5")
+    path = tmp_path / "clip.oni"
+    with DeviceSource(options=DeviceOptions(sync=False)) as source:
+        source.start_recording(path)
+        for _ in range(8):
+            source.read()
+    with OniSource(path) as source:
+        frames = list(source)
+        assert source.half_pairs >= 6
+    for frame in frames:
+        number = frame_number(frame)
+        np.testing.assert_array_equal(frame.depth_mm, depth_image(number))
+        np.testing.assert_array_equal(frame.color, color_image(number))
+    assert frame_number(frames[0]) == 6
+
+
+def test_dropped_images_are_left_out_when_replayed(virtual_cameras, tmp_path):
+    virtual_cameras.add(drop_color="4,7-8", drop_depth="10")
+    path = tmp_path / "clip.oni"
+    record(path, DeviceOptions(sync=False), frames=12)
+    frames = replay(path)
+    numbers = [frame_number(frame) for frame in frames]
+    assert not {4, 7, 8, 10} & set(numbers)
+    assert numbers == sorted(set(range(numbers[-1] + 1)) - {4, 7, 8, 10})
+    for frame, number in zip(frames, numbers, strict=True):
+        np.testing.assert_array_equal(frame.depth_mm, depth_image(number))
+        np.testing.assert_array_equal(frame.color, color_image(number))
+
+
+def test_other_modes_are_recorded_and_replayed(virtual_cameras, tmp_path):
+    virtual_cameras.add()
+    path = tmp_path / "clip.oni"
+    record(path, DeviceOptions(depth_mode="qvga", color_mode="qvga"), frames=20)
+    for frame in replay(path):
+        number = frame_number(frame, 60)
+        np.testing.assert_array_equal(frame.depth_mm, depth_image(number, 320, 240))
+        np.testing.assert_array_equal(frame.color, color_image(number, 320, 240))
+
+
+def test_the_file_has_no_empty_tail(recording):
+    content = recording.read_bytes()
+    assert not content.endswith(bytes(64))
+    structure = read_structure(recording)
+    assert structure.complete
+    assert structure.note["color_delay_us"] == 0
+
+
+def test_depth_that_the_file_cannot_keep_is_reported(virtual_cameras, tmp_path, caplog):
+    virtual_cameras.add(max_value=2000)
+    with caplog.at_level(logging.WARNING):
+        record(tmp_path / "clip.oni", frames=3)
+    assert "depth images held depth of 2000 or more" in caplog.text
+
+
+def test_two_recordings_at_once_are_refused(virtual_cameras, tmp_path):
+    virtual_cameras.add()
+    with DeviceSource() as source:
+        source.start_recording(tmp_path / "one.oni")
+        with pytest.raises(DriverError, match=r"one\.oni: is being recorded"):
+            source.start_recording(tmp_path / "two.oni")
+
+
+def test_a_file_that_cannot_be_made_is_named(virtual_cameras, tmp_path):
+    virtual_cameras.add()
+    with DeviceSource() as source:
+        with pytest.raises(DriverError, match=r"missing/clip\.oni: cannot be recorded to \(No such file"):
+            source.start_recording(tmp_path / "missing" / "clip.oni")
+        source.read()
+
+
+def test_closing_finishes_the_recording(virtual_cameras, tmp_path):
+    virtual_cameras.add()
+    path = tmp_path / "clip.oni"
+    with DeviceSource() as source:
+        source.start_recording(path)
+        for _ in range(5):
+            source.read()
+    assert_exact(replay(path), first=0)
+
+
+def test_a_recording_goes_on_in_a_new_file_when_the_camera_is_back(virtual_cameras, tmp_path, caplog):
+    camera = virtual_cameras.add()
+    path = tmp_path / "clip.oni"
+    with open_uri("any", SourceOptions(device=DeviceOptions(reconnect_interval_s=0.05))) as source:
+        source.start_recording(path)
+        for _ in range(5):
+            source.read()
+        camera.unplug()
+        while source.connected:
+            with pytest.raises(FrameTimeoutError):
+                while True:
+                    source.read(timeout_s=0.2)
+        camera.plug()
+        for _ in range(5):
+            while True:
+                try:
+                    source.read(timeout_s=0.2)
+                    break
+                except FrameTimeoutError:
+                    pass
+        source.stop_recording()
+    for part in ("clip.oni", "clip-2.oni"):
+        frames = replay(tmp_path / part)
+        assert len(frames) >= 5
+        assert_exact(frames, first=0)
+    assert "goes on in" in caplog.text
+
+
+def test_a_killed_recording_replays_to_its_last_frame(virtual_cameras, tmp_path, caplog):
+    virtual_cameras.add()
+    path = tmp_path / "clip.oni"
+    program = f"""
+        from pathlib import Path
+        from nurbseg.drivers.openni2.device import DeviceSource
+        source = DeviceSource()
+        source.start_recording(Path({str(path)!r}))
+        for _ in range(20):
+            source.read()
+        print("recorded", flush=True)
+        while True:
+            source.read()
+    """
+    with subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(program)], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout.readline() == "recorded\n"
+        process.send_signal(signal.SIGKILL)
+    with caplog.at_level(logging.WARNING):
+        frames = replay(path)
+    assert "breaks off" in caplog.text
+    assert len(frames) >= 15
+    assert_exact(frames, first=0)
+
+
+@pytest.mark.parametrize("kept", [0.001, 0.3, 0.6, 0.95])
+def test_part_of_a_finished_file_is_refused_by_name(recording, kept):
+    with recording.open("r+b") as file:
+        file.truncate(int(recording.stat().st_size * kept))
+    with pytest.raises(RecordingFormatError, match=r"clip\.oni: cut short: \d+ bytes.*copy the whole file"):
+        OniSource(recording)
+
+
+def test_a_frame_of_the_wrong_size_is_refused(recording):
+    content = bytearray(recording.read_bytes())
+    assert content[4096:].count(b"NIR\0\x0a\0\0\0") > 5
+    # The first color image: type 10 of node 2; its payload's size is at offset 16.
+    at = content.index(b"NIR\0\x0a\0\0\0\x02\0\0\0")
+    content[at + 16 : at + 20] = (921599).to_bytes(4, "little")
+    recording.write_bytes(content)
+    with pytest.raises(RecordingFormatError, match=r"color frame 1: 921599 bytes, 921600 expected"):
+        OniSource(recording)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "header: not an OpenNI recording"),
+        (b"NI10", "header: not an OpenNI recording"),
+        (b"RIFF" + bytes(100), "header: not an OpenNI recording"),
+        (b"NI10" + bytes(20), "depth: the recording holds no frames before it breaks off"),
+        (b"NI10" + bytes(4000), "depth: the recording holds no frames before it breaks off"),
+    ],
+)
+def test_files_without_frames_are_refused(virtual_cameras, tmp_path, content, message):
+    path = tmp_path / "clip.oni"
+    path.write_bytes(content)
+    with pytest.raises(RecordingFormatError, match=rf"clip\.oni: {message}"):
+        OniSource(path)
+
+
+def test_garbage_never_crashes_or_hangs(recording, rng, monkeypatch):
+    """A byte here and there, a block, and the whole of the frames: an error of ours, or frames."""
+    monkeypatch.setattr(player_process, "_HANG_LIMIT_S", 2.0)
+    sound = recording.read_bytes()
+    for trial in range(30):
+        content = bytearray(sound)
+        if trial < 15:  # in the descriptions, which the driver trusts most
+            for _ in range(1 + trial // 3):
+                content[rng.integers(24, 2100)] = rng.integers(256)
+        elif trial < 25:
+            begin = int(rng.integers(2100, len(content) - 5000))
+            content[begin : begin + 4000] = rng.bytes(4000)
+        else:
+            content[2100:] = rng.bytes(len(content) - 2100)
+        recording.write_bytes(content)
+        begun = time.monotonic()
+        try:
+            with OniSource(recording) as source:
+                for frame in source:
+                    assert frame.depth_mm.shape == (480, 640)
+        except (RecordingFormatError, FrameTimeoutError) as err:
+            assert "clip.oni" in str(err)
+        assert time.monotonic() - begun < 20
+
+
+def test_a_player_that_crashes_is_a_damaged_file(recording):
+    with OniSource(recording) as source:
+        source.read()
+        os.kill(source._player._process.pid, signal.SIGSEGV)
+        with pytest.raises(RecordingFormatError, match="stopped with code -11; the file is damaged"):
+            while True:
+                source.read()
+
+
+def test_a_player_that_hangs_times_out_and_is_then_given_up(recording, monkeypatch):
+    monkeypatch.setattr(player_process, "_HANG_LIMIT_S", 0.6)
+    with OniSource(recording) as source:
+        source.read()
+        os.kill(source._player._process.pid, signal.SIGSTOP)
+        with pytest.raises(FrameTimeoutError):
+            while True:  # some frames are in the pipe already
+                source.read(timeout_s=0.3)
+        with pytest.raises(RecordingFormatError, match="hangs on it"):
+            for _ in range(5):
+                try:
+                    source.read(timeout_s=0.3)
+                except FrameTimeoutError:
+                    continue
+
+
+def test_closing_leaves_no_process(recording):
+    source = OniSource(recording)
+    source.read()
+    source.close()
+    assert not psutil.Process().children()
+
+
+def test_a_slow_reader_loses_nothing(recording):
+    with OniSource(recording) as source:
+        frames = []
+        for frame in source:
+            frames.append(frame)
+            time.sleep(0.02)
+        assert len(frames) == len(source)
+    assert_exact(frames, first=0)
+
+
+def test_skipping_goes_on_at_the_right_frame(recording):
+    with OniSource(recording) as source:
+        source.read()
+        assert source.skip(4) == 4
+        frame = source.read()
+        assert frame.index == 5
+        np.testing.assert_array_equal(frame.depth_mm, depth_image(5))
+        assert source.skip(1000) == len(source) - 6
+
+
+def test_without_the_library_the_package_is_named(recording, monkeypatch, tmp_path):
+    monkeypatch.setenv("OPENNI2_REDIST", str(tmp_path))
+    with pytest.raises(BackendMissingError, match=r"no libOpenNI2\.so\.0 in this folder"):
+        OniSource(recording)
+
+
+def test_a_foreign_recording_is_taken_as_registered_unless_said_otherwise(recording, caplog):
+    content = recording.read_bytes()
+    recording.write_bytes(content[: content.rindex(b"nurbseg\n", 0, -20)])
+    with caplog.at_level(logging.WARNING):
+        assert replay(recording)[0].calibration.is_registered
+    assert "does not say whether depth is registered to color; taken as registered" in caplog.text
+    assert not replay(recording, registration="software")[0].calibration.is_registered
