@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,23 +29,32 @@ class Lens:
         # Python's numbers take on the precision of the image that they meet.
         self._k: list[float] = k.tolist()
         self._fold = _fold_radius(k)
-        self._tilt = _tilt(k[12], k[13]).tolist() if k[12:].any() else None
+        self._tilt: Any = _tilt(k[12], k[13]).tolist() if k[12:].any() else None
 
     def bend(self, x: Image, y: Image) -> tuple[Image, Image]:
-        """Return where straight image coordinates, x / z and y / z, fall behind the lens."""
+        """Return where straight image coordinates, x / z and y / z, fall behind the lens.
+
+        They are to be limited: a ray at a right angle to the axis has no place.
+        """
         if not any(self._k):
             return x, y
         k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = self._k[:12]
-        x, y = np.clip(x, -10, 10), np.clip(y, -10, 10)
         r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        radial = r2 * k3
+        radial += k2
+        radial *= r2
+        radial += k1
+        radial *= r2
+        radial += 1
         if k4 or k5 or k6:
             radial /= 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
         # Beyond the fold the model would bring points back into the image: they are sent far outside.
         radial[r2 > self._fold**2] = 10
-        twice_xy = 2 * x * y
-        bent_x = x * radial + p1 * twice_xy + p2 * (r2 + 2 * x * x)
-        bent_y = y * radial + p2 * twice_xy + p1 * (r2 + 2 * y * y)
+        # The tangential terms, 2 p1 x y + p2 (r2 + 2 x^2) and its like, share a factor with the radial.
+        radial += 2 * p1 * y
+        radial += 2 * p2 * x
+        bent_x = x * radial + p2 * r2
+        bent_y = y * radial + p1 * r2
         if any(self._k[8:12]):
             bent_x += r2 * (s1 + r2 * s2)
             bent_y += r2 * (s3 + r2 * s4)

@@ -188,20 +188,34 @@ class _Registration:
         color, (tx, ty, tz), scale = self._color, self._translation, np.float32(self._cells_per_px)
         for start in range(0, len(z), _BLOCK_ROWS):
             rows = slice(start, start + _BLOCK_ROWS)
-            depth = z[rows] * self._turned[2][rows] + tz
+            depth = z[rows] * self._turned[2][rows]
+            depth += tz
             before = depth > _NEAREST_M
-            inverse = np.float32(1.0) / np.where(before, depth, np.float32(1.0))
-            x = (z[rows] * self._turned[0][rows] + tx) * inverse
-            y = (z[rows] * self._turned[1][rows] + ty) * inverse
-            x, y = self._lens.bend(x, y)
-            u[rows] = x * np.float32(color.fx) + np.float32(color.cx)
-            v[rows] = y * np.float32(color.fy) + np.float32(color.cy)
+            depth[~before] = 1
+            inverse = np.reciprocal(depth, out=depth)
+            x, y = z[rows] * self._turned[0][rows], z[rows] * self._turned[1][rows]
+            for place, offset in ((x, tx), (y, ty)):
+                place += offset
+                place *= inverse
+            # What is far aside is outside in any case; so no later step can overflow.
+            x, y = self._lens.bend(np.clip(x, -10, 10, out=x), np.clip(y, -10, 10, out=y))
+            np.add(x * color.fx, color.cx, out=u[rows])
+            np.add(y * color.fy, color.cy, out=v[rows])
             # Pixel centres are at integers, so that the image begins half a pixel before its first one.
             column, row = u[rows] + np.float32(0.5), v[rows] + np.float32(0.5)
-            inside = before & (column >= 0) & (column < color.width) & (row >= 0) & (row < color.height)
-            nearness[rows] = inverse * inside
-            column, row = (np.where(inside, each, 0.0) * scale for each in (column, row))
-            cell[rows] = inside * (1 + row.astype(np.int32) * self._cells[1] + column.astype(np.int32))
+            inside = (column >= 0) & (column < color.width) & (row >= 0) & (row < color.height) & before
+            np.multiply(inverse, inside, out=nearness[rows])
+            if scale != 1:
+                column *= scale
+                row *= scale
+            # NaN, where there is no point, must not be cast.
+            outside = ~inside
+            column[outside], row[outside] = 0, 0
+            number = row.astype(np.int32)
+            number *= self._cells[1]
+            number += column.astype(np.int32)
+            number += 1
+            np.multiply(number, inside, out=cell[rows])
         return u, v, nearness, cell
 
     def _seen(self, nearness: NDArray[np.float32], cell: NDArray[np.intp]) -> NDArray[np.bool_]:
