@@ -60,8 +60,8 @@ class Lens:
             bent_y += r2 * (s3 + r2 * s4)
         if self._tilt is None:
             return bent_x, bent_y
-        top, middle, bottom = (row[0] * bent_x + row[1] * bent_y + row[2] for row in self._tilt)
-        return top / bottom, middle / bottom
+        tilted: Any = [row[0] * bent_x + row[1] * bent_y + row[2] for row in self._tilt]
+        return tilted[0] / tilted[2], tilted[1] / tilted[2]
 
     def straighten(
         self, x: NDArray[np.float64], y: NDArray[np.float64], tolerance: float
