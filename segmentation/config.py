@@ -11,10 +11,12 @@ from typing import Literal, get_args
 
 from nurbseg.drivers.settings import check_settings, described_fields, setting
 
-Method = Literal["stag15"]
+Method = Literal["stag15", "nurbseg"]
 Metric = Literal["mse", "mae", "ve", "nle", "vmxc", "vmec", "vgc", "mmxc", "nlc"]
 SplittingPoint = Literal["zero", "kmeans", "ncut"]
 FirstSplit = Literal["kept", "judged"]
+Level = Literal["surfaces", "objects"]
+FitOf = Literal["inverse-depth", "xyz"]
 ControlPoints = Literal["adaptive", "fixed"]
 
 
@@ -80,6 +82,74 @@ class SegmentationConfig:
         least=1,
         most=8,
     )
+    level: Level = setting(
+        "objects",
+        "nurbseg: what a label stands for, a surface (leaf of the tree) or an object (merged leaves)",
+        choices=get_args(Level),
+    )
+    noise_per_m: float = setting(
+        3e-3,
+        "nurbseg: sensor noise, the standard deviation of inverse depth; a segment that it explains is not "
+        "split; 0 for none",
+        unit="1/m",
+        least=0.0,
+    )
+    depth_gap_per_m: float = setting(
+        0.02,
+        "nurbseg: smallest step of inverse depth between neighbours, or between surfaces carried to their "
+        "common border, that is a gap",
+        unit="1/m",
+        above=0.0,
+    )
+    piece_pixels_min: int = setting(
+        240, "nurbseg: smallest segment, in pixels of a 640x480 image", unit="px", least=1
+    )
+    cuts: int = setting(
+        3,
+        "nurbseg: eigenvectors that are tried, from the second on, until one gives a split",
+        least=1,
+        most=10,
+    )
+    color_weight: float = setting(0.25, "nurbseg: weight of color in the vectors", least=0.0)
+    normal_weight: float = setting(
+        1.0, "nurbseg: weight of surface normals in the vectors; 0 for none", least=0.0
+    )
+    normal_window_px: int = setting(
+        17, "nurbseg: side of the windows for normals, in pixels of a 640-wide image", unit="px", least=3
+    )
+    normalize_nodes: bool = setting(
+        True, "nurbseg: whether vectors are normalised anew in each segment, or once for the frame"
+    )
+    connected_pieces: bool = setting(
+        True, "nurbseg: whether a cut falls into its connected pieces at gaps in depth"
+    )
+    fit_of: FitOf = setting(
+        "inverse-depth", "nurbseg: what the surfaces are fitted to", choices=get_args(FitOf)
+    )
+    knot_spacing_px: float = setting(
+        70.0,
+        "nurbseg: distance of the knots of a surface, in pixels of a 640-wide image",
+        unit="px",
+        above=1.0,
+    )
+    smoothness: float = setting(
+        1.0, "nurbseg: weight of the surfaces' second differences against four squared residuals", least=0.0
+    )
+    refine_borders: bool = setting(
+        True, "nurbseg: whether pixels at borders go to the surface that explains them best"
+    )
+    merge_crease: bool = setting(
+        True, "nurbseg: whether surfaces that meet in a convex or flat crease are merged"
+    )
+    merge_smooth: bool = setting(
+        True, "nurbseg: whether surfaces that one surface explains across their border are merged"
+    )
+    concavity_max: float = setting(
+        0.12,
+        "nurbseg: surfaces whose normals turn towards each other by less than this are one object",
+        unit="rad",
+        least=0.0,
+    )
     seed: int = setting(0, "seed of the random sample; the same seed gives the same tree", least=0)
 
     def __post_init__(self) -> None:
@@ -89,6 +159,8 @@ class SegmentationConfig:
 __all__ = [
     "ControlPoints",
     "FirstSplit",
+    "FitOf",
+    "Level",
     "Method",
     "Metric",
     "SegmentationConfig",

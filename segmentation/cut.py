@@ -231,8 +231,8 @@ def normalized_cuts(
     eigenvalues, eigenvectors, _, _, failed = dsyevr(
         S, range="I", il=max(1, last - count + 1), iu=last, lower=1
     )
-    found = [] if failed else np.flatnonzero(eigenvalues > _LEAST_EIGENVALUE)[::-1]
-    if len(found) == 0:
+    found = np.flatnonzero(eigenvalues > _LEAST_EIGENVALUE)[::-1]
+    if failed or found.size == 0:
         yield _no_cut(vectors, affinity_scale, "the affinities tell no points apart")
         return
     for each in found:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from dataclasses import dataclass, replace
-from enum import StrEnum
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,128 +11,22 @@ from numpy.typing import NDArray
 from nurbseg.segmentation.components import give_away_small_pieces
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.curvature import all_metrics
-from nurbseg.segmentation.cut import Cut, normalized_cut
+from nurbseg.segmentation.cut import normalized_cut
 from nurbseg.segmentation.features import normalization, normalized, raw_vectors
 from nurbseg.segmentation.grid import PixelGrid, decimated_grid
 from nurbseg.segmentation.metrics import CURVATURE_METRICS, acceptance_ratio
 from nurbseg.segmentation.registration import PointMap
+from nurbseg.segmentation.segments import (
+    Node,
+    Segment,
+    SegmentationTree,
+    StopReason,
+    depth_first,
+    finished_segments,
+)
 from nurbseg.segmentation.settle import Split, settle
+from nurbseg.segmentation.splitting import segment_nurbseg
 from nurbseg.segmentation.surface import Fit, fit_on_grid
-
-
-class StopReason(StrEnum):
-    """Why a segment was not split further; the first four are the colors of the paper's figure 3."""
-
-    CRITERION = "criterion"
-    CHILD_TOO_SMALL = "child-too-small"
-    TOO_SMALL = "too-small"
-    DEPTH = "depth"
-    SPLITS = "splits"
-    NO_CUT = "no-cut"
-    NO_FIT = "no-fit"
-    NO_POINTS = "no-points"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Segment:
-    """One segment of the tree.
-
-    Parameters
-    ----------
-    name : str
-        Path from the root: "" for the root, "010" for the paper's P010.
-    parent : str or None
-        Name of the segment that was split into this one and another; None for the root.
-    children : (str, str) or ()
-        Names of the parts; none for a leaf.
-    pixels : (N,) intp
-        Flat indices into the image: leaf by leaf, in the order of leaves, and ascending within each.
-    fit : Fit
-        The surface that explains it, fitted on the grid on which splits are decided.
-    ratio : float or None
-        Metric of the parts over that of the whole (eq. 5) where a split was tried, kept or not.
-    stop : StopReason or None
-        Why it is a leaf; None where it is not.
-    cut : Cut or None
-        The cut between its children; None for a leaf.
-    """
-
-    name: str
-    parent: str | None
-    children: tuple[str, str] | tuple[()]
-    pixels: NDArray[np.intp]
-    fit: Fit
-    ratio: float | None
-    stop: StopReason | None
-    cut: Cut | None = None
-
-    def __post_init__(self) -> None:
-        self.pixels.flags.writeable = False
-
-    @property
-    def depth(self) -> int:
-        """Number of splits between the root and this segment."""
-        return len(self.name)
-
-    @property
-    def is_leaf(self) -> bool:
-        """Whether it is part of the final segmentation."""
-        return not self.children
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SegmentationTree:
-    """All segments of a frame, from the whole cloud to the final ones.
-
-    Parameters
-    ----------
-    segments : tuple of Segment
-        Depth first, a segment before its parts, part 0 before part 1; the root comes first.
-    shape : (int, int)
-        Rows and columns of the image.
-    """
-
-    segments: tuple[Segment, ...]
-    shape: tuple[int, int]
-
-    @property
-    def root(self) -> Segment:
-        """The whole cloud."""
-        return self.segments[0]
-
-    def leaves(self) -> tuple[Segment, ...]:
-        """Return the final segments; the label of each is its place here plus one."""
-        return tuple(each for each in self.segments if each.is_leaf)
-
-    def label_image(self) -> NDArray[np.uint16]:
-        """Return the label of every pixel, (H, W) uint16; 0 where there is no depth."""
-        labels = np.zeros(self.shape[0] * self.shape[1], dtype=np.uint16)
-        for label, leaf in enumerate(self.leaves(), start=1):
-            labels[leaf.pixels] = label
-        return labels.reshape(self.shape)
-
-    def __getitem__(self, name: str) -> Segment:
-        """Return the segment of a name."""
-        for each in self.segments:
-            if each.name == name:
-                return each
-        raise KeyError(f"no segment {name!r} in this tree")
-
-
-@dataclass(slots=True, eq=False)
-class _Node:
-    """A segment while the tree grows."""
-
-    name: str
-    places: NDArray[np.intp]
-    fit: Fit
-    children: tuple[_Node, _Node] | tuple[()] = ()
-    ratio: float | None = None
-    stop: StopReason | None = None
-    cut: Cut | None = None
-
-    def value(self, config: SegmentationConfig) -> float:
-        return self.fit.values.get(config.metric, 0.0)
 
 
 def segment(cloud: PointMap, config: SegmentationConfig) -> SegmentationTree:
@@ -157,13 +50,20 @@ def segment(cloud: PointMap, config: SegmentationConfig) -> SegmentationTree:
     .. [1] G. Pagnutti and P. Zanuttigh, "Scene segmentation based on NURBS surface fitting metrics",
        STAG 2015.
     """
+    if config.method == "nurbseg":
+        return segment_nurbseg(cloud, config)
+    return segment_stag15(cloud, config)
+
+
+def segment_stag15(cloud: PointMap, config: SegmentationConfig) -> SegmentationTree:
+    """Segment a frame as the paper does; as `segment`, whatever the method set."""
     grid = decimated_grid(cloud, config.decimation)
     places = np.flatnonzero(grid.valid)
     raw = raw_vectors(cloud, grid.pixels(places))
     scale = normalization(raw, config.geometry_weight)
     root = grow(grid, places, normalized(raw, scale), config)
 
-    nodes = _depth_first(root)
+    nodes = depth_first(root)
     leaves = [node for node in nodes if not node.children]
     splits = _splits(nodes, leaves)
     labels = settle(
@@ -173,12 +73,12 @@ def segment(cloud: PointMap, config: SegmentationConfig) -> SegmentationTree:
         splits,
         lambda pixels: normalized(raw_vectors(cloud, pixels), scale),
     )
-    return _finished(nodes, leaves, labels, cloud.valid.shape)
+    return SegmentationTree(finished_segments(nodes, leaves, labels), cloud.valid.shape)
 
 
 def grow(
     grid: PixelGrid, places: NDArray[np.intp], vectors: NDArray[np.float32], config: SegmentationConfig
-) -> _Node:
+) -> Node:
     """Grow the tree on the grid, the worst open segment first.
 
     Parameters
@@ -200,8 +100,8 @@ def grow(
     segment_min = config.segment_pixels_min * grid.pixel_share
     row_of_place = np.zeros(grid.valid.size, dtype=np.intp)
     row_of_place[places] = np.arange(places.size)
-    root = _Node("", places, _measured(grid, places, config))
-    waiting: list[tuple[float, str, _Node]] = [(-root.value(config), root.name, root)]
+    root = Node("", places, _measured(grid, places, config))
+    waiting: list[tuple[float, str, Node]] = [(-root.value(config), root.name, root)]
     splits = 0
     while waiting:
         _, _, node = heapq.heappop(waiting)
@@ -230,7 +130,7 @@ def grow(
 
         # Fit a surface to each part (section 3.2), and keep the split if they explain it better (eq. 5).
         children = tuple(
-            _Node(f"{node.name}{digit}", part, _measured(grid, part, config))
+            Node(f"{node.name}{digit}", part, _measured(grid, part, config))
             for digit, part in enumerate(parts)
         )
         first, second = children
@@ -258,7 +158,7 @@ def _measured(grid: PixelGrid, places: NDArray[np.intp], config: SegmentationCon
 
 
 def _reason_not_to_try(
-    node: _Node, splits: int, segment_min: float, config: SegmentationConfig
+    node: Node, splits: int, segment_min: float, config: SegmentationConfig
 ) -> StopReason | None:
     if node.places.size == 0:
         return StopReason.NO_POINTS
@@ -295,16 +195,7 @@ def _cleaned(
     return cleaned
 
 
-def _depth_first(root: _Node) -> list[_Node]:
-    nodes, stack = [], [root]
-    while stack:
-        node = stack.pop()
-        nodes.append(node)
-        stack.extend(reversed(node.children))
-    return nodes
-
-
-def _splits(nodes: list[_Node], leaves: list[_Node]) -> list[Split]:
+def _splits(nodes: list[Node], leaves: list[Node]) -> list[Split]:
     """Describe each kept split by the ranges of leaves below its parts; leaves are in depth-first order."""
     names = [leaf.name for leaf in leaves]
     splits = []
@@ -316,35 +207,4 @@ def _splits(nodes: list[_Node], leaves: list[_Node]) -> list[Split]:
     return splits
 
 
-def _finished(
-    nodes: list[_Node], leaves: list[_Node], labels: NDArray[np.uint16], shape: tuple[int, int]
-) -> SegmentationTree:
-    """Give every node the pixels of the leaves below it."""
-    order = np.argsort(labels, kind="stable")
-    bounds = np.concatenate([[0], np.cumsum(np.bincount(labels, minlength=len(leaves) + 1))])
-    place = {leaf.name: number for number, leaf in enumerate(leaves)}
-    # Leaves come depth first, so those below a node stand side by side in the order of labels.
-    reach: dict[str, tuple[int, int]] = {}
-    for node in reversed(nodes):
-        if node.children:
-            first, second = (reach[child.name] for child in node.children)
-            reach[node.name] = first[0], second[1]
-        else:
-            reach[node.name] = bounds[place[node.name]], bounds[place[node.name] + 1]
-    segments = tuple(
-        Segment(
-            name=node.name,
-            parent=node.name[:-1] if node.name else None,
-            children=tuple(child.name for child in node.children),  # type: ignore[arg-type]
-            pixels=order[slice(*reach[node.name])],
-            fit=node.fit,
-            ratio=node.ratio,
-            stop=node.stop,
-            cut=node.cut,
-        )
-        for node in nodes
-    )
-    return SegmentationTree(segments, shape)
-
-
-__all__ = ["Segment", "SegmentationTree", "StopReason", "grow", "segment"]
+__all__ = ["Segment", "SegmentationTree", "StopReason", "grow", "segment", "segment_stag15"]

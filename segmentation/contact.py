@@ -1,0 +1,146 @@
+"""Where two surfaces meet: whether they touch, and how concave the crease between them is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.inverse_depth import inverse_depth_at
+from nurbseg.segmentation.normals import normals_from_slopes
+from nurbseg.segmentation.rays import Rays
+from nurbseg.segmentation.surface import NurbsSurface
+
+#: Surfaces are compared across so many pixels without depth, at most, and by their points and normals so
+#: many pixels inside their border; both in pixels of an image 640 wide.
+_REACH_PX = 6
+_INSET_PX = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Meeting:
+    """What was measured along the common border of two labels.
+
+    Parameters
+    ----------
+    first, second : int
+        Labels, the smaller one first.
+    samples : int
+        Places along the border where a row or column crosses it.
+    touching : int
+        Samples where the tangent planes of both surfaces, carried to the border, agree.
+    concavity_sum : float
+        Sum over the touching samples of the turn of the normals towards each other, about radians: more
+        than 0 where the crease is concave, less where it is convex.
+    """
+
+    first: int
+    second: int
+    samples: int
+    touching: int
+    concavity_sum: float
+
+
+def meetings(
+    labels: NDArray[np.int32],
+    surfaces: Sequence[NurbsSurface | None],
+    rays: Rays,
+    *,
+    gap_per_m: float,
+) -> tuple[Meeting, ...]:
+    """Measure every common border of two labels.
+
+    Parameters
+    ----------
+    labels : (H, W) int32
+        1 to the number of surfaces; 0 where there is no point.
+    surfaces : sequence of NurbsSurface or None
+        That of each label; a label without one touches nothing.
+    rays : Rays
+        Of the camera.
+    gap_per_m : float
+        Tangent planes that differ by less inverse depth at the border agree, 1/m.
+
+    Returns
+    -------
+    tuple of Meeting
+        In ascending order of their labels.
+    """
+    unit = labels.shape[1] / 640.0
+    crossings = _crossings(labels, max(1, round(_REACH_PX * unit)))
+    if crossings.size == 0:
+        return ()
+    # Points and normals of both surfaces, inside of the border, and their tangent planes at it.
+    inset = max(1.0, _INSET_PX * unit)
+    row, column, down, across, apart = (crossings[:, k].astype(np.float64) for k in range(2, 7))
+    middle = row + 0.5 * apart * down, column + 0.5 * apart * across
+    sides = []
+    for label, shift in ((crossings[:, 0], -inset), (crossings[:, 1], apart + inset)):
+        v, u = row + shift * down, column + shift * across
+        per_m, slope_u, slope_v = _evaluated(label, surfaces, u, v)
+        at_border = per_m + slope_u * (middle[1] - u) + slope_v * (middle[0] - v)
+        x, y = rays.at(u, v)
+        points = np.stack([x, y, np.ones_like(x)], axis=1) / per_m[:, np.newaxis]
+        sides.append((points, normals_from_slopes(slope_u, slope_v, per_m, x, y, rays.focal_px), at_border))
+    (point_a, normal_a, border_a), (point_b, normal_b, border_b) = sides
+    touching = np.abs(border_a - border_b) < gap_per_m
+    apart_m = point_b - point_a
+    length = np.maximum(np.sqrt(np.einsum("nc,nc->n", apart_m, apart_m)), 1e-9)
+    concavity = -np.einsum("nc,nc->n", normal_b - normal_a, apart_m) / length
+    concavity = np.where(touching, np.nan_to_num(concavity), 0.0)
+
+    first, second = crossings[:, :2].min(axis=1), crossings[:, :2].max(axis=1)
+    pairs, pair = np.unique(first.astype(np.int64) << 32 | second, return_inverse=True)
+    samples = np.bincount(pair)
+    touches = np.bincount(pair, weights=touching)
+    sums = np.bincount(pair, weights=concavity)
+    return tuple(
+        Meeting(int(key >> 32), int(key & 0xFFFFFFFF), int(n), int(t), float(c))
+        for key, n, t, c in zip(pairs, samples, touches, sums, strict=True)
+    )
+
+
+def _crossings(labels: NDArray[np.int32], reach: int) -> NDArray[np.int32]:
+    """Find where rows and columns go from one label to another, over `reach` pixels at most.
+
+    Returns (N, 7): label before and after, row and column of the last pixel before, step along rows and
+    columns (1, 0 or 0, 1), and pixels from the one to the other.
+    """
+    found = []
+    for down, across in ((0, 1), (1, 0)):
+        for apart in range(1, reach + 1):
+            height, width = labels.shape[0] - apart * down, labels.shape[1] - apart * across
+            if height <= 0 or width <= 0:
+                break
+            before = labels[:height, :width]
+            after = labels[apart * down :, apart * across :]
+            crossed = (before != after) & (before > 0) & (after > 0)
+            for between in range(1, apart):
+                crossed &= labels[between * down :, between * across :][:height, :width] == 0
+            rows, columns = np.nonzero(crossed)
+            ones = np.ones(rows.size, dtype=np.intp)
+            parts = (before[crossed], after[crossed], rows, columns, ones * down, ones * across, ones * apart)
+            found.append(np.stack(parts, axis=1).astype(np.int32))
+    return np.concatenate(found) if found else np.zeros((0, 7), dtype=np.int32)
+
+
+def _evaluated(
+    label: NDArray[np.int32],
+    surfaces: Sequence[NurbsSurface | None],
+    u: NDArray[np.float64],
+    v: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Evaluate at each place the surface of its label: inverse depth and slopes, NaN without a surface."""
+    results = tuple(np.full(label.size, np.nan) for _ in range(3))
+    for number, surface in enumerate(surfaces, start=1):
+        places = np.flatnonzero(label == number)
+        if surface is None or places.size == 0:
+            continue
+        for result, values in zip(results, inverse_depth_at(surface, u[places], v[places]), strict=True):
+            result[places] = values
+    return results  # type: ignore[return-value]
+
+
+__all__ = ["Meeting", "meetings"]

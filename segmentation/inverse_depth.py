@@ -1,0 +1,271 @@
+"""Surfaces fitted to inverse depth: rational splines S = ray / d that hold every plane exactly.
+
+With d(u, v) a spline and the ray (x / z, y / z, 1) a polynomial of the pixel, the point that pixel (u, v)
+sees is S = ray(u, v) / d(u, v): a NURBS surface whose weights are the control values of d, and whose
+weighted control points are those of the ray. A plane n . p = 1 has d = n . ray, linear in the pixel. A
+sensor that triangulates measures d, with noise of one size at every depth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.bspline import CUBIC, basis_matrix, pixel_basis, pixel_knots
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.grid import PixelGrid, Window, decimated_grid
+from nurbseg.segmentation.leastsquares import LinAlgError, fit_control_points
+from nurbseg.segmentation.metrics import residual_metrics
+from nurbseg.segmentation.rays import Rays, rays_of
+from nurbseg.segmentation.registration import PointMap
+from nurbseg.segmentation.surface import Fit, NurbsSurface, fit_on_grid
+
+#: How far beyond its segment a surface goes on without leaving its knots, pixels of a 640-wide image.
+_MARGIN_PX = 24.0
+#: Farthest that a surface may go where no point holds it, one over metres: weights are positive.
+_LEAST_PER_M = 1e-2
+#: Factors on the smoothness, tried in turn where a surface would go through infinity beyond its points.
+_STIFFER = (1.0, 1e2, 1e4, 1e6)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthGrid:
+    """A grid of points with what a sensor that triangulates measures at each.
+
+    Parameters
+    ----------
+    points : PixelGrid
+        The points.
+    per_m : (h, w) float32
+        Inverse depth, 1/m; 0 where there is no point.
+    rays : Rays
+        Of the camera.
+    """
+
+    points: PixelGrid
+    per_m: NDArray[np.float32]
+    rays: Rays
+
+    @property
+    def step(self) -> int:
+        """Pixels from one place of the grid to the next."""
+        return self.points.step
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """Where there is a point, (h, w) bool."""
+        return self.points.valid
+
+    @property
+    def unit_px(self) -> float:
+        """Pixels of this image for each one of an image 640 wide, in which settings are given."""
+        return self.points.image_shape[1] / 640.0
+
+
+def depth_grid(cloud: PointMap, step: int) -> DepthGrid:
+    """Take every `step`-th row and column of a frame.
+
+    Parameters
+    ----------
+    cloud : PointMap
+        The frame.
+    step : int
+        Pixels from one row or column to the next.
+
+    Returns
+    -------
+    DepthGrid
+        Its points and their inverse depths.
+    """
+    points = decimated_grid(cloud, step)
+    per_m = inverse_depth_image(cloud)[::step, ::step]
+    return DepthGrid(points, np.ascontiguousarray(per_m), rays_of(cloud))
+
+
+def inverse_depth_image(cloud: PointMap) -> NDArray[np.float32]:
+    """Return one over depth of every pixel, (H, W) float32 in 1/m; 0 where there is no point."""
+    depth_m = cloud.points_m[..., 2]
+    usable = cloud.valid & (depth_m > 0)
+    return np.divide(np.float32(1.0), depth_m, out=np.zeros_like(depth_m), where=usable)
+
+
+def fit_window(
+    grid: DepthGrid, window: Window, mask: NDArray[np.bool_], config: SegmentationConfig
+) -> tuple[Fit, NDArray[np.float64]]:
+    """Fit a surface to the marked places of a window of the grid.
+
+    Parameters
+    ----------
+    grid : DepthGrid
+        The points.
+    window : (int, int, int, int)
+        First row and column of the grid, and one past the last of each.
+    mask : (h, w) bool
+        Places of the window to fit, at least one, each of which has a point.
+    config : SegmentationConfig
+        Says what is fitted (`fit_of`), how far knots are apart and how smooth the surface is.
+
+    Returns
+    -------
+    fit : Fit
+        The surface, residuals in space and metrics, parameters being pixels of the full image.
+    residuals_per_m : (N,) float64
+        Residuals of inverse depth at the marked places, in row order, 1/m.
+
+    References
+    ----------
+    .. [1] P. Eilers and B. Marx, "Flexible smoothing with B-splines and penalties", Statistical Science
+       11(2), 1996.
+    """
+    top, left, bottom, right = window
+    rows, columns = np.nonzero(mask)
+    places = (rows + top) * grid.points.shape[1] + columns + left
+    measured = grid.per_m[top:bottom, left:right].astype(np.float64)
+    if config.fit_of == "xyz":
+        fit = fit_on_grid(grid.points, places, config)
+        if fit.surface is None:
+            return fit, np.full(places.size, np.inf)
+        u = np.arange(left, right, dtype=np.float64) * grid.step
+        v = np.arange(top, bottom, dtype=np.float64) * grid.step
+        return fit, (inverse_depth_lattice(fit.surface, u, v)[0] - measured)[mask]
+
+    margin = int(np.ceil(_MARGIN_PX * grid.unit_px / grid.step))
+    width, height = right - left + 2 * margin, bottom - top + 2 * margin
+    counts = _control_points(width, grid, config), _control_points(height, grid, config)
+    inner = np.s_[margin:-margin, margin:-margin]
+    weight = np.zeros((height, width), dtype=np.bool_)
+    weight[inner] = mask
+    values = np.zeros((1, height, width))
+    values[0][inner] = measured * mask
+    smoothness = config.smoothness * (2.0 * grid.unit_px / grid.step) ** 2
+    try:
+        for stiffer in _STIFFER:
+            control = fit_control_points(values, weight, counts, smoothness=stiffer * smoothness)[0]
+            if control.min() > _LEAST_PER_M or smoothness == 0.0:
+                break
+    except LinAlgError as error:
+        none = Fit(None, np.zeros(0), {}, f"no least-squares solution: {error}", grid.points.pixels(places))
+        return none, np.full(places.size, np.inf)
+    control = np.maximum(control, _LEAST_PER_M)
+
+    Bu, Bv = pixel_basis(width, counts[0]), pixel_basis(height, counts[1])
+    fitted = (Bv[margin:-margin] @ control @ Bu[margin:-margin].T)[mask]
+    residuals_per_m = fitted - measured[mask]
+    # The point and its surface point lie on one ray: their distance is in proportion to the point's own.
+    distances_m = np.sqrt(np.einsum("cn,cn->n", *[grid.points.coordinates_m.reshape(3, -1)[:, places]] * 2))
+    residuals_m = distances_m * np.abs(residuals_per_m) / fitted
+    surface = rational_surface(
+        control,
+        (pixel_knots(width, counts[0]) + (left - margin)) * grid.step,
+        (pixel_knots(height, counts[1]) + (top - margin)) * grid.step,
+        grid.rays,
+        grid.points.full_window(window),
+    )
+    metrics = residual_metrics(residuals_m, config)
+    return Fit(surface, residuals_m, metrics, "", grid.points.pixels(places)), residuals_per_m
+
+
+def _control_points(extent: int, grid: DepthGrid, config: SegmentationConfig) -> int:
+    """Return how many control points some places in a row take, knots being at most the spacing apart."""
+    spacing = config.knot_spacing_px * grid.unit_px / grid.step
+    return min(CUBIC + max(1, int(np.ceil(extent / spacing))), extent)
+
+
+def rational_surface(
+    control_per_m: NDArray[np.float64],
+    knots_u: NDArray[np.float64],
+    knots_v: NDArray[np.float64],
+    rays: Rays,
+    window: Window,
+) -> NurbsSurface:
+    """Express a spline of inverse depth as the NURBS surface that it is.
+
+    Parameters
+    ----------
+    control_per_m : (n, m) float64
+        Control values of the inverse depth, 1/m, more than 0: they are the surface's weights.
+    knots_u, knots_v : (m + 4,), (n + 4,) float64
+        Knot vectors, pixels.
+    rays : Rays
+        Of the camera; their control values, with 1 for z, are the surface's weighted control points.
+    window : (int, int, int, int)
+        Pixels that the surface spans.
+
+    Returns
+    -------
+    NurbsSurface
+        Whose point at (u, v) is ray(u, v) / d(u, v), exactly.
+    """
+    weighted = np.concatenate([rays.control_values(knots_u, knots_v), np.ones((1, *control_per_m.shape))])
+    return NurbsSurface(
+        degree=(CUBIC, CUBIC),
+        knots_u=knots_u,
+        knots_v=knots_v,
+        control_points_m=np.moveaxis(weighted / control_per_m, 0, -1),
+        weights=control_per_m,
+        window=window,
+    )
+
+
+def inverse_depth_lattice(
+    surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return a surface's inverse depth, and its slopes, where some rows meet some columns.
+
+    Parameters
+    ----------
+    surface : NurbsSurface
+        Any surface over the image.
+    u, v : (W,), (H,) float64
+        Columns and rows, pixels. Beyond the knots the polynomials of the ends go on.
+
+    Returns
+    -------
+    per_m, slope_u, slope_v : (H, W) float64
+        Inverse depth in 1/m and its change by one pixel along u and v.
+    """
+    Bu, Du = (basis_matrix(surface.knots_u, surface.degree[0], u, order).T for order in (0, 1))
+    Bv, Dv = (basis_matrix(surface.knots_v, surface.degree[1], v, order) for order in (0, 1))
+    weights = surface.weights
+    depths = surface.control_points_m[..., 2] * weights
+    w = Bv @ weights @ Bu, Bv @ weights @ Du, Dv @ weights @ Bu
+    if np.ptp(depths) <= 1e-12:
+        # The rational surfaces of this module: the ray's z is 1.
+        return w[0] / depths[0, 0], w[1] / depths[0, 0], w[2] / depths[0, 0]
+    z = Bv @ depths @ Bu, Bv @ depths @ Du, Dv @ depths @ Bu
+    return _quotients(w, z)
+
+
+def inverse_depth_at(
+    surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return a surface's inverse depth, and its slopes, at scattered pixels; all as the lattice's, (N,)."""
+    Bu, Du = (basis_matrix(surface.knots_u, surface.degree[0], u, order) for order in (0, 1))
+    Bv, Dv = (basis_matrix(surface.knots_v, surface.degree[1], v, order) for order in (0, 1))
+
+    def values(net: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+        along = Bv @ net
+        sums = np.sum(along * Bu, axis=1), np.sum(along * Du, axis=1), np.sum((Dv @ net) * Bu, axis=1)
+        return sums
+
+    return _quotients(values(surface.weights), values(surface.control_points_m[..., 2] * surface.weights))
+
+
+def _quotients(
+    w: tuple[NDArray[np.float64], ...], z: tuple[NDArray[np.float64], ...]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    per_m = w[0] / z[0]
+    return per_m, (w[1] - per_m * z[1]) / z[0], (w[2] - per_m * z[2]) / z[0]
+
+
+__all__ = [
+    "DepthGrid",
+    "depth_grid",
+    "fit_window",
+    "inverse_depth_at",
+    "inverse_depth_image",
+    "inverse_depth_lattice",
+    "rational_surface",
+]

@@ -1,0 +1,225 @@
+"""Objects: surfaces that meet in a convex, flat or smooth crease belong together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.contact import Meeting, meetings
+from nurbseg.segmentation.inverse_depth import DepthGrid, fit_window
+from nurbseg.segmentation.noise import explained_by_noise
+from nurbseg.segmentation.surface import NurbsSurface
+
+#: Surfaces are in contact where so many samples of their border touch, and such a share of all.
+_TOUCHING_LEAST = 4
+_TOUCHING_SHARE = 0.5
+#: A crease is smooth if one surface explains the strip so wide on each side of it, pixels of 640.
+_STRIP_PX = 12.0
+_STRIP_POINTS_LEAST = 20
+
+
+@dataclass(frozen=True, slots=True)
+class SceneObject:
+    """Surfaces that belong together.
+
+    Parameters
+    ----------
+    leaves : tuple of str
+        Names of the leaves that it consists of, in the order of the tree.
+    """
+
+    leaves: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """Two leaves whose borders meet, and what became of them.
+
+    Parameters
+    ----------
+    first, second : str
+        Names of the leaves.
+    merged : bool
+        Whether they are in one object in the end.
+    reason : str
+        Why, or why not.
+    samples, touching : int
+        Places along the border, and those of them where the surfaces agree.
+    concavity : float
+        Mean turn of the normals towards each other where they touch, about radians, negative for a convex
+        crease; NaN where they touch nowhere.
+    smooth : bool
+        Whether one surface explains both sides of a concave border.
+    """
+
+    first: str
+    second: str
+    merged: bool
+    reason: str
+    samples: int
+    touching: int
+    concavity: float
+    smooth: bool
+
+
+def merge_surfaces(
+    labels: NDArray[np.int32],
+    grid: DepthGrid,
+    names: Sequence[str],
+    surfaces: Sequence[NurbsSurface | None],
+    config: SegmentationConfig,
+) -> tuple[tuple[SceneObject, ...], tuple[Contact, ...]]:
+    """Merge adjacent surfaces into objects.
+
+    Of all pairs in contact the one with the least concavity is merged first, and its borders with others
+    are pooled, until all that is left is more concave than allowed. A concave border that a single surface
+    explains within noise is smooth, the inside of a bowl rather than a box on a table: it counts as flat.
+
+    Parameters
+    ----------
+    labels : (H, W) int32
+        1 to the number of surfaces; 0 where there is no point.
+    grid : DepthGrid
+        The points.
+    names : sequence of str
+        Of the leaf of each label.
+    surfaces : sequence of NurbsSurface or None
+        That of each label.
+    config : SegmentationConfig
+        What is merged, up to which concavity, and what a gap is.
+
+    Returns
+    -------
+    objects : tuple of SceneObject
+        The one with most pixels first; empty where merging is off.
+    contacts : tuple of Contact
+        Of all leaves whose borders meet.
+
+    References
+    ----------
+    .. [1] S. C. Stein et al., "Object partitioning using local convexity", CVPR 2014.
+    """
+    if not (config.merge_crease or config.merge_smooth):
+        return (), ()
+    found = meetings(labels, surfaces, grid.rays, gap_per_m=config.depth_gap_per_m)
+    smooth = {
+        (each.first, each.second)
+        for each in found
+        if config.merge_smooth and _is_smooth(each, labels, grid, config)
+    }
+    group = _merged(found, smooth, len(names), config)
+
+    sizes = np.bincount(group[labels].ravel(), minlength=len(names) + 1)
+    sizes[0] = 0
+    numbers = sorted({int(each) for each in group[1:]}, key=lambda number: (-sizes[number], number))
+    objects = tuple(
+        SceneObject(tuple(name for name, own in zip(names, group[1:], strict=True) if own == number))
+        for number in numbers
+    )
+    contacts = tuple(
+        _explained(each, (each.first, each.second) in smooth, names, group, config) for each in found
+    )
+    return objects, contacts
+
+
+def _in_contact(samples: float, touching: float) -> bool:
+    return touching >= _TOUCHING_LEAST and touching >= _TOUCHING_SHARE * samples
+
+
+def _is_smooth(
+    meeting: Meeting, labels: NDArray[np.int32], grid: DepthGrid, config: SegmentationConfig
+) -> bool:
+    """Say whether one surface explains both sides of a concave border within noise."""
+    if not _in_contact(meeting.samples, meeting.touching):
+        return False
+    if config.merge_crease and meeting.concavity_sum < config.concavity_max * meeting.touching:
+        return False
+    on_grid = np.where(grid.valid, labels[:: grid.step, :: grid.step], 0)
+    first, second = on_grid == meeting.first, on_grid == meeting.second
+    width = 2 * max(1, round(_STRIP_PX * grid.unit_px / grid.step)) + 1
+    kernel = np.ones((width, width), dtype=np.uint8)
+    strip = first & (cv2.dilate(second.view(np.uint8), kernel) > 0)
+    strip |= second & (cv2.dilate(first.view(np.uint8), kernel) > 0)
+    places = np.flatnonzero(strip)
+    if places.size < _STRIP_POINTS_LEAST:
+        return False
+    _, _, window = grid.points.locate(places)
+    mask = strip[window[0] : window[2], window[1] : window[3]]
+    _, residuals_per_m = fit_window(grid, window, mask, config)
+    return explained_by_noise(residuals_per_m, mask, config.noise_per_m, rim=True)
+
+
+def _merged(
+    found: Sequence[Meeting], smooth: set[tuple[int, int]], count: int, config: SegmentationConfig
+) -> NDArray[np.intp]:
+    """Merge greedily; returns the number of each label's group, which is the least label in it."""
+    group = np.arange(count + 1)
+    pooled = {
+        (each.first, each.second): (
+            each.samples,
+            each.touching,
+            0.0 if (each.first, each.second) in smooth else each.concavity_sum,
+            config.merge_crease or (each.first, each.second) in smooth,
+        )
+        for each in found
+    }
+    while True:
+        candidates = [
+            (concavity / touching, pair)
+            for pair, (samples, touching, concavity, allowed) in pooled.items()
+            if allowed and _in_contact(samples, touching) and concavity < config.concavity_max * touching
+        ]
+        if not candidates:
+            return group
+        _, (kept, gone) = min(candidates)
+        group[group == gone] = kept
+        del pooled[kept, gone]
+        for pair in [pair for pair in pooled if gone in pair]:
+            other = pair[0] if pair[1] == gone else pair[1]
+            joint = min(kept, other), max(kept, other)
+            one, two = pooled.pop(pair), pooled.get(joint, (0, 0, 0.0, False))
+            pooled[joint] = (one[0] + two[0], one[1] + two[1], one[2] + two[2], one[3] or two[3])
+
+
+def _explained(
+    meeting: Meeting,
+    smooth: bool,
+    names: Sequence[str],
+    group: NDArray[np.intp],
+    config: SegmentationConfig,
+) -> Contact:
+    """Say in words why two surfaces are, or are not, one object."""
+    merged = bool(group[meeting.first] == group[meeting.second])
+    touching = _in_contact(meeting.samples, meeting.touching)
+    concavity = meeting.concavity_sum / meeting.touching if meeting.touching else float("nan")
+    if not touching:
+        why = f"a gap: {meeting.touching} of {meeting.samples} places along the border touch"
+    elif smooth:
+        why = "a smooth border: one surface explains both sides"
+    elif concavity < config.concavity_max:
+        why = f"a convex or flat crease of {concavity:.2f}"
+    else:
+        why = f"a concave crease of {concavity:.2f}, {config.concavity_max:g} at most is merged"
+    direct = touching and (smooth or (config.merge_crease and concavity < config.concavity_max))
+    if merged and not direct:
+        why = f"joined through other surfaces, in spite of {why}"
+    elif not merged and direct:
+        why = f"{why}, but their objects meet in a concave one"
+    return Contact(
+        first=names[meeting.first - 1],
+        second=names[meeting.second - 1],
+        merged=merged,
+        reason=why,
+        samples=meeting.samples,
+        touching=meeting.touching,
+        concavity=concavity,
+        smooth=smooth,
+    )
+
+
+__all__ = ["Contact", "SceneObject", "merge_surfaces"]

@@ -1,0 +1,176 @@
+"""Connected pieces of segments where neighbours across a gap in depth are not connected."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+_FOUR_NEIGHBORS = ((0, 1), (1, 0), (0, -1), (-1, 0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Joints:
+    """Which neighbours on a pixel grid have points with no gap in depth between them.
+
+    Parameters
+    ----------
+    right : (h, w) bool
+        Whether a place is joined to the one to its right; False in the last column.
+    down : (h, w) bool
+        Whether it is joined to the one below; False in the last row.
+    """
+
+    right: NDArray[np.bool_]
+    down: NDArray[np.bool_]
+
+    def inside(self, window: tuple[int, int, int, int]) -> Joints:
+        """Return those of a window (first row and column, one past the last of each)."""
+        top, left, bottom, right = window
+        return Joints(self.right[top:bottom, left:right], self.down[top:bottom, left:right])
+
+
+def joints(inverse_depth: NDArray[np.float32], valid: NDArray[np.bool_], gap_per_m: float) -> Joints:
+    """Join neighbours whose inverse depths differ by less than a gap.
+
+    Parameters
+    ----------
+    inverse_depth : (h, w) float32
+        One over depth, 1/m.
+    valid : (h, w) bool
+        Where there is a point.
+    gap_per_m : float
+        Smallest gap, 1/m.
+
+    Returns
+    -------
+    Joints
+        Between points only.
+    """
+    right, down = np.zeros_like(valid), np.zeros_like(valid)
+    right[:, :-1] = valid[:, :-1] & valid[:, 1:]
+    right[:, :-1] &= np.abs(inverse_depth[:, 1:] - inverse_depth[:, :-1]) < gap_per_m
+    down[:-1] = valid[:-1] & valid[1:]
+    down[:-1] &= np.abs(inverse_depth[1:] - inverse_depth[:-1]) < gap_per_m
+    return Joints(right, down)
+
+
+def connected_pieces(labels: NDArray[np.int32], joined: Joints) -> tuple[int, NDArray[np.int32]]:
+    """Find the pieces of equal label that are connected through joined neighbours.
+
+    Parameters
+    ----------
+    labels : (h, w) int32
+        0 belongs to no piece.
+    joined : Joints
+        Of the same places.
+
+    Returns
+    -------
+    count : int
+        Number of pieces.
+    pieces : (h, w) int32
+        1 to `count`; 0 where the label is 0.
+    """
+    height, width = labels.shape
+    # Places at even rows and columns, joints between them: so a plain component search sees the gaps.
+    lattice = np.zeros((2 * height - 1, 2 * width - 1), dtype=np.uint8)
+    inside = labels > 0
+    lattice[::2, ::2] = inside
+    lattice[::2, 1::2] = joined.right[:, :-1] & inside[:, :-1] & (labels[:, 1:] == labels[:, :-1])
+    lattice[1::2, ::2] = joined.down[:-1] & inside[:-1] & (labels[1:] == labels[:-1])
+    count, found = cv2.connectedComponents(lattice, connectivity=4, ltype=cv2.CV_32S)
+    return count - 1, np.asarray(found[::2, ::2], dtype=np.int32)
+
+
+def spread_labels(
+    labels: NDArray[np.int32], wanted: NDArray[np.bool_], inverse_depth: NDArray[np.float32]
+) -> NDArray[np.int32]:
+    """Give unlabelled places the label of the neighbour nearest in inverse depth, from the rim inwards.
+
+    Parameters
+    ----------
+    labels : (h, w) int32
+        0 is no label.
+    wanted : (h, w) bool
+        Places to label, unlabelled so far. Those that no chain of them connects to a label take that of
+        the nearest labelled place.
+    inverse_depth : (h, w) float32
+        One over depth, 1/m.
+
+    Returns
+    -------
+    (h, w) int32
+        The labels, with those of the wanted places.
+    """
+    labels = labels.copy()
+    height, width = labels.shape
+    rows, columns = np.nonzero(wanted)
+    while rows.size:
+        nearest = np.full(rows.size, np.inf, dtype=np.float32)
+        taken = np.zeros(rows.size, dtype=np.int32)
+        own = inverse_depth[rows, columns]
+        for step_v, step_u in _FOUR_NEIGHBORS:
+            r, c = rows + step_v, columns + step_u
+            on_image = (r >= 0) & (r < height) & (c >= 0) & (c < width)
+            r, c = np.clip(r, 0, height - 1), np.clip(c, 0, width - 1)
+            label = np.where(on_image, labels[r, c], 0)
+            distance = np.where(label > 0, np.abs(inverse_depth[r, c] - own), np.inf)
+            closer = distance < nearest
+            nearest[closer], taken[closer] = distance[closer], label[closer]
+        found = taken > 0
+        if not found.any():
+            break
+        labels[rows[found], columns[found]] = taken[found]
+        rows, columns = rows[~found], columns[~found]
+    if rows.size and labels.any():
+        _, source = cv2.distanceTransformWithLabels(
+            (labels == 0).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+        )
+        label_of = np.zeros(int(source.max()) + 1, dtype=np.int32)
+        label_of[source[labels > 0]] = labels[labels > 0]
+        labels[rows, columns] = label_of[source[rows, columns]]
+    return labels
+
+
+def large_pieces(
+    labels: NDArray[np.int32],
+    joined: Joints,
+    inverse_depth: NDArray[np.float32],
+    places_min: float,
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Find the connected pieces that are large enough, and give them what the small ones hold.
+
+    Parameters
+    ----------
+    labels : (h, w) int32
+        0 belongs to no piece.
+    joined, inverse_depth : Joints, (h, w) float32
+        Of the same places.
+    places_min : float
+        Smallest number of places of a piece.
+
+    Returns
+    -------
+    pieces : (h, w) int32
+        1 to the number of pieces kept, 0 where the label is 0; all 0 where no piece is large enough.
+    labels_of : (pieces,) int32
+        Label that each piece had.
+    """
+    count, found = connected_pieces(labels, joined)
+    sizes = np.bincount(found.ravel(), minlength=count + 1)
+    kept = np.flatnonzero(sizes[1:] >= places_min) + 1
+    number = np.zeros(count + 1, dtype=np.int32)
+    number[kept] = np.arange(1, kept.size + 1)
+    pieces = number[found]
+    label_of = np.zeros(count + 1, dtype=np.int32)
+    label_of[found.ravel()] = labels.ravel()
+    homeless = (labels > 0) & (pieces == 0)
+    if kept.size and homeless.any():
+        pieces = spread_labels(pieces, homeless, inverse_depth)
+    return pieces, label_of[kept]
+
+
+__all__ = ["Joints", "connected_pieces", "joints", "large_pieces", "spread_labels"]

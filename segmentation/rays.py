@@ -1,0 +1,134 @@
+"""The ray through each pixel as a polynomial of the pixel's place, which a spline holds exactly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.bspline import CUBIC
+from nurbseg.segmentation.registration import PointMap
+
+#: Rays of a lens without distortion differ from linear ones by the rounding of single precision.
+_ROUNDING = 2e-6
+#: Rows and columns of the lattice on which the rays are sampled, at most.
+_SAMPLES = 60
+_LINEAR = ((0, 0), (1, 0), (0, 1))
+_POWERS = tuple((a, b) for a in range(CUBIC + 1) for b in range(CUBIC + 1 - a))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rays:
+    """Directions (x / z, y / z) of pixels: a linear function of them, or a cubic one for a real lens.
+
+    Parameters
+    ----------
+    coefficients : (2, 4, 4) float64
+        ``coefficients[k, a, b]`` belongs to ``s**a * t**b`` of x / z (k = 0) and y / z (k = 1), where
+        ``s = (u - center[0]) / scale`` and ``t = (v - center[1]) / scale``.
+    center : (float, float)
+        Origin of s and t, pixels (u, v).
+    scale : float
+        Unit of s and t, pixels.
+    """
+
+    coefficients: NDArray[np.float64]
+    center: tuple[float, float]
+    scale: float
+
+    @property
+    def focal_px(self) -> tuple[float, float]:
+        """Focal lengths along u and v at the center, pixels; infinite where nothing tells them."""
+        slopes = self.coefficients[0, 1, 0], self.coefficients[1, 0, 1]
+        fx, fy = (self.scale / slope if slope else np.inf for slope in slopes)
+        return float(fx), float(fy)
+
+    def lattice(
+        self, u: NDArray[np.float64], v: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return x / z and y / z where each of some rows v meets each of some columns u, (H, W) each."""
+        s = np.vander((u - self.center[0]) / self.scale, CUBIC + 1, increasing=True)
+        t = np.vander((v - self.center[1]) / self.scale, CUBIC + 1, increasing=True)
+        x, y = (t @ each.T @ s.T for each in self.coefficients)
+        return x, y
+
+    def at(
+        self, u: NDArray[np.float64], v: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return x / z and y / z of scattered pixels, (N,) each."""
+        s = np.vander((u - self.center[0]) / self.scale, CUBIC + 1, increasing=True)
+        t = np.vander((v - self.center[1]) / self.scale, CUBIC + 1, increasing=True)
+        x, y = (np.einsum("na,ab,nb->n", s, each, t, optimize=True) for each in self.coefficients)
+        return x, y
+
+    def control_values(
+        self, knots_u: NDArray[np.float64], knots_v: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the control values of cubic splines that are these polynomials.
+
+        Parameters
+        ----------
+        knots_u, knots_v : (m + 4,), (n + 4,) float64
+            Knot vectors, pixels.
+
+        Returns
+        -------
+        (2, n, m) float64
+            Of x / z and y / z. A control value is the polar form of the polynomial at three successive
+            knots; for a linear one that is its value at their mean, the Greville abscissa.
+
+        References
+        ----------
+        .. [1] L. Ramshaw, "Blossoms are polar forms", Computer Aided Geometric Design 6(4), 1989.
+        """
+        polar_u = _polar_forms((knots_u - self.center[0]) / self.scale)
+        polar_v = _polar_forms((knots_v - self.center[1]) / self.scale)
+        return np.stack([polar_v @ each.T @ polar_u.T for each in self.coefficients])
+
+
+def _polar_forms(knots: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Polar forms of 1, s, s^2, s^3 at three successive inner knots, (count, 4)."""
+    a, b, c = knots[1:-3], knots[2:-2], knots[3:-1]
+    return np.stack([np.ones_like(a), (a + b + c) / 3, (a * b + b * c + c * a) / 3, a * b * c], axis=1)
+
+
+def rays_of(cloud: PointMap) -> Rays:
+    """Find the rays of a camera from the points that it saw.
+
+    Parameters
+    ----------
+    cloud : PointMap
+        Points on the pixel grid.
+
+    Returns
+    -------
+    Rays
+        Linear where that explains the points to rounding, else cubic, in the least-squares sense.
+    """
+    height, width = cloud.valid.shape
+    center, scale = ((width - 1) / 2, (height - 1) / 2), max(height, width) / 2
+    rows = np.unique(np.linspace(0, height - 1, min(height, _SAMPLES)).astype(np.intp))
+    columns = np.unique(np.linspace(0, width - 1, min(width, _SAMPLES)).astype(np.intp))
+    lattice = np.ix_(rows, columns)
+    v, u = (each[cloud.valid[lattice]] for each in np.meshgrid(rows, columns, indexing="ij"))
+    points = cloud.points_m[lattice][cloud.valid[lattice]].astype(np.float64)
+    if u.size < len(_LINEAR):
+        v, u = np.nonzero(cloud.valid)
+        points = cloud.points_m[v, u].astype(np.float64)
+    coefficients = np.zeros((2, CUBIC + 1, CUBIC + 1))
+    if u.size == 0:
+        return Rays(coefficients, center, scale)
+    s, t = (u - center[0]) / scale, (v - center[1]) / scale
+    directions = points[:, :2] / points[:, 2:]
+    for powers in (_LINEAR, _POWERS):
+        terms = np.stack([s**a * t**b for a, b in powers], axis=1)
+        found = np.linalg.lstsq(terms, directions, rcond=None)[0]
+        if np.abs(terms @ found - directions).max() <= _ROUNDING or u.size < len(_POWERS):
+            break
+    for (a, b), pair in zip(powers, found, strict=True):
+        coefficients[:, a, b] = pair
+    return Rays(coefficients, center, scale)
+
+
+__all__ = ["Rays", "rays_of"]

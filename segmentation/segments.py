@@ -1,0 +1,219 @@
+"""Segments and their tree: values that name each other, and what they grow from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.config import Level, SegmentationConfig
+from nurbseg.segmentation.cut import Cut
+from nurbseg.segmentation.surface import Fit
+
+if TYPE_CHECKING:
+    from nurbseg.segmentation.merge import Contact, SceneObject
+
+
+class StopReason(StrEnum):
+    """Why a segment was not split further; the first four are the colors of the paper's figure 3.
+
+    ``noise`` is the default method's own: the surface leaves no more than the sensor's noise.
+    """
+
+    CRITERION = "criterion"
+    CHILD_TOO_SMALL = "child-too-small"
+    TOO_SMALL = "too-small"
+    DEPTH = "depth"
+    SPLITS = "splits"
+    NO_CUT = "no-cut"
+    NO_FIT = "no-fit"
+    NO_POINTS = "no-points"
+    NOISE = "noise"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segment:
+    """One segment of the tree.
+
+    Parameters
+    ----------
+    name : str
+        Path from the root: "" for the root, "010" for the paper's P010.
+    parent : str or None
+        Name of the segment that was split into this one and another; None for the root.
+    children : (str, str) or ()
+        Names of the parts; none for a leaf.
+    pixels : (N,) intp
+        Flat indices into the image: leaf by leaf, in the order of leaves, and ascending within each.
+    fit : Fit
+        The surface that explains it, fitted on the grid on which splits are decided.
+    ratio : float or None
+        Metric of the parts over that of the whole (eq. 5) where a split was tried, kept or not.
+    stop : StopReason or None
+        Why it is a leaf; None where it is not.
+    cut : Cut or None
+        The cut between its children; None for a leaf, and where its parts are not connected.
+    """
+
+    name: str
+    parent: str | None
+    children: tuple[str, str] | tuple[()]
+    pixels: NDArray[np.intp]
+    fit: Fit
+    ratio: float | None
+    stop: StopReason | None
+    cut: Cut | None = None
+
+    def __post_init__(self) -> None:
+        self.pixels.flags.writeable = False
+
+    @property
+    def depth(self) -> int:
+        """Number of splits between the root and this segment."""
+        return len(self.name)
+
+    @property
+    def is_leaf(self) -> bool:
+        """Whether it is part of the final segmentation."""
+        return not self.children
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SegmentationTree:
+    """All segments of a frame, from the whole cloud to the final ones.
+
+    Parameters
+    ----------
+    segments : tuple of Segment
+        Depth first, a segment before its parts, part 0 before part 1; the root comes first.
+    shape : (int, int)
+        Rows and columns of the image.
+    objects : tuple of SceneObject
+        Leaves that are one object, largest first, each leaf in one of them; none where nothing was merged.
+    contacts : tuple of Contact
+        Every two leaves that meet, with what became of them and why.
+    level : {"surfaces", "objects"}
+        What `labels` tells apart.
+    """
+
+    segments: tuple[Segment, ...]
+    shape: tuple[int, int]
+    objects: tuple[SceneObject, ...] = ()
+    contacts: tuple[Contact, ...] = ()
+    level: Level = "surfaces"
+
+    @property
+    def root(self) -> Segment:
+        """The whole cloud."""
+        return self.segments[0]
+
+    def leaves(self) -> tuple[Segment, ...]:
+        """Return the final segments; the label of each is its place here plus one."""
+        return tuple(each for each in self.segments if each.is_leaf)
+
+    def label_image(self) -> NDArray[np.uint16]:
+        """Return the label of every pixel, (H, W) uint16; 0 where there is no depth."""
+        labels = np.zeros(self.shape[0] * self.shape[1], dtype=np.uint16)
+        for label, leaf in enumerate(self.leaves(), start=1):
+            labels[leaf.pixels] = label
+        return labels.reshape(self.shape)
+
+    def object_image(self) -> NDArray[np.uint16]:
+        """Return the number of every pixel's object, (H, W) uint16; 0 where there is no depth.
+
+        An object's number is its place in `objects` plus one; without objects it is the leaf's label.
+        """
+        if not self.objects:
+            return self.label_image()
+        number = {name: n for n, each in enumerate(self.objects, start=1) for name in each.leaves}
+        of_label = np.array([0, *(number[leaf.name] for leaf in self.leaves())], dtype=np.uint16)
+        image: NDArray[np.uint16] = of_label[self.label_image()]
+        return image
+
+    def labels(self) -> NDArray[np.uint16]:
+        """Return the answer at the tree's level, (H, W) uint16: surfaces or objects; 0 for no depth."""
+        return self.object_image() if self.level == "objects" else self.label_image()
+
+    def __getitem__(self, name: str) -> Segment:
+        """Return the segment of a name."""
+        for each in self.segments:
+            if each.name == name:
+                return each
+        raise KeyError(f"no segment {name!r} in this tree")
+
+
+@dataclass(slots=True, eq=False)
+class Node:
+    """A segment while the tree grows; `cuts_above` counts those between the root and it."""
+
+    name: str
+    places: NDArray[np.intp]
+    fit: Fit
+    children: tuple[Node, Node] | tuple[()] = ()
+    ratio: float | None = None
+    stop: StopReason | None = None
+    cut: Cut | None = None
+    cuts_above: int = 0
+
+    def value(self, config: SegmentationConfig) -> float:
+        """Return the metric that decides, 0 where it was not measured."""
+        return self.fit.values.get(config.metric, 0.0)
+
+
+def depth_first(root: Node) -> list[Node]:
+    """Return a node and all below it, a node before its parts, part 0 before part 1."""
+    nodes, stack = [], [root]
+    while stack:
+        node = stack.pop()
+        nodes.append(node)
+        stack.extend(reversed(node.children))
+    return nodes
+
+
+def finished_segments(
+    nodes: list[Node], leaves: list[Node], labels: NDArray[np.uint16]
+) -> tuple[Segment, ...]:
+    """Give every node the pixels of the leaves below it.
+
+    Parameters
+    ----------
+    nodes, leaves : list of Node
+        Depth first.
+    labels : (H * W,) uint16
+        Number of each pixel's leaf; ``len(leaves)`` where there is no point.
+
+    Returns
+    -------
+    tuple of Segment
+        In the order of the nodes.
+    """
+    order = np.argsort(labels, kind="stable")
+    bounds = np.concatenate([[0], np.cumsum(np.bincount(labels, minlength=len(leaves) + 1))])
+    place = {leaf.name: number for number, leaf in enumerate(leaves)}
+    # Leaves come depth first, so those below a node stand side by side in the order of labels.
+    reach: dict[str, tuple[int, int]] = {}
+    for node in reversed(nodes):
+        if node.children:
+            first, second = (reach[child.name] for child in node.children)
+            reach[node.name] = first[0], second[1]
+        else:
+            reach[node.name] = bounds[place[node.name]], bounds[place[node.name] + 1]
+    return tuple(
+        Segment(
+            name=node.name,
+            parent=node.name[:-1] if node.name else None,
+            children=tuple(child.name for child in node.children),  # type: ignore[arg-type]
+            pixels=order[slice(*reach[node.name])],
+            fit=node.fit,
+            ratio=node.ratio,
+            stop=node.stop,
+            cut=node.cut,
+        )
+        for node in nodes
+    )
+
+
+__all__ = ["Node", "Segment", "SegmentationTree", "StopReason", "depth_first", "finished_segments"]

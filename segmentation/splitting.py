@@ -1,0 +1,320 @@
+"""The default method: surfaces by normalized cuts, settled borders, and objects of merged surfaces."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.borders import labels_of_every_pixel, refine_borders
+from nurbseg.segmentation.components import give_away_small_pieces
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.curvature import all_metrics
+from nurbseg.segmentation.cut import Cut, normalized_cuts
+from nurbseg.segmentation.features import Normalization, normalization, normalized, raw_vectors
+from nurbseg.segmentation.inverse_depth import DepthGrid, depth_grid, fit_window, inverse_depth_image
+from nurbseg.segmentation.merge import merge_surfaces
+from nurbseg.segmentation.metrics import CURVATURE_METRICS, acceptance_ratio
+from nurbseg.segmentation.noise import explained_by_noise
+from nurbseg.segmentation.normals import facet_normals
+from nurbseg.segmentation.pieces import Joints, joints, large_pieces
+from nurbseg.segmentation.registration import PointMap
+from nurbseg.segmentation.segments import (
+    Node,
+    SegmentationTree,
+    StopReason,
+    depth_first,
+    finished_segments,
+)
+from nurbseg.segmentation.surface import Fit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """A frame on the grid on which splits are decided.
+
+    Parameters
+    ----------
+    grid : DepthGrid
+        Points and inverse depths.
+    joined : Joints
+        Neighbours without a gap between them.
+    raw : (h * w, 6 or 9) float32
+        Lab color, position and, where they are used, normal of every place that has a point.
+    whole : Normalization or None
+        Of the whole frame, where segments do not have their own.
+    """
+
+    grid: DepthGrid
+    joined: Joints
+    raw: NDArray[np.float32]
+    whole: Normalization | None
+
+    def places_min(self, config: SegmentationConfig) -> float:
+        """Return the fewest places of a segment."""
+        return config.piece_pixels_min * self.grid.points.pixel_share
+
+
+def segment_nurbseg(cloud: PointMap, config: SegmentationConfig) -> SegmentationTree:
+    """Segment a frame into surfaces, and these into objects.
+
+    The paper's tree of normalized cuts decided by surface fits, with vectors that hold normals, surfaces of
+    inverse depth, cuts that fall into connected pieces, a stop where a surface leaves no more than noise,
+    borders refined on every pixel, and surfaces merged where they meet in a convex or smooth crease.
+
+    Parameters
+    ----------
+    cloud : PointMap
+        Points and their colors.
+    config : SegmentationConfig
+        Thresholds and choices; the same seed gives the same tree.
+
+    Returns
+    -------
+    SegmentationTree
+        Its leaves are surfaces; its objects, none where merging is off, are merged leaves.
+    """
+    scene = prepare(cloud, config)
+    root = grow(scene, config)
+    nodes = depth_first(root)
+    leaves = [node for node in nodes if not node.children]
+
+    on_grid = np.zeros(scene.grid.valid.size, dtype=np.int32)
+    for label, leaf in enumerate(leaves, start=1):
+        on_grid[leaf.places] = label
+    per_m = inverse_depth_image(cloud)
+    labels = labels_of_every_pixel(
+        on_grid.reshape(scene.grid.valid.shape), scene.grid.per_m, per_m, cloud.valid, config
+    )
+    surfaces = [leaf.fit.surface for leaf in leaves]
+    if config.refine_borders:
+        labels = refine_borders(labels, per_m, surfaces, config)
+
+    number = np.where(labels > 0, labels - 1, len(leaves)).astype(np.uint16).ravel()
+    segments = finished_segments(nodes, leaves, number)
+    objects, contacts = merge_surfaces(labels, scene.grid, [leaf.name for leaf in leaves], surfaces, config)
+    return SegmentationTree(segments, cloud.valid.shape, objects, contacts, config.level)
+
+
+def prepare(cloud: PointMap, config: SegmentationConfig) -> Scene:
+    """Lay a frame out on the grid: inverse depth, joints and raw vectors.
+
+    Parameters
+    ----------
+    cloud : PointMap
+        The frame.
+    config : SegmentationConfig
+        Grid, windows, weights and gap.
+
+    Returns
+    -------
+    Scene
+        What the tree grows on.
+    """
+    grid = depth_grid(cloud, config.decimation)
+    places = np.flatnonzero(grid.valid)
+    raw = np.zeros((grid.valid.size, 9 if config.normal_weight > 0 else 6), dtype=np.float32)
+    raw[places, :6] = raw_vectors(cloud, grid.points.pixels(places))
+    if config.normal_weight > 0:
+        half = round(0.5 * config.normal_window_px * grid.unit_px / grid.step - 0.5)
+        normals = facet_normals(
+            grid.per_m,
+            grid.valid,
+            grid.rays,
+            step=grid.step,
+            window=2 * max(1, half) + 1,
+            noise_per_m=config.noise_per_m,
+        )
+        raw[:, 6:] = normals.reshape(-1, 3)
+    joined = joints(grid.per_m, grid.valid, config.depth_gap_per_m)
+    whole = None if config.normalize_nodes else _normalization(raw[places], config)
+    return Scene(grid, joined, raw, whole)
+
+
+def _normalization(raw: NDArray[np.float32], config: SegmentationConfig) -> Normalization:
+    return normalization(
+        raw,
+        config.geometry_weight,
+        color_weight=config.color_weight,
+        normal_weight=config.normal_weight,
+    )
+
+
+def grow(scene: Scene, config: SegmentationConfig) -> Node:
+    """Grow the tree on the grid, the worst open segment first.
+
+    Parameters
+    ----------
+    scene : Scene
+        The frame.
+    config : SegmentationConfig
+        Thresholds and choices.
+
+    Returns
+    -------
+    Node
+        The root. Where parts of a frame or of a side of a cut are not connected, nodes without a surface
+        hold them together, so that every segment has two parts or none.
+    """
+    places = np.flatnonzero(scene.grid.valid)
+    parts = _pieces(scene, places, np.ones(places.size, dtype=np.int32), config)[0] or [places]
+    root = _held_together("", [_measured(scene, part, config) for part in parts], 0)
+    waiting: list[tuple[float, str, Node]] = []
+    _push_open(waiting, root, config)
+    splits = 0
+    while waiting:
+        _, _, node = heapq.heappop(waiting)
+        node.stop = _reason_not_to_try(scene, node, splits, config)
+        if node.stop is not None:
+            continue
+        sides, cut = _best_split(scene, node, config)
+        if cut is None:
+            continue
+        splits += 1
+        node.children = _children(node, sides)
+        if all(sides):
+            node.cut = cut
+        node.stop = None
+        for child in node.children:
+            _push_open(waiting, child, config)
+    return root
+
+
+def _push_open(waiting: list[tuple[float, str, Node]], top: Node, config: SegmentationConfig) -> None:
+    for node in depth_first(top):
+        if not node.children and node.stop is None:
+            heapq.heappush(waiting, (-node.value(config), node.name, node))
+
+
+def _reason_not_to_try(
+    scene: Scene, node: Node, splits: int, config: SegmentationConfig
+) -> StopReason | None:
+    if node.places.size == 0:
+        return StopReason.NO_POINTS
+    if node.places.size <= 2.0 * scene.places_min(config):
+        return StopReason.TOO_SMALL
+    if node.cuts_above >= config.depth_max:
+        return StopReason.DEPTH
+    if splits >= config.splits_max:
+        return StopReason.SPLITS
+    if node.fit.surface is None:
+        return StopReason.NO_FIT
+    if not node.value(config) > 0:
+        return StopReason.CRITERION
+    return None
+
+
+#: A part of a split: its places on the grid, its fit, and why it is not to be split itself, if so.
+_Part = tuple[NDArray[np.intp], Fit, StopReason | None]
+
+
+def _measured(scene: Scene, places: NDArray[np.intp], config: SegmentationConfig) -> _Part:
+    """Fit a surface, with the metric that decides among its values, and hold it against the noise."""
+    if places.size == 0:
+        return places, Fit(None, np.zeros(0), {}, "0 points, 1 needed", places), StopReason.NO_POINTS
+    rows, columns, window = scene.grid.points.locate(places)
+    mask = np.zeros((window[2] - window[0], window[3] - window[1]), dtype=np.bool_)
+    mask[rows - window[0], columns - window[1]] = True
+    fit, residuals_per_m = fit_window(scene.grid, window, mask, config)
+    if config.metric in CURVATURE_METRICS:
+        fit = replace(fit, values=all_metrics(fit, scene.grid.points.image_shape[1], config))
+    explained = explained_by_noise(residuals_per_m, mask, config.noise_per_m)
+    return places, fit, StopReason.NOISE if explained else None
+
+
+def _best_split(
+    scene: Scene, node: Node, config: SegmentationConfig
+) -> tuple[tuple[list[_Part], list[_Part]], Cut | None]:
+    """Try the cuts of a node in turn; if none is kept the node is told why and there is no cut."""
+    raw = scene.raw[node.places]
+    vectors = normalized(raw, scene.whole or _normalization(raw, config))
+    rng = np.random.default_rng([config.seed, int(f"1{node.name}", 2)])
+    node.stop = StopReason.NO_CUT
+    for cut in normalized_cuts(
+        vectors,
+        count=config.cuts,
+        samples=config.samples,
+        rng=rng,
+        affinity_scale=config.affinity_scale,
+        splitting_point=config.splitting_point,
+        points=config.cut_points,
+    ):
+        if cut.reason:
+            continue
+        pieces, side_of = _pieces(scene, node.places, 1 + cut.side.astype(np.int32), config)
+        if len(pieces) < 2:
+            node.stop = StopReason.CHILD_TOO_SMALL
+            continue
+        parts = [_measured(scene, piece, config) for piece in pieces]
+        measured = [(part[1].values.get(config.metric, 0.0), part[0].size) for part in parts]
+        node.ratio = acceptance_ratio(config.metric, (node.value(config), node.places.size), *measured)
+        if node.ratio < config.ratio_max:
+            sides = (
+                [part for part, side in zip(parts, side_of, strict=True) if side == 1],
+                [part for part, side in zip(parts, side_of, strict=True) if side == 2],
+            )
+            return sides, cut
+        node.stop = StopReason.CRITERION
+    return ([], []), None
+
+
+def _pieces(
+    scene: Scene, places: NDArray[np.intp], labels: NDArray[np.int32], config: SegmentationConfig
+) -> tuple[list[NDArray[np.intp]], list[int]]:
+    """Split places by label and into connected pieces; small ones go to their neighbours.
+
+    Returns the places of each piece and the label it had, none where no piece is large enough.
+    """
+    if places.size == 0:
+        return [], []
+    points = scene.grid.points
+    rows, columns, window = points.locate(places)
+    top, left, bottom, right = window
+    at = rows - top, columns - left
+    image = np.zeros((bottom - top, right - left), dtype=np.int32)
+    image[at] = labels
+    if config.connected_pieces:
+        per_m = scene.grid.per_m[top:bottom, left:right]
+        found, label_of = large_pieces(image, scene.joined.inside(window), per_m, scene.places_min(config))
+        number = found[at]
+        return [places[number == n] for n in range(1, len(label_of) + 1)], label_of.tolist()
+    side = give_away_small_pieces(image > 0, image == 2, scene.places_min(config))[at]
+    parts = [(places[side == each], 1 + each) for each in (False, True)]
+    kept = [(part, label) for part, label in parts if part.size >= scene.places_min(config)]
+    return [part for part, _ in kept], [label for _, label in kept]
+
+
+def _children(node: Node, sides: tuple[list[_Part], list[_Part]]) -> tuple[Node, Node]:
+    """Make two nodes of the parts of a cut's sides, or of the pieces of the one side that is left."""
+    first, second = sides
+    if not (first and second):
+        first, second = _largest_and_rest(first or second)
+    depth = node.cuts_above + 1
+    return _held_together(f"{node.name}0", first, depth), _held_together(f"{node.name}1", second, depth)
+
+
+def _held_together(name: str, parts: list[_Part], cuts_above: int) -> Node:
+    """Make one node of some parts that are not connected."""
+    if len(parts) == 1:
+        places, fit, stop = parts[0]
+        return Node(name, places, fit, stop=stop, cuts_above=cuts_above)
+    places = np.sort(np.concatenate([part[0] for part in parts]))
+    pixels = np.sort(np.concatenate([part[1].pixels for part in parts]))
+    fit = Fit(None, np.zeros(0), {}, f"{len(parts)} pieces that are not connected", pixels)
+    node = Node(name, places, fit, cuts_above=cuts_above)
+    first, rest = _largest_and_rest(parts)
+    node.children = (
+        _held_together(f"{name}0", first, cuts_above),
+        _held_together(f"{name}1", rest, cuts_above),
+    )
+    return node
+
+
+def _largest_and_rest(parts: list[_Part]) -> tuple[list[_Part], list[_Part]]:
+    largest = max(range(len(parts)), key=lambda n: parts[n][0].size)
+    return [parts[largest]], [part for n, part in enumerate(parts) if n != largest]
+
+
+__all__ = ["Scene", "grow", "prepare", "segment_nurbseg"]
