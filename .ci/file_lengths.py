@@ -1,4 +1,4 @@
-"""Names Python files of more than 400 lines, tests apart: they have a second subject. Exits with 1 if there is one."""
+"""Names Python files of more than 400 lines, tests apart: they have a second subject; exits with 1 then."""
 
 import subprocess
 import sys
