@@ -51,16 +51,16 @@ class Lens:
         # Beyond the fold the model would bring points back into the image: they are sent far outside.
         radial[r2 > self._fold**2] = 10
         # The tangential terms, 2 p1 x y + p2 (r2 + 2 x^2) and its like, share a factor with the radial.
-        radial += 2 * p1 * y
-        radial += 2 * p2 * x
-        bent_x = x * radial + p2 * r2
-        bent_y = y * radial + p1 * r2
+        radial += y * (2 * p1)
+        radial += x * (2 * p2)
+        bent_x: Any = x * radial + r2 * p2
+        bent_y: Any = y * radial + r2 * p1
         if any(self._k[8:12]):
             bent_x += r2 * (s1 + r2 * s2)
             bent_y += r2 * (s3 + r2 * s4)
         if self._tilt is None:
             return bent_x, bent_y
-        tilted: Any = [row[0] * bent_x + row[1] * bent_y + row[2] for row in self._tilt]
+        tilted = [row[0] * bent_x + row[1] * bent_y + row[2] for row in self._tilt]
         return tilted[0] / tilted[2], tilted[1] / tilted[2]
 
     def straighten(

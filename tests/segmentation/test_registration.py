@@ -1,6 +1,3 @@
-import os
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -254,10 +251,7 @@ def test_what_a_folding_lens_cannot_show_has_no_ray():
     assert (lens.bend(far, np.zeros(50))[0] > 1).all()
 
 
-def real_pair():
-    folder = Path(os.environ.get("NURBSEG_DATA", "")) / "cape_calibrated_pair"
-    if not os.environ.get("NURBSEG_DATA") or not folder.is_dir():
-        pytest.skip("needs cape_calibrated_pair in the folder that NURBSEG_DATA names")
+def real_pair(folder):
     stored = cv2.FileStorage(str(folder / "calib_params.xml"), cv2.FILE_STORAGE_READ)
     cameras = []
     for name in ("IR", "RGB"):
@@ -276,8 +270,8 @@ def real_pair():
     return RGBDFrame(0, 0, depth, color, Calibration(*cameras, transform))
 
 
-def test_on_a_real_pair_the_floors_crease_lies_on_its_color_edge():
-    frame = real_pair()
+def test_on_a_real_pair_the_floors_crease_lies_on_its_color_edge(real_data):
+    frame = real_pair(real_data("cape_calibrated_pair"))
     offsets = []
     for transform in (frame.calibration.color_from_depth, np.linalg.inv(frame.calibration.color_from_depth)):
         calibration = Calibration(frame.calibration.depth, frame.calibration.color, transform)
