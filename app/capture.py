@@ -208,6 +208,9 @@ class CaptureThread:
         except BaseException as err:
             # A thread that dies is never silent: the worker raises this.
             self.frames.finish(err)
+        finally:
+            if self.recording is not None:
+                self.recording.finish()
 
     def _pass_over(self, err: FrameFormatError) -> None:
         self.damaged += 1

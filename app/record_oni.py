@@ -88,6 +88,7 @@ class OniRecording:
                 self._start()
             missing = shortage(self.path, self._space_min_mb, self._free_bytes)
             if missing:
+                self._is_recording = False
                 self._camera.stop_recording()
                 self._fail(missing)
                 return
@@ -100,8 +101,8 @@ class OniRecording:
         self.failure = f"{self.path}: recording stopped: {reason}"
         _log.error("%s", self.failure)
 
-    def close(self) -> None:
-        """Finish the file; for when nobody reads the camera any more, and safe to call twice."""
+    def finish(self) -> None:
+        """Finish the file, as no frame follows; for the thread that reads, and safe to call twice."""
         if not self._is_recording:
             return
         self._is_recording = False
@@ -109,6 +110,10 @@ class OniRecording:
             self._camera.stop_recording()
         except DriverError as err:
             self._fail(str(err))
+
+    def close(self) -> None:
+        """Finish the file, for when nobody reads the camera any more; safe to call twice."""
+        self.finish()
 
     def figures(self) -> dict[str, Any]:
         """Return what the run's report says of the recording."""

@@ -172,6 +172,12 @@ class QueuedRecording:
             self._changed.notify_all()
         _log.error("%s; %d frames are in the file", self.failure, self.frames)
 
+    def finish(self) -> None:
+        """Say that no frame follows; what waits is written."""
+        with self._changed:
+            self._finishing = True
+            self._changed.notify_all()
+
     def close(self, timeout_s: float = _DRAIN_S) -> None:
         """Write what waits and finish the file; safe to call twice.
 
@@ -180,9 +186,7 @@ class QueuedRecording:
         timeout_s : float
             What still waits after so many seconds is lost and counted.
         """
-        with self._changed:
-            self._finishing = True
-            self._changed.notify_all()
+        self.finish()
         self._thread.join(timeout_s)
         if self._thread.is_alive():
             with self._changed:
