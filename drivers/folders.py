@@ -95,14 +95,6 @@ def load_pair(pair: ImagePair, reading: FolderCamera, index: int, timestamp_ns: 
     """
     color = decode_color(_content(pair.color), str(pair.color))
     depth_mm = decode_depth(_content(pair.depth), str(pair.depth), units_per_metre=reading.units_per_metre)
-    labels = None
-    if pair.labels is not None:
-        labels = decode_labels(_content(pair.labels), str(pair.labels))
-        if labels.shape != depth_mm.shape:
-            raise FrameFormatError(
-                f"{pair.labels}: expected the depth image's size {_size(depth_mm.shape)}, "
-                f"got {_size(labels.shape)}"
-            )
     try:
         calibration = reading.camera.calibration(
             depth_size=(depth_mm.shape[1], depth_mm.shape[0]), color_size=(color.shape[1], color.shape[0])
@@ -111,6 +103,14 @@ def load_pair(pair: ImagePair, reading: FolderCamera, index: int, timestamp_ns: 
         raise FrameFormatError(
             f"{pair.color} ({_size(color.shape)}) and {pair.depth.name} ({_size(depth_mm.shape)}): {err}"
         ) from err
+    labels = None
+    if pair.labels is not None:
+        labels = decode_labels(_content(pair.labels), str(pair.labels))
+        if labels.shape != depth_mm.shape:
+            raise FrameFormatError(
+                f"{pair.labels}: expected the depth image's size {_size(depth_mm.shape)}, "
+                f"got {_size(labels.shape)}"
+            )
     return RGBDFrame(
         index=index,
         timestamp_ns=timestamp_ns,

@@ -1,0 +1,99 @@
+"""What a user names is recognised by its content."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded_scene import back_projected, scene, scenes, write_mcap, write_pairs, write_pcd, write_tum
+
+from nurbseg.drivers import DeviceNotFoundError, RecordingFormatError, SourceOptions, open_source
+from nurbseg.drivers.errors import BackendMissingError
+
+
+def test_a_file_is_known_by_its_content_whatever_it_is_called(tmp_path: Path) -> None:
+    frame = scene(0)
+    named = {
+        "MCAP recording": write_mcap(tmp_path / "a.pcd", [frame]),
+        "PCD, organised": write_pcd(tmp_path / "b.mcap", back_projected(frame), frame.color, "binary"),
+    }
+    for form, path in named.items():
+        with open_source(path) as source:
+            assert source.metadata["format"] == form
+            np.testing.assert_array_equal(source.read().depth_mm, frame.depth_mm)
+
+
+def test_a_folder_is_known_by_what_is_in_it(tmp_path: Path) -> None:
+    write_pairs(tmp_path / "pairs", scenes(1))
+    write_tum(tmp_path / "tum", scenes(1))
+    write_pcd(tmp_path / "pcd" / "x.pcd", back_projected(scene(0)), scene(0).color, "ascii")
+    forms = {}
+    for name in ("pairs", "tum", "pcd"):
+        with open_source(str(tmp_path / name)) as source:
+            forms[name] = source.metadata["format"]
+    assert forms == {"pairs": "folder of image pairs", "tum": "TUM RGB-D", "pcd": "PCD, organised"}
+
+
+def test_what_does_not_exist_is_not_found_and_the_schemes_are_named(tmp_path: Path) -> None:
+    with pytest.raises(DeviceNotFoundError, match=r"missing\.mcap: no such file.*openni2: or synthetic:"):
+        open_source(tmp_path / "missing.mcap")
+    with pytest.raises(DeviceNotFoundError, match="webcam:0"):
+        open_source("webcam:0")
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        (b"", "the file is empty; expected an MCAP"),
+        (b"hello\n", "not a recording of a known form; expected an MCAP"),
+        (b"\x89PNG\r\n\x1a\n", "not a recording of a known form"),
+        (b"\x89MCAP0\r\n", "cut off before its first frame"),
+    ],
+)
+def test_a_file_of_another_kind_is_refused_with_what_is_expected(
+    tmp_path: Path, content: bytes, text: str
+) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(content)
+    with pytest.raises(RecordingFormatError, match=rf"x\.mcap: .*{text}"):
+        open_source(path)
+
+
+def test_a_folder_of_nothing_is_refused_with_what_is_expected(tmp_path: Path) -> None:
+    with pytest.raises(RecordingFormatError, match="the folder is empty; expected pairs of color and depth"):
+        open_source(tmp_path)
+    (tmp_path / "notes.txt").write_text("nothing to see")
+    with pytest.raises(RecordingFormatError, match="holds nothing that can be replayed; expected pairs"):
+        open_source(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ({"depth_scale": 0.0}, "depth_scale"),
+        ({"depth_scale": float("nan")}, "depth_scale"),
+        ({"association_limit_s": 0.0}, "association_limit_s"),
+        ({"intrinsics": (1.0, 2.0, 3.0)}, "intrinsics: expected fx, fy, cx, cy"),
+    ],
+)
+def test_options_out_of_bounds_are_refused(values: dict[str, object], text: str) -> None:
+    with pytest.raises(ValueError, match=text):
+        SourceOptions(**values)  # type: ignore[arg-type]
+
+
+def test_replaying_a_recording_touches_neither_openni2_nor_the_renderer(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a.mcap", scenes(1))
+    program = """
+import sys
+from nurbseg.drivers import open_source
+with open_source(sys.argv[1]) as source:
+    source.read()
+unwanted = ("nurbseg.drivers.openni2", "nurbseg.drivers.synthetic", "h5py", "scipy")
+sys.exit(any(name.startswith(unwanted) for name in sys.modules))
+"""
+    assert subprocess.run([sys.executable, "-c", program, str(path)], timeout=60).returncode == 0
+
+
+def test_a_missing_library_does_not_look_like_a_missing_camera() -> None:
+    assert not issubclass(BackendMissingError, DeviceNotFoundError)
