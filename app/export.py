@@ -26,7 +26,9 @@ class Exporter:
     """Writes results to a folder, each file whole or not at all.
 
     A frame's files are named by its number: ``000012_labels.png``, ``000012_tree.json`` and, if asked
-    for, ``000012_surfaces.npz``. The tree is written last: where it is, the others are.
+    for, ``000012_surfaces.npz``. Where surfaces were merged into objects, ``000012_surfaces.png`` and
+    ``000012_objects.png`` hold both, of which ``000012_labels.png`` is the one asked for. The tree is
+    written last: where it is, the others are.
 
     Parameters
     ----------
@@ -67,10 +69,13 @@ class Exporter:
             If one cannot be written.
         """
         stem = f"{result.frame.index:06d}"
-        labels = result.tree.label_image()
-        contents = {f"{stem}_labels.png": _png(labels)}
+        tree = result.tree
+        contents = {f"{stem}_labels.png": _png(tree.labels())}
+        if tree.objects:
+            contents[f"{stem}_surfaces.png"] = _png(tree.label_image())
+            contents[f"{stem}_objects.png"] = _png(tree.object_image())
         if self._surfaces:
-            contents[f"{stem}_surfaces.npz"] = surfaces_npz(result.tree)
+            contents[f"{stem}_surfaces.npz"] = surfaces_npz(tree)
         document = tree_document(result, self._metric)
         contents[f"{stem}_tree.json"] = (json.dumps(document, indent=1) + "\n").encode()
         for name, content in contents.items():
@@ -95,7 +100,9 @@ def tree_document(result: FrameResult, metric: Metric) -> dict[str, Any]:
         Which metric decided the splits.
     """
     tree = result.tree
-    label_of = {leaf.name: label for label, leaf in enumerate(tree.leaves(), start=1)}
+    object_of = {name: at for at, each in enumerate(tree.objects, start=1) for name in each.leaves}
+    leaf_of = {leaf.name: at for at, leaf in enumerate(tree.leaves(), start=1)}
+    label_of = object_of if tree.objects and tree.level == "objects" else leaf_of
     return {
         "frame": result.frame.index,
         "name": result.frame.name,
@@ -103,11 +110,33 @@ def tree_document(result: FrameResult, metric: Metric) -> dict[str, Any]:
         "height": tree.shape[0],
         "width": tree.shape[1],
         "metric": metric,
-        "segments": [_segment_document(each, label_of.get(each.name), metric) for each in tree.segments],
+        "level": tree.level,
+        "segments": [
+            {
+                **_segment_document(each, metric),
+                "label": label_of.get(each.name),
+                "leaf": leaf_of.get(each.name),
+                "object": object_of.get(each.name),
+            }
+            for each in tree.segments
+        ],
+        "objects": [
+            {"object": at, "leaves": [display_name(name) for name in each.leaves]}
+            for at, each in enumerate(tree.objects, start=1)
+        ],
+        "contacts": [
+            {
+                "first": display_name(each.first),
+                "second": display_name(each.second),
+                "merged": each.merged,
+                "reason": each.reason,
+            }
+            for each in tree.contacts
+        ],
     }
 
 
-def _segment_document(each: Segment, label: int | None, metric: Metric) -> dict[str, Any]:
+def _segment_document(each: Segment, metric: Metric) -> dict[str, Any]:
     return {
         "name": display_name(each.name),
         "parent": None if each.parent is None else display_name(each.parent),
@@ -118,7 +147,6 @@ def _segment_document(each: Segment, label: int | None, metric: Metric) -> dict[
         "values": {name: _number(value) for name, value in each.fit.values.items()},
         "ratio": None if each.ratio is None else _number(each.ratio),
         "stop": None if each.stop is None else each.stop.value,
-        "label": label,
         "surface": each.fit.surface is not None,
         "reason": each.fit.reason,
     }

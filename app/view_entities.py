@@ -29,7 +29,7 @@ from nurbseg.segmentation.tree import Segment, SegmentationTree
 
 WORLD = "world"
 CAMERA = f"{WORLD}/camera"
-COLOR, DEPTH, LABELS = (f"{CAMERA}/image/{name}" for name in ("color", "depth", "labels"))
+COLOR, DEPTH, LABELS, OBJECTS = (f"{CAMERA}/image/{name}" for name in ("color", "depth", "labels", "objects"))
 GROUND_TRUTH = f"{CAMERA}/ground_truth"
 COLOR_CAMERA = f"{WORLD}/color_camera"
 UNREGISTERED_COLOR = f"{COLOR_CAMERA}/image"
@@ -206,6 +206,8 @@ def _images(result: FrameResult, labels: NDArray[np.uint16], view: ViewConfig) -
         yield UNREGISTERED_COLOR, rr.Image(frame.color).compress(jpeg_quality=view.jpeg_quality)
     yield DEPTH, rr.DepthImage(frame.depth_mm, meter=1000.0, colormap="turbo")
     yield LABELS, rr.SegmentationImage(labels, opacity=1.0)
+    if result.tree.objects:
+        yield OBJECTS, rr.SegmentationImage(result.tree.object_image(), opacity=1.0)
     if frame.labels is not None:
         yield GROUND_TRUTH, rr.SegmentationImage(frame.labels, opacity=1.0)
 
@@ -214,12 +216,13 @@ def _space(result: FrameResult, labels: NDArray[np.uint16], view: ViewConfig) ->
     pixels = labels.size
     if view.points_max:
         step = max(1, int(np.ceil(np.sqrt(pixels / view.points_max))))
-        shown = labels[::step, ::step] > 0
+        answer = result.tree.labels()[::step, ::step]
+        shown = answer > 0
         yield (
             POINTS,
             rr.Points3D(
                 result.cloud.points_m[::step, ::step][shown],
-                class_ids=labels[::step, ::step][shown],
+                class_ids=answer[shown],
                 radii=rr.Radius.ui_points(1.8),
             ),
         )

@@ -290,7 +290,7 @@ class Answers:
                 ]
             config = replace(config, geometry_weight=self._lambdas[chosen])
         tree = segment(self._cloud, config)
-        return tree.label_image(), tree
+        return tree.labels(), tree
 
 
 def times_per_frame(study: Study, frames: int) -> Mapping[str, float]:

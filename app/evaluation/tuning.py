@@ -147,7 +147,7 @@ def _frame_objective(ref: FrameRef, study: Study, config: SegmentationConfig) ->
     if labelled is None:
         return float("nan")
     cloud, truth = labelled
-    return objective_of(segment(cloud, config).label_image(), truth, cloud.valid)
+    return objective_of(segment(cloud, config).labels(), truth, cloud.valid)
 
 
 def _as_parameters(config: SegmentationConfig) -> dict[str, Any]:
