@@ -27,8 +27,8 @@ class Exporter:
 
     A frame's files are named by its number: ``000012_labels.png``, ``000012_tree.json`` and, if asked
     for, ``000012_surfaces.npz``. Where surfaces were merged into objects, ``000012_surfaces.png`` and
-    ``000012_objects.png`` hold both, of which ``000012_labels.png`` is the one asked for. The tree is
-    written last: where it is, the others are.
+    ``000012_objects.png`` hold both; the labels are those that the level asks for. The tree is written last:
+    where it is, the others are.
 
     Parameters
     ----------

@@ -10,9 +10,16 @@ import pytest
 
 from nurbseg.app.atomic_file import write_atomically
 from nurbseg.app.export import Exporter, ExportError, surfaces_npz, tree_document
-from nurbseg.app.worker import FrameResult
+from nurbseg.app.worker import FrameResult, process_frame
+from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.surface import NurbsSurface, evaluate
 from nurbseg.segmentation.tree import SegmentationTree
+
+
+@pytest.fixture(scope="module", params=["surfaces", "objects"])
+def merged_result(request: pytest.FixtureRequest, small_result: FrameResult) -> FrameResult:
+    """A frame segmented by the method that merges surfaces into objects, at either level."""
+    return process_frame(small_result.frame, SegmentationConfig(method="nurbseg", level=request.param))
 
 
 def exported(result: FrameResult, folder: Path, *, surfaces: bool = True) -> None:
@@ -35,7 +42,7 @@ def test_the_labels_file_is_the_label_image(small_result: FrameResult, tmp_path:
     exported(small_result, tmp_path)
     labels = cv2.imread(str(tmp_path / "000000_labels.png"), cv2.IMREAD_UNCHANGED)
     assert labels.dtype == np.uint16
-    assert np.array_equal(labels, small_result.tree.label_image())
+    assert np.array_equal(labels, small_result.tree.labels())
 
 
 def test_the_tree_file_agrees_with_itself_and_with_the_labels(
@@ -57,9 +64,30 @@ def test_the_tree_file_agrees_with_itself_and_with_the_labels(
             assert each["size"] == sum(segments[child]["size"] for child in each["children"])
             assert {segments[child]["parent"] for child in each["children"]} == {name}
         else:
-            assert each["size"] == np.count_nonzero(labels == each["label"])
+            assert np.unique(labels.ravel()[small_result.tree[name[1:]].pixels]).tolist() == [each["label"]]
             assert each["stop"]
         assert each["value"] == each["values"]["mse"]
+
+
+def test_both_levels_are_exported_and_each_leaf_tells_its_object(
+    merged_result: FrameResult, tmp_path: Path
+) -> None:
+    exported(merged_result, tmp_path)
+    tree = merged_result.tree
+    images = {
+        name: cv2.imread(str(tmp_path / f"000000_{name}.png"), cv2.IMREAD_UNCHANGED)
+        for name in ("labels", "surfaces", "objects")
+    }
+    assert np.array_equal(images["labels"], images[tree.level])
+    document = json.loads((tmp_path / "000000_tree.json").read_text())
+    assert document["level"] == tree.level
+    for leaf in (each for each in document["segments"] if not each["children"]):
+        pixels = tree[leaf["name"][1:]].pixels
+        for name, key in (("labels", "label"), ("surfaces", "leaf"), ("objects", "object")):
+            assert np.unique(images[name].ravel()[pixels]).tolist() == [leaf[key]]
+        assert leaf["name"] in document["objects"][leaf["object"] - 1]["leaves"]
+    assert len(document["contacts"]) == len(tree.contacts)
+    assert all(each["merged"] or each["reason"] for each in document["contacts"])
 
 
 def test_the_surfaces_file_gives_the_surfaces_back(small_result: FrameResult, tmp_path: Path) -> None:
@@ -99,9 +127,6 @@ def test_a_frame_without_a_point_is_exported_too(
 
 @pytest.fixture
 def empty_result() -> Callable[[FrameResult], FrameResult]:
-    from nurbseg.app.worker import process_frame
-    from nurbseg.segmentation.config import SegmentationConfig
-
     def make(result: FrameResult) -> FrameResult:
         frame = replace(result.frame, depth_mm=np.zeros_like(result.frame.depth_mm), labels=None)
         return process_frame(frame, SegmentationConfig())
