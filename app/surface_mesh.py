@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.surface import NurbsSurface, evaluate_lattice
-from nurbseg.segmentation.tree import Segment, SegmentationTree
+from nurbseg.app.surface_samples import Lattices, evaluate_vertices
+from nurbseg.segmentation.surface import Fit
+from nurbseg.segmentation.tree import SegmentationTree
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,101 +55,92 @@ def surface_mesh(tree: SegmentationTree, labels: NDArray[np.uint16], step_px: fl
     SurfaceMesh
         Empty where no leaf has a surface.
     """
-    parts: list[SurfaceMesh] = []
-    first = 0
-    for label, leaf in enumerate(tree.leaves(), start=1):
-        if leaf.fit.surface is None:
-            continue
-        part = _patch(leaf, leaf.fit.surface, labels, label, step_px, first)
-        parts.append(part)
-        first += len(part.vertices_m)
-    if not parts:
-        none = np.zeros((0, 3), dtype=np.float32)
-        return SurfaceMesh(
-            none,
-            none,
-            np.zeros((0, 3), dtype=np.uint32),
-            np.zeros(0, dtype=np.float32),
-            np.zeros(0, dtype=np.uint16),
-        )
-    return SurfaceMesh(
-        *(
-            np.concatenate([getattr(part, name) for part in parts])
-            for name in ("vertices_m", "normals", "triangles", "residuals_m", "labels")
-        )
-    )
+    shown = [
+        (label, leaf.fit, leaf.fit.surface)
+        for label, leaf in enumerate(tree.leaves(), start=1)
+        if leaf.fit.surface is not None
+    ]
+    fits = [fit for _, fit, _ in shown]
+    surfaces = [surface for _, _, surface in shown]
+    label_of = np.array([label for label, _, _ in shown], dtype=np.uint16)
+    lattices = Lattices.over(surfaces, step_px)
+    surface, row, column = lattices.places()
 
-
-def _patch(
-    leaf: Segment,
-    surface: NurbsSurface,
-    labels: NDArray[np.uint16],
-    label: int,
-    step_px: float,
-    first: int,
-) -> SurfaceMesh:
-    """Sample one surface; triangles count vertices from `first`."""
-    top, left, bottom, right = surface.window
-    v, u = _stops(top, bottom, step_px), _stops(left, right, step_px)
-    points = evaluate_lattice(surface, u, v)
-    index = np.arange(v.size * u.size, dtype=np.int64).reshape(v.size, u.size)
-
-    # Two triangles for a cell; each stays if the segment has the pixel at its centroid.
-    corner, right_of, below, across = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
-    v_cell, u_cell = v[:-1], u[:-1]
-    dv, du = np.diff(v), np.diff(u)
-    kept = []
-    for third, triangle in ((1 / 3, (corner, below, right_of)), (2 / 3, (right_of, below, across))):
-        rows = np.rint(v_cell + third * dv).astype(np.intp)
-        columns = np.rint(u_cell + third * du).astype(np.intp)
-        inside = labels[np.ix_(rows, columns)] == label
-        kept.append(np.stack([each[inside] for each in triangle], axis=-1))
-    triangles = np.concatenate(kept)
-
-    used = np.zeros(index.size, dtype=np.bool_)
+    triangles = _trimmed_triangles(lattices, surface, row, column, label_of, labels)
+    used = np.zeros(surface.size, dtype=np.bool_)
     used[triangles] = True
-    new_index = np.cumsum(used) - 1 + first
-    residuals = _mean_residuals(leaf, labels.shape[1], v, u)
+    renumbered = np.cumsum(used, dtype=np.int64) - 1
+    triangles = renumbered[triangles]
+
+    vertices = evaluate_vertices(surfaces, lattices, surface[used], row[used], column[used])
     return SurfaceMesh(
-        vertices_m=points.reshape(-1, 3)[used].astype(np.float32),
-        normals=_normals(points).reshape(-1, 3)[used],
-        triangles=new_index[triangles].astype(np.uint32),
-        residuals_m=residuals[used],
-        labels=np.full(int(used.sum()), label, dtype=np.uint16),
+        vertices_m=vertices,
+        normals=_normals(vertices, triangles),
+        triangles=triangles.astype(np.uint32),
+        residuals_m=_mean_residuals(fits, lattices, labels.shape[1], surface.size)[used],
+        labels=label_of[surface[used]],
     )
 
 
-def _stops(start: int, end: int, step_px: float) -> NDArray[np.float64]:
-    """Return evenly spaced positions from the first to the last pixel; at least two."""
-    return np.linspace(start, max(end - 1, start), max(2, round((end - 1 - start) / step_px) + 1))
+def _trimmed_triangles(
+    lattices: Lattices,
+    surface: NDArray[np.intp],
+    row: NDArray[np.intp],
+    column: NDArray[np.intp],
+    label_of: NDArray[np.uint16],
+    labels: NDArray[np.uint16],
+) -> NDArray[np.intp]:
+    """Return the triangles, two for a cell, at whose centroid the image has the surface's label."""
+    columns = lattices.count[surface, 1]
+    corner = np.flatnonzero((row < lattices.count[surface, 0] - 1) & (column < columns - 1))
+    of = surface[corner]
+    below = corner + columns[corner]
+    at = np.stack([row[corner], column[corner]], axis=-1)
+    kept = []
+    for third, triangle in ((1 / 3, (corner, below, corner + 1)), (2 / 3, (corner + 1, below, below + 1))):
+        place = np.rint(lattices.first[of] + (at + third) * lattices.step[of]).astype(np.intp)
+        inside = labels[place[:, 0], place[:, 1]] == label_of[of]
+        kept.append(np.stack([each[inside] for each in triangle], axis=-1))
+    return np.concatenate(kept)
 
 
 def _mean_residuals(
-    leaf: Segment, width: int, v: NDArray[np.float64], u: NDArray[np.float64]
+    fits: Sequence[Fit], lattices: Lattices, width: int, vertices: int
 ) -> NDArray[np.float32]:
-    """Average the residuals around each vertex of the lattice; where none is, those of the leaf."""
-    rows, columns = np.divmod(leaf.fit.pixels, width)
+    """Average the residuals around each vertex; where there is none, those of the whole fit."""
+    if not fits:
+        return np.zeros(0, dtype=np.float32)
+    sizes = [fit.pixels.size for fit in fits]
+    of = np.repeat(np.arange(len(fits)), sizes)
+    residuals = np.concatenate([fit.residuals_m for fit in fits])
+    rows, columns = np.divmod(np.concatenate([fit.pixels for fit in fits]), width)
+    scale = 1.0 / np.maximum(lattices.step, 1e-9)
     nearest = [
-        np.rint((at - stops[0]) / max(stops[1] - stops[0], 1e-9)).astype(np.intp).clip(0, stops.size - 1)
-        for at, stops in ((rows, v), (columns, u))
+        ((at - lattices.first[of, axis]) * scale[of, axis] + 0.5).astype(np.intp)
+        for axis, at in enumerate((rows, columns))
     ]
-    vertex = nearest[0] * u.size + nearest[1]
-    count = np.bincount(vertex, minlength=v.size * u.size)
-    total = np.bincount(vertex, weights=leaf.fit.residuals_m, minlength=v.size * u.size)
-    mean = np.full(count.size, leaf.fit.residuals_m.mean(), dtype=np.float32)
-    np.divide(total, count, out=mean, where=count > 0, casting="same_kind")
-    return mean
+    vertex = lattices.start[of] + nearest[0] * lattices.count[of, 1] + nearest[1]
+    count = np.bincount(vertex, minlength=vertices)
+    total = np.bincount(vertex, weights=residuals, minlength=vertices)
+    means = np.array([fit.residuals_m.mean() for fit in fits])
+    mean = np.repeat(means, lattices.count[:, 0] * lattices.count[:, 1])
+    np.divide(total, count, out=mean, where=count > 0)
+    return mean.astype(np.float32)
 
 
-def _normals(points: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return unit normals of a lattice of points, by differences; towards the camera at the origin."""
-    normals = np.cross(np.gradient(points, axis=1), np.gradient(points, axis=0)).astype(np.float32)
-    away = np.einsum("ijk,ijk->ij", normals, points) > 0
-    length = np.linalg.norm(normals, axis=-1)
+def _normals(vertices: NDArray[np.float32], triangles: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Return the unit normal of each vertex, the mean of its triangles' by area, towards the camera."""
+    a, b, c = (vertices[triangles[:, corner]] for corner in range(3))
+    (ux, uy, uz), (vx, vy, vz) = (b - a).T, (c - a).T
+    corners = triangles.T.ravel()
+    normals = np.empty((len(vertices), 3), dtype=np.float32)
+    for axis, along in enumerate((uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx)):
+        normals[:, axis] = np.bincount(corners, weights=np.tile(along, 3), minlength=len(vertices))
+    length = np.sqrt(np.einsum("ij,ij->i", normals, normals))
     length[length == 0] = 1.0
-    length[away] *= -1.0
-    unit: NDArray[np.float32] = normals / length[..., np.newaxis]
-    return unit
+    length[np.einsum("ij,ij->i", normals, vertices) > 0] *= -1.0
+    normals /= length[:, np.newaxis]
+    return normals
 
 
 __all__ = ["SurfaceMesh", "surface_mesh"]

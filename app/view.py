@@ -177,6 +177,15 @@ class RerunView:
         return self._process is not None and self._config.mode == "serve"
 
     @property
+    def connections(self) -> int:
+        """How often a viewer was connected to; more than 1 where one was lost and came back."""
+        return sum(viewer.connections for viewer in self._viewers)
+
+    def wait_connected(self, timeout_s: float) -> bool:
+        """Wait until a viewer takes frames; return whether one does, within `timeout_s` seconds."""
+        return any(viewer.wait_connected(timeout_s) for viewer in self._viewers)
+
+    @property
     def dropped(self) -> int:
         """Frames that were not shown live because the viewer was slow, frozen or absent."""
         return sum(viewer.dropped for viewer in self._viewers)

@@ -233,6 +233,7 @@ class ViewerSink:
         self._opening = opening
         self._starting = starting
         self._absence_said = False
+        self._connections = 0
         self._outbox: Outbox[Item] = Outbox(1, lossless=False)
         self._stopping = threading.Event()
         self._connected = threading.Event()
@@ -244,6 +245,11 @@ class ViewerSink:
     def dropped(self) -> int:
         """Frames that the viewer was too slow or too absent for."""
         return self._outbox.dropped
+
+    @property
+    def connections(self) -> int:
+        """How often a viewer was connected to."""
+        return self._connections
 
     def wait_connected(self, timeout_s: float) -> bool:
         """Wait for a viewer; return whether there is one."""
@@ -303,6 +309,7 @@ class ViewerSink:
             taken = self._taken(stream)
             if taken:
                 logger.info("showing in the viewer at %s", self._url)
+                self._connections += 1
                 self._connected.set()
             writer = _Writer(stream)
             while taken and not self._stopping.is_set() and not self._outbox.finished:
