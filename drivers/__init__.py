@@ -18,6 +18,8 @@ if TYPE_CHECKING:
         RecordingFormatError,
     )
     from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+    from nurbseg.drivers.recording_reader import RecordingReader
+    from nurbseg.drivers.recording_writer import RecordingWriter
     from nurbseg.drivers.registry import SourceOptions, open_source
     from nurbseg.drivers.source import FrameSource, Paced
 
@@ -35,6 +37,8 @@ _MODULES = {
         "RecordingFormatError",
     ),
     "frame": ("Calibration", "Intrinsics", "RGBDFrame"),
+    "recording_reader": ("RecordingReader",),
+    "recording_writer": ("RecordingWriter",),
     "registry": ("SourceOptions", "open_source"),
     "source": ("FrameSource", "Paced"),
 }
@@ -62,6 +66,8 @@ __all__ = [
     "Paced",
     "RGBDFrame",
     "RecordingFormatError",
+    "RecordingReader",
+    "RecordingWriter",
     "SourceOptions",
     "open_source",
 ]

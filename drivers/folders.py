@@ -142,9 +142,10 @@ def first_calibration(pairs: list[ImagePair], reading: FolderCamera) -> Calibrat
 class FolderSource(SequenceSource):
     """Replays a folder of image pairs in the natural order of their names.
 
-    Depth is in millimetres unless the folder or the user says otherwise. Images of other sizes than
-    calibrated are right where they have the same shape: the intrinsics are scaled. Time is taken from
-    names like ``frame_20121214T142255.814212``, else frames are 1/30 s apart.
+    Depth is in millimetres unless the folder or the user says otherwise. A calibration of one camera
+    (intrinsics.txt and the like) stands for both images, which are taken to be registered. Images of
+    other sizes than calibrated are right where they have the same shape: the intrinsics are scaled. Time
+    is taken from names like ``frame_20121214T142255.814212``, else frames are 1/30 s apart.
 
     Parameters
     ----------

@@ -18,8 +18,8 @@ from nurbseg.drivers.frame import Calibration, RGBDFrame
 
 ColorFormat = Literal["jpeg95", "png", "raw"]
 
-#: JPEG of quality 95; the fastest PNG, of which the next levels gain a few percent for many times the time.
-_ENCODING = {".jpg": [cv2.IMWRITE_JPEG_QUALITY, 95], ".png": [cv2.IMWRITE_PNG_COMPRESSION, 1]}
+#: JPEG of quality 95; PNG as the encoder does it by itself, which takes half the time of any set level.
+_ENCODING = {".jpg": [cv2.IMWRITE_JPEG_QUALITY, 95], ".png": []}
 
 
 class RecordingWriter:

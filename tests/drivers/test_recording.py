@@ -2,6 +2,7 @@
 
 import logging
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -115,6 +116,32 @@ def test_writing_after_closing_is_an_error_and_closing_twice_is_not(tmp_path: Pa
 def test_a_full_disk_is_reported_and_the_file_is_closed() -> None:
     with pytest.raises(OSError, match="No space left"):
         RecordingWriter(Path("/dev/full"), REGISTERED)
+
+
+def test_a_disk_that_fills_up_is_reported_and_the_frames_before_can_be_replayed(
+    tmp_path: Path, caplog
+) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    path = tmp_path / "a.mcap"
+    writer = RecordingWriter(path, APART, color_format="raw")
+    written = 0
+    # The system refuses to let a file grow past this, as a full disk would.
+    resource.setrlimit(resource.RLIMIT_FSIZE, (250_000, hard))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            for written in range(1000):
+                frame = scene(written % 8, APART)
+                noise = np.random.default_rng(written).integers(0, 255, frame.color.shape, dtype=np.uint8)
+                writer.write(replace(frame, color=noise))
+        with pytest.raises(OSError, match="File too large"):
+            writer.close()
+        writer.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert path.stat().st_size <= 250_000
+    with caplog.at_level(logging.WARNING), open_source(path) as source:
+        assert 0 < len(list(source)) <= written
+    assert "cut off" in caplog.text
 
 
 def test_an_empty_recording_says_that_it_has_no_images(tmp_path: Path) -> None:
