@@ -36,8 +36,9 @@ class PointMap:
     color : (H, W, 3) uint8
         RGB of each point, also where it was filled in.
     colored : (H, W) bool
-        Where the color camera saw the point itself. False where the point is hidden from it or outside
-        its image; there `color` comes from the nearest points that are not in front of it.
+        Where the color camera saw the point itself. False where the point is hidden from it, is so near
+        to an outline that the hiding object's color mixes in, or is outside the color image; there
+        `color` comes from the nearest points that are not in front of it.
 
     Attributes
     ----------
@@ -225,7 +226,9 @@ class _Registration:
             return inside
         buffer = np.zeros(1 + self._cells[0] * self._cells[1], dtype=np.float32)
         np.maximum.at(buffer, cell.ravel(), nearness.ravel())
-        # Closing shuts the gaps of a surface that the color camera sees stretched; outlines stay.
-        image = buffer[1:].reshape(self._cells)
-        buffer[1:] = cv2.morphologyEx(image, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)).ravel()
+        # Closing shuts the gaps of a surface that the color camera sees stretched. A color is sampled
+        # between pixels: so what stands beside a point's own cell, before it, would be mixed in.
+        image, around = buffer[1:].reshape(self._cells), np.ones((3, 3), np.uint8)
+        closed = cv2.morphologyEx(image, cv2.MORPH_CLOSE, around)
+        buffer[1:] = cv2.dilate(closed, around).ravel()
         return inside & (np.take(buffer, cell) - nearness <= self._hiding_per_m)
