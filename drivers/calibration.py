@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers import calibration_forms
+from nurbseg.drivers import calibration_forms, calibration_ros
 from nurbseg.drivers.camera_file import CameraFile, CameraModel, camera_of_matrix, number
 from nurbseg.drivers.errors import CalibrationError
 from nurbseg.drivers.frame import Calibration, Intrinsics
@@ -72,8 +72,10 @@ def read_camera_file(path: Path) -> CameraFile:
         return _from_json(path, text)
     if head.startswith("<"):
         return calibration_forms.from_xml(path, text)
-    if path.suffix.lower() in (".yaml", ".yml") or head.startswith("%YAML"):
+    if head.startswith("%YAML"):
         return calibration_forms.from_yaml(path, text)
+    if path.suffix.lower() in (".yaml", ".yml"):
+        return calibration_ros.from_yaml(path, text)
     return _from_matrix_text(path, text)
 
 
@@ -106,7 +108,7 @@ def write_calibration(
     elif form == "opencv":
         calibration_forms.write_opencv(path, calibration)
     else:
-        path.write_text(calibration_forms.to_ros(calibration))
+        path.write_text(calibration_ros.to_yaml(calibration))
 
 
 def _from_toml(path: Path, text: str) -> CameraFile:

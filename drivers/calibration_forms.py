@@ -1,4 +1,4 @@
-"""Calibration files of other programs: OpenCV's XML and YAML, ROS's ``camera_info``, PCL's grabber XML."""
+"""Calibration files of OpenCV (XML and YAML) and of PCL's image grabber (XML)."""
 
 from __future__ import annotations
 
@@ -35,8 +35,6 @@ _ROTATION_NAMES = ("R", "Rotation")
 _TRANSLATION_NAMES = ("T", "Translation")
 #: The cameras of one sensor are closer than this; a longer translation is in millimetres.
 _LONGEST_BASELINE_M = 1.0
-#: ROS's names of OpenCV's distortion model; others, as "equidistant", are different models.
-_DISTORTION_MODELS = ("plumb_bob", "rational_polynomial", "thin_prism_fisheye")
 
 
 def from_xml(path: Path, text: str) -> CameraFile:
@@ -60,15 +58,13 @@ def from_xml(path: Path, text: str) -> CameraFile:
 
 
 def from_yaml(path: Path, text: str) -> CameraFile:
-    """Read OpenCV's YAML of a stereo calibration or a ROS ``camera_info``.
+    """Read OpenCV's YAML of a stereo calibration or of one camera.
 
     Raises
     ------
     CalibrationError
         If it is neither, or a field is missing or unusable.
     """
-    if not text.lstrip("\ufeff").startswith("%YAML"):
-        text = "%YAML:1.0\n---\n" + text.lstrip("\ufeff")
     return _from_storage(path, text)
 
 
@@ -76,16 +72,10 @@ def _from_storage(path: Path, text: str) -> CameraFile:
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
     except (cv2.error, SystemError) as err:
-        raise CalibrationError(f"{path}: not a file of OpenCV or ROS ({err})") from err
+        raise CalibrationError(f"{path}: not a file of OpenCV ({err})") from err
     try:
         single = _camera(path, storage, _SINGLE_NAMES)
         if single is not None:
-            model = storage.getNode("distortion_model")
-            if model.isString() and model.string() not in _DISTORTION_MODELS:
-                expected = ", ".join(_DISTORTION_MODELS)
-                raise CalibrationError(
-                    f"{path}: distortion_model: expected one of {expected}, got {model.string()!r}"
-                )
             return CameraFile(path=path, depth=single, color=single)
         depth, color = _camera(path, storage, _DEPTH_NAMES), _camera(path, storage, _COLOR_NAMES)
         if depth is None or color is None:
@@ -128,13 +118,6 @@ def _matrix(path: Path, storage: Any, name: str) -> NDArray[np.float64] | None:
     if node.empty():
         return None
     matrix = node.mat() if node.isMap() and not node.getNode("dt").empty() else None
-    if matrix is None and node.isMap():
-        # ROS writes rows, cols and data, without OpenCV's element type.
-        rows, columns, values = (node.getNode(key) for key in ("rows", "cols", "data"))
-        numbers = [values.at(place).real() for place in range(values.size())]
-        if rows.empty() or columns.empty() or len(numbers) != int(rows.real()) * int(columns.real()):
-            raise CalibrationError(f"{path}: {name}: expected rows, cols and as many numbers in data")
-        matrix = np.array(numbers).reshape(int(rows.real()), int(columns.real()))
     if matrix is None:
         raise CalibrationError(f"{path}: {name}: expected a matrix")
     if not np.isfinite(matrix).all():
@@ -200,34 +183,3 @@ def write_opencv(path: Path, calibration: Calibration) -> None:
     storage.write("R", np.ascontiguousarray(calibration.color_from_depth[:3, :3]))
     storage.write("T", np.ascontiguousarray(calibration.color_from_depth[:3, 3:]))
     storage.release()
-
-
-def to_ros(calibration: Calibration) -> str:
-    """Return a ROS ``camera_info`` YAML of registered images.
-
-    Raises
-    ------
-    ValueError
-        If depth and color have cameras of their own, which one ``camera_info`` cannot say.
-    """
-    if not calibration.is_registered:
-        raise ValueError("camera_info holds one camera; depth and color have one each: write TOML or OpenCV")
-    camera = calibration.color
-    distortion = [float(value) for value in camera.distortion] or [0.0] * 5
-    model = "plumb_bob" if len(distortion) <= 5 else "rational_polynomial"
-    projection = np.hstack([camera.matrix, np.zeros((3, 1))])
-    matrices = (
-        ("camera_matrix", 3, 3, camera.matrix.ravel().tolist()),
-        ("distortion_coefficients", 1, len(distortion), distortion),
-        ("rectification_matrix", 3, 3, np.eye(3).ravel().tolist()),
-        ("projection_matrix", 3, 4, projection.ravel().tolist()),
-    )
-    lines = [
-        f"image_width: {camera.width}",
-        f"image_height: {camera.height}",
-        "camera_name: rgbd",
-        f"distortion_model: {model}",
-    ]
-    for name, rows, columns, values in matrices:
-        lines += [f"{name}:", f"  rows: {rows}", f"  cols: {columns}", f"  data: {values}"]
-    return "\n".join(lines) + "\n"

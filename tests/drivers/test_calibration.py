@@ -97,6 +97,25 @@ def test_a_ros_camera_info_stands_for_both_cameras(tmp_path: Path) -> None:
     assert calibration.color.distortion.tolist() == [0.07, -0.03, -0.01, 0.0, -0.14]
 
 
+def test_a_message_printed_by_ros_is_understood(tmp_path: Path) -> None:
+    (tmp_path / "info.yaml").write_text(
+        "header:\n  frame_id: optical\nheight: 48\nwidth: 64\ndistortion_model: plumb_bob\n"
+        "d:\n- 0.1\n- -0.2\n- 0.0\n- 0.0\n- 0.0\n"
+        "k:\n- 52.5\n- 0.0\n- 31.5\n- 0.0\n- 52.6\n- 23.5\n- 0.0\n- 0.0\n- 1.0\n---\nheight: 48\n"
+    )
+    camera = read_calibration(tmp_path / "info.yaml").depth
+    assert (camera.width, camera.fy, camera.distortion[1]) == (64, 52.6, -0.2)
+
+
+def test_a_calibration_of_one_camera_by_opencv_stands_for_both(tmp_path: Path) -> None:
+    storage = cv2.FileStorage(str(tmp_path / "a.yml"), cv2.FILE_STORAGE_WRITE)
+    storage.write("image_width", 64)
+    storage.write("image_height", 48)
+    storage.write("camera_matrix", CAMERA.matrix)
+    storage.release()
+    assert_same(read_calibration(tmp_path / "a.yml"), REGISTERED)
+
+
 @pytest.mark.parametrize("text", [MATRIX, MATRIX.replace(" ", ", "), f"# pixels\n\n{MATRIX}"])
 def test_a_matrix_as_text_needs_the_images_size(tmp_path: Path, text: str) -> None:
     (tmp_path / "intrinsics.txt").write_text(text)
@@ -248,14 +267,28 @@ def test_two_cameras_without_a_transform_are_refused(tmp_path: Path) -> None:
         ("a.json", "{", "not valid JSON"),
         ("a.json", "{}", "intrinsic_matrix: expected 9 numbers"),
         ("a.json", '{"intrinsic_matrix": [NaN, 0, 0, 0, 1, 0, 0, 0, 1]}', "intrinsic_matrix: .*finite"),
-        ("a.yaml", ROS.replace("52.6, 23.5,", ".Nan, 23.5,"), "camera_matrix: expected finite"),
+        ("a.yaml", ROS.replace("52.6, 23.5,", ".nan, 23.5,"), "camera_matrix: expected a finite"),
         ("a.yaml", ROS.replace("plumb_bob", "equidistant"), "distortion_model: .*'equidistant'"),
         ("a.yaml", ROS.replace("rows: 3", "rows: 4", 1), "camera_matrix: expected rows, cols and as many"),
-        ("a.yaml", "hello: 1\n", "depth_camera_matrix: missing"),
-        ("a.yaml", "camera_matrix: 7\n", "camera_matrix: expected a matrix"),
+        (
+            "a.yaml",
+            ROS.replace("52.5, 0, 31.5, 0, 52.6, 23.5,", "0, 0, 0, 0, 0, 0,").replace(
+                "0, 0, 1]", "0, 0, 0]", 1
+            ),
+            "camera_matrix: the camera is not calibrated",
+        ),
+        ("a.yaml", ROS.replace("image_width: 64", ""), "image_width: missing"),
+        ("a.yaml", "hello: 1\n", "camera_matrix: missing; expected camera_matrix or k, K"),
+        ("a.yaml", "camera_matrix: 7\n", "camera_matrix: expected a list of numbers, got 7"),
+        ("a.yaml", "k: [1, 2]\n", "k: expected 9 numbers, got 2"),
+        ("a.yaml", "- 1\n", "expected the fields of a camera_info, got list"),
+        ("a.yaml", "a: [\n", "not valid YAML"),
+        ("a.yml", "%YAML:1.0\n---\nM1: 7\n", "M1: expected a matrix"),
+        ("a.yml", "%YAML:1.0\n---\nhello: 7\n", "depth_camera_matrix: missing"),
+        ("a.yml", "%YAML:1.0\n---\n  a: [\n", "not a file of OpenCV"),
         ("a.xml", "<rgb><depth>", "not valid XML"),
         ("a.xml", "<rgb></rgb>", "rgb/focal_length_x: expected a number"),
-        ("a.xml", '<?xml version="1.0"?><opencv_storage><a>', "not a file of OpenCV or ROS"),
+        ("a.xml", '<?xml version="1.0"?><opencv_storage><a>', "not a file of OpenCV"),
         ("a.xml", '<?xml version="1.0"?><opencv_storage></opencv_storage>', "depth_camera_matrix: missing"),
     ],
 )
