@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Generic, Self, TypeVar
@@ -176,6 +177,11 @@ class CaptureThread:
         traceback: TracebackType | None,
     ) -> None:
         self.stop()
+
+    @property
+    def losses(self) -> Mapping[str, int]:
+        """What the source lost before it could be read, counted by reason."""
+        return self._source.losses
 
     def stop(self) -> None:
         """Stop reading, and wait for the read that is under way."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from nurbseg.drivers.errors import EndOfRecordingError
@@ -123,6 +123,11 @@ class Limited(FrameSource):
 
     def _is_over(self, elapsed_s: float) -> bool:
         return self._duration_s is not None and elapsed_s >= self._duration_s + self._delay_ns * 1e-9
+
+    @property
+    def losses(self) -> Mapping[str, int]:
+        """Those of the source."""
+        return self._source.losses
 
     def skip(self, frames: int) -> int:
         """Go past the next frames; they do not count."""

@@ -102,6 +102,7 @@ class RunReport:
                     "without_a_partner": int(self._metadata.get("dropped", 0)),
                     "unfinished_at_the_end": read - self.segmented - self.passed_by - overwritten - withheld,
                 },
+                "camera": {} if capture is None else dict(capture.losses),
                 "damaged_frames": [] if capture is None else capture.damaged_frames,
             },
             "recording": None if recording is None else recording.figures(),

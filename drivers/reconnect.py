@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import logging
 import time
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -68,6 +69,7 @@ class Reconnecting(FrameSource):
         self.calibration = source.calibration
         self.metadata = source.metadata
         self.reconnections = 0
+        self._lost: Counter[str] = Counter()
         self._source: FrameSource | None = source
         self._reopen = reopen
         self._interval_s = interval_s
@@ -90,6 +92,14 @@ class Reconnecting(FrameSource):
     def source(self) -> FrameSource | None:
         """The camera's own source; None while it is away."""
         return self._source
+
+    @property
+    def losses(self) -> Mapping[str, int]:
+        """Those of the camera, before and after it was away, and how often that was."""
+        lost = Counter(self._lost)
+        if self._source is not None:
+            lost.update(self._source.losses)
+        return {**lost, "reconnections": self.reconnections}
 
     def start_recording(self, path: Path, *, lossy: bool = False) -> None:
         """Record with the camera's own recorder; after a loss, go on in a file with the next number.
@@ -148,6 +158,7 @@ class Reconnecting(FrameSource):
         self._next_try_s = self._clock()
         self._ahead_ns = None
         if source is not None:
+            self._lost.update(source.losses)
             try:
                 source.close()
             except DriverError as err:  # of its recording, which ends here

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from types import TracebackType
 from typing import Self
 
@@ -58,6 +58,11 @@ class FrameSource(ABC):
         if self._closed:
             raise DriverError(f"{type(self).__name__} is closed")
         return self._read(timeout_s)
+
+    @property
+    def losses(self) -> Mapping[str, int]:
+        """What was lost before it could be read here, counted by reason; empty for a recording."""
+        return {}
 
     def skip(self, frames: int) -> int:
         """Go past the next frames; return how many there were to pass.
@@ -162,6 +167,11 @@ class Paced(FrameSource):
             raise FrameTimeoutError(f"the next frame is due in {wait_s - timeout_s:.1f} s")
         self._waiting = None
         return frame
+
+    @property
+    def losses(self) -> Mapping[str, int]:
+        """Those of the source."""
+        return self._source.losses
 
     def skip(self, frames: int) -> int:
         """Go past the next frames without waiting for their moments."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +122,11 @@ class DeviceSource(FrameSource):
     def device(self) -> OpenedDevice:
         """The opened camera; not to be closed."""
         return self._device
+
+    @property
+    def losses(self) -> Mapping[str, int]:
+        """Depth images never seen here, and images whose other half never came."""
+        return {"missed": self.missed, "half_pairs": self.half_pairs}
 
     def start_recording(self, path: Path, *, lossy: bool = False) -> None:
         """Record with OpenNI2's recorder to an .oni file, from the next frame on.
