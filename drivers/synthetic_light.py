@@ -110,12 +110,14 @@ class Grounds:
 def _under_ball(
     painted: NDArray[np.uint8], offset: list[Any], lamp: NDArray[np.float64], radius_m: float
 ) -> NDArray[np.uint8]:
-    near = np.abs(offset[0]) + np.abs(offset[1]) < 8 * radius_m
+    # Every eighth pixel tells where the shadow can be.
+    x, y, z = (np.broadcast_to(each, painted.shape[:2]) for each in offset)
+    near = np.abs(x[::8, ::8]) + np.abs(y[::8, ::8]) < 9 * radius_m
     rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
     if not rows.size:
         return painted
-    part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    x, y, z = (np.broadcast_to(each, near.shape)[part] for each in offset)
+    part = tuple(slice(max(8 * (n[0] - 1), 0), 8 * (n[-1] + 2)) for n in (rows, columns))
+    x, y, z = x[part], y[part], z[part]
     along = x * np.float32(lamp[0]) + y * np.float32(lamp[1]) + z * np.float32(lamp[2])
     beside = np.sqrt(np.maximum(x * x + y * y + z * z - along * along, 0)) / np.float32(radius_m)
     softness = 0.12 + 0.12 * np.maximum(along, 0) / np.float32(radius_m)
