@@ -45,7 +45,7 @@ class SegmentationConfig:
         6000, "points of a segment on which its cut is set up; the others follow by extension", least=100
     )
     affinity_scale: float = setting(
-        1.0, "sigma of the Gaussian affinity, in normalised vector units", above=0.0
+        0.7, "sigma of the Gaussian affinity, in normalised vector units", above=0.0
     )
     splitting_point: SplittingPoint = setting(
         "zero",
@@ -53,7 +53,10 @@ class SegmentationConfig:
         choices=get_args(SplittingPoint),
     )
     segment_pixels_min: int = setting(
-        750, "T_p: smallest segment, in pixels of a 640x480 image (scaled with the image)", unit="px", least=1
+        1500,
+        "T_p: smallest segment, in pixels of a 640x480 image (scaled with the image)",
+        unit="px",
+        least=1,
     )
     depth_max: int = setting(8, "T_d: largest depth of the tree", least=0, most=64)
     splits_max: int = setting(60, "T_s: largest number of splits", least=0, most=10_000)
