@@ -168,7 +168,7 @@ class FolderSource(SequenceSource):
             alone = f" ({len(single)} images lack their partner)" if single else ""
             raise RecordingFormatError(f"{folder}: no image pairs{alone}; expected {NAMES_EXPECTED}")
         self._reading = folder_camera(folder, options)
-        super().__init__(folder, len(self._pairs))
+        super().__init__(folder, len(self._pairs), dropped=len(single))
         self.calibration = first_calibration(self._pairs, self._reading)
         moments = [_moment_ns(pair.name) for pair in self._pairs]
         timed = all(moment is not None for moment in moments)
@@ -179,7 +179,7 @@ class FolderSource(SequenceSource):
         self.metadata = {
             "format": "folder of image pairs",
             "frames": str(len(self._pairs)),
-            "dropped": str(len(single)),
+            "dropped": str(self.dropped),
             "calibration": self._reading.origin,
         }
 

@@ -141,10 +141,10 @@ class RecordingReader(FrameSource):
             if item is not None:
                 self._enter(item)
             pair = self._pairing.take(at_end=item is None)
+            self.metadata["dropped"] = str(self.dropped)
             if item is None and pair is None:
                 if self.dropped:
                     _log.warning("%s: %d images had no partner", self._path, self.dropped)
-                self.metadata["dropped"] = str(self.dropped)
                 raise EndOfRecordingError(f"{self._path}: end after {self._index} frames")
         self._index += 1
         return pair
@@ -260,6 +260,7 @@ class RecordingReader(FrameSource):
     def _metadata(self) -> dict[str, str]:
         metadata = dict(self._file.metadata.get(names.DEVICE_RECORD, {}))
         metadata["format"] = "MCAP recording"
+        metadata["dropped"] = "0"
         metadata["whole"] = str(self._file.whole).lower()
         for channel_id, count in self._file.message_counts.items():
             channel = self._file.channels.get(channel_id)

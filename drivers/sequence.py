@@ -29,11 +29,14 @@ class SequenceSource(FrameSource):
         What the recording is called in messages.
     frames : int
         Number of frames.
+    dropped : int
+        Number of images left out because they have no partner.
     """
 
-    def __init__(self, path: Path, frames: int) -> None:
+    def __init__(self, path: Path, frames: int, dropped: int = 0) -> None:
         super().__init__()
         self._path, self._frames, self._next = path, frames, 0
+        self.dropped = dropped
 
     def __len__(self) -> int:
         return self._frames

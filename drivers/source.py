@@ -175,7 +175,10 @@ class Paced(FrameSource):
 
     def skip(self, frames: int) -> int:
         """Go past the next frames without waiting for their moments."""
-        return self._source.skip(frames)
+        if self._waiting is None or frames < 1:
+            return self._source.skip(frames)
+        self._waiting = None
+        return 1 + self._source.skip(frames - 1)
 
     def _close(self) -> None:
         self._source.close()

@@ -93,14 +93,14 @@ class TumSource(SequenceSource):
                 f"{options.association_limit_s} s of each other"
             )
         self._reading = folder_camera(folder, options, _UNITS_PER_METRE)
-        super().__init__(folder, len(found))
+        super().__init__(folder, len(found), dropped=len(colors) + len(depths) - 2 * len(found))
         self._pairs = [ImagePair(depths[d][1].stem, colors[c][1], depths[d][1]) for c, d in found]
         self._moments_ns = [depths[d][0] for _, d in found]
         self.calibration = first_calibration(self._pairs, self._reading)
         self.metadata = {
             "format": "TUM RGB-D",
             "frames": str(len(found)),
-            "dropped": str(len(colors) + len(depths) - 2 * len(found)),
+            "dropped": str(self.dropped),
             "calibration": self._reading.origin,
         }
 

@@ -51,6 +51,24 @@ def test_a_late_reader_gets_what_it_missed_at_once_and_delays_do_not_add_up() ->
         assert clock.now_s == pytest.approx(100.4)
 
 
+def test_a_frame_that_is_not_due_in_time_is_kept_for_the_next_read() -> None:
+    clock = Clock()
+    with paced([0.0, 2.5, 3.0, 9.0], clock) as source:
+        source.read(timeout_s=1.0)
+        for _ in range(2):
+            with pytest.raises(FrameTimeoutError, match="due in"):
+                source.read(timeout_s=1.0)
+        assert source.read(timeout_s=1.0).index == 1
+        assert clock.now_s == pytest.approx(102.5)
+        source.read(timeout_s=1.0)
+        with pytest.raises(FrameTimeoutError):
+            source.read(timeout_s=1.0)
+        # The frame that waits is one of those to pass.
+        assert source.skip(2) == 1
+        with pytest.raises(EndOfRecordingError):
+            source.read(timeout_s=1.0)
+
+
 def test_skipped_frames_are_not_waited_for() -> None:
     clock = Clock()
     with paced([0.0, 10.0, 20.0, 20.5], clock) as source:
