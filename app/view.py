@@ -210,7 +210,9 @@ class RerunView:
             self._since_epoch = frame.timestamp_ns > _EPOCH_NS
         self._moment = Moment(frame.index, frame.timestamp_ns, self._since_epoch)
         self._shown_s.append(time.monotonic())
-        entities = FrameEntities(result, self._moment, self._rate_hz(), self._config, self._segmentation)
+        entities = FrameEntities(
+            result, dict(result.elapsed_ms), self._moment, self._rate_hz(), self._config, self._segmentation
+        )
         for sink in self._sinks:
             sink.put(entities)
 
@@ -379,7 +381,11 @@ def _properties(
     }
     if metadata:
         properties["device"] = dict(metadata)
-    return {name: rr.AnyValues(**values) for name, values in properties.items()}
+    # As text: Rerun holds one name to one type, and a device may call anything anything.
+    return {
+        name: rr.AnyValues(drop_untyped_nones=True, **{key: str(value) for key, value in values.items()})
+        for name, values in properties.items()
+    }
 
 
 class _LogHandler(logging.Handler):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -96,6 +96,8 @@ class FrameEntities:
     ----------
     result : FrameResult
         The frame.
+    elapsed_ms : mapping of str to float
+        Time that each stage took until now, milliseconds; a copy, since the run may go on timing.
     moment : Moment
         When it was.
     rate_hz : float
@@ -107,6 +109,7 @@ class FrameEntities:
     """
 
     result: FrameResult
+    elapsed_ms: Mapping[str, float]
     moment: Moment
     rate_hz: float
     view: ViewConfig
@@ -117,7 +120,7 @@ class FrameEntities:
     @property
     def stages(self) -> tuple[str, ...]:
         """Names of the stages that were timed."""
-        return tuple(self.result.elapsed_ms)
+        return tuple(self.elapsed_ms)
 
     @property
     def calibration(self) -> Calibration:
@@ -133,7 +136,7 @@ class FrameEntities:
                     *_images(self.result, labels, self.view),
                     *_space(self.result, labels, self.view),
                     *_tree(self.result, self.segmentation.metric),
-                    *_scalars(self.result, self.rate_hz, self.segmentation.metric),
+                    *_scalars(self.result.tree, self.elapsed_ms, self.rate_hz, self.segmentation.metric),
                 ]
             return self._built
 
@@ -310,12 +313,14 @@ def tree_table(tree: SegmentationTree, metric: Metric) -> str:
     return "\n".join(lines)
 
 
-def _scalars(result: FrameResult, rate_hz: float, metric: Metric) -> Entities:
+def _scalars(
+    tree: SegmentationTree, elapsed_ms: Mapping[str, float], rate_hz: float, metric: Metric
+) -> Entities:
     if rate_hz > 0:
         yield RATE, rr.Scalars(rate_hz)
-    for stage, elapsed_ms in result.elapsed_ms.items():
-        yield f"{LATENCY}/{stage}", rr.Scalars(elapsed_ms)
-    leaves = [leaf for leaf in result.tree.leaves() if leaf.fit.surface is not None]
+    for stage, stage_ms in elapsed_ms.items():
+        yield f"{LATENCY}/{stage}", rr.Scalars(stage_ms)
+    leaves = [leaf for leaf in tree.leaves() if leaf.fit.surface is not None]
     yield SEGMENT_COUNT, rr.Scalars(len(leaves))
     values = np.array([leaf.fit.values.get(metric, 0.0) for leaf in leaves])
     if values.size:

@@ -28,7 +28,7 @@ _FILE_TIMEOUT_S = 10.0
 #: How often what was logged is forced into the file.
 _FLUSH_S = 0.5
 #: How long a viewer is waited for before the stop signal is looked at again, and before we say so.
-_POLL_S, _PATIENCE_S = 0.2, 3.0
+_POLL_S, _POLL_MAX_S, _PATIENCE_S = 0.2, 5.0, 3.0
 #: Pause between two attempts to reach a viewer.
 RETRY_S = 0.5
 
@@ -326,13 +326,16 @@ class ViewerSink:
     def _taken(self, stream: rr.RecordingStream) -> bool:
         """Wait until the viewer's side took everything; return False if it is gone or we stop."""
         began_s = time.monotonic()
+        timeout_s = _POLL_S
         said = False
         while not self._stopping.is_set():
             try:
-                stream.flush(timeout_sec=_POLL_S)
+                stream.flush(timeout_sec=timeout_s)
             except RuntimeError as err:
                 if "timed out" not in str(err):
                     return False
+                # Each flush that timed out stays in Rerun's queue: ask ever less often.
+                timeout_s = min(2.0 * timeout_s, _POLL_MAX_S)
             else:
                 if said:
                     logger.info("the viewer at %s takes frames again", self._url)

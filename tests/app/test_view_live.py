@@ -218,7 +218,8 @@ _SHOWS_AND_ENDS = """
     from tests.fakes.small_scene import CONFIG, small_result
 
     result = small_result()
-    view = open_view(ViewConfig(mode="connect", connect=sys.argv[1], save=sys.argv[2], mesh_step_px=20), CONFIG)
+    config = ViewConfig(mode="connect", connect=sys.argv[1], save=sys.argv[2], mesh_step_px=20)
+    view = open_view(config, CONFIG)
     view.wait_connected(10.0)
     print("connected", flush=True)
     sys.stdin.readline()
