@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 _OTHER_SURFACE_PX = 10_000
 #: Passes in which what was filled serves as a source for what is still empty.
 _PASSES = 4
-#: Step of the grid of sources where no pixel of the same row or column will do.
-_COARSE_STEP = 16
+#: How many sources are looked at where no pixel of the same row or column will do.
+_LAST_RESORT = 4000
 
 
 def fill_colors(
@@ -25,7 +25,7 @@ def fill_colors(
 
     What hides a point from the color camera stands in front of it, and so never lends it a color. A source
     at the point's own depth is taken before one on a surface farther away. Where rows and columns hold no
-    source, the nearest of a coarse grid serves; if nothing lies behind, the least near one does.
+    source, the next in depth serves wherever it is; if nothing lies behind, the farthest does.
 
     Parameters
     ----------
@@ -47,20 +47,27 @@ def fill_colors(
     # Beside what hides them, colors are mixed with its own: such pixels lend only where nothing else can.
     beside = cv2.dilate(missing.view(np.uint8), np.ones((5, 5), np.uint8)).view(np.bool_)
     sources = (known & ~beside).ravel()
+    everything = False
     for _ in range(_PASSES):
         source = _nearest_in_line(wanted, sources, known.shape, depth, tolerance_per_m)
         found = source >= 0
         if not found.any():
-            if sources.all() or sources[np.flatnonzero(known)].all():
+            if everything:
                 break
             sources |= known.ravel()
+            everything = True
             continue
         flat_color[wanted[found]] = flat_color[source[found]]
         sources[wanted[found]] = True
         wanted = wanted[~found]
         if not wanted.size:
             return
-    _fill_from_grid(flat_color, known, wanted, depth, tolerance_per_m)
+    # Neither row nor column holds anything: what is nearest in depth from there on, or the farthest at all.
+    some = np.flatnonzero(known)
+    some = some[:: max(some.size // _LAST_RESORT, 1)]
+    some = some[np.argsort(depth[some])]
+    behind = np.searchsorted(depth[some], depth[wanted])
+    flat_color[wanted] = flat_color[some[np.minimum(behind, some.size - 1)]]
 
 
 def _nearest_in_line(
@@ -79,6 +86,8 @@ def _nearest_in_line(
     for transposed in (False, True):
         length = height if transposed else width
         line = np.flatnonzero(numbered.T if transposed else numbered)
+        if not line.size:
+            continue
         place = (wanted % width) * height + wanted // width if transposed else wanted
         after = np.searchsorted(line, place)
         for position in (after - 1, after):
@@ -92,23 +101,3 @@ def _nearest_in_line(
             better = price < cost
             best[better], cost[better] = flat[better], price[better]
     return best
-
-
-def _fill_from_grid(
-    flat_color: NDArray[np.uint8],
-    known: NDArray[np.bool_],
-    wanted: NDArray[np.intp],
-    depth: NDArray[np.float32],
-    tolerance_per_m: float,
-) -> None:
-    width = known.shape[1]
-    grid = np.zeros_like(known)
-    grid[::_COARSE_STEP, ::_COARSE_STEP] = known[::_COARSE_STEP, ::_COARSE_STEP]
-    sources = np.flatnonzero(grid if grid.any() else known)
-    for chunk in np.array_split(wanted, 1 + wanted.size * sources.size // 1_000_000):
-        nearer = 1 / depth[sources] - 1 / depth[chunk][:, None]
-        rows = sources // width - (chunk // width)[:, None]
-        columns = sources % width - (chunk % width)[:, None]
-        price = np.hypot(rows, columns) + np.where(nearer < -tolerance_per_m, _OTHER_SURFACE_PX, 0.0)
-        price += np.where(nearer > tolerance_per_m, 1e6 * (1.0 + nearer), 0.0)
-        flat_color[chunk] = flat_color[sources[np.argmin(price, axis=1)]]
