@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from nurbseg.app.arguments import Arguments, parse_arguments
 from nurbseg.app.interruption import Interruption
+from nurbseg.app.threads import one_thread_for_products
 
 _log = logging.getLogger("nurbseg.live")
 
@@ -32,6 +33,7 @@ def main(words: Sequence[str] | None = None) -> int:
     SystemExit
         With code 2 if an argument is wrong, with code 0 after ``--help`` and ``--version``.
     """
+    one_thread_for_products()
     arguments = parse_arguments(words)
     if arguments.print_config:
         from nurbseg.app.config_file import format_config

@@ -10,6 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nurbseg.app.threads import one_thread_for_products
+
 if TYPE_CHECKING:
     from nurbseg.app.evaluation.study import Study
     from nurbseg.segmentation.config import SegmentationConfig
@@ -109,6 +111,7 @@ def main(words: Sequence[str] | None = None) -> int:
     int
         Exit code: 0 done, 1 failed while running, 2 usage or no data, 130 interrupted.
     """
+    one_thread_for_products()
     words = list(sys.argv[1:] if words is None else words)
     if words and words[0] not in (*_COMMANDS, "-h", "--help"):
         words.insert(0, "run")
