@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from nurbseg.segmentation.components import give_away_small_pieces
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.curvature import all_metrics
-from nurbseg.segmentation.cut import normalized_cut
+from nurbseg.segmentation.cut import Cut, normalized_cut
 from nurbseg.segmentation.features import normalization, normalized, raw_vectors
 from nurbseg.segmentation.grid import PixelGrid, decimated_grid
 from nurbseg.segmentation.metrics import CURVATURE_METRICS, acceptance_ratio
@@ -25,11 +26,14 @@ from nurbseg.segmentation.segments import (
     finished_segments,
 )
 from nurbseg.segmentation.settle import Split, settle
+from nurbseg.segmentation.shared import SharedWork
 from nurbseg.segmentation.splitting import segment_nurbseg
 from nurbseg.segmentation.surface import Fit, fit_on_grid
 
 
-def segment(cloud: PointMap, config: SegmentationConfig) -> SegmentationTree:
+def segment(
+    cloud: PointMap, config: SegmentationConfig, shared: SharedWork | None = None
+) -> SegmentationTree:
     """Segment a frame into surfaces (section 3).
 
     Parameters
@@ -38,6 +42,8 @@ def segment(cloud: PointMap, config: SegmentationConfig) -> SegmentationTree:
         Points and their colors.
     config : SegmentationConfig
         Thresholds and choices; the same seed gives the same tree.
+    shared : SharedWork, optional
+        What other settings of the paper's method have made of this very frame.
 
     Returns
     -------
@@ -52,16 +58,19 @@ def segment(cloud: PointMap, config: SegmentationConfig) -> SegmentationTree:
     """
     if config.method == "nurbseg":
         return segment_nurbseg(cloud, config)
-    return segment_stag15(cloud, config)
+    return segment_stag15(cloud, config, shared)
 
 
-def segment_stag15(cloud: PointMap, config: SegmentationConfig) -> SegmentationTree:
+def segment_stag15(
+    cloud: PointMap, config: SegmentationConfig, shared: SharedWork | None = None
+) -> SegmentationTree:
     """Segment a frame as the paper does; as `segment`, whatever the method set."""
-    grid = decimated_grid(cloud, config.decimation)
+    shared = shared or SharedWork()
+    grid = shared.once(config, "grid", lambda: decimated_grid(cloud, config.decimation))
     places = np.flatnonzero(grid.valid)
-    raw = raw_vectors(cloud, grid.pixels(places))
+    raw = shared.once(config, "raw vectors", lambda: raw_vectors(cloud, grid.pixels(places)))
     scale = normalization(raw, config.geometry_weight)
-    root = grow(grid, places, normalized(raw, scale), config)
+    root = grow(grid, places, normalized(raw, scale), config, shared)
 
     nodes = depth_first(root)
     leaves = [node for node in nodes if not node.children]
@@ -77,7 +86,11 @@ def segment_stag15(cloud: PointMap, config: SegmentationConfig) -> SegmentationT
 
 
 def grow(
-    grid: PixelGrid, places: NDArray[np.intp], vectors: NDArray[np.float32], config: SegmentationConfig
+    grid: PixelGrid,
+    places: NDArray[np.intp],
+    vectors: NDArray[np.float32],
+    config: SegmentationConfig,
+    shared: SharedWork,
 ) -> Node:
     """Grow the tree on the grid, the worst open segment first.
 
@@ -91,6 +104,8 @@ def grow(
         Feature vector of each.
     config : SegmentationConfig
         Thresholds and choices.
+    shared : SharedWork
+        Cuts and fits made before, of segments of the same names.
 
     Returns
     -------
@@ -100,7 +115,7 @@ def grow(
     segment_min = config.segment_pixels_min * grid.pixel_share
     row_of_place = np.zeros(grid.valid.size, dtype=np.intp)
     row_of_place[places] = np.arange(places.size)
-    root = Node("", places, _measured(grid, places, config))
+    root = Node("", places, _measured(grid, "", places, config, shared))
     waiting: list[tuple[float, str, Node]] = [(-root.value(config), root.name, root)]
     splits = 0
     while waiting:
@@ -111,18 +126,12 @@ def grow(
             continue
 
         # Cut in two, and clean up (section 3.1).
-        cut = normalized_cut(
-            vectors[row_of_place[node.places]],
-            samples=config.samples,
-            rng=_generator(config.seed, node.name),
-            affinity_scale=config.affinity_scale,
-            splitting_point=config.splitting_point,
-            points=config.cut_points,
+        cut, side = shared.once(
+            config, ("cut", node.name), partial(_cut, grid, node, vectors, row_of_place, segment_min, config)
         )
         if cut.reason:
             node.stop = StopReason.NO_CUT
             continue
-        side = _cleaned(grid, node.places, cut.side, segment_min)
         parts = node.places[~side], node.places[side]
         if min(part.size for part in parts) < segment_min:
             node.stop = StopReason.CHILD_TOO_SMALL
@@ -130,8 +139,8 @@ def grow(
 
         # Fit a surface to each part (section 3.2), and keep the split if they explain it better (eq. 5).
         children = tuple(
-            Node(f"{node.name}{digit}", part, _measured(grid, part, config))
-            for digit, part in enumerate(parts)
+            Node(name, part, _measured(grid, name, part, config, shared))
+            for name, part in zip((f"{node.name}0", f"{node.name}1"), parts, strict=True)
         )
         first, second = children
         node.ratio = acceptance_ratio(
@@ -149,12 +158,38 @@ def grow(
     return root
 
 
-def _measured(grid: PixelGrid, places: NDArray[np.intp], config: SegmentationConfig) -> Fit:
+def _cut(
+    grid: PixelGrid,
+    node: Node,
+    vectors: NDArray[np.float32],
+    row_of_place: NDArray[np.intp],
+    segment_min: float,
+    config: SegmentationConfig,
+) -> tuple[Cut, NDArray[np.bool_]]:
+    """Cut a segment in two, and give small pieces of either side to the other."""
+    cut = normalized_cut(
+        vectors[row_of_place[node.places]],
+        samples=config.samples,
+        rng=_generator(config.seed, node.name),
+        affinity_scale=config.affinity_scale,
+        splitting_point=config.splitting_point,
+        points=config.cut_points,
+    )
+    return cut, cut.side if cut.reason else _cleaned(grid, node.places, cut.side, segment_min)
+
+
+def _measured(
+    grid: PixelGrid, name: str, places: NDArray[np.intp], config: SegmentationConfig, shared: SharedWork
+) -> Fit:
     """Fit a surface, with the metric that decides among its values."""
-    fit = fit_on_grid(grid, places, config)
-    if config.metric in CURVATURE_METRICS:
-        fit = replace(fit, values=all_metrics(fit, grid.image_shape[1], config))
-    return fit
+    fit = shared.once(config, ("fit", name), lambda: fit_on_grid(grid, places, config))
+    if config.metric not in CURVATURE_METRICS:
+        return fit
+    return shared.once(
+        config,
+        ("curved fit", name),
+        lambda: replace(fit, values=all_metrics(fit, grid.image_shape[1], config)),
+    )
 
 
 def _reason_not_to_try(

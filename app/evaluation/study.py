@@ -25,6 +25,7 @@ from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.registry import SourceOptions, open_source
 from nurbseg.segmentation.flat import best_lambda
 from nurbseg.segmentation.registration import PointMap, register
+from nurbseg.segmentation.shared import SharedWork
 from nurbseg.segmentation.tree import SegmentationTree, segment
 
 #: More frames than any source has: what passing over all of them is asked with.
@@ -271,6 +272,7 @@ class Answers:
 
     def __init__(self, cloud: PointMap, name: str, index: int, seed: int) -> None:
         self._cloud, self._name, self._index, self._seed = cloud, name, index, seed
+        self._shared = SharedWork()
         self._lambdas: dict[tuple[Any, ...], float] = {}
 
     def of(self, variant: Variant) -> tuple[NDArray[np.integer], SegmentationTree | None]:
@@ -289,7 +291,7 @@ class Answers:
                     0
                 ]
             config = replace(config, geometry_weight=self._lambdas[chosen])
-        tree = segment(self._cloud, config)
+        tree = segment(self._cloud, config, self._shared)
         return tree.labels(), tree
 
 
