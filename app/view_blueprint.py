@@ -6,6 +6,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from nurbseg.app import view_entities as entity
+from nurbseg.app import view_tree
 from nurbseg.app.palette import STOP_COLORS
 from nurbseg.app.view_config import ViewConfig
 from nurbseg.segmentation.config import SegmentationConfig
@@ -67,11 +68,13 @@ def blueprint(*, registered: bool = True, ground_truth: bool = False) -> rrb.Blu
     pictures = rrb.Grid(color, _picture("Depth", entity.DEPTH), overlay, last, grid_columns=2)
     tree = rrb.GraphView(
         name="Tree",
-        origin=entity.TREE,
-        visual_bounds=rrb.VisualBounds2D(x_range=(0.0, entity.TREE_WIDTH), y_range=(0.0, entity.TREE_HEIGHT)),
+        origin=view_tree.TREE,
+        visual_bounds=rrb.VisualBounds2D(
+            x_range=(0.0, view_tree.TREE_WIDTH), y_range=(0.0, view_tree.TREE_HEIGHT)
+        ),
     )
     texts = rrb.Tabs(
-        rrb.TextDocumentView(name="Segments", origin=entity.TREE_TABLE),
+        rrb.TextDocumentView(name="Segments", origin=view_tree.TREE_TABLE),
         rrb.TextDocumentView(name="Legend", origin=entity.LEGEND),
         rrb.TextLogView(name="Log", origin=entity.LOG),
     )

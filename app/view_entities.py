@@ -12,20 +12,18 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from nurbseg.app.palette import (
-    INNER_COLOR,
     LABEL_COLORS,
     SERIES_COLORS,
-    STOP_COLORS,
     label_colors,
     residual_colors,
 )
 from nurbseg.app.surface_mesh import surface_mesh
-from nurbseg.app.tree_layout import fitted, tidy_positions
 from nurbseg.app.view_config import ViewConfig
+from nurbseg.app.view_tree import Entities, tree_entities
 from nurbseg.app.worker import FrameResult
 from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.segmentation.config import Metric, SegmentationConfig
-from nurbseg.segmentation.tree import Segment, SegmentationTree
+from nurbseg.segmentation.tree import SegmentationTree
 
 WORLD = "world"
 CAMERA = f"{WORLD}/camera"
@@ -34,29 +32,9 @@ GROUND_TRUTH = f"{CAMERA}/ground_truth"
 COLOR_CAMERA = f"{WORLD}/color_camera"
 UNREGISTERED_COLOR = f"{COLOR_CAMERA}/image"
 POINTS, SURFACES = f"{WORLD}/points", f"{WORLD}/surfaces"
-TREE, TREE_TABLE = "tree", "tree_table"
 LEGEND = "legend"
 RATE, LATENCY, SEGMENT_COUNT, METRIC = "plots/rate", "plots/latency", "plots/segments", "plots/metric"
 LOG = "log"
-
-#: The box in which the tree is drawn, whatever its size.
-TREE_WIDTH, TREE_HEIGHT = 1000.0, 540.0
-#: Distance of neighbouring nodes and of levels in a small tree, and a node's largest radius.
-_SPACING, _LEVEL, _RADIUS = 70.0, 90.0, 17.0
-
-Entities = Iterable[tuple[str, Any]]
-
-_METRIC_UNITS: dict[Metric, str] = {
-    "mse": "m²",
-    "mae": "m",
-    "ve": "m²",
-    "nle": "points",
-    "vmxc": "1/m²",
-    "vmec": "1/m²",
-    "vgc": "1/m⁴",
-    "mmxc": "1/m",
-    "nlc": "points",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +113,7 @@ class FrameEntities:
                 self._built = [
                     *_images(self.result, labels, self.view),
                     *_space(self.result, labels, self.view),
-                    *_tree(self.result, self.segmentation.metric),
+                    *tree_entities(self.result, self.segmentation.metric),
                     *_scalars(self.result.tree, self.elapsed_ms, self.rate_hz, self.segmentation.metric),
                 ]
             return self._built
@@ -241,78 +219,6 @@ def _space(result: FrameResult, labels: NDArray[np.uint16], view: ViewConfig) ->
     )
 
 
-def display_name(name: str) -> str:
-    """Return a segment's name as the paper writes it: P, P0, P01, ..."""
-    return f"P{name}"
-
-
-def _tree(result: FrameResult, metric: Metric) -> Entities:
-    tree = result.tree
-    segments = tree.segments
-    labels = {leaf.name: label for label, leaf in enumerate(tree.leaves(), start=1)}
-    positions = tidy_positions({each.name: each.children for each in segments}, tree.root.name)
-    places, spacing = fitted(
-        [positions[each.name] for each in segments], TREE_WIDTH, TREE_HEIGHT - _RADIUS, _SPACING, _LEVEL
-    )
-    radius = min(_RADIUS, 0.42 * spacing)
-    names = [display_name(each.name) for each in segments]
-    edges = [(display_name(each.name), display_name(child)) for each in segments for child in each.children]
-    # Below each leaf a dot in the color of its label; in the same graph, because the viewer frames each.
-    at_leaf = [row for row, each in enumerate(segments) if each.is_leaf]
-    numbers = [labels[segments[row].name] for row in at_leaf]
-    dots = places[at_leaf] + np.array([0.0, 1.9 * radius], dtype=np.float32)
-    fills = np.array([_node_color(each) for each in segments], dtype=np.uint8).reshape(-1, 3)
-    dot_fills = label_colors()[(np.array(numbers, dtype=np.intp) - 1) % LABEL_COLORS]
-    yield (
-        TREE,
-        rr.GraphNodes(
-            names + [f"label {number}" for number in numbers],
-            positions=np.concatenate([places, dots]),
-            colors=np.concatenate([fills, dot_fills]),
-            labels=names + [f"label {number}" for number in numbers],
-            show_labels=False,
-            radii=np.repeat(np.array([radius, 0.5 * radius], dtype=np.float32), [len(names), len(numbers)]),
-        ),
-    )
-    yield TREE, rr.GraphEdges(edges, graph_type="directed")
-    yield (
-        TREE_TABLE,
-        rr.TextDocument(_headline(result) + tree_table(tree, metric), media_type=rr.MediaType.MARKDOWN),
-    )
-
-
-def _node_color(segment: Segment) -> tuple[int, int, int]:
-    return INNER_COLOR if segment.stop is None else STOP_COLORS[segment.stop]
-
-
-def _headline(result: FrameResult) -> str:
-    name = result.frame.name or f"frame {result.frame.index}"
-    leaves = len(result.tree.leaves())
-    return f"**{name}**: {leaves} final segments of {len(result.tree.segments)}\n\n"
-
-
-def tree_table(tree: SegmentationTree, metric: Metric) -> str:
-    """Return the tree as a Markdown table, one line for each segment."""
-    lines = [
-        f"| segment | label | pixels | {metric.upper()} ({_METRIC_UNITS[metric]}) | ratio | stopped by |",
-        "|---|---:|---:|---:|---:|---|",
-    ]
-    label = 0
-    for each in tree.segments:
-        label += each.is_leaf
-        value = each.fit.values.get(metric)
-        cells = (
-            display_name(each.name),
-            str(label) if each.is_leaf else "",
-            f"{each.pixels.size:,}",
-            "" if value is None else f"{value:.3g}",
-            "" if each.ratio is None else f"{each.ratio:.3f}",
-            "" if each.stop is None else str(each.stop),
-        )
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
-
-
 def _scalars(
     tree: SegmentationTree, elapsed_ms: Mapping[str, float], rate_hz: float, metric: Metric
 ) -> Entities:
@@ -335,8 +241,6 @@ __all__ = [
     "FrameEntities",
     "Moment",
     "camera_entities",
-    "display_name",
     "opening_entities",
     "stage_entities",
-    "tree_table",
 ]

@@ -21,8 +21,9 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
-from nurbseg.app.view import RerunView, open_view
+from nurbseg.app.view import open_view
 from nurbseg.app.view_config import ViewConfig
+from nurbseg.app.view_rerun import RerunView
 from nurbseg.app.viewer_process import free_port, listens, start_viewer
 from nurbseg.app.worker import process_frame
 from nurbseg.drivers.frame import RGBDFrame

@@ -50,7 +50,9 @@ def saved(results: list[FrameResult], tmp_path_factory: pytest.TempPathFactory) 
     config = ViewConfig(mode="none", save=str(path), points_max=2000)
     logger = logging.getLogger("nurbseg.test_view")
     logger.setLevel(logging.INFO)
-    with open_view(config, CONFIG, {"name": "a camera", "serial": "B0042", "seed": "0"}, logger=logger) as view:
+    with open_view(
+        config, CONFIG, {"name": "a camera", "serial": "B0042", "seed": "0"}, logger=logger
+    ) as view:
         for result in results:
             view.show(result)
             logger.info("frame %d is shown", result.frame.index)

@@ -19,8 +19,9 @@ import pytest
 import rerun as rr
 from rerun.experimental import ViewerClient
 
-from nurbseg.app.view import RerunView, ViewError, open_view
+from nurbseg.app.view import ViewError, open_view
 from nurbseg.app.view_config import ViewConfig
+from nurbseg.app.view_rerun import RerunView
 from nurbseg.app.viewer_process import free_port, listens, start_viewer, viewer_executable
 from nurbseg.app.worker import FrameResult
 from tests.fakes.saved_view import read_saved_view

@@ -1,0 +1,313 @@
+"""The view by Rerun: its sinks, the viewer's or the server's process, the program's log."""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+import time
+import uuid
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Self
+from urllib.parse import quote
+
+from nurbseg.app.report import versions
+from nurbseg.app.view_config import ViewConfig, bracketed
+from nurbseg.app.worker import FrameResult
+from nurbseg.segmentation.config import SegmentationConfig
+
+# Rerun's own words on a lost viewer go to stderr, once for each entity; ours are enough.
+os.environ.setdefault("RUST_LOG", "warn,re_grpc_client=off,re_sdk::recording_stream=off,re_quota_channel=off")
+
+import rerun as rr
+
+from nurbseg.app.view_blueprint import legend
+from nurbseg.app.view_entities import LEGEND, FrameEntities, Moment, opening_entities
+from nurbseg.app.view_file import FileSink
+from nurbseg.app.view_live import ViewerSink
+from nurbseg.app.view_stream import LogLine, Opening
+from nurbseg.app.viewer_process import (
+    ViewError,
+    free_port,
+    is_taken,
+    listens,
+    start_viewer,
+    start_web_server,
+)
+
+#: What closing may take: for the file to be whole, then for the viewer to take the last frame.
+_FILE_CLOSE_S, _VIEWER_CLOSE_S = 1.2, 0.3
+#: Frames over which the rate is taken.
+_RATE_FRAMES = 10
+#: A device clock past this (the year 2001) is a date.
+_EPOCH_NS = 1_000_000_000 * 10**9
+
+_LEVELS = {
+    logging.CRITICAL: "CRITICAL",
+    logging.ERROR: "ERROR",
+    logging.WARNING: "WARN",
+    logging.INFO: "INFO",
+    logging.DEBUG: "DEBUG",
+}
+
+
+class RerunView:
+    """Shows and saves frames, each sink in its own thread with its own stream of the same recording.
+
+    Parameters
+    ----------
+    config : ViewConfig
+        Where, and how fine.
+    segmentation : SegmentationConfig
+        Kept with the recording; names the metric that is shown.
+    metadata : mapping of str to str
+        What is known of the device; kept with the recording.
+    name : str
+        What the recording is called.
+    logger : logging.Logger
+        Its messages are shown too.
+
+    Attributes
+    ----------
+    how_to_look : str
+        What a person does to see it; empty where a window opens by itself.
+
+    Raises
+    ------
+    ViewError
+        If the file cannot be created, a port is taken, or the viewer cannot be started.
+    """
+
+    def __init__(
+        self,
+        config: ViewConfig,
+        segmentation: SegmentationConfig,
+        metadata: Mapping[str, str],
+        name: str,
+        logger: logging.Logger,
+    ) -> None:
+        self._config = config
+        self._segmentation = segmentation
+        self._logger = logger
+        self._shown_s: deque[float] = deque(maxlen=_RATE_FRAMES + 1)
+        self._moment = Moment(0, None, False)
+        self._since_epoch: bool | None = None
+        self._closed = False
+        self._process: subprocess.Popen[bytes] | None = None
+        self._files: list[FileSink] = []
+        self._viewers: list[ViewerSink] = []
+        self.how_to_look = ""
+        opening = Opening(
+            recording_id=str(uuid.uuid4()),
+            name=name,
+            properties=_properties(config, segmentation, metadata),
+            static=(
+                *opening_entities(),
+                (LEGEND, rr.TextDocument(legend(config, segmentation), media_type=rr.MediaType.MARKDOWN)),
+            ),
+        )
+        try:
+            if config.save is not None:
+                self._files.append(FileSink(Path(config.save), opening))
+            self._open_viewer(opening)
+        except BaseException:
+            self.close()
+            raise
+        self._handler = _LogHandler(self)
+        logger.addHandler(self._handler)
+
+    @property
+    def serving(self) -> bool:
+        """Whether a web page is served, which ends with this view."""
+        return self._process is not None and self._config.mode == "serve"
+
+    @property
+    def connections(self) -> int:
+        """How often a viewer was connected to; more than 1 where one was lost and came back."""
+        return sum(viewer.connections for viewer in self._viewers)
+
+    def wait_connected(self, timeout_s: float) -> bool:
+        """Wait until a viewer takes frames; return whether one does, within `timeout_s` seconds."""
+        return any(viewer.wait_connected(timeout_s) for viewer in self._viewers)
+
+    @property
+    def dropped(self) -> int:
+        """Frames that were not shown live because the viewer was slow, frozen or absent."""
+        return sum(viewer.dropped for viewer in self._viewers)
+
+    def show(self, result: FrameResult) -> None:
+        """Show a frame and save it.
+
+        Parameters
+        ----------
+        result : FrameResult
+            The frame; a viewer that is behind gets the newest one only, the file gets every one.
+
+        Raises
+        ------
+        ViewError
+            If the file can no longer be written.
+        """
+        if self._closed:
+            raise ViewError("the view is closed")
+        frame = result.frame
+        if self._since_epoch is None:
+            self._since_epoch = frame.timestamp_ns > _EPOCH_NS
+        self._moment = Moment(frame.index, frame.timestamp_ns, self._since_epoch)
+        self._shown_s.append(time.monotonic())
+        entities = FrameEntities(
+            result, dict(result.elapsed_ms), self._moment, self._rate_hz(), self._config, self._segmentation
+        )
+        for sink in self._sinks:
+            sink.put(entities)
+
+    def show_line(self, level: int, text: str) -> None:
+        """Show a line of the log, of one of logging's levels; from any thread, never waits."""
+        line = LogLine(self._moment, _LEVELS.get(level, "INFO"), text)
+        for sink in self._sinks:
+            sink.put_line(line)
+
+    def close(self) -> None:
+        """End within 2 s: the file is whole and can be read; a viewer's window stays.
+
+        Raises
+        ------
+        ViewError
+            If the file is not whole.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        if hasattr(self, "_handler"):
+            self._logger.removeHandler(self._handler)
+        for sink in self._sinks:
+            sink.begin_close()
+        try:
+            for file in self._files:
+                file.finish_close(time.monotonic() + _FILE_CLOSE_S)
+        finally:
+            for viewer in self._viewers:
+                viewer.finish_close(time.monotonic() + _VIEWER_CLOSE_S)
+            if self.serving and self._process is not None:
+                self._process.kill()
+                self._process.wait()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def _sinks(self) -> tuple[ViewerSink | FileSink, ...]:
+        return (*self._viewers, *self._files)
+
+    def _rate_hz(self) -> float:
+        if len(self._shown_s) < 2:
+            return 0.0
+        return (len(self._shown_s) - 1) / max(self._shown_s[-1] - self._shown_s[0], 1e-6)
+
+    def _open_viewer(self, opening: Opening) -> None:
+        config = self._config
+        mode = config.mode
+        if mode == "auto":
+            mode = "connect" if config.connect is not None else "spawn" if has_display() else "none"
+            if mode == "none" and config.save is None:
+                self.how_to_look = _NO_DISPLAY
+        if mode == "connect":
+            self._viewers.append(ViewerSink(config.viewer_url, opening))
+        elif mode == "spawn":
+            self._spawn(opening)
+        elif mode == "serve":
+            self._serve(opening)
+        elif config.save is not None:
+            self.how_to_look = f"rerun {config.save}"
+
+    def _spawn(self, opening: Opening) -> None:
+        """Open a window, or use the one that is there."""
+        port = self._config.port or free_port(self._config.bind)
+        host = _host_of(self._config.bind)
+        process = None
+        if not listens(host, port):
+            if is_taken(self._config.bind, port):
+                raise ViewError(f"port {port} is taken by something that is no viewer; name another port")
+            process = self._process = start_viewer(self._config, port)
+
+        def starting() -> bool:
+            code = process.poll() if process is not None else None
+            if code is not None:
+                self._logger.warning(
+                    "the viewer ended at once (code %d); run 'rerun' to see why, or use --view serve", code
+                )
+            return process is not None and code is None
+
+        self._viewers.append(ViewerSink(f"rerun+http://{bracketed(host)}:{port}/proxy", opening, starting))
+
+    def _serve(self, opening: Opening) -> None:
+        """Serve a web page by a process of its own, so that a stalled browser stalls only that."""
+        config = self._config
+        port = config.port or free_port(config.bind)
+        web_port = config.web_port or free_port(config.bind)
+        for name, number in (("port", port), ("web port", web_port)):
+            if is_taken(config.bind, number):
+                raise ViewError(f"{name} {number} of {config.bind} is taken; name another one, or 0 for any")
+        process = self._process = start_web_server(config, port, web_port)
+        host = bracketed(_host_of(config.bind))
+        url = f"rerun+http://{host}:{port}/proxy"
+        self.how_to_look = f"http://{host}:{web_port}/?url={quote(url, safe='')}"
+        self._viewers.append(ViewerSink(url, opening, lambda: process.poll() is None))
+
+
+_NO_DISPLAY = (
+    "no display (neither DISPLAY nor WAYLAND_DISPLAY is set), so nothing is shown: "
+    "serve a web page (--view serve), connect to a viewer elsewhere (--connect HOST), "
+    "or save a recording (--save FILE.rrd) and open it with 'rerun FILE.rrd'"
+)
+
+
+def has_display() -> bool:
+    """Whether a window can be opened."""
+    if sys.platform != "linux":
+        return True
+    return any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+
+
+def _host_of(bind: str) -> str:
+    """Return an address to reach what listens on `bind`."""
+    return {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(bind, bind)
+
+
+def _properties(
+    config: ViewConfig, segmentation: SegmentationConfig, metadata: Mapping[str, str]
+) -> dict[str, rr.AnyValues]:
+    settings = {each.name: getattr(segmentation, each.name) for each in fields(segmentation)}
+    properties = {
+        "segmentation": settings,
+        "view": {key: value for key, value in asdict(config).items() if value is not None},
+        "versions": versions(),
+    }
+    if metadata:
+        properties["device"] = dict(metadata)
+    # As text: Rerun holds one name to one type, and a device may call anything anything.
+    return {
+        name: rr.AnyValues(drop_untyped_nones=True, **{key: str(value) for key, value in values.items()})
+        for name, values in properties.items()
+    }
+
+
+class _LogHandler(logging.Handler):
+    """Shows the program's log."""
+
+    def __init__(self, view: RerunView) -> None:
+        super().__init__()
+        self._view = view
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._view.show_line(record.levelno, record.getMessage())
+
+
+__all__ = ["RerunView", "has_display"]
