@@ -116,7 +116,7 @@ def camera_findings(part: Part, system: System) -> Iterator[Finding]:
             "Firmware older than 5.8.22 may fail there: 'Failed to set USB interface!', or no frames.",
             (
                 "try a USB 2 port, or a USB 2 hub in between",
-                f"or put UsbInterface=1 into PS1080.ini in {folder}",
+                f"or put the lines [Device] and UsbInterface=0 into PS1080.ini in {folder}",
                 "or bring the firmware to 5.8.22 with the vendor's updater",
             ),
         )
