@@ -245,7 +245,11 @@ def normalized_cuts(
         threshold = _threshold(splitting_point, indicator, Q, degrees)
         coefficients = (a - threshold * b).astype(np.float32)
         cut = Cut(np.zeros(0, dtype=np.bool_), np.inf, landmarks, coefficients, affinity_scale)
-        side = cut.classify(vectors)
+        if size == n:  # Every affinity is there already.
+            side = np.empty(n, dtype=np.bool_)
+            side[chosen] = K @ coefficients > 0
+        else:
+            side = cut.classify(vectors)
         if side.all() or not side.any():
             yield _no_cut(vectors, affinity_scale, "all points fall on one side")
         else:

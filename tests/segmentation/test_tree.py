@@ -16,6 +16,10 @@ from nurbseg.segmentation.tree import SegmentationTree, StopReason, segment
 SIZE = (120, 160)
 
 
+def stag15(**settings) -> SegmentationConfig:
+    return SegmentationConfig(method="stag15", **settings)
+
+
 def step_scene(cloud_of, noise_m: float = 0.0, far_m: float = 2.0, colors=((40, 90, 160), (200, 180, 60))):
     """Two flat things side by side, one at 1 m and one farther away: truth 1 and 2."""
     truth = np.ones(SIZE, dtype=int)
@@ -63,7 +67,7 @@ def the_tree_is_sound(tree: SegmentationTree, valid) -> None:
 @pytest.mark.parametrize("decimation", [1, 2, 3])
 def test_a_step_comes_out_as_its_two_surfaces(cloud_of, decimation):
     cloud, truth = step_scene(cloud_of)
-    tree = segment(cloud, SegmentationConfig(decimation=decimation))
+    tree = segment(cloud, stag15(decimation=decimation))
     labels = tree.label_image()
     the_tree_is_sound(tree, cloud.valid)
     assert len(tree.leaves()) == 2
@@ -74,7 +78,7 @@ def test_a_step_comes_out_as_its_two_surfaces(cloud_of, decimation):
 @pytest.mark.parametrize("metric", METRICS)
 def test_every_metric_can_decide(cloud_of, metric):
     cloud = cluttered_scene(cloud_of)
-    config = SegmentationConfig(metric=metric, ratio_max=0.9)
+    config = stag15(metric=metric, ratio_max=0.9)
     tree = segment(cloud, config)
     the_tree_is_sound(tree, cloud.valid)
     assert len(tree.leaves()) >= 2
@@ -96,7 +100,7 @@ def test_every_metric_can_decide(cloud_of, metric):
 def test_one_plane_stays_whole(cloud_of):
     rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
     cloud = cloud_of(1.0 / (0.6 + 0.001 * rows - 0.0005 * columns))
-    tree = segment(cloud, SegmentationConfig())
+    tree = segment(cloud, stag15())
     assert [each.stop for each in tree.segments] == [StopReason.CRITERION]
     assert (tree.label_image() == 1).all()
 
@@ -109,9 +113,9 @@ def test_one_sphere_is_recovered(cloud_of):
     root = b**2 - a * c
     depth = np.where(root > 0.15, (b - np.sqrt(np.maximum(root, 0))) / a, np.nan)
     cloud = cloud_of(depth)
-    fit = fit_surface(cloud, np.flatnonzero(cloud.valid), SegmentationConfig())
+    fit = fit_surface(cloud, np.flatnonzero(cloud.valid), stag15())
     assert fit.residuals_m.max() < 1e-3
-    tree = segment(cloud, SegmentationConfig(ratio_max=0.5, first_split="judged"))
+    tree = segment(cloud, stag15(ratio_max=0.5, first_split="judged"))
     assert len(tree.leaves()) <= 4
     assert fit.values["mse"] < 1e-7
 
@@ -120,7 +124,7 @@ def test_the_worst_segment_is_split_first(cloud_of):
     cloud = cluttered_scene(cloud_of)
     before: set[str] = set()
     for budget in range(1, 6):
-        tree = segment(cloud, SegmentationConfig(decimation=1, splits_max=budget))
+        tree = segment(cloud, stag15(decimation=1, splits_max=budget))
         split = {each.name for each in tree.segments if each.children}
         assert len(split) == budget
         (latest,) = split - before
@@ -133,14 +137,14 @@ def test_the_worst_segment_is_split_first(cloud_of):
 
 
 def test_a_leaf_says_that_it_reached_the_depth(cloud_of):
-    tree = segment(cluttered_scene(cloud_of), SegmentationConfig(depth_max=2))
+    tree = segment(cluttered_scene(cloud_of), stag15(depth_max=2))
     assert StopReason.DEPTH in {leaf.stop for leaf in tree.leaves()}
     assert max(each.depth for each in tree.segments) == 2
 
 
 def test_no_segment_is_smaller_than_the_limit(cloud_of):
     # The limit is in pixels of a 640x480 image; this one has a sixteenth of them.
-    tree = segment(cluttered_scene(cloud_of), SegmentationConfig(segment_pixels_min=6400, decimation=1))
+    tree = segment(cluttered_scene(cloud_of), stag15(segment_pixels_min=6400, decimation=1))
     sizes = [leaf.pixels.size for leaf in tree.leaves()]
     assert min(sizes) >= 400
     small = [leaf for leaf in tree.leaves() if leaf.stop is StopReason.TOO_SMALL]
@@ -151,7 +155,7 @@ def test_no_segment_is_smaller_than_the_limit(cloud_of):
 
 def test_the_same_seed_gives_the_same_tree_and_another_seed_may_not(cloud_of):
     cloud = cluttered_scene(cloud_of)
-    first, second, other = (segment(cloud, SegmentationConfig(seed=seed)) for seed in (4, 4, 5))
+    first, second, other = (segment(cloud, stag15(seed=seed)) for seed in (4, 4, 5))
     assert (first.label_image() == second.label_image()).all()
     assert [each.name for each in first.segments] == [each.name for each in second.segments]
     assert [each.ratio for each in first.segments] == [each.ratio for each in second.segments]
@@ -166,8 +170,8 @@ from nurbseg.segmentation.registration import PointMap
 from nurbseg.segmentation.tree import segment
 loaded = np.load(sys.argv[1])
 cloud = PointMap(loaded["points"], loaded["color"], np.ones(loaded["color"].shape[:2], dtype=bool))
-for seed in range(3):
-    tree = segment(cloud, SegmentationConfig(seed=seed))
+for method, seed in (("stag15", 0), ("stag15", 1), ("nurbseg", 0)):
+    tree = segment(cloud, SegmentationConfig(method=method, seed=seed))
     print(hashlib.sha256(tree.label_image().tobytes()).hexdigest())
     print([(s.name, str(s.stop), s.ratio and round(s.ratio, 9)) for s in tree.segments])
 """
@@ -198,7 +202,7 @@ def test_any_number_of_threads_gives_the_same_tree(cloud_of, tmp_path):
 
 
 def test_a_frame_without_depth_is_one_leaf_without_pixels(cloud_of):
-    tree = segment(cloud_of(np.full(SIZE, np.nan)), SegmentationConfig())
+    tree = segment(cloud_of(np.full(SIZE, np.nan)), stag15())
     (root,) = tree.segments
     assert root.stop is StopReason.NO_POINTS
     assert root.fit.surface is None
@@ -211,7 +215,7 @@ def test_fewer_points_than_the_limit_are_one_leaf(cloud_of, where):
     depth = np.full(SIZE, np.nan)
     depth[where] = 1.0
     cloud = cloud_of(depth)
-    tree = segment(cloud, SegmentationConfig())
+    tree = segment(cloud, stag15())
     (root,) = tree.segments
     assert root.stop in (StopReason.TOO_SMALL, StopReason.NO_POINTS)
     assert ((tree.label_image() == 1) == cloud.valid).all()
@@ -220,7 +224,7 @@ def test_fewer_points_than_the_limit_are_one_leaf(cloud_of, where):
 def test_points_that_are_all_equal_are_one_leaf(cloud_of):
     cloud = cloud_of(np.ones(SIZE))
     points = np.ones_like(cloud.points_m)
-    tree = segment(replace_points(cloud, points), SegmentationConfig())
+    tree = segment(replace_points(cloud, points), stag15())
     assert [each.stop for each in tree.segments] == [StopReason.CRITERION]
 
 
@@ -228,7 +232,7 @@ def test_a_constant_position_that_is_not_explained_has_no_cut(cloud_of):
     # Two mirror points in a checkerboard: no surface explains them, and vectors of lambda 0 are all equal.
     rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
     cloud = cloud_of(1.0 + 0.1 * ((rows // 2 + columns // 2) % 2))
-    tree = segment(cloud, SegmentationConfig(geometry_weight=0.0))
+    tree = segment(cloud, stag15(geometry_weight=0.0))
     assert [each.stop for each in tree.segments] == [StopReason.NO_CUT]
 
 
@@ -238,7 +242,7 @@ def replace_points(cloud, points):
 
 def test_a_constant_color_is_split_by_geometry(cloud_of):
     cloud, truth = step_scene(cloud_of, noise_m=0.001, far_m=5.0, colors=((0, 0, 0), (0, 0, 0)))
-    labels = segment(cloud, SegmentationConfig(ratio_max=0.8)).label_image()
+    labels = segment(cloud, stag15(ratio_max=0.8)).label_image()
     # No segment reaches over the step.
     for label in range(1, int(labels.max()) + 1):
         inside = truth[labels == label]
@@ -250,14 +254,14 @@ def test_fewer_points_than_samples_can_be_split(cloud_of):
     small = type(cloud)(
         *(image[50:60, 80:90].copy() for image in (cloud.points_m, cloud.color, cloud.colored))
     )
-    config = SegmentationConfig(decimation=1, samples=2000, segment_pixels_min=10_000)
+    config = stag15(decimation=1, samples=2000, segment_pixels_min=10_000)
     labels = segment(small, config).label_image()
     assert np.unique(labels - truth[50:60, 80:90].astype(np.uint16)).size == 1
 
 
 def test_the_first_split_is_kept_as_in_the_paper_or_judged(cloud_of):
     cloud, _ = step_scene(cloud_of, noise_m=0.01)
-    config = SegmentationConfig(ratio_max=1e-6)
+    config = stag15(ratio_max=1e-6)
     kept = segment(cloud, config)
     assert len(kept.leaves()) == 2
     assert kept.root.ratio is not None
@@ -269,14 +273,14 @@ def test_the_first_split_is_kept_as_in_the_paper_or_judged(cloud_of):
 
 def test_the_grid_of_decision_does_not_move_the_border_of_clear_surfaces(cloud_of):
     cloud, _ = step_scene(cloud_of)
-    images = [segment(cloud, SegmentationConfig(decimation=step)).label_image() for step in (1, 2, 4)]
+    images = [segment(cloud, stag15(decimation=step)).label_image() for step in (1, 2, 4)]
     for first, second in pairwise(images):
         assert (first == second).all() or (first == 3 - second).all()
 
 
 def test_fits_name_the_pixels_they_were_made_on(cloud_of):
     cloud = cluttered_scene(cloud_of)
-    tree = segment(cloud, SegmentationConfig(decimation=2))
+    tree = segment(cloud, stag15(decimation=2))
     for each in tree.segments:
         assert each.fit.pixels.size == each.fit.residuals_m.size
         assert cloud.valid.ravel()[each.fit.pixels].all()
@@ -290,6 +294,6 @@ def test_fits_name_the_pixels_they_were_made_on(cloud_of):
 
 
 def test_an_unknown_name_is_a_key_error(cloud_of):
-    tree = segment(cloud_of(np.ones((9, 9))), SegmentationConfig())
+    tree = segment(cloud_of(np.ones((9, 9))), stag15())
     with pytest.raises(KeyError, match="no segment '01'"):
         tree["01"]
