@@ -37,7 +37,7 @@ def open_uri(rest: str, options: SourceOptions) -> FrameSource:
         If it is a recording, and damaged.
     """
     # Imported here: who only asks for the options needs neither numpy nor the library.
-    from nurbseg.drivers.openni2.device import DeviceSource
+    from nurbseg.drivers.openni2.isolated import IsolatedCamera
     from nurbseg.drivers.reconnect import Reconnecting
 
     if rest.lower().endswith(".oni"):
@@ -46,8 +46,8 @@ def open_uri(rest: str, options: SourceOptions) -> FrameSource:
         return open_path(Path(rest), options)
     settings = options.device or DeviceOptions()
 
-    def open_camera(wanted: str) -> DeviceSource:
-        return DeviceSource(wanted, settings, pairing_limit_s=options.association_limit_s)
+    def open_camera(wanted: str) -> IsolatedCamera:
+        return IsolatedCamera(wanted, settings, pairing_limit_s=options.association_limit_s)
 
     camera = open_camera(rest)
     if not settings.reconnect:

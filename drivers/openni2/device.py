@@ -18,11 +18,12 @@ from nurbseg.drivers.openni2.calibration_note import calibration_note
 from nurbseg.drivers.openni2.capi import DeviceState, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate, configure, set_modes
 from nurbseg.drivers.openni2.library import in_use
+from nurbseg.drivers.openni2.oni_player import COLOR_IMAGE, DEPTH_IMAGE
 from nurbseg.drivers.openni2.opened import OpenedDevice, describe, find_camera
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.openni2.pairing import Pairing
 from nurbseg.drivers.openni2.recorder import OniRecorder
-from nurbseg.drivers.openni2.stream import Image, Stream, wait_for_any
+from nurbseg.drivers.openni2.stream import Image, Stream, find_any, wait_for_any
 from nurbseg.drivers.source import FrameSource
 
 logger = logging.getLogger(__name__)
@@ -193,7 +194,10 @@ class DeviceSource(FrameSource):
             self._check_present()
             begun = time.monotonic()
             left_s = max(deadline - begun, 0.0)
-            stream = wait_for_any(self._device.library, self._streams, min(left_s, _SLICE_S))
+            library = self._device.library
+            stream = find_any(library, self._streams) or wait_for_any(
+                library, self._streams, min(left_s, _SLICE_S)
+            )
             # A stale image may follow the camera's going.
             image = None if stream is None or self._gone.is_set() else stream.take()
             pair = None if stream is None or image is None else self._add(stream, image)
@@ -224,12 +228,11 @@ class DeviceSource(FrameSource):
     def _add(self, stream: Stream, image: Image) -> tuple[Image, Image] | None:
         recorder = self._recorder
         if stream.sensor == Sensor.COLOR:
-            if recorder is not None and recorder.first.color_us is None:
-                recorder.first.color_us = image.timestamp_us
+            if recorder is not None:
+                recorder.seen.setdefault(COLOR_IMAGE, image)
             return self._pairing.add_color(image)
         if recorder is not None:
-            if recorder.first.depth_us is None:
-                recorder.first.depth_us = image.timestamp_us
+            recorder.seen.setdefault(DEPTH_IMAGE, image)
             recorder.beyond_limit += int(image.pixels.max()) >= recorder.depth_limit
         if self._last_number is not None and not self._settling:
             self.missed += max(0, image.number - self._last_number - 1)

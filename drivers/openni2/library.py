@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import ctypes
 import os
 import threading
@@ -198,17 +199,30 @@ class Library:
             )
         self._users += 1
 
+    def silence(self) -> None:
+        """Have the library call nothing here any more; safe to repeat."""
+        if self._handle:
+            # Waits for a call that is under way, while which other threads of Python's run.
+            self.native.oniUnregisterDeviceCallbacks(self._handle)
+            self._handle = ctypes.c_void_p()
+
     def _remove_user(self) -> None:
         self._users -= 1
         if self._users == 0:
-            self.native.oniUnregisterDeviceCallbacks(self._handle)
-            self._handle = ctypes.c_void_p()
+            self.silence()
             self.native.oniShutdown()
             self._listeners.clear()
 
 
 _lock = threading.Lock()
 _loaded: dict[str, Library] = {}
+
+
+@atexit.register
+def _silence_all() -> None:
+    # A source that was left open must not have its callbacks run in an interpreter that is gone.
+    for library in _loaded.values():
+        library.silence()
 
 
 def acquire() -> Library:

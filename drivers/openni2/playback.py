@@ -187,10 +187,10 @@ class OniSource(FrameSource):
             del self._waiting[each]
 
     def _frame(self, timestamp_us: int, depth: Message, color: Message) -> RGBDFrame:
-        depth_mm: NDArray[Any] = _image(depth, np.uint16)
+        depth_mm: NDArray[Any] = depth.image
         if self._tenths:
             depth_mm = ((depth_mm.astype(np.uint32) + 5) // 10).astype(np.uint16)
-        pixels: NDArray[Any] = _image(color, np.uint8)
+        pixels: NDArray[Any] = color.image
         if self._flip_depth:
             depth_mm = np.ascontiguousarray(depth_mm[:, ::-1])
         if self._flip_color:
@@ -205,12 +205,6 @@ class OniSource(FrameSource):
 
     def _close(self) -> None:
         self._player.close()
-
-
-def _image(message: Message, dtype: type[np.generic]) -> NDArray[Any]:
-    height, width, channels = message.shape
-    shape = (height, width, channels) if channels > 1 else (height, width)
-    return np.frombuffer(message.body, dtype).reshape(shape)
 
 
 def open_path(path: Path, options: SourceOptions) -> OniSource:

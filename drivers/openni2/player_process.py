@@ -8,10 +8,13 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from nurbseg.drivers.errors import RecordingFormatError
-from nurbseg.drivers.openni2.oni_player import END, MESSAGE
+from nurbseg.drivers.openni2.oni_player import COLOR_IMAGE, END, MESSAGE
 
 #: The player must say what it plays within this time, seconds; starting Python is most of it.
 OPEN_LIMIT_S = 30.0
@@ -29,6 +32,14 @@ class Message(NamedTuple):
     shape: tuple[int, int, int]
     body: bytes
 
+    @property
+    def image(self) -> NDArray[Any]:
+        """The pixels: depth (H, W) uint16 in the recording's unit, color (H, W, 3) uint8 RGB."""
+        height, width, channels = self.shape
+        if self.kind == COLOR_IMAGE:
+            return np.frombuffer(self.body, np.uint8).reshape(height, width, channels)
+        return np.frombuffer(self.body, np.uint16).reshape(height, width)
+
 
 class PlayerProcess:
     """The process that plays a file, and the pipe from it.
@@ -43,7 +54,12 @@ class PlayerProcess:
         self._path = path
         command = [sys.executable, "-m", "nurbseg.drivers.openni2.oni_player", str(path.absolute())]
         self._process = subprocess.Popen(  # its own errors come as messages, its driver's chatter is dropped
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            # Ctrl-C is for this process, which ends the other in its own time.
+            start_new_session=True,
         )
         assert self._process.stdout is not None
         self._pipe = self._process.stdout

@@ -6,14 +6,18 @@ import ctypes
 import logging
 import os
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.openni2.capi import StreamProperty
-from nurbseg.drivers.openni2.oni_file import finish, has_begun
+from nurbseg.drivers.openni2.oni_file import finish, has_begun, read_structure
+from nurbseg.drivers.openni2.oni_player import COLOR_IMAGE, DEPTH_IMAGE, END, FAILURE
 from nurbseg.drivers.openni2.opened import OpenedDevice
+from nurbseg.drivers.openni2.player_process import PlayerProcess
+from nurbseg.drivers.openni2.stream import Image
 
 logger = logging.getLogger(__name__)
 
@@ -21,22 +25,10 @@ logger = logging.getLogger(__name__)
 _START_LIMIT_S = 5.0
 
 
-@dataclass(slots=True)
-class FirstStamps:
-    """When each stream's first image after the start was taken, device microseconds."""
-
-    depth_us: int | None = None
-    color_us: int | None = None
-
-    @property
-    def color_delay_us(self) -> int:
-        """How much later than the first depth image the first color image was taken.
-
-        The file forgets it: the times of each stream begin at 0 there.
-        """
-        if self.depth_us is None or self.color_us is None:
-            return 0
-        return self.color_us - self.depth_us
+#: The player starts within this time, seconds.
+_PLAY_LIMIT_S = 15.0
+#: The first image that is seen here is among so many at the file's beginning.
+_FIRST_IMAGES = 12
 
 
 class OniRecorder:
@@ -64,7 +56,8 @@ class OniRecorder:
 
     def __init__(self, device: OpenedDevice, path: Path, *, lossy: bool = False) -> None:
         self.path = path
-        self.first = FirstStamps()
+        #: The first image of each stream that was seen here, by its kind of message.
+        self.seen: dict[int, Image] = {}
         self._device = device
         self._handle = ctypes.c_void_p()
         library = device.library
@@ -127,4 +120,33 @@ class OniRecorder:
                 self.beyond_limit,
                 self.depth_limit,
             )
-        finish(self.path, note | {"color_delay_us": self.first.color_delay_us})
+        finish(self.path, note)
+        finish(self.path, note | {"color_delay_us": self._color_delay_us()})
+
+    def _color_delay_us(self) -> int:
+        """Return how much later the file's first color image was taken than its first depth image.
+
+        The file forgets it: the times of each stream begin at 0 there. The device's times are known for
+        the images that were seen here; which ones of the file these are, only their pixels tell.
+        """
+        if len(self.seen) < 2:
+            return 0
+        differences: dict[int, list[float]] = {DEPTH_IMAGE: [], COLOR_IMAGE: []}
+        player = PlayerProcess(self.path)
+        try:
+            while len(differences[DEPTH_IMAGE]) < _FIRST_IMAGES:
+                message = player.receive(_PLAY_LIMIT_S)
+                if message is None or message.kind in (END, FAILURE):
+                    break
+                if message.kind in self.seen:
+                    difference = message.image.astype(np.int32) - self.seen[message.kind].pixels
+                    differences[message.kind].append(float(np.abs(difference).mean()))
+        finally:
+            player.close()
+        structure = read_structure(self.path)
+        begun_us: dict[int, int] = {}
+        for kind, stream in ((DEPTH_IMAGE, structure.depth), (COLOR_IMAGE, structure.color)):
+            # Lossy color is not quite the same, so the likest is taken.
+            position = int(np.argmin(differences[kind])) if differences[kind] else 0
+            begun_us[kind] = self.seen[kind].timestamp_us - stream.frames[position].timestamp_us
+        return begun_us[COLOR_IMAGE] - begun_us[DEPTH_IMAGE]

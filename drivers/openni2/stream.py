@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,11 +26,6 @@ _BYTES_PER_PIXEL = {
     PixelFormat.YUV422: 2,
     PixelFormat.YUYV: 2,
     PixelFormat.GRAY8: 1,
-}
-_TO_RGB = {
-    PixelFormat.YUV422: cv2.COLOR_YUV2RGB_UYVY,
-    PixelFormat.YUYV: cv2.COLOR_YUV2RGB_YUY2,
-    PixelFormat.GRAY8: cv2.COLOR_GRAY2RGB,
 }
 
 
@@ -255,22 +249,49 @@ def _pixels(copy: bytes, shape: tuple[int, int], width: int, pixel_format: Pixel
     image = rows.reshape(shape[0], width, bytes_per_pixel)
     if pixel_format == PixelFormat.RGB888:
         return image
-    return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), _TO_RGB[pixel_format]), np.uint8)
+    import cv2  # late: few cameras need it, and starting to read one must be quick
+
+    to_rgb = {
+        PixelFormat.YUV422: cv2.COLOR_YUV2RGB_UYVY,
+        PixelFormat.YUYV: cv2.COLOR_YUV2RGB_YUY2,
+        PixelFormat.GRAY8: cv2.COLOR_GRAY2RGB,
+    }
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), to_rgb[pixel_format]), np.uint8)
 
 
 def wait_for_any(library: Library, streams: tuple[Stream, ...], timeout_s: float) -> Stream | None:
     """Return a stream that has an image, or None if none came in time.
 
-    Of several, the one whose image is oldest.
+    Of several, the one whose image is oldest. A recording that is played by hand goes on by one image
+    with each call that finds none.
 
     Raises
     ------
     DeviceLostError
         If the library cannot wait.
     """
+    return _any(library, library.native, streams, timeout_s)
+
+
+def find_any(library: Library, streams: tuple[Stream, ...]) -> Stream | None:
+    """Return a stream that has an image already, without letting Python's other threads in between.
+
+    The second image of a pair is often there: looking is cheaper than a turn at Python's lock.
+
+    Raises
+    ------
+    DeviceLostError
+        If the library cannot look.
+    """
+    return _any(library, library.quick, streams, 0.0)
+
+
+def _any(
+    library: Library, functions: ctypes.CDLL, streams: tuple[Stream, ...], timeout_s: float
+) -> Stream | None:
     handles = (ctypes.c_void_p * len(streams))(*(stream.handle for stream in streams))
     index = ctypes.c_int(-1)
-    status = library.native.oniWaitForAnyStream(
+    status = functions.oniWaitForAnyStream(
         handles, len(streams), ctypes.byref(index), max(0, round(timeout_s * 1000))
     )
     if status == Status.TIME_OUT:

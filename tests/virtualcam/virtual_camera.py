@@ -75,7 +75,7 @@ class VirtualCameras:
         self.folder = folder
         self.environment = {"OPENNI2_REDIST": str(redist), "NURBSEG_VIRTUALCAM": str(folder)}
 
-    def add(self, name="one", **script):
+    def add(self, name="one", /, **script):
         return VirtualCamera(self.folder / f"{name}.cam", **script)
 
 

@@ -13,6 +13,7 @@ from virtual_camera import color_image, depth_image, frame_number, native_thread
 from nurbseg.drivers.errors import DeviceLostError, DeviceNotFoundError, DriverError, FrameTimeoutError
 from nurbseg.drivers.openni2 import open_uri
 from nurbseg.drivers.openni2.device import DeviceSource
+from nurbseg.drivers.openni2.isolated import IsolatedCamera
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.reconnect import Reconnecting
 from nurbseg.drivers.registry import SourceOptions
@@ -40,9 +41,14 @@ def next_frame(source, limit_s=10.0):
     pytest.fail("no frame came")
 
 
-def test_unplugging_is_reported_within_a_second_and_again(virtual_cameras):
+@pytest.fixture(params=[DeviceSource, IsolatedCamera])
+def open_camera(request):
+    return request.param
+
+
+def test_unplugging_is_reported_within_a_second_and_again(virtual_cameras, open_camera):
     camera = virtual_cameras.add()
-    with DeviceSource() as source:
+    with open_camera() as source:
         source.read()
         camera.unplug()
         assert read_until_lost(source) < 1.0
@@ -50,9 +56,9 @@ def test_unplugging_is_reported_within_a_second_and_again(virtual_cameras):
             source.read()
 
 
-def test_unplugging_ends_a_read_that_waits(virtual_cameras):
+def test_unplugging_ends_a_read_that_waits(virtual_cameras, open_camera):
     camera = virtual_cameras.add()
-    with DeviceSource() as source:
+    with open_camera() as source:
         source.read()
         camera.set(stalled=1)
         unplugger = threading.Timer(0.3, camera.unplug)
@@ -65,9 +71,9 @@ def test_unplugging_ends_a_read_that_waits(virtual_cameras):
         unplugger.join()
 
 
-def test_a_stalled_camera_times_out_and_then_goes_on(virtual_cameras):
+def test_a_stalled_camera_times_out_and_then_goes_on(virtual_cameras, open_camera):
     camera = virtual_cameras.add()
-    with DeviceSource() as source:
+    with open_camera() as source:
         source.read()
         camera.set(stalled=1)
         with pytest.raises(FrameTimeoutError, match=r"no depth and color within 0.3 s"):
@@ -78,9 +84,9 @@ def test_a_stalled_camera_times_out_and_then_goes_on(virtual_cameras):
     np.testing.assert_array_equal(frame.depth_mm, depth_image(frame_number(frame)))
 
 
-def test_a_camera_that_stays_silent_is_taken_for_lost(virtual_cameras):
+def test_a_camera_that_stays_silent_is_taken_for_lost(virtual_cameras, open_camera):
     camera = virtual_cameras.add()
-    with DeviceSource(options=DeviceOptions(silence_limit_s=0.5)) as source:
+    with open_camera(options=DeviceOptions(silence_limit_s=0.5)) as source:
         source.read()
         camera.set(plugged=0, unplug_silently=1)
         assert read_until_lost(source) < 1.0
@@ -88,9 +94,9 @@ def test_a_camera_that_stays_silent_is_taken_for_lost(virtual_cameras):
             source.read()
 
 
-def test_time_without_reading_is_no_silence(virtual_cameras):
+def test_time_without_reading_is_no_silence(virtual_cameras, open_camera):
     virtual_cameras.add()
-    with DeviceSource(options=DeviceOptions(silence_limit_s=0.1)) as source:
+    with open_camera(options=DeviceOptions(silence_limit_s=0.1)) as source:
         source.read()
         time.sleep(0.3)
         source.read()
@@ -142,9 +148,9 @@ def test_images_too_far_apart_in_time_are_no_pair(virtual_cameras):
 
 
 @pytest.mark.parametrize("jump_us", [5_000_000, -100_000])
-def test_a_jump_of_the_camera_clock_does_not_stop_frames(virtual_cameras, jump_us):
+def test_a_jump_of_the_camera_clock_does_not_stop_frames(virtual_cameras, open_camera, jump_us):
     virtual_cameras.add(time_jump_at=15, time_jump_us=jump_us)
-    with DeviceSource() as source:
+    with open_camera() as source:
         stamps = [source.read().timestamp_ns for _ in range(25)]
         assert source.half_pairs <= 2
     steps = np.diff(stamps)
@@ -256,13 +262,13 @@ def test_a_reconnecting_source_can_be_closed_while_its_camera_is_away(virtual_ca
         source.read()
 
 
-def test_fifty_cycles_of_unplugging_leak_nothing(virtual_cameras):
+def test_fifty_cycles_of_unplugging_leak_nothing(virtual_cameras, open_camera):
     camera = virtual_cameras.add()
     process = psutil.Process()
     figures = []
     for cycle in range(50):
         camera.plug()
-        with pytest.raises(DeviceLostError), open_when_there() as source:
+        with pytest.raises(DeviceLostError), open_when_there(open_camera) as source:
             next_frame(source)
             camera.unplug()
             while True:
@@ -277,13 +283,14 @@ def test_fifty_cycles_of_unplugging_leak_nothing(virtual_cameras):
     # 40 cycles of frames of a megabyte each: one leaked frame a cycle would be 60 MB.
     assert memory_after - memory < 8e6
     assert threading.active_count() == 1
+    assert not process.children()
 
 
-def open_when_there(limit_s=5.0):
+def open_when_there(open_camera, limit_s=5.0):
     deadline = time.monotonic() + limit_s
     while True:
         try:
-            return DeviceSource()
+            return open_camera()
         except DeviceNotFoundError:
             if time.monotonic() > deadline:
                 raise

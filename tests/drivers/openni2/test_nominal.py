@@ -1,0 +1,56 @@
+"""Calibrations made from a field of view, and how they follow the image."""
+
+import cv2
+import numpy as np
+import pytest
+
+from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.drivers.openni2.nominal import color_camera, fitted, from_field_of_view, mirrored
+
+
+@pytest.mark.parametrize("fov", [None, 0.0, float("nan"), -1.0, 4.0])
+def test_a_field_of_view_that_makes_no_sense_is_replaced(fov):
+    assert from_field_of_view(640, 480, fov).fx == pytest.approx(570.34, abs=0.01)
+
+
+def test_the_edge_of_the_image_is_at_half_the_field_of_view():
+    camera = from_field_of_view(320, 240, 1.0)
+    left = (-0.5 - camera.cx) / camera.fx
+    assert np.arctan(-left) == pytest.approx(0.5)
+
+
+def test_a_calibration_for_vga_fits_sxga_and_back():
+    vga = Intrinsics(640, 480, 520.0, 521.0, 310.0, 242.0)
+    sxga = fitted(vga, 1280, 1024)
+    assert (sxga.width, sxga.height) == (1280, 1024)
+    # A point seen at the middle of the VGA image's pixel is between the four of the SXGA image's.
+    assert pytest.approx(sxga.cx) == (310.0 + 0.5) * 2 - 0.5
+    assert pytest.approx(sxga.cy) == (242.0 + 0.5) * 2 - 0.5
+    back = fitted(sxga, 640, 480)
+    np.testing.assert_allclose(back.matrix, vga.matrix)
+
+
+def test_the_nominal_color_camera_scales_with_the_image():
+    assert color_camera(1280, 1024).fx == 2 * color_camera(640, 480).fx == 1050
+
+
+@pytest.mark.parametrize("terms", [5, 8, 12, 14])
+def test_a_mirrored_camera_sees_the_mirrored_world_mirrored(terms, rng):
+    distortion = rng.uniform(-0.02, 0.02, terms)
+    camera = Intrinsics(640, 480, 520.0, 521.0, 310.0, 242.0, distortion)
+    shift = np.eye(4)
+    shift[:3, :3] = cv2.Rodrigues(np.array([0.02, -0.03, 0.01]))[0]
+    shift[:3, 3] = (-0.025, 0.002, 0.003)
+    plain = Calibration(camera, camera, shift)
+    turned = mirrored(plain)
+    points = rng.uniform((-0.5, -0.4, 1.0), (0.5, 0.4, 3.0), (50, 3))
+    mirror = np.array([-1.0, 1.0, 1.0])
+
+    def pixels(calibration, world):
+        seen = world @ calibration.color_from_depth[:3, :3].T + calibration.color_from_depth[:3, 3]
+        matrix, lens = calibration.color.matrix, calibration.color.distortion
+        return cv2.projectPoints(seen, np.zeros(3), np.zeros(3), matrix, lens)[0].reshape(-1, 2)
+
+    straight, through_mirror = pixels(plain, points), pixels(turned, points * mirror)
+    np.testing.assert_allclose(through_mirror[:, 0], 639 - straight[:, 0], atol=1e-9)
+    np.testing.assert_allclose(through_mirror[:, 1], straight[:, 1], atol=1e-9)

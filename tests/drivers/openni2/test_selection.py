@@ -1,0 +1,96 @@
+"""Which camera is taken when there are several."""
+
+import pytest
+
+from nurbseg.drivers.errors import DeviceNotFoundError
+from nurbseg.drivers.openni2.device import DeviceSource
+from nurbseg.drivers.openni2.library import DeviceListing
+from nurbseg.drivers.openni2.options import DeviceOptions
+from nurbseg.drivers.openni2.selection import choose, family_of, is_camera, usb_port
+
+XTION = DeviceListing("1d27/0601@2/5", "PrimeSense", "PS1080", 0x1D27, 0x0601)
+KINECT = DeviceListing("freenect://0", "Microsoft", "Kinect", 0x045E, 0x02AE)
+NAMELESS = DeviceListing("libfreenect2://1", "Microsoft", "Kinect v2", 0, 0)
+RECORDING = DeviceListing("/tmp/clip.ONI", "PrimeSense", "oni File", 0, 0)
+SERIALS = {XTION.uri: "X1", KINECT.uri: "K1", NAMELESS.uri: "K2"}
+
+
+def chosen(wanted, serial="", there=(RECORDING, KINECT, XTION, NAMELESS)):
+    return choose(there, wanted, serial, lambda listing: SERIALS[listing.uri])
+
+
+@pytest.mark.parametrize(
+    ("wanted", "expected"),
+    [
+        ("", KINECT),
+        ("any", KINECT),
+        ("xtion", XTION),
+        ("kinect", KINECT),
+        ("1d27/0601@2/5", XTION),
+        ("X1", XTION),
+        ("K2", NAMELESS),
+    ],
+)
+def test_cameras_are_chosen_by_kind_uri_or_serial_number(wanted, expected):
+    assert chosen(wanted) is expected
+
+
+def test_a_serial_number_decides_among_cameras_of_a_kind():
+    assert chosen("kinect", "K2") is NAMELESS
+    with pytest.raises(DeviceNotFoundError, match=r"openni2:xtion with serial number K1: no such camera"):
+        chosen("xtion", "K1")
+
+
+def test_recordings_left_open_are_no_cameras():
+    assert not is_camera(RECORDING)
+    with pytest.raises(DeviceNotFoundError, match="finds no camera at all"):
+        chosen("any", there=[RECORDING])
+
+
+def test_what_is_there_is_told_when_it_does_not_match():
+    with pytest.raises(DeviceNotFoundError, match=r"Microsoft Kinect \(045e:02ae\) at freenect://0"):
+        chosen("xtion", there=[KINECT])
+
+
+def test_families_follow_from_ids_else_from_words():
+    assert family_of(XTION) == "ps1080"
+    assert family_of(KINECT) == "kinect1"
+    assert family_of(NAMELESS) == "kinect2"
+    assert family_of(DeviceListing("x", "Somebody", "Webcam", 0x1234, 0x5678)) == ""
+
+
+def test_the_port_is_found_by_bus_and_address(tmp_path):
+    for name, bus, number in (("2-1", 2, 4), ("2-1.3", 2, 5), ("1-1.3", 1, 5)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "busnum").write_text(f"{bus}\n")
+        (tmp_path / name / "devnum").write_text(f"{number}\n")
+    (tmp_path / "2-1:1.0").mkdir()  # an interface, which has no address
+    assert usb_port("1d27/0601@2/5", tmp_path) == "2-1.3"
+    assert usb_port("1d27/0601@3/9", tmp_path) == "1d27/0601@3/9"
+    assert usb_port("freenect://0", tmp_path) == "freenect://0"
+
+
+def test_two_cameras_are_told_apart_and_used_at_once(virtual_cameras):
+    virtual_cameras.add("first", serial="A1", usb_product=0x0600)
+    virtual_cameras.add("second", serial="B2", vendor="Microsoft", usb_vendor=0x045E, usb_product=0x02AE)
+    options = DeviceOptions(serial="A1")
+    with DeviceSource("kinect") as kinect, DeviceSource("any", options) as xtion:
+        assert kinect.metadata["uri"] == "virtual/second"
+        assert xtion.metadata["uri"] == "virtual/first"
+        assert (kinect.metadata["serial"], xtion.metadata["serial"]) == ("B2", "A1")
+        for _ in range(5):
+            assert kinect.read().depth_mm.shape == xtion.read().depth_mm.shape
+
+
+def test_unplugging_one_camera_leaves_the_other(virtual_cameras):
+    first = virtual_cameras.add("first", serial="A1")
+    virtual_cameras.add("second", serial="B2")
+    with DeviceSource("A1"), DeviceSource("B2") as other:
+        first.unplug()
+        for _ in range(20):
+            other.read()
+
+
+def test_without_a_camera_the_doctor_is_recommended(virtual_cameras):
+    with pytest.raises(DeviceNotFoundError, match="finds no camera at all; run nurbseg-devices doctor"):
+        DeviceSource("xtion")

@@ -1,0 +1,196 @@
+"""A source that outlasts its camera, with a scripted camera and a clock of our own."""
+
+from collections import deque
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nurbseg.drivers.errors import DeviceLostError, DeviceNotFoundError, DriverError, FrameTimeoutError
+from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.drivers.reconnect import Reconnecting
+from nurbseg.drivers.source import FrameSource
+
+CALIBRATION = Calibration.registered(Intrinsics(4, 3, 5.0, 5.0, 1.5, 1.0))
+
+
+class Clock:
+    """Time passes only by sleeping."""
+
+    def __init__(self):
+        self.now_s = 100.0
+
+    def __call__(self):
+        return self.now_s
+
+    def sleep(self, seconds):
+        assert seconds >= 0
+        self.now_s += max(seconds, 1e-6)
+
+
+class Camera(FrameSource):
+    """Delivers frames 0, 1, ... of a clock that starts at `begin_ns`, then is lost."""
+
+    live = True
+
+    def __init__(self, clock, frames, begin_ns=0, name="camera"):
+        super().__init__()
+        self.calibration = CALIBRATION
+        self.metadata["device"] = name
+        self.left = deque(range(frames))
+        self.begin_ns = begin_ns
+        self.clock = clock
+        self.recorded = []
+        self.refusal = None
+
+    def _read(self, timeout_s):
+        if not self.left:
+            raise DeviceLostError("unplugged")
+        self.clock.sleep(0.1)
+        index = self.left.popleft()
+        depth = np.zeros((3, 4), np.uint16)
+        color = np.zeros((3, 4, 3), np.uint8)
+        return RGBDFrame(index, self.begin_ns + index * 100_000_000, depth, color, CALIBRATION)
+
+    def start_recording(self, path, *, lossy=False):
+        if self.refusal:
+            raise DriverError(self.refusal)
+        self.recorded.append((path, lossy))
+
+    def stop_recording(self):
+        self.recorded.append("stopped")
+
+    def _close(self):
+        pass
+
+
+class World:
+    """What opening the camera finds, one thing a try: a camera, or None while it is away."""
+
+    def __init__(self, clock, found):
+        self.found = deque(found)
+        self.clock = clock
+        self.tries_s = []
+
+    def open(self):
+        self.tries_s.append(self.clock())
+        camera = self.found.popleft() if self.found else None
+        if camera is None:
+            raise DeviceNotFoundError("away")
+        return camera
+
+
+def reconnecting(clock, first, world, interval_s=0.5):
+    return Reconnecting(first, world.open, interval_s=interval_s, clock=clock, sleep=clock.sleep)
+
+
+def test_frames_go_on_with_index_and_time():
+    clock = Clock()
+    world = World(clock, [None, None, Camera(clock, 3, begin_ns=7)])
+    with reconnecting(clock, Camera(clock, 2, begin_ns=5_000), world) as source:
+        frames = [source.read(timeout_s=5.0) for _ in range(5)]
+        assert source.reconnections == 1
+    assert [frame.index for frame in frames] == [0, 1, 2, 3, 4]
+    seconds = np.diff([frame.timestamp_ns for frame in frames]) * 1e-9
+    # Two tries half a second apart and the next frame's own tenth.
+    np.testing.assert_allclose(seconds, [0.1, 1.1, 0.1, 0.1], atol=1e-4)
+    assert frames[0].timestamp_ns == 5_000
+
+
+def test_a_camera_that_is_away_is_a_timeout_and_looked_for_at_intervals():
+    clock = Clock()
+    world = World(clock, [])
+    with reconnecting(clock, Camera(clock, 1), world) as source:
+        source.read()
+        for _ in range(3):
+            begun_s = clock()
+            with pytest.raises(FrameTimeoutError, match=r"away: no frame within 0\.7 s"):
+                source.read(timeout_s=0.7)
+            assert clock() - begun_s == pytest.approx(0.7, abs=1e-3)
+        assert not source.connected
+    np.testing.assert_allclose(np.diff(world.tries_s), 0.5, atol=0.21)
+
+
+def test_no_time_to_wait_still_means_one_try():
+    clock = Clock()
+    world = World(clock, [Camera(clock, 1)])
+    with reconnecting(clock, Camera(clock, 0), world) as source:
+        assert source.read(timeout_s=0.0).index == 0
+
+
+def test_the_lost_source_is_closed_before_the_camera_is_opened_again():
+    clock = Clock()
+    lost = Camera(clock, 0)
+
+    class Checking(World):
+        def open(self):
+            assert lost._closed
+            return super().open()
+
+    with reconnecting(clock, lost, Checking(clock, [Camera(clock, 1)])) as source:
+        source.read()
+
+
+def test_errors_other_than_loss_pass_through():
+    clock = Clock()
+
+    class Slow(Camera):
+        def _read(self, timeout_s):
+            raise FrameTimeoutError("slow")
+
+    with reconnecting(clock, Slow(clock, 0), World(clock, [])) as source:
+        with pytest.raises(FrameTimeoutError, match="slow"):
+            source.read()
+        assert source.connected
+
+
+def test_a_camera_lost_again_and_again_is_taken_up_each_time():
+    clock = Clock()
+    world = World(clock, [Camera(clock, 1) for _ in range(9)])
+    with reconnecting(clock, Camera(clock, 1), world) as source:
+        frames = [source.read(timeout_s=1.0) for _ in range(10)]
+        assert source.reconnections == 9
+    assert [frame.index for frame in frames] == list(range(10))
+    assert np.all(np.diff([frame.timestamp_ns for frame in frames]) > 0)
+
+
+def test_metadata_is_that_of_the_camera_in_use():
+    clock = Clock()
+    world = World(clock, [Camera(clock, 1, name="second")])
+    with reconnecting(clock, Camera(clock, 0, name="first"), world) as source:
+        assert source.metadata["device"] == "first"
+        source.read()
+        assert source.metadata["device"] == "second"
+
+
+def test_a_recording_goes_on_under_the_next_number():
+    clock = Clock()
+    back, again = Camera(clock, 1), Camera(clock, 1)
+    first = Camera(clock, 1)
+    with reconnecting(clock, first, World(clock, [back, again])) as source:
+        source.start_recording(Path("clip.oni"), lossy=True)
+        for _ in range(3):
+            source.read()
+        source.stop_recording()
+    assert first.recorded == [(Path("clip.oni"), True)]
+    assert back.recorded == [(Path("clip-2.oni"), True)]
+    assert again.recorded == [(Path("clip-3.oni"), True), "stopped"]
+
+
+def test_a_recording_that_cannot_go_on_does_not_stop_the_frames(caplog):
+    clock = Clock()
+    back = Camera(clock, 1)
+    back.refusal = "disk full"
+    with reconnecting(clock, Camera(clock, 0), World(clock, [back])) as source:
+        source.start_recording(Path("clip.oni"))
+        source.read()
+    assert "the recording does not go on: disk full" in caplog.text
+
+
+def test_recording_while_the_camera_is_away_is_refused():
+    clock = Clock()
+    with reconnecting(clock, Camera(clock, 0), World(clock, [])) as source:
+        with pytest.raises(FrameTimeoutError):
+            source.read(timeout_s=0.1)
+        with pytest.raises(DriverError, match=r"clip\.oni: cannot be recorded to"):
+            source.start_recording(Path("clip.oni"))
