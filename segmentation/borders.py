@@ -58,13 +58,12 @@ def labels_of_every_pixel(
         labels = on_grid.copy()
         open_pixels = valid & (labels == 0)
     else:
-
         at = np.ix_(np.arange(height) // step, np.arange(width) // step)
         labels = on_grid[at]
         across = np.abs(grid_per_m[at] - per_m) >= config.depth_gap_per_m
         open_pixels = valid & ((labels == 0) | across)
         labels[~valid | open_pixels] = 0
-    return spread_labels(labels, open_pixels, per_m)
+    return spread_labels(labels, open_pixels, per_m, config.depth_gap_per_m)
 
 
 def refine_borders(
@@ -244,7 +243,7 @@ def _without_severed_pieces(
     kept[0] = True
     severed = ~kept[pieces]
     cleaned = np.where(severed, 0, labels)
-    return spread_labels(cleaned, severed, per_m)
+    return spread_labels(cleaned, severed, per_m, config.depth_gap_per_m)
 
 
 __all__ = ["labels_of_every_pixel", "refine_borders"]

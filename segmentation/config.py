@@ -30,7 +30,12 @@ class SegmentationConfig:
         If a value is out of its bounds.
     """
 
-    method: Method = setting("stag15", "which method segments the frame", choices=get_args(Method))
+    method: Method = setting(
+        "nurbseg",
+        "how a frame is segmented: as the paper does (stag15), or with its surfaces merged into objects and "
+        "all that measurement showed to help (nurbseg)",
+        choices=get_args(Method),
+    )
     metric: Metric = setting(
         "mse", "surface fit metric that decides a split (eq. 7-22)", choices=get_args(Metric)
     )
@@ -91,14 +96,14 @@ class SegmentationConfig:
         choices=get_args(Level),
     )
     noise_per_m: float = setting(
-        3e-3,
+        2.5e-3,
         "nurbseg: sensor noise, the standard deviation of inverse depth; a segment that it explains is not "
         "split; 0 for none",
         unit="1/m",
         least=0.0,
     )
     depth_gap_per_m: float = setting(
-        0.02,
+        0.025,
         "nurbseg: smallest step of inverse depth between neighbours, or between surfaces carried to their "
         "common border, that is a gap",
         unit="1/m",
@@ -136,7 +141,10 @@ class SegmentationConfig:
         above=1.0,
     )
     smoothness: float = setting(
-        1.0, "nurbseg: weight of the surfaces' second differences against four squared residuals", least=0.0
+        1.0,
+        "nurbseg: weight of the squared second differences of a surface's control values, against those of "
+        "residuals at every second row and column",
+        least=0.0,
     )
     refine_borders: bool = setting(
         True, "nurbseg: whether pixels at borders go to the surface that explains them best"

@@ -26,8 +26,9 @@ from nurbseg.segmentation.surface import Fit, NurbsSurface, fit_on_grid
 _MARGIN_PX = 24.0
 #: Farthest that a surface may go where no point holds it, one over metres: weights are positive.
 _LEAST_PER_M = 1e-2
-#: Factors on the smoothness, tried in turn where a surface would go through infinity beyond its points.
-_STIFFER = (1.0, 1e2, 1e4, 1e6)
+#: Factors on the smoothness, tried in turn where a surface would go through infinity beyond its points and
+#: giving it less room does not help.
+_STIFFER = (1e2, 1e4)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,40 +132,54 @@ def fit_window(
         v = np.arange(top, bottom, dtype=np.float64) * grid.step
         return fit, (inverse_depth_lattice(fit.surface, u, v)[0] - measured)[mask]
 
-    margin = int(np.ceil(_MARGIN_PX * grid.unit_px / grid.step))
-    width, height = right - left + 2 * margin, bottom - top + 2 * margin
-    counts = _control_points(width, grid, config), _control_points(height, grid, config)
-    inner = np.s_[margin:-margin, margin:-margin]
-    weight = np.zeros((height, width), dtype=np.bool_)
-    weight[inner] = mask
-    values = np.zeros((1, height, width))
-    values[0][inner] = measured * mask
     smoothness = config.smoothness * (2.0 * grid.unit_px / grid.step) ** 2
+    wide = int(np.ceil(_MARGIN_PX * grid.unit_px / grid.step))
     try:
-        for stiffer in _STIFFER:
-            control = fit_control_points(values, weight, counts, smoothness=stiffer * smoothness)[0]
-            if control.min() > _LEAST_PER_M or smoothness == 0.0:
+        for margin, stiffer in ((wide, 1.0), (1, 1.0), *((1, each) for each in _STIFFER)):
+            counts = tuple(_control_points(extent + 2 * margin, grid, config) for extent in mask.shape)
+            control = _smooth_control_values(measured, mask, margin, counts, stiffer * smoothness)
+            if control.min() > _LEAST_PER_M:
                 break
     except LinAlgError as error:
         none = Fit(None, np.zeros(0), {}, f"no least-squares solution: {error}", grid.points.pixels(places))
         return none, np.full(places.size, np.inf)
     control = np.maximum(control, _LEAST_PER_M)
 
-    Bu, Bv = pixel_basis(width, counts[0]), pixel_basis(height, counts[1])
-    fitted = (Bv[margin:-margin] @ control @ Bu[margin:-margin].T)[mask]
+    height, width = (extent + 2 * margin for extent in mask.shape)
+    inner = slice(margin, -margin)
+    fitted = pixel_basis(height, counts[0])[inner] @ control @ pixel_basis(width, counts[1])[inner].T
+    fitted = fitted[mask]
     residuals_per_m = fitted - measured[mask]
     # The point and its surface point lie on one ray: their distance is in proportion to the point's own.
     distances_m = np.sqrt(np.einsum("cn,cn->n", *[grid.points.coordinates_m.reshape(3, -1)[:, places]] * 2))
     residuals_m = distances_m * np.abs(residuals_per_m) / fitted
     surface = rational_surface(
         control,
-        (pixel_knots(width, counts[0]) + (left - margin)) * grid.step,
-        (pixel_knots(height, counts[1]) + (top - margin)) * grid.step,
+        (pixel_knots(width, counts[1]) + (left - margin)) * grid.step,
+        (pixel_knots(height, counts[0]) + (top - margin)) * grid.step,
         grid.rays,
         grid.points.full_window(window),
     )
     metrics = residual_metrics(residuals_m, config)
     return Fit(surface, residuals_m, metrics, "", grid.points.pixels(places)), residuals_per_m
+
+
+def _smooth_control_values(
+    values: NDArray[np.float64],
+    mask: NDArray[np.bool_],
+    margin: int,
+    counts: tuple[int, ...],
+    smoothness: float,
+) -> NDArray[np.float64]:
+    """Fit control values, (counts) float64, on a window that is wider than the mask by a margin."""
+    height, width = (extent + 2 * margin for extent in mask.shape)
+    inner = np.s_[margin:-margin, margin:-margin]
+    weight = np.zeros((height, width), dtype=np.bool_)
+    weight[inner] = mask
+    wide = np.zeros((1, height, width))
+    wide[0][inner] = values
+    control: NDArray[np.float64] = fit_control_points(wide, weight, (counts[1], counts[0]), smoothness)[0]
+    return control
 
 
 def _control_points(extent: int, grid: DepthGrid, config: SegmentationConfig) -> int:

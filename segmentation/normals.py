@@ -191,8 +191,10 @@ def facet_normals(
     (h, w, 3) float32
         Unit vectors towards the camera; 0 where there is no point.
     """
-    slope_u, slope_v, smoothed = facet_slopes(inverse_depth, valid, window=window, noise_per_m=noise_per_m)
     height, width = valid.shape
+    if not valid.any():
+        return np.zeros((height, width, 3), dtype=np.float32)
+    slope_u, slope_v, smoothed = facet_slopes(inverse_depth, valid, window=window, noise_per_m=noise_per_m)
     columns = np.arange(width, dtype=np.float64) * step
     rows = np.arange(height, dtype=np.float64) * step
     ray_x, ray_y = rays.lattice(columns, rows)

@@ -86,7 +86,10 @@ def connected_pieces(labels: NDArray[np.int32], joined: Joints) -> tuple[int, ND
 
 
 def spread_labels(
-    labels: NDArray[np.int32], wanted: NDArray[np.bool_], inverse_depth: NDArray[np.float32]
+    labels: NDArray[np.int32],
+    wanted: NDArray[np.bool_],
+    inverse_depth: NDArray[np.float32],
+    gap_per_m: float,
 ) -> NDArray[np.int32]:
     """Give unlabelled places the label of the neighbour nearest in inverse depth, from the rim inwards.
 
@@ -99,6 +102,8 @@ def spread_labels(
         the nearest labelled place.
     inverse_depth : (h, w) float32
         One over depth, 1/m.
+    gap_per_m : float
+        Labels go across a gap in depth only where nothing else is left to do, 1/m.
 
     Returns
     -------
@@ -108,8 +113,9 @@ def spread_labels(
     labels = labels.copy()
     height, width = labels.shape
     rows, columns = np.nonzero(wanted)
+    limit = gap_per_m
     while rows.size:
-        nearest = np.full(rows.size, np.inf, dtype=np.float32)
+        nearest = np.full(rows.size, limit, dtype=np.float32)
         taken = np.zeros(rows.size, dtype=np.int32)
         own = inverse_depth[rows, columns]
         for step_v, step_u in _FOUR_NEIGHBORS:
@@ -122,7 +128,11 @@ def spread_labels(
             nearest[closer], taken[closer] = distance[closer], label[closer]
         found = taken > 0
         if not found.any():
-            break
+            if limit == np.inf:
+                break
+            limit = np.inf
+            continue
+        limit = gap_per_m
         labels[rows[found], columns[found]] = taken[found]
         rows, columns = rows[~found], columns[~found]
     if rows.size and labels.any():
@@ -139,6 +149,8 @@ def large_pieces(
     labels: NDArray[np.int32],
     joined: Joints,
     inverse_depth: NDArray[np.float32],
+    *,
+    gap_per_m: float,
     places_min: float,
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Find the connected pieces that are large enough, and give them what the small ones hold.
@@ -149,6 +161,8 @@ def large_pieces(
         0 belongs to no piece.
     joined, inverse_depth : Joints, (h, w) float32
         Of the same places.
+    gap_per_m : float
+        Gap in depth, 1/m.
     places_min : float
         Smallest number of places of a piece.
 
@@ -169,7 +183,7 @@ def large_pieces(
     label_of[found.ravel()] = labels.ravel()
     homeless = (labels > 0) & (pieces == 0)
     if kept.size and homeless.any():
-        pieces = spread_labels(pieces, homeless, inverse_depth)
+        pieces = spread_labels(pieces, homeless, inverse_depth, gap_per_m)
     return pieces, label_of[kept]
 
 

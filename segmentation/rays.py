@@ -1,4 +1,4 @@
-"""The ray through each pixel as a polynomial of the pixel's place, which a spline holds exactly."""
+"""The ray through each pixel as a polynomial of the pixel's place, and as a spline."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.bspline import CUBIC
+from nurbseg.segmentation.bspline import CUBIC, basis_matrix
 from nurbseg.segmentation.registration import PointMap
 
 #: Rays of a lens without distortion differ from linear ones by the rounding of single precision.
@@ -15,16 +15,18 @@ _ROUNDING = 2e-6
 #: Rows and columns of the lattice on which the rays are sampled, at most.
 _SAMPLES = 60
 _LINEAR = ((0, 0), (1, 0), (0, 1))
-_POWERS = tuple((a, b) for a in range(CUBIC + 1) for b in range(CUBIC + 1 - a))
+#: Lenses are described by polynomials of this degree.
+_DEGREE = 5
+_POWERS = tuple((a, b) for a in range(_DEGREE + 1) for b in range(_DEGREE + 1 - a))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rays:
-    """Directions (x / z, y / z) of pixels: a linear function of them, or a cubic one for a real lens.
+    """Directions (x / z, y / z) of pixels: linear functions of them, or polynomials for a real lens.
 
     Parameters
     ----------
-    coefficients : (2, 4, 4) float64
+    coefficients : (2, 6, 6) float64
         ``coefficients[k, a, b]`` belongs to ``s**a * t**b`` of x / z (k = 0) and y / z (k = 1), where
         ``s = (u - center[0]) / scale`` and ``t = (v - center[1]) / scale``.
     center : (float, float)
@@ -48,8 +50,8 @@ class Rays:
         self, u: NDArray[np.float64], v: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return x / z and y / z where each of some rows v meets each of some columns u, (H, W) each."""
-        s = np.vander((u - self.center[0]) / self.scale, CUBIC + 1, increasing=True)
-        t = np.vander((v - self.center[1]) / self.scale, CUBIC + 1, increasing=True)
+        s = np.vander((u - self.center[0]) / self.scale, _DEGREE + 1, increasing=True)
+        t = np.vander((v - self.center[1]) / self.scale, _DEGREE + 1, increasing=True)
         x, y = (t @ each.T @ s.T for each in self.coefficients)
         return x, y
 
@@ -57,9 +59,9 @@ class Rays:
         self, u: NDArray[np.float64], v: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return x / z and y / z of scattered pixels, (N,) each."""
-        s = np.vander((u - self.center[0]) / self.scale, CUBIC + 1, increasing=True)
-        t = np.vander((v - self.center[1]) / self.scale, CUBIC + 1, increasing=True)
-        x, y = (np.einsum("na,ab,nb->n", s, each, t, optimize=True) for each in self.coefficients)
+        s = np.vander((u - self.center[0]) / self.scale, _DEGREE + 1, increasing=True)
+        t = np.vander((v - self.center[1]) / self.scale, _DEGREE + 1, increasing=True)
+        x, y = (np.einsum("na,na->n", s @ each, t) for each in self.coefficients)
         return x, y
 
     def control_values(
@@ -75,22 +77,23 @@ class Rays:
         Returns
         -------
         (2, n, m) float64
-            Of x / z and y / z. A control value is the polar form of the polynomial at three successive
-            knots; for a linear one that is its value at their mean, the Greville abscissa.
+            Of x / z and y / z. The splines agree with the rays at the Greville abscissae, the means of three
+            successive knots. So they are the rays exactly where these are linear, and for a real lens
+            to the fourth order in the distance of the knots.
 
         References
         ----------
-        .. [1] L. Ramshaw, "Blossoms are polar forms", Computer Aided Geometric Design 6(4), 1989.
+        .. [1] C. de Boor, "A Practical Guide to Splines", 1978, chapter 13.
         """
-        polar_u = _polar_forms((knots_u - self.center[0]) / self.scale)
-        polar_v = _polar_forms((knots_v - self.center[1]) / self.scale)
-        return np.stack([polar_v @ each.T @ polar_u.T for each in self.coefficients])
+        u, take_u = _interpolator(knots_u)
+        v, take_v = _interpolator(knots_v)
+        return np.stack([take_v @ each @ take_u.T for each in self.lattice(u, v)])
 
 
-def _polar_forms(knots: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Polar forms of 1, s, s^2, s^3 at three successive inner knots, (count, 4)."""
-    a, b, c = knots[1:-3], knots[2:-2], knots[3:-1]
-    return np.stack([np.ones_like(a), (a + b + c) / 3, (a * b + b * c + c * a) / 3, a * b * c], axis=1)
+def _interpolator(knots: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the Greville abscissae of a knot vector and what takes values there to control values."""
+    places = np.asarray(knots[1:-3] + knots[2:-2] + knots[3:-1], dtype=np.float64) / 3.0
+    return places, np.asarray(np.linalg.inv(basis_matrix(knots, CUBIC, places)), dtype=np.float64)
 
 
 def rays_of(cloud: PointMap) -> Rays:
@@ -104,7 +107,7 @@ def rays_of(cloud: PointMap) -> Rays:
     Returns
     -------
     Rays
-        Linear where that explains the points to rounding, else cubic, in the least-squares sense.
+        Linear where that explains the points to rounding, else of the fifth degree; by least squares.
     """
     height, width = cloud.valid.shape
     center, scale = ((width - 1) / 2, (height - 1) / 2), max(height, width) / 2
@@ -116,7 +119,7 @@ def rays_of(cloud: PointMap) -> Rays:
     if u.size < len(_LINEAR):
         v, u = np.nonzero(cloud.valid)
         points = cloud.points_m[v, u].astype(np.float64)
-    coefficients = np.zeros((2, CUBIC + 1, CUBIC + 1))
+    coefficients = np.zeros((2, _DEGREE + 1, _DEGREE + 1))
     if u.size == 0:
         return Rays(coefficients, center, scale)
     s, t = (u - center[0]) / scale, (v - center[1]) / scale

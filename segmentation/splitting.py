@@ -277,7 +277,13 @@ def _pieces(
     image[at] = labels
     if config.connected_pieces:
         per_m = scene.grid.per_m[top:bottom, left:right]
-        found, label_of = large_pieces(image, scene.joined.inside(window), per_m, scene.places_min(config))
+        found, label_of = large_pieces(
+            image,
+            scene.joined.inside(window),
+            per_m,
+            gap_per_m=config.depth_gap_per_m,
+            places_min=scene.places_min(config),
+        )
         number = found[at]
         return [places[number == n] for n in range(1, len(label_of) + 1)], label_of.tolist()
     side = give_away_small_pieces(image > 0, image == 2, scene.places_min(config))[at]
