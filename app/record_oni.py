@@ -34,7 +34,8 @@ class OniRecording:
     Attributes
     ----------
     frames, lost : int
-        Frames read while the recorder was at work, all of which it has seen; and none lost.
+        Frames read while the recorder was at work, give or take those on their way as it began; and
+        none lost, because the recorder does not depend on us.
     failure : str
         Why the recording ended before the run did; empty where it did not.
 
@@ -81,7 +82,8 @@ class OniRecording:
         """Begin when it is time, and end when the disk is nearly full; for the thread that reads."""
         if self._first_ns is None:
             self._first_ns = frame.timestamp_ns
-        if self.failure or frame.timestamp_ns - self._first_ns < self._delay_ns:
+        # Once it is recording, the camera's clock has begun anew.
+        if self.failure or (not self._is_recording and frame.timestamp_ns - self._first_ns < self._delay_ns):
             return
         try:
             if not self._is_recording:

@@ -104,7 +104,8 @@ class Limited(FrameSource):
         self._delay_ns = round(delay_s * 1e9)
         self._clock = clock
         self._opened_s = clock()
-        self._first_ns: int | None = None
+        self._last_ns: int | None = None
+        self._elapsed_ns = 0
 
     def _read(self, timeout_s: float) -> RGBDFrame:
         if self._frames_left is not None and self._frames_left <= 0:
@@ -112,12 +113,13 @@ class Limited(FrameSource):
         if self.live and self._is_over(self._clock() - self._opened_s):
             raise EndOfRecordingError("the time that was asked for is over")
         frame = self._source.read(timeout_s)
-        if self._first_ns is None:
-            self._first_ns = frame.timestamp_ns
-        elapsed_ns = frame.timestamp_ns - self._first_ns
-        if self._is_over(elapsed_ns * 1e-9):
+        if self._last_ns is not None:
+            # The clock of a camera may begin anew, as its streams do when OpenNI2's recorder begins.
+            self._elapsed_ns += max(0, frame.timestamp_ns - self._last_ns)
+        self._last_ns = frame.timestamp_ns
+        if self._is_over(self._elapsed_ns * 1e-9):
             raise EndOfRecordingError("the time that was asked for is over")
-        if self._frames_left is not None and elapsed_ns >= self._delay_ns:
+        if self._frames_left is not None and self._elapsed_ns >= self._delay_ns:
             self._frames_left -= 1
         return frame
 

@@ -120,3 +120,16 @@ def test_a_loop_keeps_its_pace_over_the_seam(speed: float, expected_s: float) ->
         for _ in range(31):
             source.read()
     assert clock.now_s - 100.0 == pytest.approx(expected_s, rel=1e-6)
+
+
+def test_the_delay_counts_neither_frames_nor_time() -> None:
+    source = Limited(ScriptedSource([small_frame(index) for index in range(90)]), frames=5, delay_s=1.0)
+    assert [frame.index for frame in source] == list(range(35))
+    source = Limited(ScriptedSource([small_frame(index) for index in range(90)]), duration_s=0.5, delay_s=1.0)
+    assert [frame.index for frame in source] == list(range(45))
+
+
+def test_a_clock_that_begins_anew_does_not_make_the_delay_begin_anew() -> None:
+    script = [small_frame(index, timestamp_s=(index % 40) / 30) for index in range(90)]
+    source = Limited(ScriptedSource(script), frames=20, delay_s=1.0)
+    assert [frame.index for frame in source] == list(range(50))
