@@ -94,6 +94,8 @@ def main() -> int:
         frames = list(islice(source, options.frames))
     process_frame(frames[0], config)
 
+    # Ended by a signal, the run still ends its viewer.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     port = free_port("127.0.0.1")
     viewer = start_viewer(ViewConfig(), port, headless=True)
     runs: dict[str, list[Run]] = {"no viewer": [], "frozen viewer": []}
