@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.components import give_away_small_pieces
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.curvature import all_metrics
@@ -56,9 +57,10 @@ def segment(
     .. [1] G. Pagnutti and P. Zanuttigh, "Scene segmentation based on NURBS surface fitting metrics",
        STAG 2015.
     """
-    if config.method == "nurbseg":
-        return segment_nurbseg(cloud, config)
-    return segment_stag15(cloud, config, shared)
+    with one_blas_thread():
+        if config.method == "nurbseg":
+            return segment_nurbseg(cloud, config)
+        return segment_stag15(cloud, config, shared)
 
 
 def segment_stag15(

@@ -1,0 +1,48 @@
+import os
+import subprocess
+import sys
+
+from threadpoolctl import threadpool_info
+
+from nurbseg.segmentation.blas import one_blas_thread
+
+# Sums over many rows and rows that do not divide evenly are what threads round differently.
+_CHILD = """
+import hashlib
+import numpy as np
+from nurbseg.segmentation.blas import one_blas_thread
+rng = np.random.default_rng(0)
+digest = hashlib.sha256()
+with one_blas_thread():
+    for rows, columns in ((6000, 100), (2611, 73), (901, 31)):
+        matrix = rng.random((rows, columns), dtype=np.float32)
+        for product in (matrix.T @ matrix, np.ones(rows, dtype=np.float32) @ matrix, matrix @ matrix[0]):
+            digest.update(np.ascontiguousarray(product).tobytes())
+print(digest.hexdigest())
+"""
+
+
+def test_products_are_the_same_to_the_bit_on_any_number_of_threads():
+    digests = set()
+    for threads in ("1", "2", "3", "4"):
+        environment = {**os.environ, "OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads}
+        run = subprocess.run(
+            [sys.executable, "-c", _CHILD],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=True,
+        )
+        digests.add(run.stdout)
+    assert len(digests) == 1
+
+
+def test_the_number_of_threads_is_what_it_was_afterwards():
+    def threads() -> list[int]:
+        return [each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"]
+
+    before = threads()
+    with one_blas_thread():
+        assert set(threads()) == {1}
+    assert threads() == before
