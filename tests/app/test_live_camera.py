@@ -1,0 +1,260 @@
+"""nurbseg-live on a virtual camera that is a real OpenNI2 driver: captured, recorded, unplugged, absent."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from virtual_camera import color_image, depth_image, frame_number, openni2_redist, virtual_cameras
+
+from nurbseg.drivers.errors import EndOfRecordingError
+from nurbseg.drivers.registry import open_source
+
+__all__ = ["openni2_redist", "virtual_cameras"]
+
+LIVE = [sys.executable, "-m", "nurbseg.app.cli", "--view", "none"]
+#: Fast settings: what is tested here is not the segmentation.
+FAST = ["--splits-max", "1", "--decimation", "8"]
+
+
+def live(*words, timeout_s=120, **environment):
+    return subprocess.run(
+        [*LIVE, *words],
+        capture_output=True,
+        text=True,
+        timeout=timeout_s,
+        check=False,
+        env=os.environ | environment,
+    )
+
+
+def start(*words):
+    return subprocess.Popen([*LIVE, *words], stderr=subprocess.PIPE, text=True)
+
+
+def wait_for_line(process, words, limit_s=60.0):
+    """Return the first line on stderr that holds these words."""
+    seen = []
+    deadline = time.monotonic() + limit_s
+    while time.monotonic() < deadline and (line := process.stderr.readline()):
+        seen.append(line)
+        if words in line:
+            return line
+    raise AssertionError(f"no {words!r} in {''.join(seen)!r}")
+
+
+def frames_of(path):
+    frames = []
+    with open_source(path) as source:
+        while True:
+            try:
+                frames.append(source.read(timeout_s=30.0))
+            except EndOfRecordingError:
+                return frames
+
+
+def assert_exact(frames, *, exact_color=True):
+    """Hold recorded frames against what the camera showed."""
+    numbers = [frame_number(frame) for frame in frames]
+    assert np.diff(numbers).tolist() == [1] * (len(frames) - 1)
+    for number, frame in zip(numbers, frames, strict=True):
+        assert np.array_equal(frame.depth_mm, depth_image(number))
+        if exact_color:
+            assert np.array_equal(frame.color, color_image(number))
+
+
+def test_300_frames_are_captured_and_none_is_lost_by_us(virtual_cameras, tmp_path):
+    virtual_cameras.add()
+    report = tmp_path / "R.json"
+    done = live("--device", "openni2:any", "--frames", "300", "--report", str(report), timeout_s=240)
+    assert done.returncode == 0, done.stderr
+    document = json.loads(report.read_text())
+    frames = document["frames"]
+    assert frames["read"] == 300
+    assert frames["camera"] == {"missed": 0, "half_pairs": 0, "reconnections": 0}
+    assert frames["segmented"] >= 1
+    assert frames["segmented"] + frames["dropped"]["overwritten_by_a_newer_frame"] == 300
+    assert document["source"]["serial"] == "VC0001"
+
+
+@pytest.mark.parametrize("color", ["raw", "png"])
+def test_300_recorded_frames_are_exact_while_they_are_segmented(virtual_cameras, tmp_path, color):
+    virtual_cameras.add()
+    path, report = tmp_path / "X.mcap", tmp_path / "R.json"
+    words = ["--device", "xtion", "--frames", "300", "--record", str(path), "--record-color", color]
+    done = live(*words, "--report", str(report), timeout_s=240)
+    assert done.returncode == 0, done.stderr
+    document = json.loads(report.read_text())
+    assert (document["recording"]["frames"], document["recording"]["lost"]) == (300, 0)
+    assert document["frames"]["camera"]["missed"] == 0
+    assert document["frames"]["segmented"] >= 1
+    frames = frames_of(path)
+    assert len(frames) == 300
+    assert_exact(frames)
+
+
+def test_color_is_jpeg_unless_asked_for_otherwise_and_depth_always_exact(virtual_cameras, tmp_path):
+    virtual_cameras.add()
+    path = tmp_path / "X.mcap"
+    assert live("--device", "any", "--frames", "30", "--record", str(path), "--record-only").returncode == 0
+    frames = frames_of(path)
+    assert len(frames) == 30
+    assert_exact(frames, exact_color=False)
+
+
+def test_openni2s_own_recorder_keeps_every_frame(virtual_cameras, tmp_path):
+    virtual_cameras.add()
+    path = tmp_path / "X.oni"
+    words = ["--device", "any", "--frames", "60", "--record", str(path), "--record-color", "raw"]
+    done = live(*words, *FAST)
+    assert done.returncode == 0, done.stderr
+    frames = frames_of(path)
+    # It begins a little before the first frame is read.
+    assert len(frames) >= 60
+    # Its timestamps begin anew, so that the first frame tells which number it had.
+    first = next(n for n in range(200) if np.array_equal(frames[0].depth_mm, depth_image(n)))
+    for number, frame in enumerate(frames, start=first):
+        assert np.array_equal(frame.depth_mm, depth_image(number))
+        assert np.array_equal(frame.color, color_image(number))
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".oni"])
+def test_the_count_begins_after_the_delay(virtual_cameras, tmp_path, suffix):
+    virtual_cameras.add()
+    path, report = tmp_path / f"X{suffix}", tmp_path / "R.json"
+    words = ["--device", "any", "--frames", "30", "--record", str(path), "--record-delay", "1"]
+    done = live(*words, "--record-only", "--report", str(report))
+    assert done.returncode == 0, done.stderr
+    document = json.loads(report.read_text())
+    assert document["recording"]["frames"] == 30
+    assert document["frames"]["read"] >= 59
+    assert document["frames"]["segmented"] == 0
+    # OpenNI2's recorder begins and ends in its own time.
+    tolerance = 0 if suffix == ".mcap" else 10
+    assert len(frames_of(path)) == pytest.approx(30, abs=tolerance)
+
+
+def test_duration_counts_from_the_delay_too(virtual_cameras, tmp_path):
+    virtual_cameras.add()
+    path = tmp_path / "X.mcap"
+    words = ["--device", "any", "--duration", "1", "--record", str(path), "--record-delay", "0.5"]
+    assert live(*words, "--record-only").returncode == 0
+    frames = frames_of(path)
+    assert 0.8 < (frames[-1].timestamp_ns - frames[0].timestamp_ns) * 1e-9 < 1.0
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".oni"])
+def test_ctrl_c_leaves_a_whole_recording(virtual_cameras, tmp_path, suffix):
+    virtual_cameras.add()
+    path = tmp_path / f"X{suffix}"
+    with start("--device", "any", "--record", str(path), *FAST) as process:
+        wait_for_line(process, "segments in")
+        time.sleep(1.0)
+        process.send_signal(signal.SIGINT)
+        began_s = time.monotonic()
+        assert process.wait(30) == 130
+        assert time.monotonic() - began_s < 2.5
+    assert len(frames_of(path)) >= 20
+
+
+def test_a_disk_that_fills_up_ends_a_recording_with_a_readable_file(virtual_cameras, tmp_path, monkeypatch):
+    virtual_cameras.add()
+    path = tmp_path / "X.mcap"
+    code = (
+        "import sys, itertools\n"
+        "from nurbseg.app import record\n"
+        "left = itertools.chain([10**12] * 16, itertools.repeat(10**6))\n"
+        "record.open_recording.__kwdefaults__['free_bytes'] = lambda path: next(left)\n"
+        "from nurbseg.app.cli import main\n"
+        "sys.exit(main(sys.argv[1:]))\n"
+    )
+    words = ["--device", "any", "--view", "none", "--record", str(path), "--record-only"]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 1
+    assert "recording stopped: only 1 MB of disk space are left" in done.stderr
+    frames = frames_of(path)
+    assert len(frames) == 15
+    assert_exact(frames, exact_color=False)
+
+
+def test_unplugged_and_plugged_in_again_the_run_and_its_recording_go_on(virtual_cameras, tmp_path):
+    camera = virtual_cameras.add()
+    path = tmp_path / "X.mcap"
+    with start("--device", "any", "--record", str(path), "--frames", "90", *FAST) as process:
+        wait_for_line(process, "segments in")
+        camera.unplug()
+        wait_for_line(process, "waiting until it is back")
+        camera.plug()
+        wait_for_line(process, "is back")
+        assert process.wait(60) == 0
+    frames = frames_of(path)
+    assert len(frames) == 90
+    assert min(np.diff([frame.timestamp_ns for frame in frames])) > 0
+
+
+def test_unplugged_without_reconnecting_the_run_ends_with_what_was_recorded(virtual_cameras, tmp_path):
+    camera = virtual_cameras.add()
+    path = tmp_path / "X.mcap"
+    with start("--device", "any", "--record", str(path), "--no-reconnect", *FAST) as process:
+        wait_for_line(process, "segments in")
+        camera.unplug()
+        assert process.wait(30) == 1
+    assert len(frames_of(path)) >= 1
+
+
+def test_the_cameras_settings_are_flags(virtual_cameras, tmp_path):
+    virtual_cameras.add("one", serial="S1")
+    virtual_cameras.add("two", serial="S2")
+    path, report = tmp_path / "X.mcap", tmp_path / "R.json"
+    done = live(
+        *("--device", "xtion", "--serial", "S2", "--depth-mode", "320x240@60", "--color-mode", "qvga"),
+        *("--mirror", "--registration", "software", "--no-sync", "--frames", "10"),
+        *("--record", str(path), "--record-only", "--report", str(report)),
+    )
+    assert done.returncode == 0, done.stderr
+    source = json.loads(report.read_text())["source"]
+    assert (source["serial"], source["mirror"], source["sync"]) == ("S2", "on", "off")
+    assert source["registration"] == "software"
+    for frame in frames_of(path):
+        number = frame_number(frame, fps=60)
+        expected = depth_image(number, 320, 240, registered=False, mirrored=True)
+        assert np.array_equal(frame.depth_mm, expected)
+
+
+def test_a_mode_that_the_camera_does_not_have_is_refused_with_those_it_has(virtual_cameras):
+    virtual_cameras.add()
+    done = live("--device", "any", "--depth-mode", "800x600@30")
+    assert done.returncode == 2
+    assert "640x480@30" in done.stderr
+
+
+def test_without_a_camera_the_doctors_finding_is_printed(virtual_cameras):
+    done = live("--device", "xtion")
+    assert done.returncode == 2
+    assert "no such camera" in done.stderr
+    # Which finding it is depends on the computer; each names what to do next.
+    assert "nurbseg-devices doctor" in done.stderr.splitlines()[-1]
+    assert len(done.stderr.splitlines()) >= 2
+
+
+def test_without_a_camera_the_fallback_is_replayed(virtual_cameras, tmp_path):
+    camera = virtual_cameras.add()
+    path = tmp_path / "X.mcap"
+    assert live("--device", "any", "--frames", "5", "--record", str(path), "--record-only").returncode == 0
+    camera.unplug()
+    done = live("--device", "xtion", "--fallback", str(path), "--speed", "0", *FAST)
+    assert done.returncode == 0, done.stderr
+    assert "replaying" in done.stderr
+    assert "5 frames segmented" in done.stderr
+
+
+def test_an_oni_file_is_recorded_of_cameras_only(tmp_path):
+    done = live("--synthetic", "--frames", "2", "--record", str(tmp_path / "X.oni"))
+    assert done.returncode == 2
+    assert "only cameras record .oni" in done.stderr
