@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+from nurbseg.app.live_config import LiveConfig
 from nurbseg.app.record_config import RecordConfig
 from nurbseg.app.view_config import ViewConfig
 from nurbseg.drivers.openni2.options import DeviceOptions
@@ -100,6 +101,8 @@ class AppConfig:
         Settings of the camera, where the source is one.
     segmentation : SegmentationConfig
         How a frame is segmented.
+    live : LiveConfig
+        What is carried from frame to frame.
     view : ViewConfig
         How results are shown and saved for viewing.
     export : ExportConfig
@@ -111,6 +114,7 @@ class AppConfig:
     source: SourceConfig = field(default_factory=SourceConfig)
     camera: DeviceOptions = field(default_factory=DeviceOptions)
     segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
+    live: LiveConfig = field(default_factory=LiveConfig)
     view: ViewConfig = field(default_factory=ViewConfig)
     export: ExportConfig = field(default_factory=ExportConfig)
     record: RecordConfig = field(default_factory=RecordConfig)

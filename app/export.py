@@ -27,8 +27,9 @@ class Exporter:
 
     A frame's files are named by its number: ``000012_labels.png``, ``000012_tree.json`` and, if asked
     for, ``000012_surfaces.npz``. Where surfaces were merged into objects, ``000012_surfaces.png`` and
-    ``000012_objects.png`` hold both; the labels are those that the level asks for. The tree is written last:
-    where it is, the others are.
+    ``000012_objects.png`` hold both; the labels are those that the level asks for. Where frames continue
+    each other, a segment has one label in all of them. The tree is written last: where it is, the others
+    are.
 
     Parameters
     ----------
@@ -70,10 +71,10 @@ class Exporter:
         """
         stem = f"{result.frame.index:06d}"
         tree = result.tree
-        contents = {f"{stem}_labels.png": _png(tree.labels())}
+        contents = {f"{stem}_labels.png": _png(result.labels())}
         if tree.objects:
-            contents[f"{stem}_surfaces.png"] = _png(tree.label_image())
-            contents[f"{stem}_objects.png"] = _png(tree.object_image())
+            contents[f"{stem}_surfaces.png"] = _png(result.surface_image())
+            contents[f"{stem}_objects.png"] = _png(result.object_image())
         if self._surfaces:
             contents[f"{stem}_surfaces.npz"] = surfaces_npz(tree)
         document = tree_document(result, self._metric)
@@ -100,8 +101,9 @@ def tree_document(result: FrameResult, metric: Metric) -> dict[str, Any]:
         Which metric decided the splits.
     """
     tree = result.tree
-    object_of = {name: at for at, each in enumerate(tree.objects, start=1) for name in each.leaves}
-    leaf_of = {leaf.name: at for at, leaf in enumerate(tree.leaves(), start=1)}
+    numbered = tuple(zip(result.object_labels, tree.objects, strict=True))
+    object_of = {name: label for label, each in numbered for name in each.leaves}
+    leaf_of = {leaf.name: label for label, leaf in zip(result.surface_labels, tree.leaves(), strict=True)}
     label_of = object_of if tree.objects and tree.level == "objects" else leaf_of
     return {
         "frame": result.frame.index,
@@ -121,8 +123,11 @@ def tree_document(result: FrameResult, metric: Metric) -> dict[str, Any]:
             for each in tree.segments
         ],
         "objects": [
-            {"object": at, "leaves": [display_name(name) for name in each.leaves]}
-            for at, each in enumerate(tree.objects, start=1)
+            {"object": label, "leaves": [display_name(name) for name in each.leaves]}
+            for label, each in numbered
+        ],
+        "events": [
+            {"kind": each.kind, "label": each.identity, "other": each.other} for each in result.events
         ],
         "contacts": [
             {

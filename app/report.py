@@ -8,7 +8,8 @@ import resource
 import sys
 import time
 from array import array
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -20,6 +21,7 @@ import numpy as np
 from nurbseg.app.atomic_file import write_atomically
 from nurbseg.app.capture import CaptureThread
 from nurbseg.app.config import AppConfig
+from nurbseg.segmentation.identity import Event
 
 _PACKAGES = ("nurbseg", "numpy", "scipy", "opencv-python-headless", "rerun-sdk", "mcap")
 
@@ -54,9 +56,11 @@ class RunReport:
         self._first_s: float | None = None
         self._last_s = self._began_s
         self._stages_ms: dict[str, array[float]] = {}
+        self._events: Counter[str] = Counter()
 
-    def add(self, elapsed_ms: Mapping[str, float]) -> None:
-        """Count a frame that was segmented, with the time of each stage, milliseconds."""
+    def add(self, elapsed_ms: Mapping[str, float], events: Sequence[Event] = ()) -> None:
+        """Count a frame that was segmented, with each stage's time in milliseconds, and what happened."""
+        self._events.update(each.kind for each in events)
         self._last_s = time.monotonic()
         if self._first_s is None:
             self._first_s = self._last_s
@@ -111,6 +115,7 @@ class RunReport:
             if self._first_s is None
             else round(self._first_s - self._began_s, 3),
             "latency_ms": {stage: _percentiles(values) for stage, values in self._stages_ms.items()},
+            "events": dict(sorted(self._events.items())),
             "peak_memory_mb": round(peak_memory_mb(), 1),
             "configuration": asdict(self._config),
             "versions": versions(),

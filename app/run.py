@@ -18,11 +18,11 @@ from nurbseg.app.opening import open_chosen
 from nurbseg.app.progress import Progress
 from nurbseg.app.record import open_recording, tell_recorded
 from nurbseg.app.report import RunReport
+from nurbseg.app.tracking import Segmenter
 from nurbseg.app.view import ViewError, open_view
 from nurbseg.app.view_config import ViewConfig
-from nurbseg.app.worker import FrameResult, process_frame
+from nurbseg.app.worker import FrameResult
 from nurbseg.drivers.errors import DriverError
-from nurbseg.segmentation.config import SegmentationConfig
 
 _log = logging.getLogger(__name__)
 
@@ -97,7 +97,9 @@ def run(config: AppConfig, interruption: Interruption) -> RunReport:
                     if config.record.only:
                         _pass_by(capture, report, interruption)
                     else:
-                        _work(capture, config.segmentation, consumers, report, interruption)
+                        temporal = config.live.follows(every_frame=opened.every_frame)
+                        segmenter = Segmenter(config.segmentation, temporal=temporal)
+                        _work(capture, segmenter, consumers, report, interruption)
                 finally:
                     interruption.hold()
             if recording is not None:
@@ -117,7 +119,7 @@ def run(config: AppConfig, interruption: Interruption) -> RunReport:
 
 def _work(
     capture: CaptureThread,
-    config: SegmentationConfig,
+    segmenter: Segmenter,
     consumers: Sequence[Consumer],
     report: RunReport,
     interruption: Interruption,
@@ -134,7 +136,7 @@ def _work(
         if captured is None:
             return
         waited_s = time.monotonic() - captured.arrived_s
-        result = process_frame(captured.frame, config)
+        result = segmenter.process(captured.frame)
         elapsed_ms = {
             "wait": 1e3 * waited_s,
             **result.elapsed_ms,
@@ -145,7 +147,7 @@ def _work(
             started_s = time.perf_counter()
             consume(result)
             elapsed_ms[stage] = 1e3 * (time.perf_counter() - started_s)
-        report.add(elapsed_ms)
+        report.add(elapsed_ms, result.events)
         progress.segmented(result)
 
 

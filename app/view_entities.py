@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
 from nurbseg.app.palette import (
     LABEL_COLORS,
@@ -23,6 +22,7 @@ from nurbseg.app.view_tree import Entities, tree_entities
 from nurbseg.app.worker import FrameResult
 from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.segmentation.config import Metric, SegmentationConfig
+from nurbseg.segmentation.identity import Event, event_text
 from nurbseg.segmentation.tree import SegmentationTree
 
 WORLD = "world"
@@ -34,6 +34,7 @@ UNREGISTERED_COLOR = f"{COLOR_CAMERA}/image"
 POINTS, SURFACES = f"{WORLD}/points", f"{WORLD}/surfaces"
 LEGEND = "legend"
 RATE, LATENCY, SEGMENT_COUNT, METRIC = "plots/rate", "plots/latency", "plots/segments", "plots/metric"
+EVENTS = f"{SEGMENT_COUNT}/events"
 LOG = "log"
 
 
@@ -109,12 +110,12 @@ class FrameEntities:
         """Return paths and what is logged there."""
         with self._lock:
             if self._built is None:
-                labels = self.result.tree.label_image()
                 self._built = [
-                    *_images(self.result, labels, self.view),
-                    *_space(self.result, labels, self.view),
+                    *_images(self.result, self.view),
+                    *_space(self.result, self.view),
                     *tree_entities(self.result, self.segmentation.metric),
                     *_scalars(self.result.tree, self.elapsed_ms, self.rate_hz, self.segmentation.metric),
+                    *event_entities(self.result.events),
                 ]
             return self._built
 
@@ -153,6 +154,7 @@ def opening_entities() -> Entities:
     )
     yield RATE, _line("frames per second", 2)
     yield SEGMENT_COUNT, _line("segments", 0)
+    yield EVENTS, _line("events", 3)
     yield f"{METRIC}/worst", _line("worst segment", 3)
     yield f"{METRIC}/mean", _line("mean of all points", 1)
 
@@ -179,25 +181,27 @@ def _pinhole(camera: Intrinsics, color: tuple[int, int, int]) -> rr.Pinhole:
     )
 
 
-def _images(result: FrameResult, labels: NDArray[np.uint16], view: ViewConfig) -> Entities:
+def _images(result: FrameResult, view: ViewConfig) -> Entities:
     frame = result.frame
     color = frame.color if frame.calibration.is_registered else result.cloud.color
     yield COLOR, rr.Image(color).compress(jpeg_quality=view.jpeg_quality)
     if not frame.calibration.is_registered:
         yield UNREGISTERED_COLOR, rr.Image(frame.color).compress(jpeg_quality=view.jpeg_quality)
     yield DEPTH, rr.DepthImage(frame.depth_mm, meter=1000.0, colormap="turbo")
-    yield LABELS, rr.SegmentationImage(labels, opacity=1.0)
+    yield LABELS, rr.SegmentationImage(result.surface_image(), opacity=1.0)
     if result.tree.objects:
-        yield OBJECTS, rr.SegmentationImage(result.tree.object_image(), opacity=1.0)
+        yield OBJECTS, rr.SegmentationImage(result.object_image(), opacity=1.0)
     if frame.labels is not None:
         yield GROUND_TRUTH, rr.SegmentationImage(frame.labels, opacity=1.0)
 
 
-def _space(result: FrameResult, labels: NDArray[np.uint16], view: ViewConfig) -> Entities:
+def _space(result: FrameResult, view: ViewConfig) -> Entities:
+    # Meshes go with the tree's own labels; what is seen bears those that last.
+    labels = result.tree.label_image()
     pixels = labels.size
     if view.points_max:
         step = max(1, int(np.ceil(np.sqrt(pixels / view.points_max))))
-        answer = result.tree.labels()[::step, ::step]
+        answer = result.labels()[::step, ::step]
         shown = answer > 0
         yield (
             POINTS,
@@ -235,12 +239,20 @@ def _scalars(
         yield f"{METRIC}/mean", rr.Scalars(np.average(values, weights=np.maximum(weights, 1.0)))
 
 
+def event_entities(events: Sequence[Event]) -> Entities:
+    """Return what happened to segments between two frames: a number, and a line of the log for all."""
+    yield EVENTS, rr.Scalars(len(events))
+    if events:
+        yield LOG, rr.TextLog("; ".join(map(event_text, events)), level="INFO")
+
+
 __all__ = [
     "CAMERA",
     "Entities",
     "FrameEntities",
     "Moment",
     "camera_entities",
+    "event_entities",
     "opening_entities",
     "stage_entities",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -46,7 +46,7 @@ def tree_entities(result: FrameResult, metric: Metric) -> Entities:
     """Return the drawing of a frame's tree and its table."""
     tree = result.tree
     segments = tree.segments
-    labels = {leaf.name: label for label, leaf in enumerate(tree.leaves(), start=1)}
+    labels = {leaf.name: label for label, leaf in zip(result.surface_labels, tree.leaves(), strict=True)}
     positions = tidy_positions({each.name: each.children for each in segments}, tree.root.name)
     places, spacing = fitted(
         [positions[each.name] for each in segments], TREE_WIDTH, TREE_HEIGHT - _RADIUS, _SPACING, _LEVEL
@@ -74,7 +74,9 @@ def tree_entities(result: FrameResult, metric: Metric) -> Entities:
     yield TREE, rr.GraphEdges(edges, graph_type="directed")
     yield (
         TREE_TABLE,
-        rr.TextDocument(_headline(result) + tree_table(tree, metric), media_type=rr.MediaType.MARKDOWN),
+        rr.TextDocument(
+            _headline(result) + tree_table(tree, metric, labels), media_type=rr.MediaType.MARKDOWN
+        ),
     )
 
 
@@ -88,19 +90,17 @@ def _headline(result: FrameResult) -> str:
     return f"**{name}**: {leaves} final segments of {len(result.tree.segments)}\n\n"
 
 
-def tree_table(tree: SegmentationTree, metric: Metric) -> str:
-    """Return the tree as a Markdown table, one line for each segment."""
+def tree_table(tree: SegmentationTree, metric: Metric, labels: Mapping[str, int]) -> str:
+    """Return the tree as a Markdown table, one line for each segment; leaves have labels, by their names."""
     lines = [
         f"| segment | label | pixels | {metric.upper()} ({_METRIC_UNITS[metric]}) | ratio | stopped by |",
         "|---|---:|---:|---:|---:|---|",
     ]
-    label = 0
     for each in tree.segments:
-        label += each.is_leaf
         value = each.fit.values.get(metric)
         cells = (
             display_name(each.name),
-            str(label) if each.is_leaf else "",
+            str(labels[each.name]) if each.is_leaf else "",
             f"{each.pixels.size:,}",
             "" if value is None else f"{value:.3g}",
             "" if each.ratio is None else f"{each.ratio:.3f}",

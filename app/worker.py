@@ -7,8 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
+import numpy as np
+from numpy.typing import NDArray
+
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.identity import Event, Identities
 from nurbseg.segmentation.registration import PointMap, register
 from nurbseg.segmentation.tree import SegmentationTree, segment
 
@@ -27,12 +31,58 @@ class FrameResult:
         Its segments.
     elapsed_ms : mapping of str to float
         Time that each stage took, milliseconds.
+    surface_identities, object_identities : Identities or None
+        Of the tree's leaves and objects, by their labels, where frames continue each other. Then labels are
+        identities: a segment keeps its own from frame to frame.
     """
 
     frame: RGBDFrame
     cloud: PointMap
     tree: SegmentationTree
     elapsed_ms: Mapping[str, float]
+    surface_identities: Identities | None = None
+    object_identities: Identities | None = None
+
+    def surface_image(self) -> NDArray[np.uint16]:
+        """Return the label of every pixel's surface, (H, W) uint16; 0 where there is no depth."""
+        return _identified(self.tree.label_image(), self.surface_identities)
+
+    def object_image(self) -> NDArray[np.uint16]:
+        """Return the label of every pixel's object, or surface without objects; (H, W) uint16."""
+        identities = self.object_identities if self.tree.objects else self.surface_identities
+        return _identified(self.tree.object_image(), identities)
+
+    def labels(self) -> NDArray[np.uint16]:
+        """Return the answer at the tree's level, (H, W) uint16: surfaces or objects; 0 for no depth."""
+        return self.object_image() if self.tree.level == "objects" else self.surface_image()
+
+    @property
+    def surface_labels(self) -> tuple[int, ...]:
+        """Label of each leaf of the tree, in their order."""
+        return _each_identified(len(self.tree.leaves()), self.surface_identities)
+
+    @property
+    def object_labels(self) -> tuple[int, ...]:
+        """Label of each object, in their order."""
+        return _each_identified(len(self.tree.objects), self.object_identities)
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What happened to the segments, at the tree's level, since the frame before."""
+        by_object = self.tree.objects and self.tree.level == "objects"
+        identities = self.object_identities if by_object else self.surface_identities
+        return () if identities is None else identities.events
+
+
+def _identified(labels: NDArray[np.uint16], identities: Identities | None) -> NDArray[np.uint16]:
+    return labels if identities is None else identities.image(labels)
+
+
+def _each_identified(count: int, identities: Identities | None) -> tuple[int, ...]:
+    if identities is None:
+        return tuple(range(1, count + 1))
+    # A leaf may have lost its last pixel to its neighbours: then it has no identity, and its label is 0.
+    return tuple(identities.of_label.get(label, 0) for label in range(1, count + 1))
 
 
 def process_frame(frame: RGBDFrame, config: SegmentationConfig) -> FrameResult:

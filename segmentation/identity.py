@@ -45,6 +45,18 @@ class Event:
     other: int | None = None
 
 
+def event_text(event: Event) -> str:
+    """Return an event as a person reads it."""
+    texts = {
+        "new": f"{event.identity} is new",
+        "lost": f"{event.identity} is out of sight",
+        "back": f"{event.identity} is back",
+        "split": f"{event.identity} came off {event.other}",
+        "merge": f"{event.identity} went into {event.other}",
+    }
+    return texts[event.kind]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Portrait:
     """By what a segment is known again after it was hidden.

@@ -1,0 +1,35 @@
+"""What a user may ask of live segmentation, where each frame continues the one before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from nurbseg.drivers.settings import check_settings, setting
+
+Temporal = Literal["auto", "on", "off"]
+
+
+@dataclass(frozen=True, slots=True)
+class LiveConfig:
+    """Settings of what is carried from frame to frame.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of its bounds.
+    """
+
+    temporal: Temporal = setting(
+        "auto",
+        "whether a frame continues the one before it, so that segments keep their labels: on, off, or on for "
+        "all but replays of every frame (--speed 0)",
+        choices=get_args(Temporal),
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    def follows(self, *, every_frame: bool) -> bool:
+        """Say whether frames continue each other in a run of every frame, or of the newest ones."""
+        return self.temporal == "on" or (self.temporal == "auto" and not every_frame)
