@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.bspline import CUBIC, basis_matrix, pixel_basis, pixel_knots
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.grid import PixelGrid, full_grid
@@ -269,7 +270,8 @@ def fit_surface(cloud: PointMap, pixels: NDArray[np.intp], config: SegmentationC
     if not cloud.valid.reshape(-1)[pixels].all():
         raise ValueError("pixels: expected pixels that have a point")
     ascending = pixels if np.all(pixels[1:] > pixels[:-1]) else np.unique(pixels)
-    return fit_on_grid(full_grid(cloud), ascending, config)
+    with one_blas_thread():
+        return fit_on_grid(full_grid(cloud), ascending, config)
 
 
 def fit_on_grid(grid: PixelGrid, places: NDArray[np.intp], config: SegmentationConfig) -> Fit:
