@@ -56,14 +56,16 @@ class _Commands:
     def __init__(self, lines: BinaryIO, slots: int) -> None:
         self.free = deque(range(slots))
         self.other: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-        self.ended = threading.Event()
+        self.begun, self.ended = threading.Event(), threading.Event()
         # A daemon: it waits in a read that nothing ends but the other process.
         threading.Thread(target=self._listen, args=(lines,), daemon=True).start()
 
     def _listen(self, lines: BinaryIO) -> None:
         for line in lines:
             command = json.loads(line)
-            if "free" in command:
+            if "begin" in command:
+                self.begun.set()
+            elif "free" in command:
                 # In front, so that little of the ring is ever touched.
                 self.free.extendleft(command["free"])
             else:
@@ -72,13 +74,17 @@ class _Commands:
 
 
 def _deliver(source: DeviceSource, ring: Ring, commands: _Commands, sender: _Sender) -> None:
-    lost = 0
+    lost, before = 0, (0, 0)
     while not commands.ended.is_set():
         while not commands.other.empty():
             _obey(source, commands.other.get(), sender)
         try:
             frame: RGBDFrame = source.read(_SLICE_S)
         except FrameTimeoutError:
+            continue
+        if not commands.begun.is_set():
+            # Nobody reads yet: what is old by then is of no use, and not missed.
+            before = source.missed, source.half_pairs
             continue
         if not commands.free:
             lost += 1
@@ -88,8 +94,8 @@ def _deliver(source: DeviceSource, ring: Ring, commands: _Commands, sender: _Sen
         sender.send(
             slot=slot,
             timestamp_ns=frame.timestamp_ns,
-            missed=source.missed + lost,
-            half_pairs=source.half_pairs,
+            missed=source.missed - before[0] + lost,
+            half_pairs=source.half_pairs - before[1],
         )
 
 

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections import deque
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -82,6 +83,7 @@ class IsolatedCamera(FrameSource):
         self.missed = self.half_pairs = 0
         self._options = options or DeviceOptions()
         self._index = 0
+        self._begun = False
         self._buffer = b""
         self._frames: deque[dict[str, Any]] = deque()
         self._used: list[int] = []
@@ -128,6 +130,11 @@ class IsolatedCamera(FrameSource):
         except BaseException:
             self.close()
             raise
+
+    @property
+    def losses(self) -> Mapping[str, int]:
+        """Frames that were too late or too many for us, and images whose other half never came."""
+        return {"missed": self.missed, "half_pairs": self.half_pairs}
 
     def start_recording(self, path: Path, *, lossy: bool = False) -> None:
         """Record with OpenNI2's recorder, as `DeviceSource.start_recording` does.
@@ -197,6 +204,9 @@ class IsolatedCamera(FrameSource):
         return others
 
     def _read(self, timeout_s: float) -> RGBDFrame:
+        if not self._begun:
+            self._begun = True
+            self._tell(begin=True)
         deadline = time.monotonic() + timeout_s
         while not self._frames:
             if self._failure is not None:

@@ -99,7 +99,4 @@ def choose(
         f"{each.vendor} {each.name} ({each.usb_vendor:04x}:{each.usb_product:04x}) at {each.uri}"
         for each in cameras
     )
-    raise DeviceNotFoundError(
-        f"openni2:{name}: no such camera; OpenNI2 finds {there or 'no camera at all'}; "
-        "run nurbseg-devices doctor to find out why"
-    )
+    raise DeviceNotFoundError(f"openni2:{name}: no such camera; OpenNI2 finds {there or 'no camera at all'}")

@@ -79,6 +79,17 @@ def test_a_reader_that_comes_late_loses_nothing(virtual_cameras):
     assert source.missed <= 2  # this computer may be busy
 
 
+def test_frames_before_the_first_read_are_not_missed_but_new(virtual_cameras):
+    virtual_cameras.add()
+    with IsolatedCamera() as source:
+        time.sleep(1.5)
+        frame = source.read()
+        assert frame.index == 0
+        assert frame_number(frame) > 30
+        assert source.missed == source.half_pairs == 0
+        source.read()
+
+
 def test_frames_beyond_a_second_are_counted_as_missed(virtual_cameras):
     virtual_cameras.add()
     with IsolatedCamera() as source:
