@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import Field, dataclass, replace
 from pathlib import Path
@@ -26,6 +27,7 @@ _TITLES = {
     "source": "source",
     "camera": "camera (--calibration also for --replay)",
     "segmentation": "segmentation (the paper's symbols in the text)",
+    "live": "from frame to frame",
     "view": "view",
     "export": "files out",
     "record": "recording",
@@ -58,9 +60,10 @@ class _Version(argparse.Action):
         from importlib.metadata import PackageNotFoundError, version
 
         try:
-            parser.exit(message=f"nurbseg-live {version('nurbseg')}\n")
+            sys.stdout.write(f"nurbseg-live {version('nurbseg')}\n")
         except PackageNotFoundError:
             parser.exit(1, "nurbseg-live: run from a folder, not installed as a package\n")
+        parser.exit()
 
 
 def parse_arguments(words: Sequence[str] | None = None) -> Arguments:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 from collections.abc import Sequence
+from typing import NoReturn
 
 from nurbseg.app.arguments import Arguments, parse_arguments
 from nurbseg.app.interruption import Interruption
@@ -13,6 +15,16 @@ from nurbseg.app.threads import one_thread_for_products
 _log = logging.getLogger("nurbseg.live")
 
 DONE, FAILED, NOT_STARTED = 0, 1, 2
+
+
+def command() -> NoReturn:
+    """Run the command with the process's arguments, and end the process with its exit code."""
+    code = main()
+    # All that is to be closed is closed. Foreign threads that are stuck, as Rerun's are on a full disk,
+    # would keep the process from ending for good.
+    logging.shutdown()
+    sys.stdout.flush()
+    os._exit(code)
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -101,4 +113,4 @@ def _begin_logging(verbosity: int) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    command()

@@ -20,7 +20,6 @@ _STOP_TEXTS = {
     "no-cut": "violet: no cut was found",
     "no-fit": "pink: no surface could be fitted",
     "no-points": "white: no points",
-    "noise": "teal: no more than the sensor's noise is left",
     "noise": "turquoise: the surface leaves no more than the sensor's noise",
 }
 
