@@ -22,8 +22,6 @@ _VOTE = 0.7
 #: Vote of a neighbour across a gap in depth, in shares of another's.
 _ACROSS_GAP = 0.25
 _SWEEPS = 6
-#: Where no noise is given, borders are judged by that of a structured-light camera.
-_NOISE_PER_M = 3e-3
 _OFFSETS = tuple(pair for pair in product(range(-_REACH, _REACH + 1), repeat=2) if pair != (0, 0))
 
 
@@ -102,7 +100,6 @@ def refine_borders(
     """
     if len(surfaces) < 2 or not labels.any():
         return labels
-    noise = config.noise_per_m or _NOISE_PER_M
     explained = _Explanations(labels, surfaces)
     refined = labels.copy()
     todo = np.ones(labels.shape, dtype=np.bool_)
@@ -112,7 +109,7 @@ def refine_borders(
             # By then neighbours that only change places are left: one of two at a time.
             turn = (rows + columns + sweep) % 2 == 0
             rows, columns = rows[turn], columns[turn]
-        best = _cheapest(refined, per_m, rows, columns, explained, noise, config.depth_gap_per_m)
+        best = _cheapest(refined, per_m, rows, columns, explained, config.noise_per_m, config.depth_gap_per_m)
         changed = best != refined[rows, columns]
         if not changed.any() and sweep > 2:
             break

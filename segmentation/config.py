@@ -97,10 +97,12 @@ class SegmentationConfig:
     )
     noise_per_m: float = setting(
         2.5e-3,
-        "nurbseg: sensor noise, the standard deviation of inverse depth; a segment that it explains is not "
-        "split; 0 for none",
+        "nurbseg: sensor noise, the standard deviation of inverse depth",
         unit="1/m",
-        least=0.0,
+        above=0.0,
+    )
+    noise_stop: bool = setting(
+        True, "nurbseg: whether a segment that its surface explains within noise is not split"
     )
     depth_gap_per_m: float = setting(
         0.025,

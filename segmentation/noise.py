@@ -39,7 +39,7 @@ def explained_by_noise(
     mask : (h, w) bool
         Places that the surface was fitted to.
     noise_per_m : float
-        Standard deviation of the inverse depth, 1/m; nothing is explained by noise of 0.
+        Standard deviation of the inverse depth, 1/m, more than 0.
     rim : bool
         Whether the places at the rim of the mask are judged too.
 
@@ -49,8 +49,6 @@ def explained_by_noise(
         Whether the mean of the squared residuals, in units of the noise and each limited, and the share
         of residuals that are far off are both what noise leaves.
     """
-    if not noise_per_m > 0:
-        return False
     if not rim:
         kernel = np.ones((3, 3), dtype=np.uint8)
         eroded = cv2.erode(mask.astype(np.uint8), kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0)
