@@ -36,7 +36,7 @@ def main(words: Sequence[str] | None = None) -> int:
     SystemExit
         With code 2 if an argument is wrong, with code 0 after ``--help``.
     """
-    from nurbseg.drivers.errors import DriverError
+    from nurbseg.drivers.errors import DeviceNotFoundError, DriverError
 
     arguments = _parser().parse_args(words)
     run: Callable[[argparse.Namespace], int] = arguments.run
@@ -44,6 +44,8 @@ def main(words: Sequence[str] | None = None) -> int:
         return run(arguments)
     except DriverError as err:
         print(f"nurbseg-devices: error: {err}", file=sys.stderr)
+        if isinstance(err, DeviceNotFoundError):
+            print("To find out why: nurbseg-devices doctor", file=sys.stderr)
         return NOT_READY
     except KeyboardInterrupt:
         return 130

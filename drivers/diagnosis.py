@@ -99,7 +99,7 @@ def explain_no_camera(wanted: str = "any") -> str:
         return "USB and OpenNI2's files look as they should. To find out why: nurbseg-devices doctor"
     main = errors[0]
     lines = [f"{main.title}. {main.reason}".strip(), *(f"  {step}" for step in main.steps)]
-    return "\n".join([*lines, "For everything that was found: nurbseg-devices doctor"])
+    return "\n".join([*lines, "To see everything that was found: nurbseg-devices doctor"])
 
 
 def _findings(system: System, wanted: str) -> Iterator[Finding]:

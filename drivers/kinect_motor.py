@@ -88,7 +88,7 @@ class KinectMotor:
         if not 0 <= number < len(motors):
             raise DeviceNotFoundError(
                 f"no Kinect v1 motor (045e:02b0) {'with number ' + str(number) + ' ' if motors else ''}"
-                "is plugged in; 'nurbseg-devices doctor' finds out why"
+                "is plugged in"
             )
         self._device = motors[number]
 

@@ -435,7 +435,7 @@ def test_the_explanation_is_the_main_finding_and_what_to_do_next(root, this_comp
     lines = explain_no_camera("xtion").splitlines()
     assert lines[0].startswith("No depth camera is plugged in. Looked through 0 USB devices for: Xtion")
     assert lines[1] == "  plug the camera into a USB port of this computer"
-    assert lines[-1] == "For everything that was found: nurbseg-devices doctor"
+    assert lines[-1] == "To see everything that was found: nurbseg-devices doctor"
 
 
 def test_where_nothing_is_wrong_the_explanation_names_the_doctor(root, this_computer):
