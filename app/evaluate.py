@@ -281,7 +281,12 @@ def _noise(study: Study) -> None:
 
     refs = frame_refs(study)
     estimate = measure_noise([register(read_frame(ref, study.options)) for ref in refs])
-    print(estimate.describe())
+    print(f"noise_per_m = {estimate.noise_per_m:.6f}")
+    print(
+        f"from {estimate.points} points on planes in {estimate.frames} of {len(refs)} frames; "
+        f"{estimate.nearest_per_m:.6f} 1/m at {estimate.nearest_m:.2f} m, "
+        f"{estimate.farthest_per_m:.6f} 1/m at {estimate.farthest_m:.2f} m"
+    )
 
 
 def _words(text: str) -> list[str]:
