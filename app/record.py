@@ -96,6 +96,6 @@ def tell_recorded(recording: Recording) -> None:
     if recording.failure:
         raise RecordError(f"{recording.failure}; the {recording.frames} frames before can be replayed")
     if recording.lost:
-        _log.warning("%d frames are missing in %s: the disk was too slow", recording.lost, recording.path)
+        _log.warning("%d frames are missing in %s: writing was too slow", recording.lost, recording.path)
     if recording.frames == 0:
         _log.warning("%s: no frame came to be recorded, and the file was not kept", recording.path)

@@ -94,9 +94,12 @@ class QueuedRecording:
 
     @property
     def behind(self) -> bool:
-        """Whether so much waits to be written that nothing else should use the processor."""
+        """Whether so much waits to be written that nothing else should use the processor.
+
+        Never for a lossless recording: its source waits instead.
+        """
         with self._changed:
-            return self._queued_bytes > _BEHIND_SHARE * _QUEUE_BYTES_MAX
+            return not self._lossless and self._queued_bytes > _BEHIND_SHARE * _QUEUE_BYTES_MAX
 
     @property
     def ended(self) -> bool:
@@ -142,7 +145,8 @@ class QueuedRecording:
                     self._in_hand = 0
             finally:
                 self._writer.close()
-        except (OSError, ValueError, DriverError) as err:
+        except Exception as err:
+            # Whatever it is, the run goes on without the recording, and says so at its end.
             self._fail(err)
 
     def _next(self) -> RGBDFrame | None:

@@ -106,6 +106,7 @@ def test_a_lossless_recording_makes_its_source_wait_and_loses_nothing(path, monk
     putting = threading.Thread(target=put_all)
     putting.start()
     assert pen.began.wait(10)
+    assert not recording.behind
     pen.allowed.set()
     putting.join(10)
     recording.close()
@@ -162,6 +163,7 @@ def test_recording_stops_before_the_disk_is_full_and_the_file_can_be_replayed(tm
     [
         (OSError(errno.ENOSPC, "No space left on device"), "No space left on device"),
         (ValueError("depth: expected 640x480"), "expected 640x480"),
+        (RuntimeError("the encoder broke"), "the encoder broke"),
     ],
 )
 def test_a_write_that_fails_ends_the_recording_but_not_the_run(path, error, words):
