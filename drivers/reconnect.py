@@ -41,6 +41,8 @@ class Reconnecting(FrameSource):
         The open camera; owned and closed by this one.
     reopen : callable
         Opens the same camera again; raises DriverError for as long as it is away.
+    abandon : callable, optional
+        Called on closing: what `reopen` has under way is not wanted any more.
     interval_s : float
         Time between two tries, seconds.
     clock, sleep : callable
@@ -61,6 +63,7 @@ class Reconnecting(FrameSource):
         source: FrameSource,
         reopen: Callable[[], FrameSource],
         *,
+        abandon: Callable[[], None] | None = None,
         interval_s: float = 0.5,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
@@ -72,6 +75,7 @@ class Reconnecting(FrameSource):
         self._lost: Counter[str] = Counter()
         self._source: FrameSource | None = source
         self._reopen = reopen
+        self._abandon = abandon
         self._interval_s = interval_s
         self._clock = clock
         self._sleep = sleep
@@ -200,6 +204,8 @@ class Reconnecting(FrameSource):
         return frame
 
     def _close(self) -> None:
+        if self._abandon is not None:
+            self._abandon()
         if self._source is not None:
             self._source.close()
             self._source = None

@@ -38,6 +38,7 @@ def open_uri(rest: str, options: SourceOptions) -> FrameSource:
     """
     # Imported here: who only asks for the options needs neither numpy nor the library.
     from nurbseg.drivers.openni2.isolated import IsolatedCamera
+    from nurbseg.drivers.openni2.reopening import Reopening
     from nurbseg.drivers.reconnect import Reconnecting
 
     if rest.lower().endswith(".oni"):
@@ -46,11 +47,14 @@ def open_uri(rest: str, options: SourceOptions) -> FrameSource:
         return open_path(Path(rest), options)
     settings = options.device or DeviceOptions()
 
-    def open_camera(wanted: str) -> IsolatedCamera:
-        return IsolatedCamera(wanted, settings, pairing_limit_s=options.association_limit_s)
+    def open_camera(wanted: str, patience_s: float | None = None) -> IsolatedCamera:
+        limit_s = options.association_limit_s
+        return IsolatedCamera(wanted, settings, pairing_limit_s=limit_s, patience_s=patience_s)
 
     camera = open_camera(rest)
     if not settings.reconnect:
         return camera
     same = camera.metadata["serial"] or f"port:{camera.metadata['usb_port']}"
-    return Reconnecting(camera, lambda: open_camera(same), interval_s=settings.reconnect_interval_s)
+    interval_s = settings.reconnect_interval_s
+    reopen = Reopening(lambda: open_camera(same, interval_s))
+    return Reconnecting(camera, reopen, abandon=reopen.close, interval_s=min(interval_s, 0.1))

@@ -21,7 +21,7 @@ from collections import deque
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from nurbseg.drivers.errors import DriverError, FrameTimeoutError
+from nurbseg.drivers.errors import DeviceNotFoundError, DriverError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.openni2.calibration_note import calibration_note
 from nurbseg.drivers.openni2.device import DeviceSource
@@ -71,6 +71,19 @@ class _Commands:
             else:
                 self.other.put(command)
         self.ended.set()
+
+
+def _open(asked: dict[str, Any], commands: _Commands) -> DeviceSource | None:
+    """Open the camera, waiting for it if that is asked; None if nobody wants it any more."""
+    options = DeviceOptions(**asked["options"])
+    while True:
+        try:
+            return DeviceSource(asked["wanted"], options, pairing_limit_s=asked["pairing_limit_s"])
+        except DeviceNotFoundError:
+            if asked["patience_s"] is None:
+                raise
+        if commands.ended.wait(asked["patience_s"]):
+            return None
 
 
 def _deliver(source: DeviceSource, ring: Ring, commands: _Commands, sender: _Sender) -> None:
@@ -124,9 +137,10 @@ def main() -> int:
     commands = _Commands(sys.stdin.buffer, asked["slots"])
     ring = Ring(mmap.mmap(asked["ring"], 0), asked["depth_size"], asked["color_size"])
     try:
-        with DeviceSource(
-            asked["wanted"], DeviceOptions(**asked["options"]), pairing_limit_s=asked["pairing_limit_s"]
-        ) as source:
+        source = _open(asked, commands)
+        if source is None:
+            return 0
+        with source:
             sender.send(opened=source.metadata, calibration=calibration_note(source.calibration))
             _deliver(source, ring, commands, sender)
     except BrokenPipeError:

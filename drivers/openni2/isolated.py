@@ -13,7 +13,6 @@ import subprocess
 import sys
 import time
 from collections import deque
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +49,9 @@ class IsolatedCamera(FrameSource):
         Its settings.
     pairing_limit_s : float
         Largest difference between the times of a depth image and its color image, seconds.
+    patience_s : float, optional
+        Where the camera is not there, let the process look for it at this interval, seconds. The
+        source is usable once `is_open` says so.
 
     Attributes
     ----------
@@ -78,6 +80,7 @@ class IsolatedCamera(FrameSource):
         options: DeviceOptions | None = None,
         *,
         pairing_limit_s: float = 0.02,
+        patience_s: float | None = None,
     ) -> None:
         super().__init__()
         self.missed = self.half_pairs = 0
@@ -95,6 +98,7 @@ class IsolatedCamera(FrameSource):
             "wanted": wanted,
             "options": dataclasses.asdict(self._options),
             "pairing_limit_s": pairing_limit_s,
+            "patience_s": patience_s,
             "log_level": logging.getLogger("nurbseg.drivers").getEffectiveLevel(),
             "slots": slots,
             "depth_size": depth[:2],
@@ -123,18 +127,36 @@ class IsolatedCamera(FrameSource):
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._words, self._answers = self._process.stdin, self._process.stdout
+        self._is_open = False
+        if patience_s is None:
+            self._wait_until_open()
+
+    def _wait_until_open(self) -> None:
+        deadline = time.monotonic() + _OPEN_LIMIT_S
         try:
-            opened = self._wait_for("opened", _OPEN_LIMIT_S)
-            self.metadata.update(opened["opened"])
-            self.calibration = calibration_of_note(Path("the camera"), opened["calibration"])
+            while not self.is_open(deadline - time.monotonic()):
+                if time.monotonic() >= deadline:
+                    raise DeviceLostError(f"OpenNI2 has opened no camera after {_OPEN_LIMIT_S:g} s")
         except BaseException:
             self.close()
             raise
 
-    @property
-    def losses(self) -> Mapping[str, int]:
-        """Frames that were too late or too many for us, and images whose other half never came."""
-        return {"missed": self.missed, "half_pairs": self.half_pairs}
+    def is_open(self, timeout_s: float = 0.0) -> bool:
+        """Whether the camera is open; waits at most so long for news.
+
+        Raises
+        ------
+        DriverError
+            As on opening.
+        """
+        for line in [] if self._is_open else self._lines(timeout_s):
+            if "opened" in line:
+                self.metadata.update(line["opened"])
+                self.calibration = calibration_of_note(Path("the camera"), line["calibration"])
+                self._is_open = True
+        if not self._is_open and self._failure is not None:
+            raise self._failure
+        return self._is_open
 
     def start_recording(self, path: Path, *, lossy: bool = False) -> None:
         """Record with OpenNI2's recorder, as `DeviceSource.start_recording` does.

@@ -257,7 +257,9 @@ def test_a_reconnecting_source_can_be_closed_while_its_camera_is_away(virtual_ca
     with pytest.raises(FrameTimeoutError):
         while True:
             source.read(timeout_s=0.3)
+    assert len(psutil.Process().children()) == 1  # which looks for the camera
     source.close()
+    assert not psutil.Process().children()
     with pytest.raises(DriverError, match="closed"):
         source.read()
 
