@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections import deque
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -157,6 +158,11 @@ class IsolatedCamera(FrameSource):
         if not self._is_open and self._failure is not None:
             raise self._failure
         return self._is_open
+
+    @property
+    def losses(self) -> Mapping[str, int]:
+        """Frames that were too late or too many for us, and images whose other half never came."""
+        return {"missed": self.missed, "half_pairs": self.half_pairs}
 
     def start_recording(self, path: Path, *, lossy: bool = False) -> None:
         """Record with OpenNI2's recorder, as `DeviceSource.start_recording` does.
