@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.inverse_depth import inverse_depth_lattice
+from nurbseg.segmentation.inverse_depth import inverse_depth_image_of
 from nurbseg.segmentation.noise import SQUARE_MOST
 from nurbseg.segmentation.pieces import connected_pieces, joints, spread_labels
 from nurbseg.segmentation.surface import NurbsSurface
@@ -23,6 +23,7 @@ _VOTE = 0.7
 _ACROSS_GAP = 0.25
 _SWEEPS = 6
 _OFFSETS = tuple(pair for pair in product(range(-_REACH, _REACH + 1), repeat=2) if pair != (0, 0))
+_DISTANCES = np.hypot(*np.array(_OFFSETS).T).astype(np.float32)
 
 
 def labels_of_every_pixel(
@@ -100,125 +101,165 @@ def refine_borders(
     """
     if len(surfaces) < 2 or not labels.any():
         return labels
-    explained = _Explanations(labels, surfaces)
-    refined = labels.copy()
-    todo = np.ones(labels.shape, dtype=np.bool_)
+    sides = _Sides(labels, per_m, surfaces, config.noise_per_m, config.depth_gap_per_m)
+    pixels = np.flatnonzero(_near_borders(labels))
     for sweep in range(_SWEEPS):
-        rows, columns = np.nonzero(_near_borders(refined) & todo)
         if sweep > 1:
             # By then neighbours that only change places are left: one of two at a time.
-            turn = (rows + columns + sweep) % 2 == 0
-            rows, columns = rows[turn], columns[turn]
-        best = _cheapest(refined, per_m, rows, columns, explained, config.noise_per_m, config.depth_gap_per_m)
-        changed = best != refined[rows, columns]
-        if not changed.any() and sweep > 2:
+            rows, columns = np.divmod(pixels, labels.shape[1])
+            pixels = pixels[(rows + columns + sweep) % 2 == 0]
+        if pixels.size == 0:
             break
-        refined[rows[changed], columns[changed]] = best[changed]
-        if sweep > 0:
-            moved = np.zeros(labels.shape, dtype=np.uint8)
-            moved[rows[changed], columns[changed]] = 1
-            kernel = np.ones((2 * _REACH + 1, 2 * _REACH + 1), dtype=np.uint8)
-            todo = (cv2.dilate(moved, kernel) > 0) | (todo & (sweep < 2))
-    refined = _without_severed_pieces(refined, per_m, config)
-    lost = np.setdiff1d(np.unique(labels), np.unique(refined))
-    kept = np.isin(labels, lost)
-    refined[kept] = labels[kept]
+        # Only where a label has changed within reach can another one be the cheapest now.
+        pixels = sides.around(sides.improve(pixels))
+    refined = _without_severed_pieces(sides.labels(), per_m, config)
+    count = len(surfaces) + 1
+    lost = np.bincount(labels.ravel(), minlength=count) > 0
+    lost &= np.bincount(refined.ravel(), minlength=count) == 0
+    lost[0] = False
+    if lost.any():
+        kept = lost[labels]
+        refined[kept] = labels[kept]
     return refined
 
 
 def _near_borders(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
     """Find labelled pixels with another label within reach."""
     kernel = np.ones((2 * _REACH + 1, 2 * _REACH + 1), dtype=np.uint8)
-    image = labels.astype(np.float32)
+    # Narrow integers: the extremes of many pixels are found at once.
+    image: NDArray[np.integer] = labels.astype(np.uint8 if labels.max() < 255 else np.uint16)
     largest = cv2.dilate(image, kernel)
-    image[labels == 0] = np.inf
-    least = cv2.erode(image, kernel)
-    return np.asarray((labels > 0) & (largest != least))
+    # Less 1, what has no label is the largest of numbers.
+    least = cv2.erode(image - image.dtype.type(1), kernel) + image.dtype.type(1)
+    return np.asarray((image > 0) & (largest != least))
 
 
-class _Explanations:
-    """Inverse depths of the surfaces of some labels on the windows of these, computed when asked for."""
+class _Sides:
+    """Labels at their borders, and what each pixel would cost on the other side.
 
-    def __init__(self, labels: NDArray[np.int32], surfaces: Sequence[NurbsSurface | None]) -> None:
-        self._surfaces = surfaces
+    Pixels are numbered in an image with a margin as wide as the reach, so that all have all neighbours.
+    """
+
+    def __init__(
+        self,
+        labels: NDArray[np.int32],
+        per_m: NDArray[np.float32],
+        surfaces: Sequence[NurbsSurface | None],
+        noise_per_m: float,
+        gap_per_m: float,
+    ) -> None:
         self._shape = labels.shape
-        self._windows: dict[int, tuple[int, int, NDArray[np.float32]]] = {}
-        self._extents = _extents(labels, len(surfaces))
+        self._labels = np.pad(labels, _REACH)
+        self._per_m = np.pad(per_m, _REACH).ravel()
+        self._per_deviation = np.float32(1.0 / noise_per_m)
+        width = self._labels.shape[1]
+        self._steps = np.array([down * width + across for down, across in _OFFSETS])[:, np.newaxis]
+        self._votes = (_VOTE / _DISTANCES)[:, np.newaxis]
+        self._gaps = (gap_per_m * np.sqrt(_DISTANCES))[:, np.newaxis]
+        self._explain(labels, surfaces)
 
-    def at(self, label: int, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.float32]:
-        """Return the inverse depth of a label's surface at some pixels, inf where it does not reach."""
-        surface = self._surfaces[label - 1]
-        if surface is None:
-            return np.full(rows.size, np.inf, dtype=np.float32)
-        if label not in self._windows:
-            margin = _REACH * _SWEEPS
-            top, left, bottom, right = self._extents[label - 1]
+    def labels(self) -> NDArray[np.int32]:
+        """Return the labels as they are now, (H, W)."""
+        return np.ascontiguousarray(self._labels[_REACH:-_REACH, _REACH:-_REACH])
+
+    def improve(self, pixels: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Give pixels, flat in the image, the cheapest label around them; return those that changed."""
+        rows, columns = np.divmod(pixels, self._shape[1])
+        numbers = (rows + _REACH) * self._labels.shape[1] + columns + _REACH
+        flat = self._labels.reshape(-1)
+        at = self._steps + numbers
+        near, own = flat[at], self._per_m[numbers]
+        weights = np.where(
+            np.abs(self._per_m[at] - own) >= self._gaps, _ACROSS_GAP * self._votes, self._votes
+        )
+
+        def cost(label: NDArray[np.int32], which: NDArray[np.intp] | slice) -> NDArray[np.float32]:
+            residual = self._explained(label, rows[which], columns[which])
+            residual -= own[which]
+            residual *= self._per_deviation
+            np.minimum(np.square(residual, out=residual), np.float32(SQUARE_MOST), out=residual)
+            residual -= np.einsum("nk,nk->k", near[:, which] == label, weights[:, which])
+            return residual
+
+        before = flat[numbers]
+        best, least = before.copy(), cost(before, slice(None))
+        # The other labels around, the largest first; few pixels see more than one.
+        which = np.arange(pixels.size)
+        others = np.where(near == before, 0, near)
+        while which.size:
+            label = others.max(axis=0)
+            some = label > 0
+            which, label, others = which[some], label[some], others[:, some]
+            value = cost(label, which)
+            better = (value < least[which]) | ((value == least[which]) & (label < best[which]))
+            best[which[better]], least[which[better]] = label[better], value[better]
+            others = np.where(others == label, 0, others)
+        changed = best != before
+        flat[numbers[changed]] = best[changed]
+        moved: NDArray[np.intp] = pixels[changed]
+        return moved
+
+    def around(self, pixels: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return the labelled pixels within reach of some."""
+        rows, columns = np.divmod(pixels, self._shape[1])
+        numbers = (rows + _REACH) * self._labels.shape[1] + columns + _REACH
+        reached = np.zeros(self._labels.size, dtype=np.bool_)
+        reached[numbers] = True
+        reached[self._steps + numbers] = True
+        image = reached.reshape(self._labels.shape) & (self._labels > 0)
+        found: NDArray[np.intp] = np.flatnonzero(image[_REACH:-_REACH, _REACH:-_REACH])
+        return found
+
+    def _explain(self, labels: NDArray[np.int32], surfaces: Sequence[NurbsSurface | None]) -> None:
+        """Evaluate each surface wherever its label can get, one after the other in one array."""
+        height, width = self._shape
+        margin = _REACH * _SWEEPS
+        windows = []
+        self._first = np.zeros(len(surfaces) + 1, dtype=np.intp)
+        self._row_length = np.zeros(len(surfaces) + 1, dtype=np.intp)
+        start = 0
+        for label, (top, left, bottom, right) in enumerate(_extents(labels, len(surfaces)), start=1):
             top, left = max(top - margin, 0), max(left - margin, 0)
-            bottom, right = min(bottom + margin, self._shape[0]), min(right + margin, self._shape[1])
+            bottom, right = min(bottom + margin, height), min(right + margin, width)
+            surface = surfaces[label - 1]
+            self._row_length[label] = right - left
+            self._first[label] = start - top * (right - left) - left
+            start += (bottom - top) * (right - left)
+            if surface is None:
+                windows.append(np.full((bottom - top) * (right - left), np.inf, dtype=np.float32))
+                continue
             u, v = np.arange(left, right, dtype=np.float64), np.arange(top, bottom, dtype=np.float64)
-            image = inverse_depth_lattice(surface, u, v)[0].astype(np.float32)
-            self._windows[label] = top, left, image
-        top, left, image = self._windows[label]
-        r, c = rows - top, columns - left
-        inside = (r >= 0) & (r < image.shape[0]) & (c >= 0) & (c < image.shape[1])
-        values = np.full(rows.size, np.inf, dtype=np.float32)
-        values[inside] = image[r[inside], c[inside]]
-        return values
+            windows.append(inverse_depth_image_of(surface, u, v).ravel())
+        self._inverse_depths = np.concatenate(windows)
+
+    def _explained(
+        self, labels: NDArray[np.int32], rows: NDArray[np.intp], columns: NDArray[np.intp]
+    ) -> NDArray[np.float32]:
+        """Return the inverse depth of the surfaces of some labels, each at its own pixel."""
+        explained: NDArray[np.float32] = self._inverse_depths[
+            self._first[labels] + rows * self._row_length[labels] + columns
+        ]
+        return explained
 
 
 def _extents(labels: NDArray[np.int32], count: int) -> list[tuple[int, int, int, int]]:
     """Return the tight window of each label from 1 on; an empty one where it has no pixel."""
-    rows, columns = np.nonzero(labels)
-    values = labels[rows, columns] - 1
-    top, left = (np.full(count, np.iinfo(np.intp).max) for _ in range(2))
-    bottom, right = (np.full(count, -1) for _ in range(2))
-    for least, most, place in ((top, bottom, rows), (left, right, columns)):
-        np.minimum.at(least, values, place)
-        np.maximum.at(most, values, place)
-    empty = bottom < 0
-    top[empty] = left[empty] = 0
-    return [
-        (int(a), int(b), int(c) + 1, int(d) + 1) for a, b, c, d in zip(top, left, bottom, right, strict=True)
-    ]
-
-
-def _cheapest(
-    labels: NDArray[np.int32],
-    per_m: NDArray[np.float32],
-    rows: NDArray[np.intp],
-    columns: NDArray[np.intp],
-    explained: _Explanations,
-    noise_per_m: float,
-    gap_per_m: float,
-) -> NDArray[np.int32]:
-    """Return the cheapest label of some pixels among their own and their neighbours'."""
-    if rows.size == 0:
-        return np.zeros(0, dtype=np.int32)
-    pad = [(_REACH, _REACH)] * 2
-    padded, depths = np.pad(labels, pad), np.pad(per_m, pad)
-    own = per_m[rows, columns]
-    near = np.empty((len(_OFFSETS), rows.size), dtype=np.int32)
-    weight = np.empty((len(_OFFSETS), rows.size), dtype=np.float32)
-    for n, (step_v, step_u) in enumerate(_OFFSETS):
-        at = rows + (_REACH + step_v), columns + (_REACH + step_u)
-        near[n] = padded[at]
-        distance = float(np.hypot(step_v, step_u))
-        across = np.abs(depths[at] - own) >= gap_per_m * np.sqrt(distance)
-        weight[n] = np.where(across, _ACROSS_GAP, 1.0) * (_VOTE / distance)
-    best = labels[rows, columns].copy()
-    cost = np.full(rows.size, np.inf, dtype=np.float32)
-    for label in np.unique(np.append(near, best)):
-        if label == 0:
+    height, width = labels.shape
+    # Where labels change along a row or column, and at its ends, is where windows can end.
+    in_row, in_column = (np.zeros((extent, count + 1), dtype=np.bool_) for extent in (height, width))
+    for across, image in ((in_row, labels), (in_column, labels.T)):
+        turns = np.ones(image.shape, dtype=np.bool_)
+        np.not_equal(image[:, 1:], image[:, :-1], out=turns[:, 1:])
+        lines, places = np.nonzero(turns)
+        across[lines, image[lines, places]] = True
+    windows = []
+    for label in range(1, count + 1):
+        rows, columns = np.flatnonzero(in_row[:, label]), np.flatnonzero(in_column[:, label])
+        if rows.size == 0:
+            windows.append((0, 0, 0, 0))
             continue
-        votes = np.einsum("nk,nk->k", near == label, weight)
-        asked = np.flatnonzero((votes > 0) | (labels[rows, columns] == label))
-        residuals = explained.at(int(label), rows[asked], columns[asked]) - own[asked]
-        value = np.minimum(np.square(residuals / np.float32(noise_per_m)), np.float32(SQUARE_MOST))
-        value -= votes[asked]
-        cheaper = value < cost[asked]
-        best[asked[cheaper]] = label
-        cost[asked[cheaper]] = value[cheaper]
-    return best
+        windows.append((int(rows[0]), int(columns[0]), int(rows[-1]) + 1, int(columns[-1]) + 1))
+    return windows
 
 
 def _without_severed_pieces(

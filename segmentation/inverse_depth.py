@@ -253,6 +253,20 @@ def inverse_depth_lattice(
     return _quotients(w, z)
 
 
+def inverse_depth_image_of(
+    surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    """Return a surface's inverse depth where some rows v meet some columns u, (H, W) float32, 1/m."""
+    Bu = basis_matrix(surface.knots_u, surface.degree[0], u).T.astype(np.float32)
+    Bv = basis_matrix(surface.knots_v, surface.degree[1], v).astype(np.float32)
+    depths = surface.control_points_m[..., 2] * surface.weights
+    if np.ptp(depths) <= 1e-12:
+        # The rational surfaces of this module: the ray's z is 1.
+        return np.asarray(Bv @ ((surface.weights / depths[0, 0]).astype(np.float32) @ Bu))
+    w, z = (Bv @ (net.astype(np.float32) @ Bu) for net in (surface.weights, depths))
+    return np.asarray(w / z)
+
+
 def inverse_depth_at(
     surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -281,6 +295,7 @@ __all__ = [
     "fit_window",
     "inverse_depth_at",
     "inverse_depth_image",
+    "inverse_depth_image_of",
     "inverse_depth_lattice",
     "rational_surface",
 ]
