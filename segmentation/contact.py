@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,10 @@ from nurbseg.segmentation.surface import NurbsSurface
 #: many pixels inside their border; both in pixels of an image 640 wide.
 _REACH_PX = 6
 _INSET_PX = 4
+
+_Values = NDArray[np.float64]
+#: Gives inverse depth and its slopes from labels, columns and rows.
+Evaluation = Callable[[NDArray[np.int32], _Values, _Values], tuple[_Values, _Values, _Values]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +53,7 @@ def meetings(
     rays: Rays,
     *,
     gap_per_m: float,
+    evaluate: Evaluation | None = None,
 ) -> tuple[Meeting, ...]:
     """Measure every common border of two labels.
 
@@ -62,6 +67,9 @@ def meetings(
         Of the camera.
     gap_per_m : float
         Tangent planes that differ by less inverse depth at the border agree, 1/m.
+    evaluate : callable, optional
+        Takes labels, columns and rows (pixels), (N,) each; gives inverse depth and its slopes along both, (N,)
+        each, NaN where a label has no surface. By default the surfaces themselves are evaluated.
 
     Returns
     -------
@@ -79,7 +87,10 @@ def meetings(
     sides = []
     for label, shift in ((crossings[:, 0], -inset), (crossings[:, 1], apart + inset)):
         v, u = row + shift * down, column + shift * across
-        per_m, slope_u, slope_v = _evaluated(label, surfaces, u, v)
+        if evaluate is None:
+            per_m, slope_u, slope_v = _evaluated(label, surfaces, u, v)
+        else:
+            per_m, slope_u, slope_v = evaluate(label, u, v)
         at_border = per_m + slope_u * (middle[1] - u) + slope_v * (middle[0] - v)
         x, y = rays.at(u, v)
         points = np.stack([x, y, np.ones_like(x)], axis=1) / per_m[:, np.newaxis]
@@ -143,4 +154,4 @@ def _evaluated(
     return results  # type: ignore[return-value]
 
 
-__all__ = ["Meeting", "meetings"]
+__all__ = ["Evaluation", "Meeting", "meetings"]

@@ -110,8 +110,38 @@ def merge_surfaces(
     smooth = {
         (each.first, each.second)
         for each in found
-        if config.merge_smooth and _is_smooth(each, labels, grid, config)
+        if config.merge_smooth and is_smooth(each, labels, grid, config)
     }
+    return merged_objects(found, smooth, labels, names, config)
+
+
+def merged_objects(
+    found: Sequence[Meeting],
+    smooth: set[tuple[int, int]],
+    labels: NDArray[np.int32],
+    names: Sequence[str],
+    config: SegmentationConfig,
+) -> tuple[tuple[SceneObject, ...], tuple[Contact, ...]]:
+    """Merge surfaces by what was measured where they meet.
+
+    Parameters
+    ----------
+    found : sequence of Meeting
+        Of every two labels whose borders meet.
+    smooth : set of (int, int)
+        Labels, the smaller one first, that meet in a smooth border.
+    labels : (H, W) int32
+        1 to the number of surfaces; on all pixels, or evenly on some of them.
+    names : sequence of str
+        Of the leaf of each label.
+    config : SegmentationConfig
+        What is merged, and up to which concavity.
+
+    Returns
+    -------
+    objects, contacts
+        As those of `merge_surfaces`.
+    """
     group = _merged(found, smooth, len(names), config)
 
     sizes = np.bincount(group[labels].ravel(), minlength=len(names) + 1)
@@ -131,10 +161,22 @@ def _in_contact(samples: float, touching: float) -> bool:
     return touching >= _TOUCHING_LEAST and touching >= _TOUCHING_SHARE * samples
 
 
-def _is_smooth(
+def is_smooth(
     meeting: Meeting, labels: NDArray[np.int32], grid: DepthGrid, config: SegmentationConfig
 ) -> bool:
-    """Say whether one surface explains both sides of a concave border within noise."""
+    """Say whether one surface explains both sides of a concave border within noise.
+
+    Parameters
+    ----------
+    meeting : Meeting
+        Of two labels.
+    labels : (H, W) int32
+        Labels of every pixel.
+    grid : DepthGrid
+        The points.
+    config : SegmentationConfig
+        Noise and concavity; a border that is merged for its concavity anyway is not asked about.
+    """
     if not _in_contact(meeting.samples, meeting.touching):
         return False
     if config.merge_crease and meeting.concavity_sum < config.concavity_max * meeting.touching:
@@ -222,4 +264,4 @@ def _explained(
     )
 
 
-__all__ = ["Contact", "SceneObject", "merge_surfaces"]
+__all__ = ["Contact", "SceneObject", "is_smooth", "merge_surfaces", "merged_objects"]

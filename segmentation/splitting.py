@@ -160,7 +160,7 @@ def grow(scene: Scene, config: SegmentationConfig) -> Node:
     """
     places = np.flatnonzero(scene.grid.valid)
     parts = _pieces(scene, places, np.ones(places.size, dtype=np.int32), config)[0] or [places]
-    root = _held_together("", [_measured(scene, part, config) for part in parts], 0)
+    root = _held_together("", [measured(scene, part, config) for part in parts], 0)
     waiting: list[tuple[float, str, Node]] = []
     _push_open(waiting, root, config)
     splits = 0
@@ -169,11 +169,11 @@ def grow(scene: Scene, config: SegmentationConfig) -> Node:
         node.stop = _reason_not_to_try(scene, node, splits, config)
         if node.stop is not None:
             continue
-        sides, cut = _best_split(scene, node, config)
+        sides, cut = best_split(scene, node, config)
         if cut is None:
             continue
         splits += 1
-        node.children = _children(node, sides)
+        node.children = children_of(node, sides)
         if all(sides):
             node.cut = cut
         node.stop = None
@@ -207,11 +207,26 @@ def _reason_not_to_try(
 
 
 #: A part of a split: its places on the grid, its fit, and why it is not to be split itself, if so.
-_Part = tuple[NDArray[np.intp], Fit, StopReason | None]
+Part = tuple[NDArray[np.intp], Fit, StopReason | None]
 
 
-def _measured(scene: Scene, places: NDArray[np.intp], config: SegmentationConfig) -> _Part:
-    """Fit a surface, with the metric that decides among its values, and hold it against the noise."""
+def measured(scene: Scene, places: NDArray[np.intp], config: SegmentationConfig) -> Part:
+    """Fit a surface, with the metric that decides among its values, and hold it against the noise.
+
+    Parameters
+    ----------
+    scene : Scene
+        The frame.
+    places : (N,) intp
+        Flat places of the grid, ascending.
+    config : SegmentationConfig
+        Thresholds and choices.
+
+    Returns
+    -------
+    Part
+        The places, their fit, and why they are not to be split further, if they are not.
+    """
     if places.size == 0:
         return places, Fit(None, np.zeros(0), {}, "0 points, 1 needed", places), StopReason.NO_POINTS
     rows, columns, window = scene.grid.points.locate(places)
@@ -224,10 +239,27 @@ def _measured(scene: Scene, places: NDArray[np.intp], config: SegmentationConfig
     return places, fit, StopReason.NOISE if explained else None
 
 
-def _best_split(
+def best_split(
     scene: Scene, node: Node, config: SegmentationConfig
-) -> tuple[tuple[list[_Part], list[_Part]], Cut | None]:
-    """Try the cuts of a node in turn; if none is kept the node is told why and there is no cut."""
+) -> tuple[tuple[list[Part], list[Part]], Cut | None]:
+    """Try the cuts of a node in turn; if none is kept the node is told why and there is no cut.
+
+    Parameters
+    ----------
+    scene : Scene
+        The frame; its vectors are read at the node's places.
+    node : Node
+        Gets the ratio of the last split tried and, where none is kept, the reason.
+    config : SegmentationConfig
+        Thresholds and choices.
+
+    Returns
+    -------
+    sides : (list of Part, list of Part)
+        Connected pieces of both sides of the cut.
+    cut : Cut or None
+        None where no split is kept.
+    """
     raw = scene.raw[node.places]
     vectors = normalized(raw, scene.whole or _normalization(raw, config))
     rng = np.random.default_rng([config.seed, int(f"1{node.name}", 2)])
@@ -247,9 +279,9 @@ def _best_split(
         if len(pieces) < 2:
             node.stop = StopReason.CHILD_TOO_SMALL
             continue
-        parts = [_measured(scene, piece, config) for piece in pieces]
-        measured = [(part[1].values.get(config.metric, 0.0), part[0].size) for part in parts]
-        node.ratio = acceptance_ratio(config.metric, (node.value(config), node.places.size), *measured)
+        parts = [measured(scene, piece, config) for piece in pieces]
+        values = [(part[1].values.get(config.metric, 0.0), part[0].size) for part in parts]
+        node.ratio = acceptance_ratio(config.metric, (node.value(config), node.places.size), *values)
         if node.ratio < config.ratio_max:
             sides = (
                 [part for part, side in zip(parts, side_of, strict=True) if side == 1],
@@ -292,8 +324,21 @@ def _pieces(
     return [part for part, _ in kept], [label for _, label in kept]
 
 
-def _children(node: Node, sides: tuple[list[_Part], list[_Part]]) -> tuple[Node, Node]:
-    """Make two nodes of the parts of a cut's sides, or of the pieces of the one side that is left."""
+def children_of(node: Node, sides: tuple[list[Part], list[Part]]) -> tuple[Node, Node]:
+    """Make two nodes of the parts of a cut's sides, or of the pieces of the one side that is left.
+
+    Parameters
+    ----------
+    node : Node
+        That is split.
+    sides : (list of Part, list of Part)
+        Together at least two parts.
+
+    Returns
+    -------
+    (Node, Node)
+        Its children, which may have children themselves.
+    """
     first, second = sides
     if not (first and second):
         first, second = _largest_and_rest(first or second)
@@ -301,7 +346,7 @@ def _children(node: Node, sides: tuple[list[_Part], list[_Part]]) -> tuple[Node,
     return _held_together(f"{node.name}0", first, depth), _held_together(f"{node.name}1", second, depth)
 
 
-def _held_together(name: str, parts: list[_Part], cuts_above: int) -> Node:
+def _held_together(name: str, parts: list[Part], cuts_above: int) -> Node:
     """Make one node of some parts that are not connected."""
     if len(parts) == 1:
         places, fit, stop = parts[0]
@@ -318,9 +363,9 @@ def _held_together(name: str, parts: list[_Part], cuts_above: int) -> Node:
     return node
 
 
-def _largest_and_rest(parts: list[_Part]) -> tuple[list[_Part], list[_Part]]:
+def _largest_and_rest(parts: list[Part]) -> tuple[list[Part], list[Part]]:
     largest = max(range(len(parts)), key=lambda n: parts[n][0].size)
     return [parts[largest]], [part for n, part in enumerate(parts) if n != largest]
 
 
-__all__ = ["Scene", "grow", "prepare", "segment_nurbseg"]
+__all__ = ["Part", "Scene", "best_split", "children_of", "grow", "measured", "prepare", "segment_nurbseg"]
