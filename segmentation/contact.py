@@ -68,8 +68,8 @@ def meetings(
     gap_per_m : float
         Tangent planes that differ by less inverse depth at the border agree, 1/m.
     evaluate : callable, optional
-        Takes labels, columns and rows (pixels), (N,) each; gives inverse depth and its slopes along both, (N,)
-        each, NaN where a label has no surface. By default the surfaces themselves are evaluated.
+        Takes labels, columns and rows (pixels), (N,) each; gives inverse depth and its slopes along both,
+        NaN where a label has no surface. By default the surfaces themselves are evaluated.
 
     Returns
     -------
