@@ -25,4 +25,4 @@ def shortage(path: Path, least_mb: int, free_bytes: Callable[[Path], int] = free
         Returns the space that is left, bytes.
     """
     free = free_bytes(path)
-    return "" if free >= least_mb * 1_000_000 else f"only {free / 1e6:.0f} MB of disk space are left"
+    return "" if free >= least_mb * 1_000_000 else f"only {free // 1_000_000} MB of disk space are left"

@@ -92,9 +92,9 @@ def tell_recorded(recording: Recording) -> None:
     RecordError
         If the recording ended before the run did.
     """
-    _log.info("recorded %d frames to %s", recording.frames, recording.path)
     if recording.failure:
         raise RecordError(f"{recording.failure}; the {recording.frames} frames before can be replayed")
+    _log.info("recorded %d frames to %s", recording.frames, recording.path)
     if recording.lost:
         _log.warning("%d frames are missing in %s: writing was too slow", recording.lost, recording.path)
     if recording.frames == 0:
