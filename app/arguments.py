@@ -92,6 +92,8 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
         parser.error(str(err))
     if config.export.surfaces and config.export.directory is None:
         parser.error("--export-surfaces: expected a folder too (--export DIR)")
+    if config.record.only and (config.export.directory is not None or config.view.save is not None):
+        parser.error("--record-only: nothing is segmented, so that --export and --save have nothing to write")
     return Arguments(config, print_config, verbosity)
 
 

@@ -9,6 +9,7 @@ import pytest
 from scripted_source import ScriptedSource, small_frame
 
 from nurbseg.app import disk_space, record_queue
+from nurbseg.app.arguments import parse_arguments
 from nurbseg.app.capture import CaptureThread
 from nurbseg.app.record import RecordError, open_recording, tell_recorded
 from nurbseg.app.record_config import RecordConfig
@@ -247,6 +248,29 @@ def test_figures_tell_what_the_report_needs(tmp_path):
 def test_wrong_settings_are_refused(settings, words):
     with pytest.raises(ValueError, match=words):
         RecordConfig(**settings)
+
+
+@pytest.mark.parametrize("words", [["--export", "out"], ["--save", "out.rrd"]])
+def test_recording_only_and_results_exclude_each_other(words, capsys):
+    with pytest.raises(SystemExit) as ended:
+        parse_arguments(["--record", "x.mcap", "--record-only", *words])
+    assert ended.value.code == 2
+    assert "nothing is segmented" in capsys.readouterr().err
+
+
+def test_the_flags_of_a_recording_are_a_section_of_the_configuration():
+    words = [
+        "--record",
+        "x.mcap",
+        "--record-delay",
+        "2.5",
+        "--record-color",
+        "png",
+        "--record-space-min",
+        "50",
+    ]
+    config = parse_arguments(words).config.record
+    assert config == RecordConfig(file="x.mcap", delay_s=2.5, color="png", space_min_mb=50)
 
 
 def test_the_space_is_that_of_the_files_own_disk(tmp_path):
