@@ -275,3 +275,19 @@ def test_without_a_motor_the_commands_say_so(motor, capsys):
     for words in (["tilt", "5"], ["led", "red"], ["accelerometer"]):
         assert devices.main(words) == 1
         assert "no Kinect v1 motor (045e:02b0) is plugged in" in capsys.readouterr().err
+
+
+@pytest.mark.hardware
+def test_a_real_camera_is_ready_and_described():
+    assert command("doctor").returncode == 0
+    cameras = json.loads(command("list", "--json").stdout)["cameras"]
+    assert any(camera["usb_port"] and camera["depth_modes"] and not camera["error"] for camera in cameras)
+
+
+@pytest.mark.hardware
+def test_a_real_kinect_at_rest_feels_gravity():
+    done = command("accelerometer", "--json")
+    if done.returncode:
+        pytest.skip(done.stderr.strip())
+    x, y, z = json.loads(done.stdout)["acceleration_g"]
+    assert (x * x + y * y + z * z) ** 0.5 == pytest.approx(1.0, abs=0.1)
