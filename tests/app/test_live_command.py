@@ -12,6 +12,10 @@ import cv2
 import numpy as np
 import pytest
 
+from nurbseg.app.opening import SYNTHETIC, demo_uri
+from nurbseg.drivers.registry import open_source
+from nurbseg.segmentation.scores import rand_index, region_covering
+
 Live = Callable[..., subprocess.CompletedProcess[str]]
 
 SMALL = "synthetic:?width=96&height=72&frames={}"
@@ -71,6 +75,20 @@ def test_every_frame_of_a_recording_is_segmented_exported_and_reported(live: Liv
     assert set(report["frames"]["dropped"].values()) == {0}
     assert set(report["latency_ms"]) >= {"wait", "register", "segment", "capture_to_labels", "export"}
     assert report["frames_per_s"] > 0
+
+
+def test_the_demo_recording_comes_apart_into_its_objects(live: Live, tmp_path: Path) -> None:
+    demo = demo_uri()
+    if demo == SYNTHETIC:
+        pytest.skip("the demo recording is not installed")
+    done = live("--replay", demo, *FAST, "--frames", "3", "--export", "out")
+    assert done.returncode == 0, done.stderr
+    with open_source(demo) as source:
+        for index in range(3):
+            truth = source.read().labels
+            labels = cv2.imread(str(tmp_path / f"out/{index:06d}_labels.png"), cv2.IMREAD_UNCHANGED)
+            assert rand_index(labels, truth) > 0.95
+            assert region_covering(labels, truth) > 0.9
 
 
 def test_the_same_seed_gives_the_same_files_and_another_gives_others(live: Live, tmp_path: Path) -> None:
@@ -211,6 +229,26 @@ def test_a_full_disk_ends_with_1_and_says_what_is_kept(live: Live, tmp_path: Pat
     assert "cannot be written: File too large; the 0 frames before are kept in out" in done.stderr
     assert "Traceback" not in done.stderr
     assert not list((tmp_path / "out").glob(".*"))
+
+
+def test_a_disk_too_full_for_the_viewers_file_ends_with_1_and_does_not_hang(live: Live) -> None:
+    def nearly_full() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+
+    done = live(
+        "--replay",
+        SMALL.format(60),
+        "--speed",
+        "0",
+        "--view",
+        "none",
+        "--save",
+        "a.rrd",
+        preexec_fn=nearly_full,
+    )
+    assert done.returncode == 1, done.stderr
+    assert "a.rrd" in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 def test_quiet_says_nothing_and_verbose_every_frame(live: Live) -> None:
