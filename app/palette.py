@@ -22,7 +22,6 @@ STOP_COLORS: dict[StopReason, tuple[int, int, int]] = {
     StopReason.NO_CUT: (158, 97, 204),
     StopReason.NO_FIT: (240, 98, 180),
     StopReason.NO_POINTS: (240, 240, 240),
-    StopReason.NOISE: (64, 196, 190),
     StopReason.NOISE: (45, 190, 200),
 }
 #: Fill of a segment that was split.

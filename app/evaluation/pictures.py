@@ -12,16 +12,10 @@ from numpy.typing import NDArray
 
 from nurbseg.app.evaluation.results import StudyResults
 from nurbseg.app.evaluation.scoring import SCORES
+from nurbseg.app.palette import STOP_COLORS
+from nurbseg.segmentation.tree import StopReason
 
-#: Colors of the paper's figure 3 by the reason why a leaf is one; other nodes are gray.
-STOP_COLORS = {
-    "criterion": "#d62728",
-    "child-too-small": "#ff7f0e",
-    "too-small": "#98df8a",
-    "depth": "#2ca02c",
-}
 _INNER_COLOR = "#e4e7eb"
-_OTHER_STOP_COLOR = "#9467bd"
 _JPEG_QUALITY = 85
 
 
@@ -226,6 +220,11 @@ def leaders(results: StudyResults) -> list[Any]:
     return [each for each in results.variants if best[each.method] is each]
 
 
+def stop_color(stop: str) -> str:
+    """Return the viewer's color of a leaf that stopped for this reason, as ``#rrggbb``."""
+    return "#{:02x}{:02x}{:02x}".format(*STOP_COLORS[StopReason(stop)])
+
+
 def tree_plot(segments: Sequence[Mapping[str, Any]]) -> bytes:
     """Draw a segmentation tree as the paper's figure 3: leaves filled by the reason why they are leaves.
 
@@ -247,7 +246,7 @@ def tree_plot(segments: Sequence[Mapping[str, Any]]) -> bytes:
         if name:
             axis.plot([x[name], x[name[:-1]]], [-len(name), 1 - len(name)], color="#8a929c", lw=0.8, zorder=1)
         stop = each["stop"]
-        color = _INNER_COLOR if stop is None else STOP_COLORS.get(stop, _OTHER_STOP_COLOR)
+        color = _INNER_COLOR if stop is None else stop_color(stop)
         axis.scatter(x[name], -len(name), s=460, color=color, edgecolors="#5c6570", linewidths=0.6, zorder=2)
         axis.text(x[name], -len(name), f"P{name}", ha="center", va="center", fontsize=6, zorder=3)
     axis.set_axis_off()

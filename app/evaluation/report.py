@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 from nurbseg.app.evaluation import pictures
 from nurbseg.app.evaluation.results import StudyResults
 from nurbseg.app.evaluation.store import StudyStore
-from nurbseg.app.evaluation.study import FrameRef, Study, label_path, read_frame, tree_path
+from nurbseg.app.evaluation.study import Answers, FrameRef, Study, label_path, read_frame, tree_path
 from nurbseg.app.evaluation.tables import all_tables
-from nurbseg.app.evaluation.variants import Variant
+from nurbseg.app.evaluation.variants import TREE_METHODS, Variant
+from nurbseg.app.palette import STOP_COLORS
 from nurbseg.segmentation.registration import register
-from nurbseg.segmentation.tree import segment
+from nurbseg.segmentation.tree import Segment, SegmentationTree
 
 _TILE_PX = 214
 #: Frames whose trees and fits are drawn: the worst and the best ones.
@@ -88,7 +89,7 @@ def write_report(
         if image is not None:
             (folder / name).write_bytes(image)
             plots.append((caption, _base64(image)))
-    trees_of = next((each for each in shown if (store.folder / "trees" / each.key).is_dir()), None)
+    trees_of = next((each for each in shown if each.method in TREE_METHODS), None)
     template = jinja2.Environment(autoescape=True).from_string(
         resources.files("nurbseg.app.evaluation").joinpath("report.html.j2").read_text(encoding="utf-8")
     )
@@ -108,7 +109,7 @@ def write_report(
             _frame_pictures(study, store, frame, shown, folder) for frame in results.worst_frames(best)
         ],
         trees=[] if trees_of is None else _tree_pictures(study, store, results, trees_of, folder),
-        stops=pictures.STOP_COLORS.items(),
+        stops=[(stop.value, pictures.stop_color(stop)) for stop in STOP_COLORS],
     )
     path = store.folder / "report.html"
     path.write_text(html, encoding="utf-8")
@@ -177,13 +178,16 @@ def _error_tiles(
 ) -> list[tuple[str, NDArray[np.uint8]]]:
     """Show where surfaces do not fit: of the whole cloud, of its two parts, and of the leaves (figure 2)."""
     cloud = register(read_frame(FrameRef(frame["uri"], frame["index"], frame["key"]), study.options))
-    tree = segment(cloud, variant.config)
-    levels = (
-        ("one surface", [tree.root]),
-        ("after the first split", [each for each in tree.segments if each.depth == 1]),
-        ("leaves", list(tree.leaves())),
-    )
+    _, tree = Answers(cloud, frame["name"], frame["index"], study.seed).of(variant)
     tiles = [("color", cloud.color)]
+    if tree is None:
+        return tiles
+    first = _fitted(tree, [tree.root])
+    levels = (
+        ("one surface" if len(first) == 1 else "first surfaces", first),
+        ("after the first split", _fitted(tree, [each for each in tree.segments if each.depth == 1])),
+        ("leaves", _fitted(tree, tree.leaves())),
+    )
     for caption, segments in levels:
         residual_m = np.full(cloud.valid.size, np.nan)
         for each in segments:
@@ -191,6 +195,19 @@ def _error_tiles(
         image = _spread(residual_m.reshape(cloud.valid.shape), variant.config.decimation)
         tiles.append((caption, pictures.error_colors(image, _ERROR_M)))
     return tiles
+
+
+def _fitted(tree: SegmentationTree, segments: Sequence[Segment]) -> list[Segment]:
+    """Put the nearest parts that have a surface in place of segments that have none."""
+    by_name = {each.name: each for each in tree.segments}
+    found, open_ = [], list(segments)
+    while open_:
+        each = open_.pop()
+        if each.fit.surface is not None:
+            found.append(each)
+        else:
+            open_ += [by_name[name] for name in each.children]
+    return found
 
 
 def _spread(image: NDArray[np.float64], step: int) -> NDArray[np.float64]:

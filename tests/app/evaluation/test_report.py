@@ -9,6 +9,10 @@ import pyarrow.parquet
 
 from nurbseg.app.evaluate import main
 from nurbseg.app.evaluation.pictures import label_colors, tree_plot
+from nurbseg.drivers.registry import open_source
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.registration import register
+from nurbseg.segmentation.tree import segment
 
 
 def test_the_report_is_one_file_with_tables_plots_frames_and_trees(frames: Path, tmp_path: Path) -> None:
@@ -24,6 +28,24 @@ def test_the_report_is_one_file_with_tables_plots_frames_and_trees(frames: Path,
     for name in ("threshold.png", "time.png"):
         assert cv2.imread(str(out / "pictures" / name)) is not None
     assert len(list((out / "pictures").glob("*-tree.png"))) == 5
+
+
+def test_fits_are_drawn_where_a_tree_s_upper_segments_have_no_surface(frames: Path, tmp_path: Path) -> None:
+    depth_path = frames / "learn0_depth.png"
+    depth = cv2.imread(str(depth_path), cv2.IMREAD_UNCHANGED)
+    # Two halves that nothing connects: the default method holds them together without a surface.
+    depth[:, 40:56] = 0
+    cv2.imwrite(str(depth_path), depth)
+    with open_source(str(frames)) as source:
+        tree = segment(register(source.read()), SegmentationConfig())
+    assert tree.root.fit.surface is None
+    out = tmp_path / "out"
+    words = [str(frames), "--methods", "nurbseg", "--frames", "1", "--time-frames", "0"]
+    assert main([*words, "--out", str(out)]) == 0
+    errors = cv2.imread(str(out / "pictures" / "00-000000-learn0-errors.png"))
+    assert errors is not None
+    first_surfaces = errors[22:, 424:844]
+    assert (first_surfaces > 0).any()
 
 
 def test_the_rows_hold_every_frame_and_variant(frames: Path, tmp_path: Path) -> None:
