@@ -26,9 +26,9 @@ COMMAND = str(Path(sys.executable).with_name("nurbseg-live"))
 
 @pytest.fixture(scope="session")
 def small_result() -> FrameResult:
-    """The first frame of the synthetic scene at 160 x 120 pixels, segmented."""
+    """The first frame of the synthetic scene at 160 x 120 pixels, segmented as the paper does."""
     with open_source("synthetic:?width=160&height=120&frames=1") as source:
-        return process_frame(source.read(), SegmentationConfig())
+        return process_frame(source.read(), SegmentationConfig(method="stag15"))
 
 
 @pytest.fixture

@@ -129,7 +129,7 @@ def test_a_frame_without_a_point_is_exported_too(
 def empty_result() -> Callable[[FrameResult], FrameResult]:
     def make(result: FrameResult) -> FrameResult:
         frame = replace(result.frame, depth_mm=np.zeros_like(result.frame.depth_mm), labels=None)
-        return process_frame(frame, SegmentationConfig())
+        return process_frame(frame, SegmentationConfig(method="stag15"))
 
     return make
 
