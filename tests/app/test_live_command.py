@@ -4,7 +4,6 @@ import importlib.metadata
 import json
 import resource
 import subprocess
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -24,11 +23,12 @@ FAST = ("--speed", "0", "--view", "none")
 
 def test_help_is_there_in_a_third_of_a_second(live: Live) -> None:
     def took_s() -> float:
-        began_s = time.perf_counter()
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
         assert live("--help").returncode == 0
-        return time.perf_counter() - began_s
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
-    # The best of a few, because other programs run too.
+    # Time on the processor, and the best of a few, because other programs run too.
     assert min(took_s() for _ in range(5)) < 0.3
 
 
