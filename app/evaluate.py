@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -79,9 +79,14 @@ def _parser() -> argparse.ArgumentParser:
     )
     noise = commands.add_parser("noise", help="measure the sensor's noise on the largest plane")
     for each in (run, tune, noise):
-        each.add_argument("data", nargs="+", metavar="DATA", help="labelled frames")
+        kind = "frames, labelled or not" if each is noise else "labelled frames"
+        each.add_argument("data", nargs="+", metavar="DATA", help=kind)
         each.add_argument("--frames", type=int, help="frames of each source at the most (all)")
         each.add_argument("--start", type=int, default=0, help="first frame (%(default)s)")
+        each.add_argument("--seed", type=int, help="of all that draws random numbers (0)")
+        each.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="of data without calibration, pixels")
+        each.add_argument("--depth-scale", type=float, help="depth units per metre of data that does not say")
+    for each in (run, tune):
         each.add_argument("--config", type=Path, metavar="FILE", help="read settings from a TOML file")
         each.add_argument(
             "--set",
@@ -91,10 +96,7 @@ def _parser() -> argparse.ArgumentParser:
             metavar="NAME=VALUE",
             help="a segmentation setting; may be repeated",
         )
-        each.add_argument("--seed", type=int, help="of the tree methods and the rivals (0)")
         each.add_argument("--jobs", type=int, default=1, help="processes (%(default)s)")
-        each.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="of data without calibration, pixels")
-        each.add_argument("--depth-scale", type=float, help="depth units per metre of data that does not say")
     return parser
 
 
@@ -121,11 +123,10 @@ def main(words: Sequence[str] | None = None) -> int:
 
     try:
         study = _study(given)
-        config = _base_config(given)
         if given.command == "run":
-            _run(given, study, config, words)
+            _run(given, study, _base_config(given), words)
         elif given.command == "tune":
-            _tune(given, study, config)
+            _tune(given, study, _base_config(given))
         else:
             _noise(study)
     except (ValueError, DeviceNotFoundError, BackendMissingError) as err:
@@ -134,8 +135,16 @@ def main(words: Sequence[str] | None = None) -> int:
     except (DriverError, OSError, RuntimeError) as err:
         print(f"nurbseg-eval: {err}", file=sys.stderr)
         return 1
+    except ModuleNotFoundError as err:
+        print(
+            f"nurbseg-eval: {err.name} is not installed; evaluation needs the extra 'eval': "
+            "pip install '.[eval]' in the project's folder",
+            file=sys.stderr,
+        )
+        return 2
     except KeyboardInterrupt:
-        print("nurbseg-eval: interrupted; the same command goes on from here", file=sys.stderr)
+        goes_on = "; the same command goes on from here" if given.command == "run" else ""
+        print(f"nurbseg-eval: interrupted{goes_on}", file=sys.stderr)
         return 130
     return 0
 
@@ -151,8 +160,8 @@ def _study(given: argparse.Namespace) -> Study:
         except ValueError:
             raise ValueError(f"--intrinsics {given.intrinsics}: expected FX,FY,CX,CY in pixels") from None
         intrinsics = (fx, fy, cx, cy)
-    for name, least in (("frames", 1), ("start", 0), ("jobs", 1)):
-        value = getattr(given, name)
+    for name, least in (("frames", 1), ("start", 0), ("jobs", 1), ("seed", 0)):
+        value = getattr(given, name, None)
         if value is not None and value < least:
             raise ValueError(f"--{name}: expected at least {least}, got {value}")
     return Study(
@@ -183,13 +192,13 @@ def _base_config(given: argparse.Namespace) -> SegmentationConfig:
 def _run(given: argparse.Namespace, study: Study, config: SegmentationConfig, words: Sequence[str]) -> None:
     from datetime import UTC, datetime
 
-    from nurbseg.app.evaluation.methods import LABELS_PREFIX, check_method
+    from nurbseg.app.evaluation.methods import check_method
     from nurbseg.app.evaluation.report import write_report
     from nurbseg.app.evaluation.results import StudyResults, write_rows
     from nurbseg.app.evaluation.store import StudyStore, write_json
     from nurbseg.app.evaluation.study import run_study, times_per_frame
     from nurbseg.app.evaluation.tables import all_tables, as_markdown, as_text
-    from nurbseg.app.evaluation.variants import grid_of, variants_of
+    from nurbseg.app.evaluation.variants import LABELS_PREFIX, grid_of, variants_of
 
     methods = [*_words(given.methods), *(f"{LABELS_PREFIX}{folder}" for folder in given.labels)]
     for method in methods:
@@ -209,8 +218,8 @@ def _run(given: argparse.Namespace, study: Study, config: SegmentationConfig, wo
         ),
     )
     store = StudyStore(given.out, study.description())
-    run_study(study, store, jobs=given.jobs, scheduler=given.scheduler, report=_Progress("frames"))
-    results = StudyResults.load(store, study.variants)
+    refs = run_study(study, store, jobs=given.jobs, scheduler=given.scheduler, report=_Progress("frames"))
+    results = StudyResults.load(store, study.variants, {ref.key for ref in refs})
     if not results.frames:
         raise ValueError(f"{', '.join(study.sources)}: no frame has ground truth; see {given.out}/frames")
     seconds = times_per_frame(study, given.time_frames) if given.time_frames > 0 else {}
@@ -249,6 +258,8 @@ def _tune(given: argparse.Namespace, study: Study, config: SegmentationConfig) -
 
     if given.method is not None:
         config = replace(config, method=given.method)
+    if not given.out.parent.is_dir():
+        raise ValueError(f"--out {given.out}: no such folder")
     progress = _Progress("settings")
     found = tune(
         study,
@@ -276,11 +287,19 @@ def _tune(given: argparse.Namespace, study: Study, config: SegmentationConfig) -
 
 def _noise(study: Study) -> None:
     from nurbseg.app.evaluation.study import frame_refs, read_frame
+    from nurbseg.drivers.errors import FrameFormatError
     from nurbseg.segmentation.noise import measure_noise
-    from nurbseg.segmentation.registration import register
+    from nurbseg.segmentation.registration import PointMap, register
+
+    def clouds() -> Iterator[PointMap]:
+        for ref in refs:
+            try:
+                yield register(read_frame(ref, study.options))
+            except FrameFormatError as err:
+                print(f"nurbseg-eval: {err}", file=sys.stderr)
 
     refs = frame_refs(study)
-    estimate = measure_noise([register(read_frame(ref, study.options)) for ref in refs])
+    estimate = measure_noise(clouds(), seed=study.seed)
     print(f"noise_per_m = {estimate.noise_per_m:.6f}")
     print(
         f"from {estimate.points} points on planes in {estimate.frames} of {len(refs)} frames; "

@@ -6,6 +6,7 @@ To add one, write a function of that form and name it in `METHODS`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -14,14 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.evaluation import pcl, rivals
-from nurbseg.app.evaluation.variants import TREE_METHODS, Variant
+from nurbseg.app.evaluation.variants import LABELS_PREFIX, TREE_METHODS, Variant
+from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.flat import best_lambda
 from nurbseg.segmentation.registration import PointMap
 
 #: Segments that methods which must be told a number are told.
 CLUSTERS = 8
-
-LABELS_PREFIX = "labels:"
 
 
 class LabelMethod(Protocol):
@@ -35,11 +35,11 @@ class LabelMethod(Protocol):
         """Return the labels of a frame."""
 
 
-def _dmzc12(cloud: PointMap, rng: np.random.Generator) -> NDArray[np.integer]:
-    from nurbseg.segmentation.config import SegmentationConfig
-
+def _dmzc12(
+    cloud: PointMap, rng: np.random.Generator, config: SegmentationConfig | None = None
+) -> NDArray[np.integer]:
     seed = int(rng.integers(2**31))
-    return best_lambda(cloud, SegmentationConfig(), clusters=CLUSTERS, seed=seed)[1]
+    return best_lambda(cloud, config or SegmentationConfig(), clusters=CLUSTERS, seed=seed)[1]
 
 
 def _kmeans(cloud: PointMap, rng: np.random.Generator) -> NDArray[np.integer]:
@@ -119,4 +119,6 @@ def labels_on_disk(folder: Path, frame_name: str, index: int) -> NDArray[np.inte
 
 def rival(variant: Variant) -> Callable[[PointMap, np.random.Generator], NDArray[np.integer]]:
     """Return the function of a variant that is not one of the tree methods."""
+    if variant.method == "dmzc12":
+        return partial(_dmzc12, config=variant.config)
     return METHODS[variant.method]

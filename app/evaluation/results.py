@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,10 +35,15 @@ class StudyResults:
     skipped: tuple[dict[str, Any], ...]
 
     @classmethod
-    def load(cls, store: StudyStore, variants: Sequence[Variant]) -> StudyResults:
-        """Read what a store has for these variants; frames not finished for all of them are left out."""
+    def load(cls, store: StudyStore, variants: Sequence[Variant], keys: Container[str]) -> StudyResults:
+        """Read what a store has for these variants of the frames with these keys.
+
+        Frames that are not finished for all variants are left out.
+        """
         frames, skipped = [], []
         for frame in store.frames():
+            if frame["key"] not in keys:
+                continue
             if frame.get("skipped"):
                 skipped.append(frame)
             elif all(variant.key in frame["results"] for variant in variants):

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.evaluation.categories import category_of
-from nurbseg.app.evaluation.methods import CLUSTERS, LABELS_PREFIX, labels_on_disk, rival
+from nurbseg.app.evaluation.methods import CLUSTERS, labels_on_disk, rival
 from nurbseg.app.evaluation.scoring import score_frame
 from nurbseg.app.evaluation.store import StudyStore
-from nurbseg.app.evaluation.variants import TREE_METHODS, Variant
+from nurbseg.app.evaluation.variants import LABELS_PREFIX, TREE_METHODS, Variant
 from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.registry import SourceOptions, open_source
@@ -30,6 +30,8 @@ from nurbseg.segmentation.tree import SegmentationTree, segment
 
 #: More frames than any source has: what passing over all of them is asked with.
 _ALL = 10**9
+#: Longest wait for a Dask cluster's first worker.
+_WORKER_TIMEOUT_S = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +101,7 @@ def run_study(
     jobs: int = 1,
     scheduler: str | None = None,
     report: Callable[[int, int], None] = lambda done, total: None,
-) -> None:
+) -> list[FrameRef]:
     """Do what of a study is not yet on disk.
 
     Frames are shared out to processes, of this computer or of a Dask cluster; results are written by this
@@ -119,12 +121,17 @@ def run_study(
     report : callable
         Told the finished and all frames after each.
 
+    Returns
+    -------
+    list of FrameRef
+        The study's frames, all of them in the store now.
+
     Raises
     ------
     nurbseg.drivers.errors.DriverError
         If a source cannot be opened.
     ValueError
-        If the scheduler does not answer.
+        If the scheduler does not answer, or has no worker.
     """
     import joblib
 
@@ -151,6 +158,7 @@ def run_study(
             store.keep(outcome.key, {**outcome.record, "results": results}, outcome.files)
             done += 1
             report(done, len(refs))
+    return refs
 
 
 @contextmanager
@@ -176,8 +184,15 @@ def workers(scheduler: str | None, jobs: int) -> Iterator[None]:
         client = Client(scheduler, timeout="10s", set_as_default=True)
     except (OSError, TimeoutError, ValueError) as err:
         raise ValueError(f"--scheduler {scheduler}: no Dask scheduler answers there ({err})") from err
-    with client, joblib.parallel_config("dask"):
-        yield
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=_WORKER_TIMEOUT_S)
+        except TimeoutError as err:
+            raise ValueError(
+                f"--scheduler {scheduler}: it has no worker; start some: dask worker {scheduler}"
+            ) from err
+        with joblib.parallel_config("dask"):
+            yield
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,7 +316,7 @@ def times_per_frame(study: Study, frames: int) -> Mapping[str, float]:
     Parameters
     ----------
     study : Study
-        The first `frames` frames of its first source are used.
+        Its first frames are used; damaged ones are passed over.
     frames : int
         Number of frames; the first of each variant is done twice and counted once.
 
@@ -310,10 +325,14 @@ def times_per_frame(study: Study, frames: int) -> Mapping[str, float]:
     mapping of str to float
         Median seconds a frame, by the variant's name; label images of other programs have none.
     """
-    refs = frame_refs(study)[:frames]
-    clouds = []
-    for ref in refs:
-        frame = read_frame(ref, study.options)
+    clouds: list[tuple[PointMap, str, int]] = []
+    for ref in frame_refs(study):
+        if len(clouds) == frames:
+            break
+        try:
+            frame = read_frame(ref, study.options)
+        except FrameFormatError:
+            continue
         clouds.append((register(frame), frame.name, ref.index))
     seconds = {}
     for variant in study.variants:

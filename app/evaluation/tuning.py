@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, get_args
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from nurbseg.app.evaluation.scoring import score_frame
 from nurbseg.app.evaluation.statistics import Estimate, bootstrap_gain
 from nurbseg.app.evaluation.study import FrameRef, Study, frame_refs, read_frame, workers
+from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.segmentation.config import Metric, SegmentationConfig, SplittingPoint
 from nurbseg.segmentation.registration import PointMap, register
 from nurbseg.segmentation.tree import segment
@@ -85,13 +87,15 @@ def tune(
     Raises
     ------
     ValueError
-        If there are fewer than two labelled frames or `budget` is below 2.
+        If there are fewer than two labelled frames, or `budget` or `folds` is below 2.
     """
     import joblib
     import optuna
 
     if budget < 2:
         raise ValueError(f"budget: expected at least 2 settings to try, got {budget}")
+    if folds < 2:
+        raise ValueError(f"folds: expected at least 2 parts, got {folds}")
     refs = frame_refs(study)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     search = optuna.create_study(direction="maximize", sampler=optuna.samplers.TPESampler(seed=seed))
@@ -128,18 +132,30 @@ def _cross_validated_gain(table: NDArray[np.float64], folds: int, seed: int) -> 
     return bootstrap_gain(chosen, table[0])
 
 
-_CLOUDS: dict[str, tuple[PointMap, NDArray[np.uint16]] | None] = {}
+_Labelled = tuple[PointMap, NDArray[np.uint16]]
+
+#: Registered frames that a process keeps; half a gigabyte at 640x480.
+_CLOUDS_MOST = 100
+_CLOUDS: dict[str, _Labelled | None] = {}
 
 
-def _labelled_cloud(ref: FrameRef, study: Study) -> tuple[PointMap, NDArray[np.uint16]] | None:
-    """Register a frame once in each process; tried settings differ in what comes after."""
-    known = f"{ref.uri}#{ref.index}"
-    if known not in _CLOUDS:
+def _labelled_cloud(ref: FrameRef, study: Study) -> _Labelled | None:
+    """Register a frame, the first ones once in each process; tried settings differ in what comes after."""
+    known = json.dumps([ref.uri, ref.index, study.description()["options"]])
+    if known in _CLOUDS:
+        return _CLOUDS[known]
+    labelled = None
+    try:
         frame = read_frame(ref, study.options)
+    except FrameFormatError:
+        pass
+    else:
         cloud = register(frame)
-        usable = frame.labels is not None and bool((cloud.valid & (frame.labels > 0)).any())
-        _CLOUDS[known] = (cloud, frame.labels) if usable and frame.labels is not None else None
-    return _CLOUDS[known]
+        if frame.labels is not None and (cloud.valid & (frame.labels > 0)).any():
+            labelled = cloud, frame.labels
+    if len(_CLOUDS) < _CLOUDS_MOST:
+        _CLOUDS[known] = labelled
+    return labelled
 
 
 def _frame_objective(ref: FrameRef, study: Study, config: SegmentationConfig) -> float:

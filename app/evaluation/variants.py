@@ -7,12 +7,22 @@ import itertools
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
 from typing import Any, get_args
 
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 
 #: Methods decided by the tree of surface fits; the metric and threshold grids apply to them alone.
 TREE_METHODS = ("nurbseg", "stag15", "pz14")
+
+#: Settings that the flat clustering shares with the trees; it chooses lambda itself.
+_FLAT_SETTINGS = ("samples", "affinity_scale")
+
+#: Settings that a method's name stands for.
+_FIXED = {"stag15": ("method",), "nurbseg": ("method",), "pz14": ("method", "metric", "control_points")}
+
+#: Begins the name of a method that stands for label images of another program.
+LABELS_PREFIX = "labels:"
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,22 +36,29 @@ class Variant:
     method : str
         Name of the method, or ``labels:DIR`` for label images of another program.
     config : SegmentationConfig
-        Settings of the methods of this project; rivals use those they share with it.
+        Settings of the methods of this project; of them ``dmzc12`` uses the samples and the affinity
+        scale, and the other rivals none.
     lambda_auto : bool
         Whether lambda is chosen for each frame by the unsupervised quality.
+    content : str
+        What results depend on besides: the state of the label images of another program.
     """
 
     name: str
     method: str
     config: SegmentationConfig
     lambda_auto: bool = False
+    content: str = ""
 
     @property
     def key(self) -> str:
         """Name of this variant's results on disk: equal for equal work and for nothing else."""
-        config = asdict(self.config) if self.method in (*TREE_METHODS, "dmzc12") else {}
-        content = json.dumps([self.method, config, self.lambda_auto], sort_keys=True)
-        return hashlib.sha256(content.encode()).hexdigest()[:16]
+        config = asdict(self.config)
+        if self.method not in TREE_METHODS:
+            used = _FLAT_SETTINGS if self.method == "dmzc12" else ()
+            config = {name: config[name] for name in used}
+        parts = [self.method, config, self.lambda_auto, *([self.content] if self.content else [])]
+        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def setting_value(name: str, text: str) -> Any:
@@ -94,7 +111,8 @@ def grid_of(texts: Iterable[str]) -> dict[str, list[Any]]:
     Raises
     ------
     ValueError
-        If a text has another form, or a value is not one of its setting's.
+        If a text has another form, a value is not one of its setting's, or the setting is the method,
+        which is not part of a grid.
     """
     grid: dict[str, list[Any]] = {}
     for text in texts:
@@ -102,6 +120,8 @@ def grid_of(texts: Iterable[str]) -> dict[str, list[Any]]:
         if not equals or not values:
             raise ValueError(f"{text}: expected NAME=VALUE,VALUE,...")
         field = field_named(name)
+        if field == "method":
+            raise ValueError(f"{text}: methods are named by --methods")
         grid[field] = [
             "auto" if field == "geometry_weight" and value == "auto" else setting_value(name, value)
             for value in values.split(",")
@@ -117,7 +137,7 @@ def variants_of(
     grid: Mapping[str, Sequence[Any]] | None = None,
     base: SegmentationConfig | None = None,
 ) -> tuple[Variant, ...]:
-    """Spell out a study's variants: every method with every combination of the settings that touch it.
+    """Spell out a study's variants: every method with every combination of the settings that it uses.
 
     Parameters
     ----------
@@ -143,10 +163,14 @@ def variants_of(
     axes: dict[str, Sequence[Any]] = dict(grid or {})
     variants: dict[str, Variant] = {}
     for method in methods:
-        if method not in (*TREE_METHODS, "dmzc12"):
-            variants[method] = Variant(name=method, method=method, config=base)
+        if method.startswith(LABELS_PREFIX):
+            state = _state_of_images(Path(method.removeprefix(LABELS_PREFIX)))
+            variants[method] = Variant(name=method, method=method, config=base, content=state)
             continue
-        own = dict(axes)
+        if method not in TREE_METHODS:
+            own = {name: axes[name] for name in _FLAT_SETTINGS if method == "dmzc12" and name in axes}
+        else:
+            own = {name: values for name, values in axes.items() if name not in _FIXED[method]}
         if method in ("stag15", "nurbseg") and (metrics or thresholds):
             own = {
                 "metric": list(metrics or [base.metric]),
@@ -167,11 +191,16 @@ def _variant(method: str, chosen: Mapping[str, Any], base: SegmentationConfig) -
     words = [method]
     for field, value in chosen.items():
         words.append(str(value) if field == "metric" else f"{_symbol(field)}={value}")
-    kind = method if method in ("stag15", "nurbseg") else "stag15"
-    config = replace(base, **({"method": kind} | settings))
+    config = replace(base, method="nurbseg" if method == "nurbseg" else "stag15", **settings)
     if method == "pz14":
         config = replace(config, metric="mse", control_points="fixed")
     return Variant(name=" ".join(words), method=method, config=config, lambda_auto=lambda_auto)
+
+
+def _state_of_images(folder: Path) -> str:
+    """Tell one state of a folder's images from another, so that replaced ones are scored anew."""
+    found = [(path.name, path.stat()) for path in sorted(folder.glob("*.png"))]
+    return json.dumps([(name, status.st_size, status.st_mtime_ns) for name, status in found])
 
 
 def _symbol(field: str) -> str:

@@ -76,6 +76,58 @@ def test_a_second_run_with_more_settings_does_only_the_new_ones(frames: Path, tm
     assert len(list(out.glob("labels/*/*.png"))) > len(labels)
 
 
+def test_fewer_frames_of_a_finished_study_are_a_table_of_these(frames: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = ["run", str(frames), "--methods", "fh04", "--no-report", "--time-frames", "0", "--out", str(out)]
+    assert main(words) == 0
+    assert len((out / "results.csv").read_text().splitlines()) == 6
+    assert main([*words, "--frames", "2"]) == 0
+    assert len((out / "results.csv").read_text().splitlines()) == 3
+
+
+def test_a_damaged_frame_is_skipped_with_its_name_and_not_timed(
+    frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    damaged = frames / "learn0_depth.png"
+    damaged.write_bytes(damaged.read_bytes()[:60])
+    words = ["run", str(frames), "--methods", "fh04", "--no-report", "--time-frames", "1"]
+    assert main([*words, "--out", str(tmp_path / "out")]) == 0
+    printed = capsys.readouterr()
+    assert "learn0_depth.png" in printed.err
+    assert len((tmp_path / "out" / "results.csv").read_text().splitlines()) == 5
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_scheduler_without_workers_is_a_usage_error(
+    frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr("nurbseg.app.evaluation.study._WORKER_TIMEOUT_S", 0.2)
+    words = ["run", str(frames), "--methods", "fh04", "--out", str(tmp_path / "out")]
+    with distributed.LocalCluster(n_workers=0, host="127.0.0.1", dashboard_address=None) as cluster:
+        assert main([*words, "--scheduler", cluster.scheduler_address]) == 2
+    assert "it has no worker" in capsys.readouterr().err
+
+
+def test_without_the_extra_the_command_says_what_to_install(
+    frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "joblib", None)
+    assert main([str(frames), "--methods", "fh04", "--out", str(tmp_path / "out")]) == 2
+    assert "joblib is not installed; evaluation needs the extra 'eval'" in capsys.readouterr().err
+
+
+def test_the_noise_of_planes_is_measured_past_damaged_frames(
+    frames: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    damaged = frames / "learn1_depth.png"
+    damaged.write_bytes(damaged.read_bytes()[:60])
+    assert main(["noise", str(frames)]) == 0
+    printed = capsys.readouterr()
+    assert "learn1_depth.png" in printed.err
+    assert "in 4 of 5 frames" in printed.out
+
+
 def test_another_study_s_folder_is_refused(frames: Path, tmp_path: Path) -> None:
     StudyStore(tmp_path / "out", {"sources": ["elsewhere"], "seed": 0})
     with pytest.raises(ValueError, match=r"study\.json: holds a study that differs in sources"):

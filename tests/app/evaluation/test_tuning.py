@@ -25,6 +25,26 @@ def test_the_same_seed_finds_the_same_settings(frames: Path, tmp_path: Path) -> 
     assert (tmp_path / "a.toml").read_text() == (tmp_path / "b.toml").read_text()
 
 
+def test_a_damaged_frame_does_not_end_the_search(frames: Path, tmp_path: Path) -> None:
+    damaged = frames / "learn2_depth.png"
+    damaged.write_bytes(damaged.read_bytes()[:60])
+    words = ["tune", str(frames), "--budget", "2", "--out", str(tmp_path / "tuned.toml")]
+    assert main(words) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [(["--folds", "1"], "at least 2"), (["--out", "/no/such/folder/t.toml"], "/no/such/folder/t.toml")],
+)
+def test_what_cannot_work_is_said_before_the_search(
+    frames: Path, words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["tune", str(frames), *words]) == 2
+    printed = capsys.readouterr()
+    assert message in printed.err
+    assert printed.out == ""
+
+
 def test_one_setting_is_no_search(frames: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["tune", str(frames), "--budget", "1"]) == 2
     assert "at least 2" in capsys.readouterr().err

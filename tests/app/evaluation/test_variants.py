@@ -1,5 +1,7 @@
 """Spelling out what is compared."""
 
+from pathlib import Path
+
 import pytest
 
 from nurbseg.app.evaluation.variants import grid_of, setting_value, variants_of
@@ -35,9 +37,32 @@ def test_the_key_of_a_rival_does_not_depend_on_settings_it_does_not_use() -> Non
     assert variants_of(["stag15"])[0].key != variants_of(["stag15"], base=other)[0].key
 
 
+def test_a_grid_gives_a_method_only_the_settings_it_uses() -> None:
+    grid = grid_of(["lambda=0.5,auto", "samples=50,60", "control-points=fixed,adaptive"])
+    names = [each.name for each in variants_of(["dmzc12", "fh04"], grid=grid)]
+    assert names == ["dmzc12 samples=50", "dmzc12 samples=60", "fh04"]
+    earlier = variants_of(["pz14"], grid=grid)
+    assert len(earlier) == 4
+    assert {each.config.control_points for each in earlier} == {"fixed"}
+    assert {each.config.method for each in earlier} == {"stag15"}
+
+
+def test_replaced_label_images_have_another_key(tmp_path: Path) -> None:
+    image = tmp_path / "learn0_labels.png"
+    image.write_bytes(b"first")
+    (before,) = variants_of([f"labels:{tmp_path}"])
+    (same,) = variants_of([f"labels:{tmp_path}"])
+    image.write_bytes(b"second")
+    (after,) = variants_of([f"labels:{tmp_path}"])
+    assert before.key == same.key
+    assert before.key != after.key
+    assert before.name == after.name
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ("method=stag15", "named by --methods"),
         ("lambda", "NAME=VALUE"),
         ("lamda=1", "no such setting"),
         ("samples=many", "expected a value like"),
