@@ -17,6 +17,9 @@ from nurbseg.segmentation.surface import NurbsSurface
 #: many pixels inside their border; both in pixels of an image 640 wide.
 _REACH_PX = 6
 _INSET_PX = 4
+#: Surfaces are in contact where so many samples of their border touch, and such a share of all.
+_TOUCHING_LEAST = 4
+_TOUCHING_SHARE = 0.5
 
 _Values = NDArray[np.float64]
 #: Gives inverse depth and its slopes from labels, columns and rows.
@@ -45,6 +48,11 @@ class Meeting:
     samples: int
     touching: int
     concavity_sum: float
+
+
+def in_contact(samples: float, touching: float) -> bool:
+    """Say whether enough samples of a common border touch, in number and as a share of all."""
+    return touching >= _TOUCHING_LEAST and touching >= _TOUCHING_SHARE * samples
 
 
 def meetings(

@@ -5,22 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.contact import Meeting, meetings
-from nurbseg.segmentation.inverse_depth import DepthGrid, fit_window
-from nurbseg.segmentation.noise import explained_by_noise
+from nurbseg.segmentation.contact import Meeting, in_contact, meetings
+from nurbseg.segmentation.inverse_depth import DepthGrid
+from nurbseg.segmentation.smooth import is_smooth
 from nurbseg.segmentation.surface import NurbsSurface
-
-#: Surfaces are in contact where so many samples of their border touch, and such a share of all.
-_TOUCHING_LEAST = 4
-_TOUCHING_SHARE = 0.5
-#: A crease is smooth if one surface explains the strip so wide on each side of it, pixels of 640.
-_STRIP_PX = 12.0
-_STRIP_POINTS_LEAST = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +70,7 @@ def merge_surfaces(
 
     Of all pairs in contact the one with the least concavity is merged first, and its borders with others
     are pooled, until all that is left is more concave than allowed. A concave border that a single surface
-    explains within noise is smooth, the inside of a bowl rather than a box on a table: it counts as flat.
+    explains as well as two is smooth, the inside of a bowl rather than a box on a table: it counts as flat.
 
     Parameters
     ----------
@@ -157,45 +149,6 @@ def merged_objects(
     return objects, contacts
 
 
-def _in_contact(samples: float, touching: float) -> bool:
-    return touching >= _TOUCHING_LEAST and touching >= _TOUCHING_SHARE * samples
-
-
-def is_smooth(
-    meeting: Meeting, labels: NDArray[np.int32], grid: DepthGrid, config: SegmentationConfig
-) -> bool:
-    """Say whether one surface explains both sides of a concave border within noise.
-
-    Parameters
-    ----------
-    meeting : Meeting
-        Of two labels.
-    labels : (H, W) int32
-        Labels of every pixel.
-    grid : DepthGrid
-        The points.
-    config : SegmentationConfig
-        Noise and concavity; a border that is merged for its concavity anyway is not asked about.
-    """
-    if not _in_contact(meeting.samples, meeting.touching):
-        return False
-    if config.merge_crease and meeting.concavity_sum < config.concavity_max * meeting.touching:
-        return False
-    on_grid = np.where(grid.valid, labels[:: grid.step, :: grid.step], 0)
-    first, second = on_grid == meeting.first, on_grid == meeting.second
-    width = 2 * max(1, round(_STRIP_PX * grid.unit_px / grid.step)) + 1
-    kernel = np.ones((width, width), dtype=np.uint8)
-    strip = first & (cv2.dilate(second.view(np.uint8), kernel) > 0)
-    strip |= second & (cv2.dilate(first.view(np.uint8), kernel) > 0)
-    places = np.flatnonzero(strip)
-    if places.size < _STRIP_POINTS_LEAST:
-        return False
-    _, _, window = grid.points.locate(places)
-    mask = strip[window[0] : window[2], window[1] : window[3]]
-    _, residuals_per_m = fit_window(grid, window, mask, config)
-    return explained_by_noise(residuals_per_m, mask, config.noise_per_m, rim=True)
-
-
 def _merged(
     found: Sequence[Meeting], smooth: set[tuple[int, int]], count: int, config: SegmentationConfig
 ) -> NDArray[np.intp]:
@@ -214,7 +167,7 @@ def _merged(
         candidates = [
             (concavity / touching, pair)
             for pair, (samples, touching, concavity, allowed) in pooled.items()
-            if allowed and _in_contact(samples, touching) and concavity < config.concavity_max * touching
+            if allowed and in_contact(samples, touching) and concavity < config.concavity_max * touching
         ]
         if not candidates:
             return group
@@ -237,7 +190,7 @@ def _explained(
 ) -> Contact:
     """Say in words why two surfaces are, or are not, one object."""
     merged = bool(group[meeting.first] == group[meeting.second])
-    touching = _in_contact(meeting.samples, meeting.touching)
+    touching = in_contact(meeting.samples, meeting.touching)
     concavity = meeting.concavity_sum / meeting.touching if meeting.touching else float("nan")
     if not touching:
         why = f"a gap: {meeting.touching} of {meeting.samples} places along the border touch"
@@ -264,4 +217,4 @@ def _explained(
     )
 
 
-__all__ = ["Contact", "SceneObject", "is_smooth", "merge_surfaces", "merged_objects"]
+__all__ = ["Contact", "SceneObject", "merge_surfaces", "merged_objects"]
