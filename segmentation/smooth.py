@@ -68,7 +68,7 @@ def is_smooth(
         return False
     two = sum(_squares(strip & side, grid, config)[0] for side in (first, second))
     rounding = np.count_nonzero(strip) * (_ROUNDING_SHARE * config.noise_per_m) ** 2
-    return one + rounding <= _RATIO_MOST * (two + rounding)
+    return bool(one + rounding <= _RATIO_MOST * (two + rounding))
 
 
 def _strip(first: NDArray[np.bool_], second: NDArray[np.bool_], width: float) -> NDArray[np.bool_]:
