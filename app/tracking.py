@@ -6,10 +6,16 @@ import time
 from dataclasses import replace
 from types import MappingProxyType
 
+import numpy as np
+from numpy.typing import NDArray
+
 from nurbseg.app.worker import FrameResult, process_frame
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.identity import Identities, carry_identities
+from nurbseg.segmentation.live import Budget, LiveTree, lives
+from nurbseg.segmentation.registration import PointMap, register
+from nurbseg.segmentation.tree import SegmentationTree
 
 
 class Segmenter:
@@ -20,14 +26,18 @@ class Segmenter:
     config : SegmentationConfig
         How to segment.
     temporal : bool
-        Whether a frame continues the one before: segments keep their identities.
+        Whether a frame continues the one before: segments keep their identities and, with the default
+        method, the tree of a frame is that of the one before, revised.
     """
 
     def __init__(self, config: SegmentationConfig, *, temporal: bool) -> None:
-        self._config = config
+        self.config = config
+        self.budget = Budget()
         self._temporal = temporal
+        self._live = LiveTree(config) if temporal and lives(config) else None
         self._surfaces: Identities | None = None
         self._objects: Identities | None = None
+        self._object_of_label = np.zeros(1, dtype=np.uint16)
 
     def process(self, frame: RGBDFrame) -> FrameResult:
         """Register and segment a frame.
@@ -42,16 +52,36 @@ class Segmenter:
         FrameResult
             With the stages of `process_frame` and, where frames continue each other, ``identify``.
         """
-        result = process_frame(frame, self._config)
-        return self._identified(result) if self._temporal else result
+        if not self._temporal:
+            return process_frame(frame, self.config)
+        if self._live is None:
+            result = process_frame(frame, self.config)
+            return self._identified(result, None)
+        started_s = time.perf_counter()
+        cloud = register(frame)
+        registered_s = time.perf_counter()
+        tree = self._live.segment(cloud, self.budget)
+        elapsed_ms = {
+            "register": 1e3 * (registered_s - started_s),
+            "segment": 1e3 * (time.perf_counter() - registered_s),
+        }
+        result = FrameResult(frame, cloud, tree, elapsed_ms, revision=self._live.revision)
+        return self._identified(result, None if self._live.revision.cold else self._live.labels_before)
 
-    def _identified(self, result: FrameResult) -> FrameResult:
-        """Give the segments of a frame the identities of those that they continue."""
+    def _identified(self, result: FrameResult, before: NDArray[np.uint16] | None) -> FrameResult:
+        """Give the segments of a frame the identities of those that they continue.
+
+        `before` holds the labels of the leaves of the last frame where these are now, if that is known.
+        """
         started_s = time.perf_counter()
         tree = result.tree
-        self._surfaces = carry_identities(self._surfaces, tree.label_image(), result.cloud)
+        labels = tree.label_image()
+        self._surfaces = _carried(self._surfaces, labels, result.cloud, before)
+        object_of_label = _object_of_label(tree)
         if tree.objects:
-            self._objects = carry_identities(self._objects, tree.object_image(), result.cloud)
+            objects = None if before is None else self._object_of_label[before]
+            self._objects = _carried(self._objects, object_of_label[labels], result.cloud, objects)
+        self._object_of_label = object_of_label
         elapsed_ms = {**result.elapsed_ms, "identify": 1e3 * (time.perf_counter() - started_s)}
         return replace(
             result,
@@ -59,3 +89,20 @@ class Segmenter:
             surface_identities=self._surfaces,
             object_identities=self._objects if tree.objects else None,
         )
+
+
+def _carried(
+    previous: Identities | None,
+    labels: NDArray[np.uint16],
+    cloud: PointMap,
+    before: NDArray[np.uint16] | None,
+) -> Identities:
+    if previous is None or before is None:
+        return carry_identities(previous, labels, cloud)
+    return carry_identities(previous, labels, cloud, carried=previous.image(before))
+
+
+def _object_of_label(tree: SegmentationTree) -> NDArray[np.uint16]:
+    """Return the number of the object of each leaf, by the leaf's label; 0 where there are no objects."""
+    number = {name: n for n, each in enumerate(tree.objects, start=1) for name in each.leaves}
+    return np.array([0, *(number.get(leaf.name, 0) for leaf in tree.leaves())], dtype=np.uint16)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.identity import Event, Identities
+from nurbseg.segmentation.live import Revision
 from nurbseg.segmentation.registration import PointMap, register
 from nurbseg.segmentation.tree import SegmentationTree, segment
 
@@ -34,6 +35,8 @@ class FrameResult:
     surface_identities, object_identities : Identities or None
         Of the tree's leaves and objects, by their labels, where frames continue each other. Then labels are
         identities: a segment keeps its own from frame to frame.
+    revision : Revision or None
+        What was done to the live tree for this frame; None where the frame was segmented for itself.
     """
 
     frame: RGBDFrame
@@ -42,6 +45,7 @@ class FrameResult:
     elapsed_ms: Mapping[str, float]
     surface_identities: Identities | None = None
     object_identities: Identities | None = None
+    revision: Revision | None = None
 
     def surface_image(self) -> NDArray[np.uint16]:
         """Return the label of every pixel's surface, (H, W) uint16; 0 where there is no depth."""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from nurbseg.segmentation.features import lab
 from nurbseg.segmentation.registration import PointMap
 
 #: Identities fit into a label image of 16 bits; 0 is "no segment".
@@ -23,7 +23,7 @@ _TAKEN_SHARE = 0.3
 #: times larger or smaller, and differ this much in color (CIELab).
 _RETURN_M, _RETURN_SHARE, _RETURN_SIZE, _RETURN_LAB = 0.05, 0.05, 3.0, 20.0
 #: Pixels of the image are compared on a grid of about this width.
-_GRID_WIDTH = 320
+_GRID_WIDTH = 160
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +119,12 @@ class Identities:
 
 
 def carry_identities(
-    previous: Identities | None, labels: NDArray[np.uint16], cloud: PointMap, *, remembered: int = 30
+    previous: Identities | None,
+    labels: NDArray[np.uint16],
+    cloud: PointMap,
+    *,
+    carried: NDArray[np.uint16] | None = None,
+    remembered: int = 30,
 ) -> Identities:
     """Give each segment the identity of the segment of the frame before that it continues.
 
@@ -135,6 +140,9 @@ def carry_identities(
         Labels of this frame; 0 is no segment.
     cloud : PointMap
         This frame.
+    carried : (H, W) uint16, optional
+        Identities of the frame before, carried along the motion between the frames; 0 is none. Without
+        them they are taken to be where they were.
     remembered : int
         Frames for which an identity that is not seen is kept.
 
@@ -149,10 +157,15 @@ def carry_identities(
     between = [each for each in np.flatnonzero(np.bincount(labels.reshape(-1))) if each and each not in seen]
     if between:
         # Slivers that lie between the grid's pixels.
-        slivers = np.where(np.isin(labels, between), labels, 0)
+        is_between = np.zeros(int(labels.max()) + 1, dtype=np.bool_)
+        is_between[between] = True
+        slivers = np.where(is_between[labels], labels, 0)
         seen |= _portraits(slivers, cloud.points_m, cloud.color)
     if previous is None or previous.grid.shape != coarse.shape:
         previous = Identities({}, np.zeros_like(coarse), {}, (), 1)
+    elif carried is not None:
+        grid = np.ascontiguousarray(carried[::step, ::step])
+        previous = replace(previous, grid=np.where(np.isin(grid, list(previous.portraits)), grid, 0))
     overlap, identities, present = _overlaps(previous.grid, coarse)
     matched = _matched(overlap, identities, present, previous, seen)
 
@@ -194,19 +207,17 @@ def carry_identities(
 def _portraits(
     labels: NDArray[np.uint16], points_m: NDArray[np.float32], color: NDArray[np.uint8]
 ) -> dict[int, Portrait]:
-    flat = labels.reshape(-1)
-    used = flat > 0
-    values, rows = np.unique(flat[used], return_inverse=True)
-    if values.size == 0:
+    used = np.nonzero(labels)
+    own = labels[used].astype(np.intp)
+    if own.size == 0:
         return {}
-    counts = np.bincount(rows)
-    lab = cv2.cvtColor(np.ascontiguousarray(color).astype(np.float32) / 255.0, cv2.COLOR_RGB2LAB)
-    attributes = np.hstack([points_m.reshape(-1, 3)[used], lab.reshape(-1, 3)[used]])
-    sums = np.stack([np.bincount(rows, weights=column) for column in attributes.T], axis=1)
-    means = np.asarray(sums / counts[:, np.newaxis], dtype=np.float64)
+    counts = np.bincount(own)
+    attributes = np.hstack([points_m[used], lab(color[used])])
+    sums = np.stack([np.bincount(own, weights=column) for column in attributes.T], axis=1)
+    means = np.asarray(sums / np.maximum(counts, 1)[:, np.newaxis], dtype=np.float64)
     return {
-        int(value): Portrait(means[place, :3], means[place, 3:], int(counts[place]))
-        for place, value in enumerate(values)
+        int(value): Portrait(means[value, :3], means[value, 3:], int(counts[value]))
+        for value in np.flatnonzero(counts)
     }
 
 
@@ -214,12 +225,19 @@ def _overlaps(
     before: NDArray[np.uint16], now: NDArray[np.uint16]
 ) -> tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16]]:
     """Count common pixels of identities (rows) and labels (columns); the first of either is 0, "none"."""
-    identities = np.union1d(before, np.zeros(1, before.dtype))
-    present = np.union1d(now, np.zeros(1, now.dtype))
-    rows = np.searchsorted(identities, before.reshape(-1))
-    columns = np.searchsorted(present, now.reshape(-1))
+    identities, rows = _compressed(before)
+    present, columns = _compressed(now)
     counts = np.bincount(rows * present.size + columns, minlength=identities.size * present.size)
     return counts.reshape(identities.size, present.size).astype(np.int64), identities, present
+
+
+def _compressed(image: NDArray[np.uint16]) -> tuple[NDArray[np.uint16], NDArray[np.intp]]:
+    """Return the values of an image, 0 among them, and the place of each pixel's among these."""
+    is_there = np.zeros(int(image.max(initial=0)) + 1, dtype=np.bool_)
+    is_there[image] = True
+    is_there[0] = True
+    place = np.cumsum(is_there) - 1
+    return np.flatnonzero(is_there).astype(np.uint16), place[image.reshape(-1)]
 
 
 def _matched(

@@ -1,0 +1,307 @@
+"""The live tree: it keeps what it knows of a scene from frame to frame, and revises what no longer holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.follow import grown_labels, inner_places, moved_surfaces, settled_borders
+from nurbseg.segmentation.inverse_depth import DepthGrid, depth_grid, inverse_depth_image
+from nurbseg.segmentation.lattice import SurfaceLattice
+from nurbseg.segmentation.live_leaf import LiveLeaf, Misfit, misfit, remeasured
+from nurbseg.segmentation.live_objects import ObjectMemory
+from nurbseg.segmentation.live_revision import Budget, Reviser
+from nurbseg.segmentation.motion import brightness, carried, flow_back
+from nurbseg.segmentation.pieces import Joints, connected_pieces, joints, spread_labels
+from nurbseg.segmentation.registration import PointMap
+from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, finished_segments
+from nurbseg.segmentation.splitting import segment_nurbseg
+from nurbseg.segmentation.surface import Fit
+
+#: The scene is another one where so much of it is not explained by the surfaces of the frame before.
+_CHANGED_SHARE = 0.3
+#: So many leaves waiting for a trial, over so many frames, are more than revising can do.
+_WAITING_MOST, _WAITING_FRAMES = 6, 15
+#: A leaf's own residuals, in units of their root mean square, beyond which a place is not its own.
+_OWN_DEVIATIONS = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class Revision:
+    """What was done to the tree for a frame.
+
+    Parameters
+    ----------
+    cold : str
+        Why the frame was segmented anew; empty where the tree lived on.
+    unexplained : float
+        Share of the points that the moved surfaces did not explain.
+    refits, trials, splits, folds : int
+        Surfaces fitted anew, leaves tried for a split, splits made, and splits undone.
+    waiting : int
+        Leaves that are to be tried in later frames.
+    """
+
+    cold: str = ""
+    unexplained: float = 0.0
+    refits: int = 0
+    trials: int = 0
+    splits: int = 0
+    folds: int = 0
+    waiting: int = 0
+
+
+class LiveTree:
+    """Segments frame after frame, each from the tree of the one before.
+
+    Labels are carried along the motion of the image, surfaces move by the linear change of inverse depth that
+    their points tell, and borders are settled by both. Then the tree is revised, the worst first and as far
+    as the budget goes: leaves are fitted anew, a leaf that has become worse is tried for a split, a split
+    that one surface explains again is undone. Borders between surfaces are remembered, so that objects do not
+    flicker. A frame that is not explained is segmented anew.
+
+    Parameters
+    ----------
+    config : SegmentationConfig
+        Of the default method with surfaces of inverse depth.
+
+    Attributes
+    ----------
+    revision : Revision
+        What was done for the last frame.
+    labels_before : (H, W) uint16
+        Label that each pixel of the last frame had in the tree before it; 0 where it had none.
+
+    Raises
+    ------
+    ValueError
+        If the configuration is of another method.
+    """
+
+    def __init__(self, config: SegmentationConfig) -> None:
+        if not lives(config):
+            raise ValueError(f"method: expected nurbseg with inverse-depth fits, got {config.method}")
+        self._config = config
+        self.revision = Revision()
+        self._leaves: list[LiveLeaf] = []
+        self._root = Node(
+            "", np.zeros(0, dtype=np.intp), Fit(None, np.zeros(0), {}, "", np.zeros(0, dtype=np.intp))
+        )
+        self._labels = np.zeros((0, 0), dtype=np.uint16)
+        self._gray = np.zeros((0, 0), dtype=np.uint8)
+        self._objects = ObjectMemory()
+        self._reviser = Reviser()
+        self._overdue = 0
+        self.labels_before = self._labels
+
+    def segment(self, cloud: PointMap, budget: Budget | None = None) -> SegmentationTree:
+        """Segment the next frame.
+
+        Parameters
+        ----------
+        cloud : PointMap
+            The frame.
+        budget : Budget, optional
+            How much may be revised.
+
+        Returns
+        -------
+        SegmentationTree
+            As that of a frame alone; a part that is split off or gone changes the names of those below
+            the same split.
+        """
+        reason = self._no_continuation(cloud)
+        if not reason:
+            tree = self._followed(cloud, budget or Budget())
+            if tree is not None:
+                return tree
+            reason = self.revision.cold
+        tree = segment_nurbseg(cloud, self._config)
+        self._take_over(tree, cloud)
+        self.revision = replace(self.revision, cold=reason)
+        return tree
+
+    def _no_continuation(self, cloud: PointMap) -> str:
+        if not self._leaves:
+            return "the first frame"
+        if cloud.valid.shape != self._labels.shape:
+            return "images of another size"
+        if self._overdue > _WAITING_FRAMES:
+            return "more to revise than the budget allows"
+        return ""
+
+    def _take_over(self, tree: SegmentationTree, cloud: PointMap) -> None:
+        """Begin to live with a tree that was grown for this frame alone."""
+        nodes = {
+            each.name: Node(
+                each.name,
+                np.zeros(0, dtype=np.intp),
+                each.fit,
+                ratio=each.ratio,
+                stop=each.stop,
+                cut=each.cut,
+                cuts_above=each.depth,
+            )
+            for each in tree.segments
+        }
+        for each in tree.segments:
+            if each.children:
+                nodes[each.name].children = (nodes[each.children[0]], nodes[each.children[1]])
+        self._root = nodes[""]
+        self._reviser = Reviser()
+        self._leaves = [self._reviser.leaf(nodes[leaf.name]) for leaf in tree.leaves()]
+        self.labels_before = np.zeros(tree.shape, dtype=np.uint16)
+        self._labels = tree.label_image()
+        self._gray = brightness(cloud.color, self._config.decimation)
+        self._objects = ObjectMemory()
+        self._overdue = 0
+        self.revision = Revision()
+
+    def _followed(self, cloud: PointMap, budget: Budget) -> SegmentationTree | None:
+        """Let the tree live on into a frame; None where the frame is not explained."""
+        config, step = self._config, self._config.decimation
+        grid = depth_grid(cloud, step)
+        per_m = inverse_depth_image(cloud)
+        gray = brightness(cloud.color, step)
+        before = carried(self._labels, flow_back(gray, self._gray))
+        on_grid = np.where(grid.valid, before[::step, ::step], 0).astype(np.int32)
+
+        # Surfaces move with their points, and what they do not explain is open.
+        surfaces = [leaf.surface for leaf in self._leaves]
+        lattice = SurfaceLattice(surfaces, step)
+        inner = inner_places(on_grid)
+        surfaces = moved_surfaces(surfaces, lattice, on_grid, grid.per_m, inner, step, config.noise_per_m)
+        lattice = SurfaceLattice(surfaces, step)
+        limits = self._limits_per_m()
+        residual = np.abs(lattice.image(on_grid) - grid.per_m)
+        wanted = grid.valid & ~((on_grid > 0) & (residual < limits[on_grid]))
+        points = max(1, int(np.count_nonzero(grid.valid)))
+        known = np.count_nonzero(on_grid)
+        unexplained = float(np.count_nonzero(wanted & (on_grid > 0))) / max(1, int(known))
+        if unexplained > _CHANGED_SHARE or known < (1.0 - _CHANGED_SHARE) * points:
+            self.revision = Revision(cold="another scene", unexplained=unexplained)
+            return None
+        for leaf, surface in zip(self._leaves, surfaces, strict=True):
+            leaf.surface = surface
+            leaf.age += 1
+            leaf.patience = max(0, leaf.patience - 1)
+
+        # Labels grow into what is open; what stays open is new, or too small to be anything.
+        on_grid[wanted] = 0
+        on_grid = grown_labels(on_grid, wanted, grid.per_m, lattice, limits)
+        joined = joints(grid.per_m, grid.valid, config.depth_gap_per_m)
+        on_grid, appeared = self._cleaned(on_grid, grid, joined)
+
+        # Borders on every pixel.
+        labels = _spread_to_pixels(before, on_grid, per_m, step)
+        if config.refine_borders:
+            labels = settled_borders(
+                labels, per_m, lattice, noise_per_m=config.noise_per_m, gap_per_m=config.depth_gap_per_m
+            )
+        on_grid = np.where(appeared > 0, 0, np.where(grid.valid, labels[::step, ::step], 0)).astype(np.int32)
+
+        # The tree is revised.
+        measures = misfit(on_grid, lattice, grid, config.noise_per_m, len(self._leaves))
+        done = self._reviser.revise(
+            cloud, grid, joined, on_grid, appeared, self._root, self._leaves, measures, budget, config
+        )
+        self._leaves = done.leaves
+        labels = done.relabelled(labels, step)
+        missed = (labels == 0) & (per_m > 0)
+        if missed.any():
+            labels = spread_labels(labels.astype(np.int32), missed, per_m, config.depth_gap_per_m).astype(
+                np.uint16
+            )
+        self.labels_before = before
+        self._overdue = self._overdue + 1 if done.waiting > _WAITING_MOST else 0
+        self.revision = Revision(
+            "", unexplained, done.refits, done.trials, done.splits, done.folds, done.waiting
+        )
+        return self._finished(cloud, grid, labels, before)
+
+    def _limits_per_m(self) -> NDArray[np.float32]:
+        """Return from which residual on a place is not a leaf's own, by label."""
+        own = [_OWN_DEVIATIONS * leaf.rms_per_m for leaf in self._leaves]
+        limits = np.maximum(np.array([0.0, *own]), self._config.depth_gap_per_m)
+        return np.asarray(limits, dtype=np.float32)
+
+    def _cleaned(
+        self, on_grid: NDArray[np.int32], grid: DepthGrid, joined: Joints
+    ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """Give small pieces to their neighbours; return the labels, and the pieces that are new things."""
+        config = self._config
+        places_min = config.piece_pixels_min * grid.points.pixel_share
+        open_label = len(self._leaves) + 1
+        marked = np.where(grid.valid & (on_grid == 0), open_label, on_grid).astype(np.int32)
+        count, pieces = connected_pieces(marked, joined)
+        sizes = np.bincount(pieces.ravel(), minlength=count + 1)
+        label_of = np.zeros(count + 1, dtype=np.int32)
+        label_of[pieces.ravel()] = marked.ravel()
+        kept = sizes >= places_min
+        # The largest piece of a leaf stays, however small it is.
+        order = np.argsort(sizes, kind="stable")
+        largest = np.zeros(open_label + 1, dtype=np.intp)
+        largest[label_of[order]] = order
+        kept[largest[1:open_label]] = True
+        kept[0] = False
+        new = np.flatnonzero(kept & (label_of == open_label))
+        appeared = np.zeros(count + 1, dtype=np.int32)
+        appeared[new] = np.arange(1, new.size + 1)
+        homeless = (marked > 0) & ~kept[pieces]
+        image = appeared[pieces]
+        cleaned = np.where(homeless, 0, np.where(image > 0, open_label + image, marked)).astype(np.int32)
+        if homeless.any():
+            cleaned = spread_labels(cleaned, homeless, grid.per_m, config.depth_gap_per_m)
+        image = np.where(cleaned > open_label, cleaned - open_label, 0).astype(np.int32)
+        cleaned[cleaned >= open_label] = 0
+        return cleaned, image
+
+    def _finished(
+        self, cloud: PointMap, grid: DepthGrid, labels: NDArray[np.uint16], before: NDArray[np.uint16]
+    ) -> SegmentationTree:
+        config = self._config
+        nodes = depth_first(self._root)
+        leaf_nodes = [leaf.node for leaf in self._leaves]
+        surfaces = [leaf.surface for leaf in self._leaves]
+        lattice = SurfaceLattice(surfaces, grid.step)
+        on_grid = np.ascontiguousarray(labels[:: grid.step, :: grid.step]).astype(np.int32)
+        remeasured(self._leaves, on_grid, lattice, grid, config)
+        number = np.where(labels > 0, labels - np.uint16(1), np.uint16(len(leaf_nodes))).ravel()
+        segments = finished_segments(nodes, leaf_nodes, number)
+        objects, contacts = self._objects.merged(self._leaves, labels, on_grid, lattice, grid, config)
+        # What has no depth in this frame keeps its label for the next one.
+        self._labels = np.where(labels > 0, labels, self._reviser.renumbered(before))
+        self._gray = brightness(cloud.color, grid.step)
+        return SegmentationTree(segments, cloud.valid.shape, objects, contacts, config.level)
+
+
+def lives(config: SegmentationConfig) -> bool:
+    """Say whether the tree of a configuration can live on from frame to frame."""
+    return config.method == "nurbseg" and config.fit_of == "inverse-depth"
+
+
+def _spread_to_pixels(
+    before: NDArray[np.uint16], on_grid: NDArray[np.int32], per_m: NDArray[np.float32], step: int
+) -> NDArray[np.uint16]:
+    """Take over what was decided on the grid; where nothing was, a pixel keeps its label."""
+    labels = np.where(per_m > 0, before, 0).astype(np.uint16)
+    decided = on_grid.astype(np.uint16)
+    changed = decided != before[::step, ::step]
+    if step == 1:
+        labels[changed] = decided[changed]
+    else:
+        height, width = labels.shape
+        rows, columns = np.nonzero(changed)
+        for down in range(step):
+            for across in range(step):
+                r, c = rows * step + down, columns * step + across
+                inside = (r < height) & (c < width)
+                labels[r[inside], c[inside]] = decided[rows[inside], columns[inside]]
+    labels[per_m <= 0] = 0
+    return labels
+
+
+__all__ = ["Budget", "LiveTree", "Misfit", "Revision", "lives"]
