@@ -6,6 +6,7 @@ import atexit
 import ctypes
 import os
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -27,6 +28,9 @@ from nurbseg.drivers.openni2.capi import (
 LIBRARY_FILE = "libOpenNI2.so.0"
 #: Environment variable that names the folder to take the library from, drivers and all.
 REDIST_VARIABLE = "OPENNI2_REDIST"
+
+#: A wait for an image ends sooner than this, seconds.
+_END_LIMIT_S = 1.0
 
 _INSTALL_HINT = (
     "install Debian's and Ubuntu's package libopenni2-0 (apt install libopenni2-0), "
@@ -95,6 +99,10 @@ class Library:
     ----------
     native : ctypes.CDLL
         The functions; Python's other threads run during a call.
+    waiting : int
+        Threads that wait in the library for an image.
+    ending : bool
+        Whether the program ends, so that nobody may begin to wait.
     quick : ctypes.PyDLL
         The same functions without that: for calls that are known not to wait. Every call through
         `native` may cost a whole switch interval (5 ms) when other threads are busy, and half a dozen
@@ -112,6 +120,8 @@ class Library:
         except AttributeError as err:
             raise BackendMissingError(f"{path} is not OpenNI2 2.2 ({err}); {_INSTALL_HINT}") from err
         self.path = path
+        self.waiting = 0
+        self.ending = False
         self._users = 0
         self._handle = ctypes.c_void_p()
         self._listeners: dict[object, tuple[str, Callable[[str], None]]] = {}
@@ -206,6 +216,17 @@ class Library:
             self.native.oniUnregisterDeviceCallbacks(self._handle)
             self._handle = ctypes.c_void_p()
 
+    def end(self) -> None:
+        """Shut down whoever still uses it: the program ends."""
+        self.ending = True
+        self.silence()
+        deadline = time.monotonic() + _END_LIMIT_S
+        while self.waiting and time.monotonic() < deadline:
+            time.sleep(0.005)
+        if self._users and not self.waiting:
+            self._users = 0
+            self.native.oniShutdown()
+
     def _remove_user(self) -> None:
         self._users -= 1
         if self._users == 0:
@@ -219,10 +240,11 @@ _loaded: dict[str, Library] = {}
 
 
 @atexit.register
-def _silence_all() -> None:
-    # A source that was left open must not have its callbacks run in an interpreter that is gone.
+def _end_all() -> None:
+    # A source that was left open must not have its callbacks run in an interpreter that is gone, nor be
+    # waiting in the library while the program's end takes the library apart.
     for library in _loaded.values():
-        library.silence()
+        library.end()
 
 
 def acquire() -> Library:

@@ -291,9 +291,15 @@ def _any(
 ) -> Stream | None:
     handles = (ctypes.c_void_p * len(streams))(*(stream.handle for stream in streams))
     index = ctypes.c_int(-1)
-    status = functions.oniWaitForAnyStream(
-        handles, len(streams), ctypes.byref(index), max(0, round(timeout_s * 1000))
-    )
+    if library.ending:
+        raise DeviceLostError("the program ends")
+    library.waiting += 1
+    try:
+        status = functions.oniWaitForAnyStream(
+            handles, len(streams), ctypes.byref(index), max(0, round(timeout_s * 1000))
+        )
+    finally:
+        library.waiting -= 1
     if status == Status.TIME_OUT:
         return None
     library.check(status, "waiting for a frame", DeviceLostError)

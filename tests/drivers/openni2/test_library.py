@@ -135,14 +135,15 @@ def test_the_program_ends_well_with_a_camera_left_open(virtual_cameras):
         import threading
         from nurbseg.drivers.openni2.device import DeviceSource
         source = DeviceSource()
-        source.read()
+        reading = threading.Event()
 
         def read():
             while True:
                 source.read()
+                reading.set()
 
         threading.Thread(target=read, daemon=True).start()
-        source.read()
+        assert reading.wait(30)
         open({str(camera.path)!r}, "w").write("plugged 0")  # disconnects while the interpreter goes
         """
     )
