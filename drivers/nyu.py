@@ -6,6 +6,7 @@ and single frames in MATLAB 5 files, which have a ``data`` structure with ``rgb`
 
 from __future__ import annotations
 
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.errors import BackendMissingError, RecordingFormatError
+from nurbseg.drivers.errors import BackendMissingError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.sequence import FRAME_INTERVAL_NS, SequenceSource
 from nurbseg.drivers.source import FrameSource
@@ -98,21 +99,28 @@ class NyuLabelledSource(SequenceSource):
         try:
             import h5py
         except ImportError as err:
-            raise BackendMissingError(
-                f"{path}: h5py is needed to read it: pip install 'nurbseg[eval]'"
-            ) from err
+            raise BackendMissingError(f"{path}: h5py is needed to read it: pip install h5py") from err
         try:
             self._file = h5py.File(path, "r")
         except OSError as err:
             raise RecordingFormatError(f"{path}: not a readable HDF5 file ({err})") from err
         try:
             self._sets = {name: self._set(path, name) for name in ("images", "depths", "labels", "instances")}
-            frames, width, height = self._sets["depths"].shape
-            if self._sets["images"].shape != (frames, 3, width, height):
+            if len(self._sets["depths"].shape) != 3:
                 raise RecordingFormatError(
-                    f"{path}: images: expected {(frames, 3, width, height)} as for depths, "
-                    f"got {self._sets['images'].shape}"
+                    f"{path}: depths: expected (frames, columns, rows), got {self._sets['depths'].shape}"
                 )
+            frames, width, height = self._sets["depths"].shape
+            flat = frames, width, height
+            for name, shape in (
+                ("images", (frames, 3, width, height)),
+                ("labels", flat),
+                ("instances", flat),
+            ):
+                if self._sets[name].shape != shape:
+                    raise RecordingFormatError(
+                        f"{path}: {name}: expected {shape} as for depths, got {self._sets[name].shape}"
+                    )
         except BaseException:
             self._file.close()
             raise
@@ -126,15 +134,20 @@ class NyuLabelledSource(SequenceSource):
         return self._file[name]
 
     def _load(self, index: int) -> RGBDFrame:
+        try:
+            color, depth_m, labels, instances = (
+                self._sets[name][index] for name in ("images", "depths", "labels", "instances")
+            )
+        except (OSError, ValueError) as err:
+            raise FrameFormatError(f"{self._path}: frame {index + 1}: cannot be read ({err})") from err
         # MATLAB stores by columns: HDF5 shows every image transposed.
-        color = np.ascontiguousarray(self._sets["images"][index].transpose(2, 1, 0), dtype=np.uint8)
         return RGBDFrame(
             index=index,
             timestamp_ns=index * FRAME_INTERVAL_NS,
-            depth_mm=depth_to_mm(self._sets["depths"][index].T),
-            color=color,
+            depth_mm=depth_to_mm(depth_m.T),
+            color=np.ascontiguousarray(color.transpose(2, 1, 0), dtype=np.uint8),
             calibration=self.calibration,
-            labels=_regions(self._sets["labels"][index].T, self._sets["instances"][index].T),
+            labels=_regions(labels.T, instances.T),
             name=f"{index + 1:04d}",
         )
 
@@ -157,7 +170,7 @@ class NyuFrameSource(SequenceSource):
     Raises
     ------
     RecordingFormatError
-        If `paths` is empty or a file has no usable ``data.rgb`` and ``data.realDepth``.
+        If `paths` is empty or no file has usable ``data.rgb`` and ``data.realDepth``.
     """
 
     def __init__(self, paths: list[Path]) -> None:
@@ -165,8 +178,19 @@ class NyuFrameSource(SequenceSource):
             raise RecordingFormatError("no NYU Depth v2 frame (nyu_v2_N.mat) in the folder")
         super().__init__(paths[0].parent, len(paths))
         self._paths = paths
-        self.calibration = self._load(0).calibration
+        self.calibration = self._first_calibration()
         self.metadata = {"format": "NYU Depth v2, single frames", "frames": str(len(paths))}
+
+    def _first_calibration(self) -> Calibration:
+        first_error = None
+        for index in range(len(self._paths)):
+            try:
+                return self._load(index).calibration
+            except FrameFormatError as err:
+                first_error = first_error or err
+        raise RecordingFormatError(
+            f"none of the {len(self._paths)} frames can be used; the first: {first_error}"
+        ) from first_error
 
     def _load(self, index: int) -> RGBDFrame:
         import scipy.io
@@ -175,12 +199,12 @@ class NyuFrameSource(SequenceSource):
         try:
             record = scipy.io.loadmat(path)["data"][0, 0]
             color, depth_m = record["rgb"], record["realDepth"]
-        except (KeyError, IndexError, ValueError, TypeError, NotImplementedError, OSError) as err:
-            raise RecordingFormatError(
+        except (KeyError, IndexError, ValueError, TypeError, NotImplementedError, OSError, zlib.error) as err:
+            raise FrameFormatError(
                 f"{path}: expected a structure 'data' with 'rgb' and 'realDepth' ({err})"
             ) from err
         if depth_m.ndim != 2 or color.shape != (*depth_m.shape, 3):
-            raise RecordingFormatError(
+            raise FrameFormatError(
                 f"{path}: data.rgb: expected {(*depth_m.shape, 3)} as for realDepth, got {color.shape}"
             )
         height, width = depth_m.shape
@@ -204,7 +228,7 @@ def _class_regions(path: Path, width: int, height: int) -> NDArray[np.uint16] | 
         return None
     classes = cv2.imread(str(labels_path), cv2.IMREAD_UNCHANGED)
     if classes is None or classes.ndim != 2:
-        raise RecordingFormatError(f"{labels_path}: expected a readable PNG of one channel")
+        raise FrameFormatError(f"{labels_path}: expected a readable PNG of one channel")
     classes = cv2.resize(classes, (width, height), interpolation=cv2.INTER_NEAREST)
     regions = np.zeros((height, width), np.uint16)
     count = 0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from nurbseg.drivers.errors import EndOfRecordingError, RecordingFormatError
+from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.nyu import NyuLabelledSource, depth_to_mm, open_path
 
 
@@ -75,6 +75,29 @@ def test_single_frames_split_a_class_into_its_connected_parts(tmp_path: Path) ->
     assert set(np.unique(frame.labels)) == {0, 1, 2}
     assert frame.depth_mm[0, 0] == 0
     assert frame.depth_mm[5, 5] == 1500
+
+
+@pytest.mark.parametrize("name", ["labels", "instances", "images"])
+def test_a_labelled_set_of_disagreeing_shapes_is_refused_by_name(tmp_path: Path, name: str) -> None:
+    path = labelled_set(tmp_path / "set.mat")
+    with h5py.File(path, "a") as file:
+        smaller = file[name][:, :, :40]
+        del file[name]
+        file[name] = smaller
+    with pytest.raises(RecordingFormatError, match=f"{name}: expected"):
+        NyuLabelledSource(path)
+
+
+def test_a_single_frame_that_is_cut_off_is_passed_over(tmp_path: Path) -> None:
+    for number in (1, 2):
+        record = {"rgb": np.full((24, 32, 3), 0.5), "realDepth": np.full((24, 32), 1.5)}
+        scipy.io.savemat(tmp_path / f"nyu_v2_{number}.mat", {"data": record}, do_compression=True)
+    first = tmp_path / "nyu_v2_1.mat"
+    first.write_bytes(first.read_bytes()[: first.stat().st_size // 2])
+    with open_path(tmp_path) as source:
+        with pytest.raises(FrameFormatError, match=r"nyu_v2_1\.mat"):
+            source.read()
+        assert source.read().name == "nyu_v2_2"
 
 
 def test_a_matlab_file_of_something_else_is_refused(tmp_path: Path) -> None:
