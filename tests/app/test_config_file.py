@@ -96,6 +96,10 @@ def test_every_field_of_a_section_is_a_setting() -> None:
             "[segmentation]\nlambda = 1\n",
             r"segmentation\.lambda \(did you mean segmentation\.geometry_weight\?\)",
         ),
+        (
+            "[segmentation]\nlamda = 1\n",
+            r"segmentation\.lamda \(did you mean segmentation\.geometry_weight\?\)",
+        ),
         ("[source]\nduration = 1\n", r"source\.duration \(did you mean source\.duration_s\?\)"),
         ("[source]\nxyzzy = 1\n", r"unknown key source\.xyzzy$"),
         ("speed = 1\n", r"unknown key speed: keys stand in a section \(did you mean source\.speed\?\)"),
