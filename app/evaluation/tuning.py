@@ -166,29 +166,25 @@ def _frame_objective(ref: FrameRef, study: Study, config: SegmentationConfig) ->
     return objective_of(segment(cloud, config).labels(), truth, cloud.valid)
 
 
+#: T_p of each method: the setting and its bounds.
+_SMALLEST = {"stag15": ("segment_pixels_min", 50, 4000), "nurbseg": ("piece_pixels_min", 50, 2000)}
+
+
 def _as_parameters(config: SegmentationConfig) -> dict[str, Any]:
-    return {
-        name: getattr(config, name)
-        for name in (
-            "metric",
-            "ratio_max",
-            "geometry_weight",
-            "segment_pixels_min",
-            "affinity_scale",
-            "splitting_point",
-        )
-    }
+    names = ("metric", "ratio_max", "geometry_weight", "affinity_scale", "splitting_point")
+    return {name: getattr(config, name) for name in (*names, _SMALLEST[config.method][0])}
 
 
 def _suggested(trial: Any, start: SegmentationConfig) -> SegmentationConfig:
+    smallest, least, most = _SMALLEST[start.method]
     return replace(
         start,
         metric=trial.suggest_categorical("metric", list(get_args(Metric))),
         ratio_max=trial.suggest_float("ratio_max", 0.5, 1.0),
         geometry_weight=trial.suggest_float("geometry_weight", 0.1, 10.0, log=True),
-        segment_pixels_min=trial.suggest_int("segment_pixels_min", 50, 4000, log=True),
         affinity_scale=trial.suggest_float("affinity_scale", 0.3, 3.0, log=True),
         splitting_point=trial.suggest_categorical("splitting_point", list(get_args(SplittingPoint))),
+        **{smallest: trial.suggest_int(smallest, least, most, log=True)},
     )
 
 

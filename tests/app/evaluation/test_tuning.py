@@ -18,6 +18,19 @@ def test_tuning_writes_settings_that_the_live_command_reads(
     assert "95 % interval" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("method", "smallest"), [("stag15", "segment_pixels_min"), ("nurbseg", "piece_pixels_min")]
+)
+def test_the_search_is_over_settings_that_the_method_uses(
+    frames: Path, tmp_path: Path, method: str, smallest: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["tune", str(frames), "--budget", "2", "--frames", "2", "--method", method]
+    assert main([*words, "--out", str(tmp_path / "tuned.toml")]) == 0
+    searched = [line.partition(" = ")[0] for line in capsys.readouterr().out.splitlines() if " = " in line]
+    assert smallest in searched
+    assert len(searched) == 6
+
+
 def test_the_same_seed_finds_the_same_settings(frames: Path, tmp_path: Path) -> None:
     for name in ("a.toml", "b.toml"):
         words = ["tune", str(frames), "--budget", "3", "--seed", "5", "--frames", "3"]
