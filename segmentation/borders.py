@@ -236,9 +236,9 @@ class _Sides:
         self, labels: NDArray[np.int32], rows: NDArray[np.intp], columns: NDArray[np.intp]
     ) -> NDArray[np.float32]:
         """Return the inverse depth of the surfaces of some labels, each at its own pixel."""
-        explained: NDArray[np.float32] = self._inverse_depths[
-            self._first[labels] + rows * self._row_length[labels] + columns
-        ]
+        explained: NDArray[np.float32] = self._inverse_depths.take(
+            self._first.take(labels) + rows * self._row_length.take(labels) + columns
+        )
         return explained
 
 

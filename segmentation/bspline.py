@@ -80,6 +80,10 @@ def basis_matrix(
     .. [1] L. Piegl and W. Tiller, "The NURBS Book", 2nd ed., 1997, eq. 2.5 and 2.7.
     """
     count = knots.size - degree - 1
+    if degree == CUBIC and derivative <= 1:
+        widths = knots[1:] - knots[:-1]
+        if widths[0] > 0 and np.abs(widths - widths[0]).max() <= 1e-9 * widths[0]:
+            return _even_basis(float(knots[0]), float(widths[0]), count, parameters, derivative)
     # The span that holds each parameter; the end spans also hold what lies beyond the domain.
     domain = knots[degree : count + 1]
     last_span = int(np.searchsorted(domain, domain[-1], side="left")) - 1
@@ -101,6 +105,30 @@ def basis_matrix(
             values = (t - knots[:n]) * left * values[:, :n] + (knots[p + 1 : p + 1 + n] - t) * right * values[
                 :, 1 : n + 1
             ]
+    return values
+
+
+def _even_basis(
+    first: float, spacing: float, count: int, parameters: NDArray[np.float64], derivative: int
+) -> NDArray[np.float64]:
+    """Evaluate the cubic basis on evenly spaced knots, which is the same four polynomials on every span."""
+    place = (parameters - first) * (1.0 / spacing)
+    span = np.minimum(np.maximum(np.floor(place), CUBIC), count - 1).astype(np.intp)
+    t = place - span
+    if derivative == 0:
+        s, cube = 1.0 - t, t * t * t
+        low = s * s * s / 6.0
+        third = 2.0 / 3.0 - t * t * (1.0 - 0.5 * t)
+        pieces = low, third, 1.0 - low - third - cube / 6.0, cube / 6.0
+    else:
+        low, third = -0.5 * (1.0 - t) ** 2 / spacing, t * (1.5 * t - 2.0) / spacing
+        high = 0.5 * t * t / spacing
+        pieces = low, third, -low - third - high, high
+    values = np.zeros((parameters.size, count))
+    at = np.arange(parameters.size) * count + (span - CUBIC)
+    flat = values.reshape(-1)
+    for step, piece in enumerate(pieces):
+        flat[at + step] = piece
     return values
 
 

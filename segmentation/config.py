@@ -137,7 +137,7 @@ class SegmentationConfig:
         "inverse-depth", "nurbseg: what the surfaces are fitted to", choices=get_args(FitOf)
     )
     knot_spacing_px: float = setting(
-        70.0,
+        50.0,
         "nurbseg: distance of the knots of a surface, in pixels of a 640-wide image",
         unit="px",
         above=1.0,

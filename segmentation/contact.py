@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,18 +93,20 @@ def meetings(
     inset = max(1.0, _INSET_PX * unit)
     row, column, down, across, apart = (crossings[:, k].astype(np.float64) for k in range(2, 7))
     middle = row + 0.5 * apart * down, column + 0.5 * apart * across
-    sides = []
-    for label, shift in ((crossings[:, 0], -inset), (crossings[:, 1], apart + inset)):
-        v, u = row + shift * down, column + shift * across
-        if evaluate is None:
-            per_m, slope_u, slope_v = _evaluated(label, surfaces, u, v)
-        else:
-            per_m, slope_u, slope_v = evaluate(label, u, v)
-        at_border = per_m + slope_u * (middle[1] - u) + slope_v * (middle[0] - v)
-        x, y = rays.at(u, v)
-        points = np.stack([x, y, np.ones_like(x)], axis=1) / per_m[:, np.newaxis]
-        sides.append((points, normals_from_slopes(slope_u, slope_v, per_m, x, y, rays.focal_px), at_border))
-    (point_a, normal_a, border_a), (point_b, normal_b, border_b) = sides
+    # Both sides at once: first all places before the borders, then all behind.
+    label = np.concatenate([crossings[:, 0], crossings[:, 1]])
+    v, u = (
+        np.concatenate([place - inset * step, place + (apart + inset) * step])
+        for place, step in ((row, down), (column, across))
+    )
+    per_m, slope_u, slope_v = (evaluate or partial(_evaluated, surfaces))(label, u, v)
+    at_border = per_m + slope_u * (np.tile(middle[1], 2) - u) + slope_v * (np.tile(middle[0], 2) - v)
+    x, y = rays.at(u, v)
+    points = np.stack([x, y, np.ones_like(x)], axis=1) / per_m[:, np.newaxis]
+    normals = normals_from_slopes(slope_u, slope_v, per_m, x, y, rays.focal_px)
+    (point_a, point_b), (normal_a, normal_b), (border_a, border_b) = (
+        np.split(each, 2) for each in (points, normals, at_border)
+    )
     touching = np.abs(border_a - border_b) < gap_per_m
     apart_m = point_b - point_a
     length = np.maximum(np.sqrt(np.einsum("nc,nc->n", apart_m, apart_m)), 1e-9)
@@ -128,26 +131,35 @@ def _crossings(labels: NDArray[np.int32], reach: int) -> NDArray[np.int32]:
     columns (1, 0 or 0, 1), and pixels from the one to the other.
     """
     found = []
+    flat, width = labels.reshape(-1), labels.shape[1]
     for down, across in ((0, 1), (1, 0)):
+        last = labels.shape[0] - 1 - down, labels.shape[1] - 1 - across
+        differ = labels[: last[0] + 1, : last[1] + 1] != labels[down:, across:]
+        # Ends of segments; those with nothing beyond them are followed until something comes.
+        places = np.flatnonzero(differ)
+        rows, columns = np.divmod(places, differ.shape[1])
+        before = labels[rows, columns]
+        some = before > 0
+        rows, columns, before = rows[some], columns[some], before[some]
         for apart in range(1, reach + 1):
-            height, width = labels.shape[0] - apart * down, labels.shape[1] - apart * across
-            if height <= 0 or width <= 0:
-                break
-            before = labels[:height, :width]
-            after = labels[apart * down :, apart * across :]
-            crossed = (before != after) & (before > 0) & (after > 0)
-            for between in range(1, apart):
-                crossed &= labels[between * down :, between * across :][:height, :width] == 0
-            rows, columns = np.nonzero(crossed)
-            ones = np.ones(rows.size, dtype=np.intp)
-            parts = (before[crossed], after[crossed], rows, columns, ones * down, ones * across, ones * apart)
-            found.append(np.stack(parts, axis=1).astype(np.int32))
-    return np.concatenate(found) if found else np.zeros((0, 7), dtype=np.int32)
+            inside = (rows + apart * down < labels.shape[0]) & (columns + apart * across < width)
+            rows, columns, before = rows[inside], columns[inside], before[inside]
+            after = flat[(rows + apart * down) * width + columns + apart * across]
+            crossed = (after > 0) & (after != before)
+            size = int(np.count_nonzero(crossed))
+            parts = np.empty((size, 7), dtype=np.int32)
+            for k, column in enumerate((before, after, rows, columns)):
+                parts[:, k] = column[crossed]
+            parts[:, 4:] = down, across, apart
+            found.append(parts)
+            empty = after == 0
+            rows, columns, before = rows[empty], columns[empty], before[empty]
+    return np.concatenate(found)
 
 
 def _evaluated(
-    label: NDArray[np.int32],
     surfaces: Sequence[NurbsSurface | None],
+    label: NDArray[np.int32],
     u: NDArray[np.float64],
     v: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.blas import ssyrk
 from scipy.linalg.lapack import dpstrf, dsyevr, dtrtri
 
 from nurbseg.segmentation.config import SplittingPoint
@@ -202,29 +203,28 @@ def normalized_cuts(
         yield _no_cut(vectors, affinity_scale, f"{n} points, 2 needed")
         return
     size = n if points is None else min(n, max(points, samples))
-    chosen: NDArray[np.intp] = rng.choice(np.arange(n), size=size, replace=False)
+    chosen: NDArray[np.intp] = rng.choice(n, size=(size,), replace=False)
     landmarks = vectors[chosen[:samples]]
     if not np.any(landmarks != landmarks[0]) and not np.any(vectors != landmarks[0]):
         yield _no_cut(vectors, affinity_scale, "all points are equal")
         return
 
     # W = K A^-1 K^T. Samples that the others already explain make A singular and are left out; with
-    # A = L L^T of the rest, W = Q Q^T where Q = K L^-T.
+    # A = L L^T of the rest, W = Q Q^T where Q = K L^-T, which is not needed itself.
     landmarks, L = _independent(landmarks, affinity_scale)
     K = affinity(vectors[chosen], landmarks, affinity_scale)
     root = dtrtri(L, lower=1)[0].T
-    Q = K @ root.astype(np.float32)
-    total = np.ones(size, dtype=np.float32) @ Q
+    total = root.T @ (np.ones(size, dtype=np.float32) @ K).astype(np.float64)
+    b = root @ total
     # A degree holds at least the affinity of 1 to the point itself; the approximation may fall below.
-    degrees = np.maximum(Q @ total, np.float32(1.0))
+    degrees = np.maximum(K @ b.astype(np.float32), np.float32(1.0))
 
     # S and D^-1/2 W D^-1/2 share their eigenvalues. The first eigenvector, of the constant, is known: taking
     # it out leaves the second on top also where the affinities fall apart into components.
-    scale = np.sqrt(degrees)
-    Qn = Q / scale[:, np.newaxis]
-    S = (Qn.T @ Qn).astype(np.float64)
-    first = (scale @ Qn).astype(np.float64)
-    first /= np.linalg.norm(first)
+    Kn = K / np.sqrt(degrees)[:, np.newaxis]
+    upper = ssyrk(1.0, Kn.T).astype(np.float64)
+    S = root.T @ (upper + np.triu(upper, 1).T) @ root
+    first = total / np.linalg.norm(total)
     Sf = S @ first
     S -= np.outer(first, Sf - first * float(first @ Sf)) + np.outer(Sf, first)
     last = S.shape[0]
@@ -238,11 +238,11 @@ def normalized_cuts(
     for each in found:
         # D^-1/2 times the eigenvector is the relaxed indicator, (K a) / (K b) at any point.
         vector = eigenvectors[:, each]
-        a, b = root @ vector, root @ total.astype(np.float64)
-        indicator = (Q @ vector.astype(np.float32)).astype(np.float64) / degrees
+        a = root @ vector
+        indicator = (K @ a.astype(np.float32)).astype(np.float64) / degrees
         orientation = _orientation(indicator[:samples])
         a, indicator = orientation * a, orientation * indicator
-        threshold = _threshold(splitting_point, indicator, Q, degrees)
+        threshold = _threshold(splitting_point, indicator, K, root, degrees)
         coefficients = (a - threshold * b).astype(np.float32)
         cut = Cut(np.zeros(0, dtype=np.bool_), np.inf, landmarks, coefficients, affinity_scale)
         if size == n:  # Every affinity is there already.
@@ -253,7 +253,7 @@ def normalized_cuts(
         if side.all() or not side.any():
             yield _no_cut(vectors, affinity_scale, "all points fall on one side")
         else:
-            yield Cut(side, _ncut(side[chosen], Q, degrees), landmarks, coefficients, affinity_scale)
+            yield Cut(side, _ncut(side[chosen], K, root, degrees), landmarks, coefficients, affinity_scale)
 
 
 def _no_cut(vectors: NDArray[np.float32], scale: float, reason: str) -> Cut:
@@ -283,7 +283,8 @@ def _orientation(indicator: NDArray[np.float64]) -> float:
 def _threshold(
     splitting_point: SplittingPoint,
     indicator: NDArray[np.float64],
-    Q: NDArray[np.float32],
+    K: NDArray[np.float32],
+    root: NDArray[np.float64],
     degrees: NDArray[np.float32],
 ) -> float:
     """Find where the relaxed indicator is cut."""
@@ -307,7 +308,7 @@ def _threshold(
     if edges.size == 0:
         return 0.0
     starts = np.concatenate([[0], edges])
-    below = np.cumsum(np.add.reduceat(Q[order].astype(np.float64), starts, axis=0), axis=0)
+    below = np.cumsum(np.add.reduceat(K[order].astype(np.float64), starts, axis=0) @ root, axis=0)
     volume = np.cumsum(np.add.reduceat(degrees[order].astype(np.float64), starts))
     total, volume_total = below[-1], volume[-1]
     inside = np.einsum("ij,ij->i", below[:-1], below[:-1])
@@ -317,15 +318,21 @@ def _threshold(
     return float(0.5 * (ascending[best - 1] + ascending[best]))
 
 
-def _ncut(side: NDArray[np.bool_], Q: NDArray[np.float32], degrees: NDArray[np.float32]) -> float:
-    """Ncut of a partition under W = Q Q^T: cut(P, R) / vol(P) + cut(P, R) / vol(R)."""
+def _ncut(
+    side: NDArray[np.bool_],
+    K: NDArray[np.float32],
+    root: NDArray[np.float64],
+    degrees: NDArray[np.float32],
+) -> float:
+    """Ncut of a partition under W = K root (K root)^T: cut(P, R) / vol(P) + cut(P, R) / vol(R)."""
     if side.all() or not side.any():
         return float(np.inf)
-    value = 0.0
-    for part in (side, ~side):
-        weight = part.astype(np.float32)
-        inside = (weight @ Q).astype(np.float64)
-        value += 1.0 - float(inside @ inside) / float(weight @ degrees)
+    weight = side.astype(np.float32)
+    ones = np.ones(side.size, dtype=np.float32)
+    inside, all_inside = ((each @ K).astype(np.float64) @ root for each in (weight, ones))
+    volume, all_volume = float(weight @ degrees), float(ones @ degrees)
+    outside = all_inside - inside
+    value = 2.0 - float(inside @ inside) / volume - float(outside @ outside) / (all_volume - volume)
     return float(np.clip(value, 0.0, 2.0))
 
 

@@ -98,8 +98,11 @@ def normalization(
     if raw.shape[0] == 0:
         zeros = np.zeros(dimensions, dtype=np.float32)
         return Normalization(zeros, zeros.copy())
-    mean = raw.mean(axis=0, dtype=np.float64)
-    deviation = np.sqrt(np.mean(np.square(raw - mean.astype(np.float32)), axis=0, dtype=np.float64))
+    # Sums as products with ones, about the first point so that single precision does.
+    ones = np.full(raw.shape[0], np.float32(1.0 / raw.shape[0]))
+    mean = raw[0] + (ones @ (raw - raw[0])).astype(np.float64)
+    centered = raw - mean.astype(np.float32)
+    deviation = np.sqrt((ones @ np.square(centered, out=centered)).astype(np.float64))
     # sigma_c and sigma_g: the mean deviation of each triple.
     sigma = deviation.reshape(-1, 3).mean(axis=1)
     # A deviation at the level of float32 rounding is that of a constant: it must not be blown up.

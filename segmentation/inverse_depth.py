@@ -8,15 +8,16 @@ sensor that triangulates measures d, with noise of one size at every depth.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.bspline import CUBIC, basis_matrix, pixel_basis, pixel_knots
+from nurbseg.segmentation.bspline import CUBIC, basis_matrix
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.grid import PixelGrid, Window, decimated_grid
-from nurbseg.segmentation.leastsquares import LinAlgError, fit_control_points
+from nurbseg.segmentation.knot_lattice import lattice_basis
+from nurbseg.segmentation.leastsquares import LinAlgError, fit_on_lattice
 from nurbseg.segmentation.metrics import residual_metrics
 from nurbseg.segmentation.rays import Rays, rays_of
 from nurbseg.segmentation.registration import PointMap
@@ -26,6 +27,8 @@ from nurbseg.segmentation.surface import Fit, NurbsSurface, fit_on_grid
 _MARGIN_PX = 24.0
 #: Farthest that a surface may go where no point holds it, one over metres: weights are positive.
 _LEAST_PER_M = 1e-2
+#: A control value that points hold by less than this may be changed without harm to the fit.
+_HELD = 1.0
 #: Factors on the smoothness, tried in turn where a surface would go through infinity beyond its points and
 #: giving it less room does not help.
 _STIFFER = (1e2, 1e4)
@@ -43,11 +46,21 @@ class DepthGrid:
         Inverse depth, 1/m; 0 where there is no point.
     rays : Rays
         Of the camera.
+
+    Attributes
+    ----------
+    distances_m : (h, w) float32
+        From the camera, metres; 0 or NaN where there is no point.
     """
 
     points: PixelGrid
     per_m: NDArray[np.float32]
     rays: Rays
+    distances_m: NDArray[np.float32] = field(init=False)
+
+    def __post_init__(self) -> None:
+        x, y, z = self.points.coordinates_m
+        object.__setattr__(self, "distances_m", np.sqrt(x * x + y * y + z * z))
 
     @property
     def step(self) -> int:
@@ -133,59 +146,33 @@ def fit_window(
         return fit, (inverse_depth_lattice(fit.surface, u, v)[0] - measured)[mask]
 
     smoothness = config.smoothness * (2.0 * grid.unit_px / grid.step) ** 2
+    spacing = config.knot_spacing_px * grid.unit_px / grid.step
     wide = int(np.ceil(_MARGIN_PX * grid.unit_px / grid.step))
     try:
         for margin, stiffer in ((wide, 1.0), (1, 1.0), *((1, each) for each in _STIFFER)):
-            counts = tuple(_control_points(extent + 2 * margin, grid, config) for extent in mask.shape)
-            control = _smooth_control_values(measured, mask, margin, counts, stiffer * smoothness)
-            if control.min() > _LEAST_PER_M:
+            along_v = lattice_basis(top, bottom, margin, spacing)
+            along_u = lattice_basis(left, right, margin, spacing)
+            control, held = fit_on_lattice(measured, mask, along_v, along_u, stiffer * smoothness)
+            if control.min() > _LEAST_PER_M or (control[held > _HELD] > _LEAST_PER_M).all():
                 break
     except LinAlgError as error:
         none = Fit(None, np.zeros(0), {}, f"no least-squares solution: {error}", grid.points.pixels(places))
         return none, np.full(places.size, np.inf)
     control = np.maximum(control, _LEAST_PER_M)
 
-    height, width = (extent + 2 * margin for extent in mask.shape)
-    inner = slice(margin, -margin)
-    fitted = pixel_basis(height, counts[0])[inner] @ control @ pixel_basis(width, counts[1])[inner].T
-    fitted = fitted[mask]
+    fitted = (along_v.values @ (control @ along_u.values.T))[mask]
     residuals_per_m = fitted - measured[mask]
     # The point and its surface point lie on one ray: their distance is in proportion to the point's own.
-    distances_m = np.sqrt(np.einsum("cn,cn->n", *[grid.points.coordinates_m.reshape(3, -1)[:, places]] * 2))
-    residuals_m = distances_m * np.abs(residuals_per_m) / fitted
+    residuals_m = np.abs(residuals_per_m) * grid.distances_m[top:bottom, left:right][mask] / fitted
     surface = rational_surface(
         control,
-        (pixel_knots(width, counts[1]) + (left - margin)) * grid.step,
-        (pixel_knots(height, counts[0]) + (top - margin)) * grid.step,
+        along_u.knots * grid.step,
+        along_v.knots * grid.step,
         grid.rays,
         grid.points.full_window(window),
     )
     metrics = residual_metrics(residuals_m, config)
     return Fit(surface, residuals_m, metrics, "", grid.points.pixels(places)), residuals_per_m
-
-
-def _smooth_control_values(
-    values: NDArray[np.float64],
-    mask: NDArray[np.bool_],
-    margin: int,
-    counts: tuple[int, ...],
-    smoothness: float,
-) -> NDArray[np.float64]:
-    """Fit control values, (counts) float64, on a window that is wider than the mask by a margin."""
-    height, width = (extent + 2 * margin for extent in mask.shape)
-    inner = np.s_[margin:-margin, margin:-margin]
-    weight = np.zeros((height, width), dtype=np.bool_)
-    weight[inner] = mask
-    wide = np.zeros((1, height, width))
-    wide[0][inner] = values
-    control: NDArray[np.float64] = fit_control_points(wide, weight, (counts[1], counts[0]), smoothness)[0]
-    return control
-
-
-def _control_points(extent: int, grid: DepthGrid, config: SegmentationConfig) -> int:
-    """Return how many control points some places in a row take, knots being at most the spacing apart."""
-    spacing = config.knot_spacing_px * grid.unit_px / grid.step
-    return min(CUBIC + max(1, int(np.ceil(extent / spacing))), extent)
 
 
 def rational_surface(
@@ -279,7 +266,11 @@ def inverse_depth_at(
         sums = np.sum(along * Bu, axis=1), np.sum(along * Du, axis=1), np.sum((Dv @ net) * Bu, axis=1)
         return sums
 
-    return _quotients(values(surface.weights), values(surface.control_points_m[..., 2] * surface.weights))
+    w, depths = values(surface.weights), surface.control_points_m[..., 2] * surface.weights
+    if np.ptp(depths) <= 1e-12:
+        per_m, slope_u, slope_v = (each / depths[0, 0] for each in w)
+        return per_m, slope_u, slope_v
+    return _quotients(w, values(depths))
 
 
 def _quotients(

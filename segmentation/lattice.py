@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.bspline import pixel_basis, pixel_knots
-from nurbseg.segmentation.inverse_depth import inverse_depth_lattice
+from nurbseg.segmentation.inverse_depth import inverse_depth_image_of
 from nurbseg.segmentation.surface import NurbsSurface
 
 
@@ -129,8 +129,9 @@ class SurfaceLattice:
 
 def _evaluated(surface: NurbsSurface, step: int) -> tuple[int, int, NDArray[np.float32]]:
     """Return the first row and column of a surface's knots on the grid, and its inverse depth there."""
-    left, right = (float(surface.knots_u[end]) / step for end in (0, -1))
-    top, bottom = (float(surface.knots_v[end]) / step for end in (0, -1))
+    # The domain of a cubic begins at its fourth knot, wherever the first ones are.
+    left, right = (float(surface.knots_u[end]) / step for end in (3, -4))
+    top, bottom = (float(surface.knots_v[end]) / step for end in (3, -4))
     first_column, first_row = round(left), round(top)
     width, height = round(right) - first_column + 1, round(bottom) - first_row + 1
     n, m = surface.weights.shape
@@ -140,7 +141,7 @@ def _evaluated(surface: NurbsSurface, step: int) -> tuple[int, int, NDArray[np.f
     else:
         u = (first_column + np.arange(width, dtype=np.float64)) * step
         v = (first_row + np.arange(height, dtype=np.float64)) * step
-        image = inverse_depth_lattice(surface, u, v)[0].astype(np.float32)
+        image = inverse_depth_image_of(surface, u, v)
     return first_row, first_column, np.asarray(image, dtype=np.float32)
 
 

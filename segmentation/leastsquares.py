@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpbsv
 
 from nurbseg.segmentation.bspline import CUBIC, neighbor_products, pixel_basis, pixel_knots
+from nurbseg.segmentation.knot_lattice import LatticeBasis
 
 #: Added to the diagonal of the normal matrix, as a share of its largest entry. It decides only what the
 #: data leave open: in the limit the solution is the one of least norm.
@@ -66,32 +67,80 @@ def fit_control_points(
         np.copyto(masked, image, where=mask)
         center[...] = masked.sum() / points
         np.subtract(Bv.T @ (masked @ Bu), center * ones, out=sums)
-    # Numbering control points along the direction that has fewer gives the narrower band.
-    if nu > nv:
-        turned = _solved(overlaps.T, right.transpose(0, 2, 1), (width, height), smoothness)
-        control = turned.transpose(0, 2, 1)
+    if smoothness > 0:
+        penalty = smoothness * _second_differences(
+            *((width, nu, height, nv) if nu > nv else (height, nv, width, nu))
+        )
     else:
-        control = _solved(overlaps, right, (height, width), smoothness)
-    return control + centers
+        penalty = None
+    return _solved(overlaps, right, penalty) + centers
+
+
+def fit_on_lattice(
+    values: NDArray[np.float64],
+    mask: NDArray[np.bool_],
+    rows: LatticeBasis,
+    columns: LatticeBasis,
+    smoothness: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Fit the control values of a bicubic spline on evenly spaced knots to an image on part of a window.
+
+    Parameters
+    ----------
+    values : (h, w) float64
+        Image to fit; finite, read only where `mask` is set.
+    mask : (h, w) bool
+        Pixels that have a value, at least one.
+    rows, columns : LatticeBasis
+        Along both axes.
+    smoothness : float
+        As for `fit_control_points`; more than 0.
+
+    Returns
+    -------
+    control : (rows.count, columns.count) float64
+        Control values.
+    held : (rows.count, columns.count) float64
+        Sum over the pixels of each basis function's square: by how much they hold its control value.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If there is no finite solution.
+    """
+    weight = mask.astype(np.float64)
+    overlaps = rows.products.T @ (weight @ columns.products)
+    # About the mean, so that what the data leave open goes there; the basis functions sum to 1.
+    centered = np.multiply(values, weight)
+    center = centered.sum() / weight.sum()
+    centered -= np.multiply(weight, center, out=weight)
+    right = rows.values.T @ (centered @ columns.values)
+    counts = sorted((rows.count, columns.count), reverse=True)
+    penalty = smoothness * _even_second_differences(*counts)
+    control: NDArray[np.float64] = _solved(overlaps, right[np.newaxis], penalty)[0]
+    control += center
+    return control, overlaps[: rows.count, : columns.count]
 
 
 def _solved(
-    overlaps: NDArray[np.float64],
-    right: NDArray[np.float64],
-    sizes: tuple[int, int],
-    smoothness: float,
+    overlaps: NDArray[np.float64], right: NDArray[np.float64], penalty: NDArray[np.float64] | None
 ) -> NDArray[np.float64]:
-    """Solve the normal equations for (C, outer, inner) control values, given the pixels along both axes."""
+    """Solve the normal equations for (C, nv, nu) control values; the penalty is for the longer axis first."""
+    # Numbering control points along the direction that has fewer gives the narrower band.
+    turned = right.shape[2] > right.shape[1]
+    if turned:
+        overlaps, right = overlaps.T, right.transpose(0, 2, 1)
     images, outer, inner = right.shape
     band = np.append(overlaps.ravel(), 0.0)[_band_sources(outer, inner)]
-    if smoothness > 0:
-        band += smoothness * _second_differences(sizes[0], outer, sizes[1], inner)
+    if penalty is not None:
+        band += penalty
     band[0] += _RIDGE_SHARE * band[0].max()
     columns = right.reshape(images, outer * inner).T
     _, solution, failed = dpbsv(band, columns, lower=1, overwrite_ab=1)
     if failed or not np.isfinite(solution).all():
         raise LinAlgError("the normal equations have no finite solution")
-    return np.asarray(solution.T.reshape(images, outer, inner), dtype=np.float64)
+    control = np.asarray(solution.T.reshape(images, outer, inner), dtype=np.float64)
+    return control.transpose(0, 2, 1) if turned else control
 
 
 @lru_cache(maxsize=256)
@@ -124,14 +173,25 @@ def _second_differences(height: int, nv: int, width: int, nu: int) -> NDArray[np
     A control value belongs to the mean of three successive knots, its Greville abscissa; the differences
     are divided by the distances of these, in units of their mean, so that linear functions have none.
     """
-    along = []
+    bends = []
     for size, count in ((height, nv), (width, nu)):
         knots = pixel_knots(size, count)
         place = (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3
         slopes = np.diff(np.eye(count), axis=0) * (np.diff(place).mean() / np.diff(place))[:, np.newaxis]
-        bends = np.diff(slopes, axis=0)
-        along.append(bends.T @ bends)
-    rows, columns = along
+        bends.append(np.diff(slopes, axis=0))
+    return _penalty_band(*bends)
+
+
+@lru_cache(maxsize=256)
+def _even_second_differences(nv: int, nu: int) -> NDArray[np.float64]:
+    """Return the same for evenly spaced knots."""
+    return _penalty_band(*(np.diff(np.eye(count), n=2, axis=0) for count in (nv, nu)))
+
+
+def _penalty_band(bends_v: NDArray[np.float64], bends_u: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Add up the squares of (count - 2, count) differences along both axes, as a lower band, read-only."""
+    rows, columns = bends_v.T @ bends_v, bends_u.T @ bends_u
+    nv, nu = len(rows), len(columns)
     band = np.zeros((min(CUBIC * nu + CUBIC, nv * nu - 1) + 1, nv * nu))
     for apart in range(CUBIC):
         inner = np.append(np.diagonal(columns, apart), np.zeros(apart))
@@ -142,4 +202,4 @@ def _second_differences(height: int, nv: int, width: int, nu: int) -> NDArray[np
     return band
 
 
-__all__ = ["LinAlgError", "fit_control_points"]
+__all__ = ["LinAlgError", "fit_control_points", "fit_on_lattice"]

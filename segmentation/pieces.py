@@ -8,8 +8,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-_FOUR_NEIGHBORS = ((0, 1), (1, 0), (0, -1), (-1, 0))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Joints:
@@ -110,31 +108,35 @@ def spread_labels(
     (h, w) int32
         The labels, with those of the wanted places.
     """
-    labels = labels.copy()
-    height, width = labels.shape
-    rows, columns = np.nonzero(wanted)
+    if not wanted.any():
+        return labels.copy()
+    # With a margin of one place all have four neighbours.
+    padded = np.pad(labels, 1)
+    width = padded.shape[1]
+    flat, depths = padded.reshape(-1), np.pad(inverse_depth, 1).reshape(-1)
+    rows, columns = np.divmod(np.flatnonzero(wanted), width - 2)
+    places = (rows + 1) * width + columns + 1
+    neighbors = np.array([[1], [width], [-1], [-width]]) + places
+    steps = np.abs(depths[neighbors] - depths[places])
     limit = gap_per_m
-    while rows.size:
-        nearest = np.full(rows.size, limit, dtype=np.float32)
-        taken = np.zeros(rows.size, dtype=np.int32)
-        own = inverse_depth[rows, columns]
-        for step_v, step_u in _FOUR_NEIGHBORS:
-            r, c = rows + step_v, columns + step_u
-            on_image = (r >= 0) & (r < height) & (c >= 0) & (c < width)
-            r, c = np.clip(r, 0, height - 1), np.clip(c, 0, width - 1)
-            label = np.where(on_image, labels[r, c], 0)
-            distance = np.where(label > 0, np.abs(inverse_depth[r, c] - own), np.inf)
-            closer = distance < nearest
-            nearest[closer], taken[closer] = distance[closer], label[closer]
-        found = taken > 0
+    while places.size:
+        around = flat[neighbors]
+        distances = np.where(around > 0, steps, np.float32(np.inf))
+        nearest = distances.argmin(axis=0)
+        each = np.arange(places.size)
+        least = distances[nearest, each]
+        found = least < limit
         if not found.any():
             if limit == np.inf:
                 break
             limit = np.inf
             continue
         limit = gap_per_m
-        labels[rows[found], columns[found]] = taken[found]
-        rows, columns = rows[~found], columns[~found]
+        flat[places[found]] = around[nearest[found], each[found]]
+        left = ~found
+        places, neighbors, steps = places[left], neighbors[:, left], steps[:, left]
+    labels = np.ascontiguousarray(padded[1:-1, 1:-1])
+    rows, columns = places // width - 1, places % width - 1
     if rows.size and labels.any():
         _, source = cv2.distanceTransformWithLabels(
             (labels == 0).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL

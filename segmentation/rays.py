@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,11 +33,23 @@ class Rays:
         Origin of s and t, pixels (u, v).
     scale : float
         Unit of s and t, pixels.
+
+    Attributes
+    ----------
+    linear : bool
+        Whether they are linear functions.
     """
 
     coefficients: NDArray[np.float64]
     center: tuple[float, float]
     scale: float
+    linear: bool = field(init=False)
+
+    def __post_init__(self) -> None:
+        bent = self.coefficients.copy()
+        for a, b in _LINEAR:
+            bent[:, a, b] = 0.0
+        object.__setattr__(self, "linear", not bent.any())
 
     @property
     def focal_px(self) -> tuple[float, float]:
@@ -50,6 +62,8 @@ class Rays:
         self, u: NDArray[np.float64], v: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return x / z and y / z where each of some rows v meets each of some columns u, (H, W) each."""
+        if self.linear:
+            return self._linear(u, v[:, np.newaxis])
         s = np.vander((u - self.center[0]) / self.scale, _DEGREE + 1, increasing=True)
         t = np.vander((v - self.center[1]) / self.scale, _DEGREE + 1, increasing=True)
         x, y = (t @ each.T @ s.T for each in self.coefficients)
@@ -59,9 +73,18 @@ class Rays:
         self, u: NDArray[np.float64], v: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return x / z and y / z of scattered pixels, (N,) each."""
+        if self.linear:
+            return self._linear(u, v)
         s = np.vander((u - self.center[0]) / self.scale, _DEGREE + 1, increasing=True)
         t = np.vander((v - self.center[1]) / self.scale, _DEGREE + 1, increasing=True)
         x, y = (np.einsum("na,na->n", s @ each, t) for each in self.coefficients)
+        return x, y
+
+    def _linear(
+        self, u: NDArray[np.float64], v: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        s, t = (u - self.center[0]) / self.scale, (v - self.center[1]) / self.scale
+        x, y = (each[1, 0] * s + (each[0, 1] * t + each[0, 0]) for each in self.coefficients)
         return x, y
 
     def control_values(
@@ -85,9 +108,18 @@ class Rays:
         ----------
         .. [1] C. de Boor, "A Practical Guide to Splines", 1978, chapter 13.
         """
+        if self.linear:
+            # The control values of what is linear lie on it.
+            return np.stack(self.lattice(_abscissae(knots_u), _abscissae(knots_v)))
         u, take_u = _interpolator(knots_u)
         v, take_v = _interpolator(knots_v)
         return np.stack([take_v @ each @ take_u.T for each in self.lattice(u, v)])
+
+
+def _abscissae(knots: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the Greville abscissae of a cubic knot vector."""
+    places: NDArray[np.float64] = (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3
+    return places
 
 
 def _interpolator(knots: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
