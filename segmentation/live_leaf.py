@@ -170,6 +170,8 @@ def remeasured(
     beyond = ~np.isfinite(residuals_m)
     residuals_m[beyond] = z[beyond] ** 2 * np.float32(4.0 * config.noise_per_m)
     per_m[beyond] = 4.0 * config.noise_per_m
+    # What is far off is not the leaf's own, and does not make room for more of its kind.
+    limit = np.float32(np.sqrt(SQUARE_MOST) * config.noise_per_m)
     places = np.bincount(flat, minlength=size)
     some = np.maximum(places, 1).astype(np.float64)
     mean_square, mean, nle, square = (
@@ -178,7 +180,7 @@ def remeasured(
             residuals_m * residuals_m,
             residuals_m,
             residuals_m > config.large_error_m,
-            per_m * per_m,
+            np.square(np.minimum(per_m, limit)),
         )
     )
     mse, mae, rms = mean_square / some, mean / some, np.sqrt(square / some)

@@ -1,9 +1,9 @@
-"""The live tree revised: leaves fitted anew, tried for splits, folded, taken in and taken out."""
+"""What of the live tree is revised in a frame: the worst first, as far as the budget goes."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import count
 
 import cv2
@@ -11,26 +11,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.features import raw_vectors
 from nurbseg.segmentation.inverse_depth import DepthGrid
 from nurbseg.segmentation.live_leaf import LiveLeaf, Misfit
-from nurbseg.segmentation.metrics import acceptance_ratio
+from nurbseg.segmentation.live_structure import Growth, Revised
+from nurbseg.segmentation.normals import facet_normals
 from nurbseg.segmentation.pieces import Joints
 from nurbseg.segmentation.registration import PointMap
 from nurbseg.segmentation.segments import Node, StopReason, depth_first
-from nurbseg.segmentation.splitting import Part, Scene, best_split, children_of, measured, prepare
+from nurbseg.segmentation.splitting import Scene, best_split, children_of, measured, prepare
 
 #: What a surface leaves beyond noise: mean square, and share beyond three deviations.
 _SQUARE_MOST, _FAR_MOST = 2.2, 0.05
 #: A leaf is tried again for a split when its mean square is this much more than at the last trial.
 _WORSE_FACTOR, _WORSE_BY = 1.5, 0.5
-#: A split is undone where less noise than there is explains both parts, or where its ratio is so much over T.
-_FOLD_NOISE, _FOLD_RATIO = 0.9, 1.1
+#: Two leaves become one where so much less noise than there is explains both.
+_FOLD_NOISE = 0.9
+#: Places of the grid along which two leaves that are held against one surface meet.
+_MEETING_LEAST = 4
 #: Frames between two looks at one leaf for what its surface does not explain, and of which a split is kept.
 _PATIENCE = 10
 #: A leaf with fewer places than this share of the smallest is gone.
 _GONE_SHARE = 0.25
 #: Things that appear in one frame, at most; the others wait.
 _APPEARING_MOST = 6
+#: Frames after which a pair of leaves is asked as if for the first time.
+_FORGOTTEN = 1000
 #: Wear of a surface by one frame, in units of its relative misfit.
 _WEAR = 0.05
 
@@ -46,7 +52,7 @@ class Budget:
     trials : int
         Leaves that are tried for a split, the worst first.
     folds : int
-        Splits that are held against one surface for both parts.
+        Pairs of leaves that are held against one surface for both.
     """
 
     refits: int = 6
@@ -54,52 +60,13 @@ class Budget:
     folds: int = 1
 
 
-@dataclass(slots=True, eq=False)
-class Revised:
-    """What came of a revision.
-
-    Parameters
-    ----------
-    leaves : list of LiveLeaf
-        Of the labels 1, 2, ... from now on.
-    before, on_grid : (h, w) int32
-        Labels on the grid before it, and after it by their working numbers.
-    final : (numbers,) uint16
-        Label from now on of each working number.
-    """
-
-    leaves: list[LiveLeaf]
-    before: NDArray[np.int32]
-    on_grid: NDArray[np.int32]
-    final: NDArray[np.uint16] = field(default_factory=lambda: np.zeros(1, dtype=np.uint16))
-    refits: int = 0
-    trials: int = 0
-    splits: int = 0
-    folds: int = 0
-    waiting: int = 0
-
-    def relabelled(self, labels: NDArray[np.uint16], step: int) -> NDArray[np.uint16]:
-        """Return a label image as it is after the revision, (H, W) uint16."""
-        height, width = labels.shape
-        relabelled: NDArray[np.uint16] = self.final[labels]
-        rows, columns = np.nonzero(self.on_grid != self.before)
-        for down in range(step):
-            for across in range(step):
-                r, c = rows * step + down, columns * step + across
-                inside = (r < height) & (c < width)
-                r, c, at = r[inside], c[inside], (rows[inside], columns[inside])
-                # Neighbours across a border keep what they have; what had no label takes this one.
-                own = labels[r, c] == self.before[at]
-                relabelled[r[own], c[own]] = self.final[self.on_grid[at][own]]
-        return relabelled
-
-
 class Reviser:
     """Revises a tree frame after frame; it remembers whose turn it is."""
 
     def __init__(self) -> None:
         self._numbers = count(1)
-        self._fold_next = 0
+        self._asked: dict[tuple[int, int], int] = {}
+        self._frame = 0
         self._final = np.zeros(1, dtype=np.uint16)
 
     def leaf(self, node: Node) -> LiveLeaf:
@@ -150,42 +117,37 @@ class Reviser:
         Revised
             The leaves in their new order, and their labels.
         """
-        work = _Work(self, cloud, grid, joined, on_grid, root, leaves, measures, config)
+        self._frame += 1
+        growth = Growth(root, leaves, on_grid, self.leaf)
+        work = _Revision(growth, cloud, grid, joined, measures, config)
         work.take_in(appeared)
         work.take_out()
         work.refit(budget.refits)
         work.split(budget.trials)
-        self._fold_next = work.fold(budget.folds, self._fold_next)
-        done = work.finished()
+        work.fold(budget.folds, self._asked, self._frame)
+        self._asked = {pair: at for pair, at in self._asked.items() if self._frame - at < _FORGOTTEN}
+        done = growth.finished()
         self._final = done.final
         return done
 
 
-class _Work:
-    """One revision under way; leaves go by working numbers, their labels so far and then further ones."""
+class _Revision:
+    """One revision under way."""
 
     def __init__(
         self,
-        reviser: Reviser,
+        growth: Growth,
         cloud: PointMap,
         grid: DepthGrid,
         joined: Joints,
-        on_grid: NDArray[np.int32],
-        root: Node,
-        leaves: Sequence[LiveLeaf],
         measures: Misfit,
         config: SegmentationConfig,
     ) -> None:
-        self._reviser, self._cloud, self._config, self._root = reviser, cloud, config, root
+        self._growth, self._cloud, self._config = growth, cloud, config
         self._scene = Scene(grid, joined, np.zeros((0, 0), dtype=np.float32), None)
         self._measures = measures
-        self._by_number: dict[int, LiveLeaf] = dict(enumerate(leaves, start=1))
-        self._instead: dict[int, int] = {}
-        self._next = len(leaves) + 1
-        self._done = Revised([], on_grid, on_grid.copy())
-        self._labels = self._done.on_grid
         self._places_min = config.piece_pixels_min * grid.points.pixel_share
-        for number, leaf in self._by_number.items():
+        for number, leaf in growth.by_number.items():
             if np.isnan(leaf.level) and leaf.age <= 1:
                 leaf.level = float(measures.square[number])
             if np.isnan(leaf.tried):
@@ -195,36 +157,32 @@ class _Work:
         """Make leaves of what no leaf explains, each beside the one that surrounds it."""
         for piece in range(1, int(appeared.max()) + 1):
             mask = appeared == piece
-            host = self._around(mask)
+            host = self._growth.around(mask)
             if host is None:
                 continue
             if piece > _APPEARING_MOST:
-                self._labels[mask] = host
+                self._growth.labels[mask] = host
                 continue
-            self._insert(host, measured(self._scene, np.flatnonzero(mask), self._config))
-            self._done.splits += 1
+            self._growth.insert(host, measured(self._scene, np.flatnonzero(mask), self._config))
+            self._growth.done.splits += 1
 
     def take_out(self) -> None:
         """Take leaves out of which next to nothing is left."""
-        sizes = np.bincount(self._labels.ravel(), minlength=self._next)
-        for number in [n for n in self._by_number if sizes[n] < _GONE_SHARE * self._places_min]:
-            if len(self._by_number) < 2:
+        growth = self._growth
+        sizes = growth.sizes()
+        for number in [n for n in growth.by_number if sizes[n] < _GONE_SHARE * self._places_min]:
+            if len(growth.by_number) < 2:
                 return
-            mask = self._labels == number
-            heir = self._around(mask)
-            gone = self._by_number.pop(number)
+            heir = growth.around(growth.labels == number)
             if heir is None or heir == number:
-                heir = int(np.argmax([sizes[n] for n in self._by_number]))
-                heir = list(self._by_number)[heir]
-            self._labels[mask] = heir
-            self._instead[number] = heir
-            self._remove(gone.node)
+                heir = max((n for n in growth.by_number if n != number), key=lambda n: int(sizes[n]))
+            growth.absorb(number, heir)
 
     def refit(self, most: int) -> None:
         """Fit the surfaces anew that explain their leaves worst, or are the oldest."""
         m = self._measures
         need = []
-        for number, leaf in self._by_number.items():
+        for number, leaf in self._growth.by_number.items():
             if number >= m.square.size or m.places[number] == 0:
                 continue
             level = 1.0 if np.isnan(leaf.level) else leaf.level
@@ -233,8 +191,9 @@ class _Work:
         for wear, number in sorted(need, reverse=True)[:most]:
             if wear <= 0:
                 break
-            leaf = self._by_number[number]
-            places, fit, stop = measured(self._scene, np.flatnonzero(self._labels == number), self._config)
+            leaf = self._growth.by_number[number]
+            own = np.flatnonzero(self._growth.labels == number)
+            places, fit, stop = measured(self._scene, own, self._config)
             if fit.surface is None:
                 continue
             leaf.node.places, leaf.node.fit = places, fit
@@ -243,13 +202,13 @@ class _Work:
                 leaf.node.stop = stop
             elif leaf.node.stop in (None, StopReason.NOISE):
                 leaf.node.stop = StopReason.CRITERION
-            self._done.refits += 1
+            self._growth.done.refits += 1
 
     def split(self, most: int) -> None:
         """Try leaves for a split that have become worse, the worst first."""
         m, config = self._measures, self._config
         waiting = []
-        for number, leaf in self._by_number.items():
+        for number, leaf in self._growth.by_number.items():
             if number >= m.square.size or m.places[number] <= 2.0 * self._places_min:
                 continue
             square, far = float(m.square[number]), float(m.far[number])
@@ -257,91 +216,69 @@ class _Work:
             if not explained and square > _WORSE_FACTOR * leaf.tried + _WORSE_BY:
                 waiting.append((square * float(np.sqrt(m.places[number])), number))
         waiting.sort(reverse=True)
-        self._done.waiting = max(0, len(waiting) - most)
+        self._growth.done.waiting = max(0, len(waiting) - most)
         if most and waiting:
-            scene = prepare(self._cloud, config)
             for _, number in waiting[:most]:
-                self._try(scene, number)
+                self._try(number)
         elif most:
             self._try_unexplained()
 
-    def fold(self, most: int, start: int) -> int:
-        """Undo splits that one surface explains; return whose turn it is next."""
-        config = self._config
-        number_of = {id(leaf.node): number for number, leaf in self._by_number.items()}
-        parents = [
-            node
-            for node in depth_first(self._root)
-            if node.children and all(id(child) in number_of for child in node.children)
-        ]
-        for turn in range(min(most, len(parents))):
-            parent = parents[(start + turn) % len(parents)]
-            first, second = (number_of[id(child)] for child in parent.children)
-            leaves = self._by_number[first], self._by_number[second]
-            if not config.noise_stop or not self._adjacent(first, second):
-                continue
-            places = np.flatnonzero((self._labels == first) | (self._labels == second))
-            quieter = replace(config, noise_per_m=_FOLD_NOISE * config.noise_per_m)
+    def fold(self, most: int, asked: dict[tuple[int, int], int], frame: int) -> None:
+        """Let one leaf take another in where one surface explains both; the pair longest unasked first."""
+        config, growth = self._config, self._growth
+        if not (config.noise_stop and most):
+            return
+        quieter = replace(config, noise_per_m=_FOLD_NOISE * config.noise_per_m)
+
+        def pair_of(pair: tuple[int, int]) -> tuple[int, int]:
+            one, two = (growth.by_number[n].number for n in pair)
+            return (one, two) if one < two else (two, one)
+
+        pairs = sorted((asked.get(pair_of(pair), 0), pair) for pair in self._neighbors())
+        for _, pair in pairs[:most]:
+            asked[pair_of(pair)] = frame
+            sizes = growth.sizes()
+            kept, gone = pair if sizes[pair[0]] >= sizes[pair[1]] else (pair[1], pair[0])
+            places = np.flatnonzero((growth.labels == kept) | (growth.labels == gone))
             _, fit, stop = measured(self._scene, places, quieter)
-            if fit.surface is None:
+            if stop is None or fit.surface is None:
                 continue
-            values = [(leaf.node.value(config), max(1, leaf.node.places.size)) for leaf in leaves]
-            ratio = acceptance_ratio(
-                config.metric, (fit.values.get(config.metric, 0.0), places.size), *values
-            )
-            if stop is None and not ratio > _FOLD_RATIO * config.ratio_max:
-                continue
-            kept, gone = (
-                (first, second)
-                if leaves[0].node.places.size >= leaves[1].node.places.size
-                else (
-                    second,
-                    first,
-                )
-            )
-            leaf = self._by_number[kept]
-            parent.children, parent.cut, parent.stop = (), None, stop or StopReason.CRITERION
-            parent.places, parent.fit, parent.ratio = places, fit, None
-            leaf.node, leaf.surface, leaf.age = parent, fit.surface, 0
-            leaf.level = leaf.tried = float("nan")
-            self._labels[self._labels == gone] = kept
-            del self._by_number[gone]
-            self._instead[gone] = kept
-            self._done.folds += 1
-        return start + most
+            growth.absorb(gone, kept)
+            leaf = growth.by_number[kept]
+            leaf.node.places, leaf.node.fit, leaf.node.stop = places, fit, stop
+            leaf.surface, leaf.age, leaf.level, leaf.tried = fit.surface, 0, float("nan"), float("nan")
+            growth.done.folds += 1
+            return
 
-    def finished(self) -> Revised:
-        """Give the leaves labels in the order of the tree, and end."""
-        by_node = {id(leaf.node): (number, leaf) for number, leaf in self._by_number.items()}
-        final = np.zeros(self._next, dtype=np.uint16)
-        for node in depth_first(self._root):
-            if node.children:
-                continue
-            number, leaf = by_node[id(node)]
-            self._done.leaves.append(leaf)
-            final[number] = len(self._done.leaves)
-        for gone in self._instead:
-            heir = gone
-            while heir in self._instead:
-                heir = self._instead[heir]
-            final[gone] = final[heir]
-        self._done.final = final
-        return self._done
+    def _neighbors(self) -> list[tuple[int, int]]:
+        """Return the leaves that meet without a gap in depth, by their working numbers."""
+        labels, joined = self._growth.labels, self._scene.joined
+        size = int(labels.max()) + 1
+        counts = np.zeros(size * size, dtype=np.int64)
+        for first, second, meet in (
+            (labels[:, :-1], labels[:, 1:], joined.right[:, :-1]),
+            (labels[:-1], labels[1:], joined.down[:-1]),
+        ):
+            meet = meet & (first != second) & (first > 0) & (second > 0)
+            one, two = first[meet].astype(np.int64), second[meet].astype(np.int64)
+            counts += np.bincount(np.minimum(one, two) * size + np.maximum(one, two), minlength=size * size)
+        return [(int(key) // size, int(key) % size) for key in np.flatnonzero(counts >= _MEETING_LEAST)]
 
-    def _try(self, scene: Scene, number: int) -> None:
-        leaf = self._by_number[number]
+    def _try(self, number: int) -> None:
+        leaf = self._growth.by_number[number]
         node = leaf.node
-        node.places = np.flatnonzero(self._labels == number)
-        self._done.trials += 1
+        node.places = np.flatnonzero(self._growth.labels == number)
+        self._growth.done.trials += 1
         leaf.tried = float(self._measures.square[number])
-        _, node.fit, stop = measured(scene, node.places, self._config)
+        _, node.fit, stop = measured(self._scene, node.places, self._config)
         leaf.surface, leaf.age, leaf.level = node.fit.surface, 0, float("nan")
         if stop is not None or node.fit.surface is None or not node.value(self._config) > 0:
             return
+        scene = scene_of(self._cloud, self._scene, node.places, self._config)
         sides, cut = best_split(scene, node, self._config)
         if cut is None:
             return
-        self._done.splits += 1
+        self._growth.done.splits += 1
         node.children = children_of(node, sides)
         node.cut = cut if all(sides) else None
         node.stop = None
@@ -351,7 +288,7 @@ class _Work:
             part.stop = part.stop or StopReason.CRITERION
         leaf.node, leaf.surface, leaf.tried = parts[0], parts[0].fit.surface, float("nan")
         for part in parts[1:]:
-            self._labels.ravel()[part.places] = self._adopt(part)
+            self._growth.labels.ravel()[part.places] = self._growth.adopt(part)
 
     def _try_unexplained(self) -> None:
         """Set the largest patch apart that its leaf's surface does not explain but one of its own does."""
@@ -365,80 +302,60 @@ class _Work:
             if stats[patch, cv2.CC_STAT_AREA] < self._places_min:
                 return
             mask = image == patch
-            number = int(np.bincount(self._labels[mask]).argmax())
-            leaf = self._by_number.get(number)
+            number = int(np.bincount(self._growth.labels[mask]).argmax())
+            leaf = self._growth.by_number.get(number)
             if leaf is None or leaf.patience > 0:
                 continue
             leaf.patience = _PATIENCE
-            mask &= self._labels == number
+            mask &= self._growth.labels == number
             places = np.flatnonzero(mask)
             if places.size < self._places_min:
                 continue
-            self._done.trials += 1
+            self._growth.done.trials += 1
             part = measured(self._scene, places, self._config)
             if part[2] is StopReason.NOISE:
-                self._insert(number, part)
-                self._done.splits += 1
+                self._growth.insert(number, part)
+                self._growth.done.splits += 1
             return
 
-    def _insert(self, host: int, part: Part) -> None:
-        """Split a leaf into itself and a part that is no longer its own."""
-        leaf = self._by_number[host]
-        node = leaf.node
-        places, fit, stop = part
-        depth = node.cuts_above + 1
-        rest = Node(f"{node.name}0", node.places, node.fit, stop=node.stop, cuts_above=depth)
-        new = Node(f"{node.name}1", places, fit, stop=stop or StopReason.CRITERION, cuts_above=depth)
-        node.children, node.stop, node.cut, node.ratio = (rest, new), None, None, None
-        leaf.node = rest
-        self._labels.ravel()[places] = self._adopt(new)
 
-    def _adopt(self, node: Node) -> int:
-        number = self._next
-        self._next += 1
-        self._by_number[number] = self._reviser.leaf(node)
-        return number
+def scene_of(cloud: PointMap, scene: Scene, places: NDArray[np.intp], config: SegmentationConfig) -> Scene:
+    """Return a scene whose raw vectors are known at some places only, those that are to be split.
 
-    def _around(self, mask: NDArray[np.bool_]) -> int | None:
-        """Return the leaf that surrounds some places, if there is one."""
-        kernel = np.ones((3, 3), dtype=np.uint8)
-        ring = (cv2.dilate(mask.view(np.uint8), kernel) > 0) & ~mask
-        labels = self._labels[ring]
-        counts = np.bincount(labels[labels > 0], minlength=2)
-        number = int(counts.argmax())
-        if counts[number] == 0:
-            # Nothing touches it: whatever is largest.
-            sizes = np.bincount(self._labels.ravel(), minlength=2)
-            sizes[0] = 0
-            number = int(sizes.argmax())
-        return number if number in self._by_number else None
-
-    def _adjacent(self, first: int, second: int) -> bool:
-        one, two = self._labels == first, self._labels == second
-        near = cv2.dilate(one.view(np.uint8), np.ones((3, 3), dtype=np.uint8)) > 0
-        return int(np.count_nonzero(near & two)) >= 4
-
-    def _remove(self, gone: Node) -> None:
-        """Let the other part of a split take the place of the whole."""
-        for node in depth_first(self._root):
-            if node.children and gone in node.children:
-                (kept,) = (child for child in node.children if child is not gone)
-                holder = next((leaf for leaf in self._by_number.values() if leaf.node is kept), None)
-                node.places, node.fit, node.stop = kept.places, kept.fit, kept.stop
-                node.ratio, node.cut, node.children = kept.ratio, kept.cut, kept.children
-                if holder is not None:
-                    holder.node = node
-                _rename(node.children, node.name)
-                return
+    Parameters
+    ----------
+    cloud, scene : PointMap, Scene
+        The frame.
+    places : (N,) intp
+        Flat places of the grid, ascending.
+    config : SegmentationConfig
+        Windows and weights.
+    """
+    if not config.normalize_nodes:
+        return prepare(cloud, config)
+    grid = scene.grid
+    raw = np.zeros((grid.valid.size, 9 if config.normal_weight > 0 else 6), dtype=np.float32)
+    raw[places, :6] = raw_vectors(cloud, grid.points.pixels(places))
+    if config.normal_weight > 0:
+        half = max(1, round(0.5 * config.normal_window_px * grid.unit_px / grid.step - 0.5))
+        rows, columns, (top, left, bottom, right) = grid.points.locate(places)
+        # Windows for normals look at what is around the segment too.
+        top, left = max(0, top - 2 * half), max(0, left - 2 * half)
+        bottom, right = bottom + 2 * half, right + 2 * half
+        shifted = replace(
+            grid.rays,
+            center=(grid.rays.center[0] - left * grid.step, grid.rays.center[1] - top * grid.step),
+        )
+        normals = facet_normals(
+            np.ascontiguousarray(grid.per_m[top:bottom, left:right]),
+            np.ascontiguousarray(grid.valid[top:bottom, left:right]),
+            shifted,
+            step=grid.step,
+            window=2 * half + 1,
+            noise_per_m=config.noise_per_m,
+        )
+        raw[places, 6:] = normals[rows - top, columns - left]
+    return replace(scene, raw=raw)
 
 
-def _rename(children: Iterable[Node], above: str) -> None:
-    stack = [(child, f"{above}{place}") for place, child in enumerate(children)]
-    while stack:
-        node, name = stack.pop()
-        node.name = name
-        node.cuts_above = min(node.cuts_above, len(name))
-        stack.extend((child, f"{name}{place}") for place, child in enumerate(node.children))
-
-
-__all__ = ["Budget", "Revised", "Reviser"]
+__all__ = ["Budget", "Reviser"]
