@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.evaluation import pictures
+from nurbseg.app.evaluation.answers import Answers
 from nurbseg.app.evaluation.results import StudyResults
 from nurbseg.app.evaluation.store import StudyStore
-from nurbseg.app.evaluation.study import Answers, FrameRef, Study, label_path, read_frame, tree_path
+from nurbseg.app.evaluation.study import FrameRef, Study, label_path, read_frame, tree_path
 from nurbseg.app.evaluation.tables import all_tables
 from nurbseg.app.evaluation.variants import TREE_METHODS, Variant
 from nurbseg.app.palette import STOP_COLORS

@@ -7,26 +7,23 @@ import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.app.evaluation.answers import Answers
 from nurbseg.app.evaluation.categories import category_of
-from nurbseg.app.evaluation.methods import CLUSTERS, labels_on_disk, rival
 from nurbseg.app.evaluation.scoring import score_frame
 from nurbseg.app.evaluation.store import StudyStore
-from nurbseg.app.evaluation.variants import LABELS_PREFIX, TREE_METHODS, Variant
+from nurbseg.app.evaluation.variants import LABELS_PREFIX, Variant
 from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.registry import SourceOptions, open_source
-from nurbseg.segmentation.flat import best_lambda
 from nurbseg.segmentation.registration import PointMap, register
-from nurbseg.segmentation.shared import SharedWork
-from nurbseg.segmentation.tree import SegmentationTree, segment
+from nurbseg.segmentation.tree import SegmentationTree
 
 #: More frames than any source has: what passing over all of them is asked with.
 _ALL = 10**9
@@ -84,10 +81,20 @@ class Study:
 
 
 def frame_refs(study: Study) -> list[FrameRef]:
-    """List the frames of a study without decoding them."""
+    """List the frames of a study without decoding them.
+
+    Raises
+    ------
+    nurbseg.drivers.errors.DriverError
+        If a source cannot be opened.
+    ValueError
+        If a source is a camera.
+    """
     refs = []
     for place, uri in enumerate(study.sources):
         with open_source(uri, study.options) as source:
+            if source.live:
+                raise ValueError(f"{uri}: a camera gives no frame twice; record it first")
             first = source.skip(study.start)
             count = source.skip(_ALL if study.frames is None else study.frames)
         refs += [FrameRef(uri, i, f"{place:02d}-{i:06d}") for i in range(first, first + count)]
@@ -268,46 +275,6 @@ def evaluate_frame(
         if tree is not None:
             files[tree_path(ref.key, variant)] = outline(tree, variant)
     return FrameOutcome(ref.key, {**about, "results": results}, files)
-
-
-class Answers:
-    """Segments one frame with one variant after the other; shares what they have in common.
-
-    Parameters
-    ----------
-    cloud : PointMap
-        The registered frame.
-    name : str
-        Its name, by which label images of other programs are found.
-    index : int
-        Its place in its source.
-    seed : int
-        See `evaluate_frame`.
-    """
-
-    def __init__(self, cloud: PointMap, name: str, index: int, seed: int) -> None:
-        self._cloud, self._name, self._index, self._seed = cloud, name, index, seed
-        self._shared = SharedWork()
-        self._lambdas: dict[tuple[Any, ...], float] = {}
-
-    def of(self, variant: Variant) -> tuple[NDArray[np.integer], SegmentationTree | None]:
-        """Return a variant's labels, (H, W), and its tree if it has one."""
-        rng = np.random.default_rng([self._seed, self._index])
-        if variant.method.startswith(LABELS_PREFIX):
-            folder = Path(variant.method.removeprefix(LABELS_PREFIX))
-            return labels_on_disk(folder, self._name, self._index), None
-        if variant.method not in TREE_METHODS:
-            return rival(variant)(self._cloud, rng), None
-        config = variant.config
-        if variant.lambda_auto:
-            chosen = (config.samples, config.affinity_scale)
-            if chosen not in self._lambdas:
-                self._lambdas[chosen] = best_lambda(self._cloud, config, clusters=CLUSTERS, seed=self._seed)[
-                    0
-                ]
-            config = replace(config, geometry_weight=self._lambdas[chosen])
-        tree = segment(self._cloud, config, self._shared)
-        return tree.labels(), tree
 
 
 def times_per_frame(study: Study, frames: int) -> Mapping[str, float]:

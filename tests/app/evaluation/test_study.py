@@ -14,6 +14,7 @@ import pytest
 from nurbseg.app.evaluate import main
 from nurbseg.app.evaluation.methods import labels_on_disk
 from nurbseg.app.evaluation.store import StudyStore
+from nurbseg.drivers.synthetic import SyntheticSource
 
 METHODS = "stag15,pz14,fh04,kmeans"
 
@@ -146,6 +147,26 @@ def test_label_images_of_another_program_are_scored(
     assert main([*words, "--no-report"]) == 0
     row = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("labels:"))
     assert row.split()[1] == "*1.000*"
+
+
+def test_label_images_of_another_size_are_named(
+    frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "theirs"
+    folder.mkdir()
+    cv2.imwrite(str(folder / "learn0_labels.png"), np.ones((36, 48), np.uint8))
+    words = [str(frames), "--frames", "1", "--methods", "fh04", "--labels", str(folder)]
+    assert main([*words, "--out", str(tmp_path / "out")]) == 2
+    assert f"{folder}: labels of frame learn0: expected (72, 96)" in capsys.readouterr().err
+
+
+def test_a_camera_is_no_data_set(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(SyntheticSource, "live", True)
+    words = ["synthetic:?width=64&height=48", "--methods", "fh04", "--out", str(tmp_path / "out")]
+    assert main(words) == 2
+    assert "record it first" in capsys.readouterr().err
 
 
 def test_a_missing_label_image_names_what_was_looked_for(tmp_path: Path) -> None:
