@@ -124,12 +124,13 @@ def report(frames: Frames, seeds: int, command: str) -> list[str]:
     lines = [
         "# What each stage is worth",
         "",
-        f"Made by `{command}` on {datetime.date.today()}: {len(frames)} labelled frames at full resolution,",
-        "default settings but for what a row says, seed 0; means over frames with bootstrap 95 % intervals",
-        "over frames. RI, GTRC and obj are better when higher, VoI (bits) when lower. The milliseconds are",
-        f"the median of one run without other measures; {platform.python_implementation()} ",
-        f"{platform.python_version()}, NumPy {np.__version__}, SciPy {scipy.__version__}, "
-        f"OpenCV {cv2.__version__}.",
+        f"Made by `{command}`",
+        f"on {datetime.date.today()}: {len(frames)} labelled frames at full resolution, default settings but",
+        "for what a row says, seed 0; means over frames with bootstrap 95 % intervals over frames. RI, GTRC",
+        "and obj are better when higher, VoI (bits) when lower. Milliseconds are the median of one pass beside",
+        "other work on the same computer, to be compared only roughly.",
+        f"{platform.python_implementation()} {platform.python_version()}, NumPy {np.__version__}, "
+        f"SciPy {scipy.__version__}, OpenCV {cv2.__version__}.",
         "",
         "## One after the other",
         "",
