@@ -127,8 +127,8 @@ def report(frames: Frames, seeds: int, command: str) -> list[str]:
         f"Made by `{command}`",
         f"on {datetime.date.today()}: {len(frames)} labelled frames at full resolution, default settings but",
         "for what a row says, seed 0; means over frames with bootstrap 95 % intervals over frames. RI, GTRC",
-        "and obj are better when higher, VoI (bits) when lower. Milliseconds are the median of one pass beside",
-        "other work on the same computer, to be compared only roughly.",
+        "and obj are better when higher, VoI (bits) when lower. Milliseconds are the median of one pass",
+        "beside other work on the same computer, to be compared only roughly.",
         f"{platform.python_implementation()} {platform.python_version()}, NumPy {np.__version__}, "
         f"SciPy {scipy.__version__}, OpenCV {cv2.__version__}.",
         "",
