@@ -107,7 +107,10 @@ def _trimmed_triangles(
 def _mean_residuals(
     fits: Sequence[Fit], lattices: Lattices, width: int, vertices: int
 ) -> NDArray[np.float32]:
-    """Average the residuals around each vertex; where there is none, those of the whole fit."""
+    """Average the residuals around each vertex; where there is none, those of the whole fit.
+
+    A surface carried over from the frame before explains pixels beyond its window, too: no vertex is there.
+    """
     if not fits:
         return np.zeros(0, dtype=np.float32)
     sizes = [fit.pixels.size for fit in fits]
@@ -116,12 +119,15 @@ def _mean_residuals(
     rows, columns = np.divmod(np.concatenate([fit.pixels for fit in fits]), width)
     scale = 1.0 / np.maximum(lattices.step, 1e-9)
     nearest = [
-        ((at - lattices.first[of, axis]) * scale[of, axis] + 0.5).astype(np.intp)
+        np.floor((at - lattices.first[of, axis]) * scale[of, axis] + 0.5).astype(np.intp)
         for axis, at in enumerate((rows, columns))
     ]
-    vertex = lattices.start[of] + nearest[0] * lattices.count[of, 1] + nearest[1]
+    inside = np.ones(of.size, dtype=np.bool_)
+    for axis in (0, 1):
+        inside &= (nearest[axis] >= 0) & (nearest[axis] < lattices.count[of, axis])
+    vertex = (lattices.start[of] + nearest[0] * lattices.count[of, 1] + nearest[1])[inside]
     count = np.bincount(vertex, minlength=vertices)
-    total = np.bincount(vertex, weights=residuals, minlength=vertices)
+    total = np.bincount(vertex, weights=residuals[inside], minlength=vertices)
     means = np.array([fit.residuals_m.mean() for fit in fits])
     mean = np.repeat(means, lattices.count[:, 0] * lattices.count[:, 1])
     np.divide(total, count, out=mean, where=count > 0)

@@ -57,6 +57,20 @@ def test_vertices_carry_the_residuals_around_them() -> None:
     assert np.isclose(mesh.residuals_m[of_leaf][lower], 0.015).mean() > 0.9
 
 
+def test_residuals_beyond_a_surface_s_window_touch_no_other_surface() -> None:
+    result = small_result()
+    labels = result.tree.label_image()
+    before = surface_mesh(result.tree, labels, 4.0)
+    leaf = min(result.tree.leaves(), key=lambda each: each.pixels.size)
+    pixels = np.arange(labels.size)
+    moved = replace(leaf, fit=replace(leaf.fit, pixels=pixels, residuals_m=np.full(pixels.size, 0.5)))
+    segments = tuple(moved if each is leaf else each for each in result.tree.segments)
+    mesh = surface_mesh(SegmentationTree(segments, result.tree.shape), labels, 4.0)
+    of_leaf = mesh.labels == labels.reshape(-1)[leaf.pixels[0]]
+    np.testing.assert_allclose(mesh.residuals_m[of_leaf], 0.5)
+    np.testing.assert_array_equal(mesh.residuals_m[~of_leaf], before.residuals_m[~of_leaf])
+
+
 def test_a_leaf_without_a_surface_is_left_out() -> None:
     result = small_result()
     leaf = result.tree.leaves()[0]
