@@ -8,8 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.bspline import pixel_basis, pixel_knots
-from nurbseg.segmentation.inverse_depth import inverse_depth_image_of
+from nurbseg.segmentation.bspline import CUBIC, basis_matrix
 from nurbseg.segmentation.surface import NurbsSurface
 
 
@@ -128,44 +127,38 @@ class SurfaceLattice:
 
 
 def _evaluated(surface: NurbsSurface, step: int) -> tuple[int, int, NDArray[np.float32]]:
-    """Return the first row and column of a surface's knots on the grid, and its inverse depth there."""
-    # The domain of a cubic begins at its fourth knot, wherever the first ones are.
-    left, right = (float(surface.knots_u[end]) / step for end in (3, -4))
-    top, bottom = (float(surface.knots_v[end]) / step for end in (3, -4))
-    first_column, first_row = round(left), round(top)
-    width, height = round(right) - first_column + 1, round(bottom) - first_row + 1
-    n, m = surface.weights.shape
+    """Return the first row and column of a surface's domain on the grid, and its inverse depth there."""
+    rows, Bv = _along(surface.knots_v, surface.degree[1], surface.weights.shape[0], step)
+    columns, Bu = _along(surface.knots_u, surface.degree[0], surface.weights.shape[1], step)
     depths = surface.control_points_m[..., 2] * surface.weights
-    if np.ptp(depths) <= 1e-9 and _is_on_grid(surface, step, height, width, first_row, first_column):
-        image = _basis(height, n) @ (surface.weights / depths[0, 0]).astype(np.float32) @ _basis(width, m).T
+    if np.ptp(depths) <= 1e-9:
+        # The rational surfaces of inverse depth: the ray's z is 1.
+        image = Bv @ (surface.weights * (1.0 / depths[0, 0])).astype(np.float32) @ Bu.T
     else:
-        u = (first_column + np.arange(width, dtype=np.float64)) * step
-        v = (first_row + np.arange(height, dtype=np.float64)) * step
-        image = inverse_depth_image_of(surface, u, v)
-    return first_row, first_column, np.asarray(image, dtype=np.float32)
+        image = (Bv @ surface.weights.astype(np.float32) @ Bu.T) / (Bv @ depths.astype(np.float32) @ Bu.T)
+    return rows, columns, np.asarray(image, dtype=np.float32)
 
 
-def _is_on_grid(
-    surface: NurbsSurface, step: int, height: int, width: int, first_row: int, first_column: int
-) -> bool:
-    """Say whether a surface's knots are those of a fit to places of the grid."""
-    n, m = surface.weights.shape
-    if surface.degree != (3, 3) or height < 2 or width < 2:
-        return False
-    return _same_knots(surface.knots_u, width, m, first_column, step) and _same_knots(
-        surface.knots_v, height, n, first_row, step
-    )
+def _along(knots: NDArray[np.float64], degree: int, count: int, step: int) -> tuple[int, NDArray[np.float32]]:
+    """Return the first place of a knot vector's domain, and the basis at the places in it."""
+    first, last = float(knots[degree]), float(knots[count])
+    spacing = float(knots[1] - knots[0])
+    start = round(float(knots[0]) / spacing) if spacing > 0 else 0
+    size = int(np.floor(last / step + 1e-9)) - int(np.ceil(first / step - 1e-9)) + 1
+    begin = int(np.ceil(first / step - 1e-9))
+    is_shared = spacing > 0 and degree == CUBIC and abs(start * spacing - float(knots[0])) < 1e-6 * spacing
+    if is_shared and abs(float(knots[-1] - knots[0]) - (knots.size - 1) * spacing) < 1e-6 * spacing:
+        return begin, _shared_basis(spacing / step, begin, size, start, count)
+    places = (begin + np.arange(size, dtype=np.float64)) * step
+    return begin, basis_matrix(knots, degree, places).astype(np.float32)
 
 
-def _same_knots(knots: NDArray[np.float64], size: int, count: int, first: int, step: int) -> bool:
-    # Their middle tells: both ends agree by construction.
-    middle = knots.size // 2
-    return abs(float(pixel_knots(size, count)[middle]) + first - float(knots[middle]) / step) < 1e-6
-
-
-@lru_cache(maxsize=512)
-def _basis(size: int, count: int) -> NDArray[np.float32]:
-    return pixel_basis(size, count).astype(np.float32)
+@lru_cache(maxsize=1024)
+def _shared_basis(spacing: float, begin: int, size: int, start: int, count: int) -> NDArray[np.float32]:
+    """Return the cubic basis on knots at every multiple of a spacing, in places, (size, count)."""
+    knots = (start + np.arange(count + CUBIC + 1, dtype=np.float64)) * spacing
+    places = begin + np.arange(size, dtype=np.float64)
+    return np.asarray(basis_matrix(knots, CUBIC, places), dtype=np.float32)
 
 
 __all__ = ["SurfaceLattice"]

@@ -13,13 +13,15 @@ from numpy.typing import NDArray
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.features import raw_vectors
 from nurbseg.segmentation.inverse_depth import DepthGrid
-from nurbseg.segmentation.live_leaf import LiveLeaf, Misfit
+from nurbseg.segmentation.lattice import SurfaceLattice
+from nurbseg.segmentation.live_leaf import LiveLeaf, Misfit, misfit
 from nurbseg.segmentation.live_structure import Growth, Revised
 from nurbseg.segmentation.normals import facet_normals
 from nurbseg.segmentation.pieces import Joints
 from nurbseg.segmentation.registration import PointMap
 from nurbseg.segmentation.segments import Node, StopReason, depth_first
 from nurbseg.segmentation.splitting import Scene, best_split, children_of, measured, prepare
+from nurbseg.segmentation.surface import NurbsSurface
 
 #: What a surface leaves beyond noise: mean square, and share beyond three deviations.
 _SQUARE_MOST, _FAR_MOST = 2.2, 0.05
@@ -241,7 +243,7 @@ class _Revision:
             kept, gone = pair if sizes[pair[0]] >= sizes[pair[1]] else (pair[1], pair[0])
             places = np.flatnonzero((growth.labels == kept) | (growth.labels == gone))
             _, fit, stop = measured(self._scene, places, quieter)
-            if stop is None or fit.surface is None:
+            if stop is None or fit.surface is None or not self._is_explained(gone, fit.surface):
                 continue
             growth.absorb(gone, kept)
             leaf = growth.by_number[kept]
@@ -249,6 +251,13 @@ class _Revision:
             leaf.surface, leaf.age, leaf.level, leaf.tried = fit.surface, 0, float("nan"), float("nan")
             growth.done.folds += 1
             return
+
+    def _is_explained(self, number: int, surface: NurbsSurface) -> bool:
+        """Say whether a surface explains a leaf, which may be a small part of what it was fitted to."""
+        grid, noise_per_m = self._scene.grid, _FOLD_NOISE * self._config.noise_per_m
+        own = np.where(self._growth.labels == number, 1, 0).astype(np.int32)
+        found = misfit(own, SurfaceLattice([surface], grid.step), grid, noise_per_m, 1)
+        return bool(found.square[1] < _SQUARE_MOST and found.far[1] < _FAR_MOST)
 
     def _neighbors(self) -> list[tuple[int, int]]:
         """Return the leaves that meet without a gap in depth, by their working numbers."""
