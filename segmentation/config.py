@@ -59,7 +59,7 @@ class SegmentationConfig:
     )
     segment_pixels_min: int = setting(
         1500,
-        "T_p: smallest segment, in pixels of a 640x480 image (scaled with the image)",
+        "stag15: T_p, the smallest segment, in pixels of a 640x480 image (scaled with the image)",
         unit="px",
         least=1,
     )
@@ -67,7 +67,7 @@ class SegmentationConfig:
     splits_max: int = setting(60, "T_s: largest number of splits", least=0, most=10_000)
     first_split: FirstSplit = setting(
         "kept",
-        "whether the split of the whole cloud is kept in any case, as in the paper, or judged like others",
+        "stag15: whether the first split is kept in any case, as in the paper, or judged like others",
         choices=get_args(FirstSplit),
     )
     large_error_m: float = setting(
@@ -112,7 +112,7 @@ class SegmentationConfig:
         above=0.0,
     )
     piece_pixels_min: int = setting(
-        240, "nurbseg: smallest segment, in pixels of a 640x480 image", unit="px", least=1
+        240, "nurbseg: T_p, the smallest segment, in pixels of a 640x480 image", unit="px", least=1
     )
     cuts: int = setting(
         3,
