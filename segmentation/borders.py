@@ -178,7 +178,8 @@ class _Sides:
             residual -= own[which]
             residual *= self._per_deviation
             np.minimum(np.square(residual, out=residual), np.float32(SQUARE_MOST), out=residual)
-            residual -= np.einsum("nk,nk->k", near[:, which] == label, weights[:, which])
+            same = near == label if isinstance(which, slice) else near[:, which] == label
+            residual -= np.where(same, weights[:, which], np.float32(0.0)).sum(axis=0)
             return residual
 
         before = flat[numbers]

@@ -69,6 +69,12 @@ class PixelGrid:
         rows, columns = np.divmod(places, self.shape[1])
         return (rows * self.image_shape[1] + columns) * self.step
 
+    def every_second(self, places: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return those of some flat places that are on even rows and columns."""
+        rows, columns = np.divmod(places, self.shape[1])
+        found: NDArray[np.intp] = places[((rows | columns) & 1) == 0]
+        return found
+
     def full_window(self, window: Window) -> Window:
         """Return a window of the grid in pixels of the full image."""
         top, left, bottom, right = window

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from nurbseg.segmentation.bspline import CUBIC, basis_matrix
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.grid import PixelGrid, Window, decimated_grid
-from nurbseg.segmentation.knot_lattice import lattice_basis
+from nurbseg.segmentation.knot_lattice import LatticeBasis, lattice_basis
 from nurbseg.segmentation.leastsquares import LinAlgError, fit_on_lattice
 from nurbseg.segmentation.metrics import residual_metrics
 from nurbseg.segmentation.rays import Rays, rays_of
@@ -145,21 +145,11 @@ def fit_window(
         v = np.arange(top, bottom, dtype=np.float64) * grid.step
         return fit, (inverse_depth_lattice(fit.surface, u, v)[0] - measured)[mask]
 
-    smoothness = config.smoothness * (2.0 * grid.unit_px / grid.step) ** 2
-    spacing = config.knot_spacing_px * grid.unit_px / grid.step
-    wide = int(np.ceil(_MARGIN_PX * grid.unit_px / grid.step))
     try:
-        for margin, stiffer in ((wide, 1.0), (1, 1.0), *((1, each) for each in _STIFFER)):
-            along_v = lattice_basis(top, bottom, margin, spacing)
-            along_u = lattice_basis(left, right, margin, spacing)
-            control, held = fit_on_lattice(measured, mask, along_v, along_u, stiffer * smoothness)
-            if control.min() > _LEAST_PER_M or (control[held > _HELD] > _LEAST_PER_M).all():
-                break
+        control, along_v, along_u = _control_values(grid, window, mask, measured, config)
     except LinAlgError as error:
         none = Fit(None, np.zeros(0), {}, f"no least-squares solution: {error}", grid.points.pixels(places))
         return none, np.full(places.size, np.inf)
-    control = np.maximum(control, _LEAST_PER_M)
-
     fitted = (along_v.values @ (control @ along_u.values.T))[mask]
     residuals_per_m = fitted - measured[mask]
     # The point and its surface point lie on one ray: their distance is in proportion to the point's own.
@@ -173,6 +163,54 @@ def fit_window(
     )
     metrics = residual_metrics(residuals_m, config)
     return Fit(surface, residuals_m, metrics, "", grid.points.pixels(places)), residuals_per_m
+
+
+def residuals_of_fit(
+    grid: DepthGrid, window: Window, mask: NDArray[np.bool_], config: SegmentationConfig
+) -> NDArray[np.float64]:
+    """Return the residuals of inverse depth of `fit_window` without making the surface.
+
+    Parameters
+    ----------
+    grid, window, mask, config
+        As for `fit_window`.
+
+    Returns
+    -------
+    (N,) float64
+        1/m, in row order.
+    """
+    if config.fit_of == "xyz":
+        return fit_window(grid, window, mask, config)[1]
+    top, left, bottom, right = window
+    measured = grid.per_m[top:bottom, left:right].astype(np.float64)
+    try:
+        control, along_v, along_u = _control_values(grid, window, mask, measured, config)
+    except LinAlgError:
+        return np.full(np.count_nonzero(mask), np.inf)
+    residuals: NDArray[np.float64] = (along_v.values @ (control @ along_u.values.T) - measured)[mask]
+    return residuals
+
+
+def _control_values(
+    grid: DepthGrid,
+    window: Window,
+    mask: NDArray[np.bool_],
+    measured: NDArray[np.float64],
+    config: SegmentationConfig,
+) -> tuple[NDArray[np.float64], LatticeBasis, LatticeBasis]:
+    """Fit positive control values; returns them with the bases along v and u."""
+    top, left, bottom, right = window
+    smoothness = config.smoothness * (2.0 * grid.unit_px / grid.step) ** 2
+    spacing = config.knot_spacing_px * grid.unit_px / grid.step
+    wide = int(np.ceil(_MARGIN_PX * grid.unit_px / grid.step))
+    for margin, stiffer in ((wide, 1.0), (1, 1.0), *((1, each) for each in _STIFFER)):
+        along_v = lattice_basis(top, bottom, margin, spacing)
+        along_u = lattice_basis(left, right, margin, spacing)
+        control, held = fit_on_lattice(measured, mask, along_v, along_u, stiffer * smoothness)
+        if control.min() > _LEAST_PER_M or (control[held > _HELD] > _LEAST_PER_M).all():
+            break
+    return np.maximum(control, _LEAST_PER_M), along_v, along_u
 
 
 def rational_surface(
@@ -289,4 +327,5 @@ __all__ = [
     "inverse_depth_image_of",
     "inverse_depth_lattice",
     "rational_surface",
+    "residuals_of_fit",
 ]

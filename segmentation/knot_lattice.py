@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.bspline import CUBIC, basis_matrix
 
+#: Tables are made for whole multiples of so many places.
+_TABLE_PLACES = 160
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LatticeBasis:
@@ -43,7 +46,7 @@ class LatticeBasis:
         return self.spacing * np.arange(self.first - CUBIC, self.first + self.count + 1, dtype=np.float64)
 
 
-@lru_cache(maxsize=2048)
+@lru_cache(maxsize=512)
 def lattice_basis(start: int, stop: int, margin: int, spacing: float) -> LatticeBasis:
     """Return the functions that reach a window or a margin around it.
 
@@ -63,15 +66,32 @@ def lattice_basis(start: int, stop: int, margin: int, spacing: float) -> Lattice
     """
     first = int(np.floor((start - margin) / spacing))
     count = int(np.floor((stop - 1 + margin) / spacing)) - first + CUBIC + 1
-    places = np.arange(start, stop, dtype=np.float64)
-    knots = spacing * np.arange(first - CUBIC, first + count + 1, dtype=np.float64)
+    # Functions beyond the places of the window are zero there.
+    lowest, values, products = _table(spacing, -(-stop // _TABLE_PLACES), -(-(margin + 1) // _TABLE_PLACES))
+    functions = slice(first - lowest, first - lowest + count)
+    rows = slice(start, stop)
+    return LatticeBasis(
+        spacing, first, values[rows, functions], products[rows, :, functions].reshape(stop - start, -1)
+    )
+
+
+@lru_cache(maxsize=16)
+def _table(
+    spacing: float, blocks: int, margin_blocks: int
+) -> tuple[int, NDArray[np.float64], NDArray[np.float64]]:
+    """Tabulate the functions of an image's whole extent: number of the first, values, and products."""
+    places = np.arange(blocks * _TABLE_PLACES, dtype=np.float64)
+    margin = margin_blocks * _TABLE_PLACES
+    lowest = int(np.floor(-margin / spacing))
+    count = int(np.floor((places[-1] + margin) / spacing)) - lowest + CUBIC + 1
+    knots = spacing * np.arange(lowest - CUBIC, lowest + count + 1, dtype=np.float64)
     values = basis_matrix(knots, CUBIC, places)
     products = np.zeros((places.size, CUBIC + 1, count))
     for k in range(CUBIC + 1):
         np.multiply(values[:, : count - k], values[:, k:], out=products[:, k, : count - k])
     values.flags.writeable = False
     products.flags.writeable = False
-    return LatticeBasis(spacing, first, values, products.reshape(places.size, -1))
+    return lowest, values, products
 
 
 __all__ = ["LatticeBasis", "lattice_basis"]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.contact import Meeting, in_contact
-from nurbseg.segmentation.inverse_depth import DepthGrid, fit_window
+from nurbseg.segmentation.inverse_depth import DepthGrid, residuals_of_fit
 from nurbseg.segmentation.noise import explained_by_noise
 
 #: The strip that is looked at on each side of a border: pixels of an image 640 wide up to a depth of 0.8 m,
@@ -88,7 +88,7 @@ def _squares(marked: NDArray[np.bool_], grid: DepthGrid, config: SegmentationCon
         return 0.0, True
     _, _, window = grid.points.locate(places)
     mask = marked[window[0] : window[2], window[1] : window[3]]
-    _, residuals_per_m = fit_window(grid, window, mask, config)
+    residuals_per_m = residuals_of_fit(grid, window, mask, config)
     explained = explained_by_noise(residuals_per_m, mask, config.noise_per_m, rim=True)
     return float(residuals_per_m @ residuals_per_m), explained
 

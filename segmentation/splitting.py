@@ -30,6 +30,9 @@ from nurbseg.segmentation.segments import (
 )
 from nurbseg.segmentation.surface import Fit
 
+#: From so many places on, a segment is cut at a quarter of them.
+_MANY_PLACES = 12_000
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
@@ -260,12 +263,15 @@ def best_split(
     cut : Cut or None
         None where no split is kept.
     """
-    raw = scene.raw[node.places]
-    vectors = normalized(raw, scene.whole or _normalization(raw, config))
+    # A large segment is cut at every second place of both directions; those between follow.
+    points = scene.grid.points
+    drawn = points.every_second(node.places) if node.places.size >= _MANY_PLACES else node.places
+    raw = scene.raw.take(drawn, axis=0)
+    scale = scene.whole or _normalization(raw, config)
     rng = np.random.default_rng([config.seed, int(f"1{node.name}", 2)])
     node.stop = StopReason.NO_CUT
     for cut in normalized_cuts(
-        vectors,
+        normalized(raw, scale),
         count=config.cuts,
         samples=config.samples,
         rng=rng,
@@ -275,7 +281,8 @@ def best_split(
     ):
         if cut.reason:
             continue
-        pieces, side_of = _pieces(scene, node.places, 1 + cut.side.astype(np.int32), config)
+        sides_of_places = cut.side if drawn is node.places else _continued(scene, node, drawn, cut, scale)
+        pieces, side_of = _pieces(scene, node.places, 1 + sides_of_places.astype(np.int32), config)
         if len(pieces) < 2:
             node.stop = StopReason.CHILD_TOO_SMALL
             continue
@@ -290,6 +297,27 @@ def best_split(
             return sides, cut
         node.stop = StopReason.CRITERION
     return ([], []), None
+
+
+def _continued(
+    scene: Scene, node: Node, drawn: NDArray[np.intp], cut: Cut, scale: Normalization
+) -> NDArray[np.bool_]:
+    """Continue a cut of every second place to all: where those around agree, and else by its extension."""
+    height, width = scene.grid.points.shape
+    tall, wide = (height + 1) // 2 + 1, (width + 1) // 2 + 1
+    # Bit 0 for the False side and bit 1 for the True one; a cell has those of its corners.
+    corners = np.zeros((tall, wide), dtype=np.uint8)
+    rows, columns = np.divmod(drawn, width)
+    corners[rows // 2, columns // 2] = 1 + cut.side
+    cells = corners.copy()
+    cells[:-1] |= corners[1:]
+    cells[:, :-1] |= cells[:, 1:]
+    rows, columns = np.divmod(node.places, width)
+    found = cells.ravel().take((rows >> 1) * wide + (columns >> 1))
+    sides: NDArray[np.bool_] = found == 2
+    asked = np.flatnonzero((found == 0) | (found == 3))
+    sides[asked] = cut.classify(normalized(scene.raw.take(node.places[asked], axis=0), scale))
+    return sides
 
 
 def _pieces(
