@@ -30,8 +30,9 @@ demo: $(VENV)/demo.stamp
 	@echo "rates, latency, memory:          $(OUT)/demo.json"
 	@echo "live, with a viewer:             $(BIN)/nurbseg-live"
 
+# A run takes minutes. What would not end by itself is ended.
 test: setup-test lint types
-	$(BIN)/pytest
+	timeout --foreground --kill-after=30s 40m $(BIN)/pytest
 
 setup: $(VENV)/demo.stamp
 

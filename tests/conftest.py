@@ -12,8 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from session_end import pytest_sessionfinish, pytest_unconfigure
 
 from nurbseg.drivers.source import FrameSource
+
+__all__ = ["nothing_is_left_open", "pytest_sessionfinish", "pytest_unconfigure", "real_data"]
 
 #: How long a thread may take to end after its test, seconds.
 _GRACE_S = 2.0

@@ -1,0 +1,37 @@
+"""A session of tests ends, with the right exit code, whatever its tests leave behind."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+_LEAVES_A_THREAD = """
+import threading
+
+def test_it():
+    threading.Thread(target=threading.Event().wait, name="stuck", daemon={daemon}).start()
+    assert {passes}
+"""
+
+
+@pytest.mark.parametrize("daemon", [True, False])
+@pytest.mark.parametrize(("passes", "code"), [(True, 0), (False, 1)])
+def test_a_stuck_thread_keeps_no_session_from_ending(
+    tmp_path: Path, daemon: bool, passes: bool, code: int
+) -> None:
+    (tmp_path / "pytest.ini").write_text("[pytest]\n")
+    (tmp_path / "test_it.py").write_text(_LEAVES_A_THREAD.format(daemon=daemon, passes=passes))
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-p", "session_end", "-p", "no:cacheprovider", "-q"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parent / "fakes")},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == code, done.stdout + done.stderr
+    assert ("1 passed" if passes else "1 failed") in done.stdout
+    assert done.stdout.splitlines()[-1] == "ended by force, threads still run: stuck"
