@@ -67,8 +67,10 @@ def spectral_embedding(
     )
     degrees = np.maximum(Q @ Q.sum(axis=0), np.float32(1.0))
     Q /= np.sqrt(degrees)[:, np.newaxis]
-    _, leading = np.linalg.eigh((Q.T @ Q).astype(np.float64))
-    embedded = Q @ leading[:, ::-1][:, :dimensions].astype(np.float32)
+    eigenvalues, leading = np.linalg.eigh((Q.T @ Q).astype(np.float64))
+    kept = np.flatnonzero(eigenvalues > _EIGENVALUE_SHARE)[::-1][:dimensions]
+    # Q V has the eigenvectors times the roots of their eigenvalues: without these each counts the same.
+    embedded = Q @ (leading[:, kept] / np.sqrt(eigenvalues[kept])).astype(np.float32)
     norms = np.linalg.norm(embedded, axis=1, keepdims=True)
     return np.asarray(embedded / np.maximum(norms, 1e-12), dtype=np.float32)
 
