@@ -69,7 +69,11 @@ def configure(device: OpenedDevice, options: DeviceOptions, name: str) -> Outcom
         What messages call the camera.
     """
     depth, color = device.streams
-    synchronised = options.sync and device.synchronise()
+    # With two rates OpenNI2 would find no two images of the same number, and deliver none.
+    same_rate = depth.mode.fps == color.mode.fps
+    synchronised = options.sync and same_rate and device.synchronise()
+    if options.sync and not same_rate:
+        logger.info("%s: depth and color have different rates, and are not synchronised", name)
     wants_registration = options.registration == "hardware"
     registered = device.register(wants_registration)
     if wants_registration and not registered:

@@ -56,7 +56,8 @@ class DeviceOptions:
         Whether the camera is asked to bring depth onto the color image. Where it cannot, the frames
         carry the calibration with which software does it.
     sync : bool
-        Whether the camera is asked to take depth and color at the same moment.
+        Whether the camera is asked to take depth and color at the same moment; only where both streams
+        have the same rate.
     auto_exposure, auto_white_balance : {"keep", "on", "off"}
         Automatic controls of the color camera.
     exposure, gain : int or None

@@ -56,6 +56,18 @@ def test_each_listed_mode_is_delivered(virtual_cameras, depth_mode, color_mode, 
             np.testing.assert_array_equal(frame.color, color_image(number, *color_size))
 
 
+def test_streams_of_different_rates_are_not_synchronised_but_paired_by_time(virtual_cameras):
+    virtual_cameras.add()
+    with DeviceSource(options=DeviceOptions(depth_mode="320x240@60", color_mode="vga")) as source:
+        assert source.metadata["sync"] == "off"
+        for _ in range(5):
+            frame = source.read()
+            number = frame_number(frame, fps=60)
+            np.testing.assert_array_equal(frame.depth_mm, depth_image(number, 320, 240))
+            nearby = [color_image(n) for n in (number // 2, (number + 1) // 2)]
+            assert any(np.array_equal(frame.color, image) for image in nearby)
+
+
 def test_intrinsics_follow_from_the_field_of_view(virtual_cameras):
     virtual_cameras.add(fov_horizontal=1.0)
     with DeviceSource() as source:
