@@ -9,7 +9,7 @@ from pathlib import Path
 
 from nurbseg.app.config import AppConfig, SourceConfig
 from nurbseg.app.replay import Limited, Looped
-from nurbseg.drivers.calibration import read_calibration
+from nurbseg.drivers.calibration import read_camera_file
 from nurbseg.drivers.diagnosis import explain_no_camera
 from nurbseg.drivers.errors import BackendMissingError, DeviceNotFoundError, RecordingFormatError
 from nurbseg.drivers.registry import SourceOptions, open_source
@@ -60,9 +60,9 @@ def open_chosen(app_config: AppConfig) -> OpenedSource:
     )
     uri = _named_uri(config)
     if not uri.startswith(CAMERA):
-        # A camera reads the file itself, knowing the size of its images; a recording is told.
+        # A camera reads the file itself; a recording is told.
         if app_config.camera.calibration is not None:
-            options = replace(options, calibration=read_calibration(Path(app_config.camera.calibration)))
+            options = replace(options, calibration=read_camera_file(Path(app_config.camera.calibration)))
         return _prepared(uri, app_config, options)
     try:
         return _prepared(uri, app_config, options)

@@ -69,11 +69,8 @@ def folder_camera(
     CalibrationError
         If there is none, or it is unusable.
     """
-    if options.calibration is not None:
-        camera, origin = CameraFile.of_calibration(options.calibration, Path("--calibration")), "given"
-    elif options.intrinsics is not None:
-        camera, origin = CameraFile.of_intrinsics(options.intrinsics), "given"
-    else:
+    camera, origin = options.given_cameras(), "given"
+    if camera is None:
         path = next((p for pattern in _CALIBRATION_PATTERNS for p in sorted(folder.glob(pattern))), None)
         if path is None:
             raise CalibrationError(

@@ -8,16 +8,25 @@ from __future__ import annotations
 
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.errors import BackendMissingError, FrameFormatError, RecordingFormatError
+from nurbseg.drivers.errors import (
+    BackendMissingError,
+    CalibrationError,
+    FrameFormatError,
+    RecordingFormatError,
+)
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.sequence import FRAME_INTERVAL_NS, SequenceSource
 from nurbseg.drivers.source import FrameSource
+
+if TYPE_CHECKING:
+    from nurbseg.drivers.camera_file import CameraFile
+    from nurbseg.drivers.registry import SourceOptions
 
 #: The color camera to which the labelled set's depth is registered, as its toolbox gives it.
 NYU_COLOR_CAMERA = Intrinsics(
@@ -71,6 +80,13 @@ def _regions(labels: NDArray[np.integer[Any]], instances: NDArray[np.integer[Any
     return (numbered + (0 if values[0] == 0 else 1)).astype(np.uint16)
 
 
+def _calibration(given: CameraFile | None, width: int, height: int) -> Calibration:
+    """Return what the user gives for images of this size, else the data set's own."""
+    if given is not None:
+        return given.calibration(depth_size=(width, height), color_size=(width, height))
+    return Calibration.registered(NYU_COLOR_CAMERA.scaled_to(width, height))
+
+
 class NyuLabelledSource(SequenceSource):
     """``nyu_depth_v2_labeled.mat``: 1449 frames, of which one at a time is in memory.
 
@@ -80,11 +96,15 @@ class NyuLabelledSource(SequenceSource):
     ----------
     path : Path
         The HDF5 file.
+    given : CameraFile, optional
+        The user's calibration, in place of the data set's own.
 
     Raises
     ------
     BackendMissingError
         If h5py is not installed.
+    CalibrationError
+        If `given` does not fit the images.
     RecordingFormatError
         If the file lacks one of the sets ``images``, ``depths``, ``labels`` and ``instances``, or their
         shapes disagree.
@@ -95,7 +115,7 @@ class NyuLabelledSource(SequenceSource):
        RGBD images", ECCV 2012.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, given: CameraFile | None = None) -> None:
         try:
             import h5py
         except ImportError as err:
@@ -121,11 +141,12 @@ class NyuLabelledSource(SequenceSource):
                     raise RecordingFormatError(
                         f"{path}: {name}: expected {shape} as for depths, got {self._sets[name].shape}"
                     )
+            calibration = _calibration(given, width, height)
         except BaseException:
             self._file.close()
             raise
         super().__init__(path, frames)
-        self.calibration = Calibration.registered(NYU_COLOR_CAMERA.scaled_to(width, height))
+        self.calibration = calibration
         self.metadata = {"format": "NYU Depth v2, labelled", "frames": str(frames)}
 
     def _set(self, path: Path, name: str) -> Any:
@@ -166,6 +187,8 @@ class NyuFrameSource(SequenceSource):
     ----------
     paths : sequence of Path
         The files, in the order in which they are played.
+    given : CameraFile, optional
+        The user's calibration, in place of the data set's own.
 
     Raises
     ------
@@ -173,11 +196,12 @@ class NyuFrameSource(SequenceSource):
         If `paths` is empty or no file has usable ``data.rgb`` and ``data.realDepth``.
     """
 
-    def __init__(self, paths: list[Path]) -> None:
+    def __init__(self, paths: list[Path], given: CameraFile | None = None) -> None:
         if not paths:
             raise RecordingFormatError("no NYU Depth v2 frame (nyu_v2_N.mat) in the folder")
         super().__init__(paths[0].parent, len(paths))
         self._paths = paths
+        self._given = given
         self.calibration = self._first_calibration()
         self.metadata = {"format": "NYU Depth v2, single frames", "frames": str(len(paths))}
 
@@ -208,12 +232,16 @@ class NyuFrameSource(SequenceSource):
                 f"{path}: data.rgb: expected {(*depth_m.shape, 3)} as for realDepth, got {color.shape}"
             )
         height, width = depth_m.shape
+        try:
+            calibration = _calibration(self._given, width, height)
+        except CalibrationError as err:
+            raise FrameFormatError(f"{path}: {err}") from err
         return RGBDFrame(
             index=index,
             timestamp_ns=index * FRAME_INTERVAL_NS,
             depth_mm=depth_to_mm(depth_m),
             color=np.ascontiguousarray(np.rint(np.clip(color, 0.0, 1.0) * 255.0).astype(np.uint8)),
-            calibration=Calibration.registered(NYU_COLOR_CAMERA.scaled_to(width, height)),
+            calibration=calibration,
             labels=_class_regions(path, width, height),
             name=path.stem,
         )
@@ -240,20 +268,23 @@ def _class_regions(path: Path, width: int, height: int) -> NDArray[np.uint16] | 
     return regions
 
 
-def open_path(path: Path) -> FrameSource:
+def open_path(path: Path, options: SourceOptions | None = None) -> FrameSource:
     """Open the labelled set, one frame, or a folder of single frames.
+
+    Of the options a calibration takes the place of the set's own; intrinsics are for images that have none.
 
     Raises
     ------
     RecordingFormatError
         If `path` is none of these.
     """
+    given = None if options is None or options.calibration is None else options.given_cameras()
     if path.is_dir():
-        return NyuFrameSource(sorted(path.glob("nyu_v2_*.mat"), key=_frame_number))
+        return NyuFrameSource(sorted(path.glob("nyu_v2_*.mat"), key=_frame_number), given)
     if is_hdf5(path):
-        return NyuLabelledSource(path)
+        return NyuLabelledSource(path, given)
     if is_matlab5(path):
-        return NyuFrameSource([path])
+        return NyuFrameSource([path], given)
     raise RecordingFormatError(f"{path}: expected a MATLAB file of NYU Depth v2")
 
 

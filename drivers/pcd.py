@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.camera_file import CameraFile
 from nurbseg.drivers.errors import CalibrationError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.images import millimetres
@@ -114,14 +113,10 @@ class PcdSource(SequenceSource):
 
     def _calibration(self, cloud: OrganisedCloud, path: Path) -> Calibration:
         size = (cloud.points_m.shape[1], cloud.points_m.shape[0])
-        if self._options.calibration is not None:
-            given = CameraFile.of_calibration(self._options.calibration, Path("--calibration"))
+        given = self._options.given_cameras()
+        if given is not None:
             # A cloud's colors are on its own grid, whatever camera took them.
             return Calibration.registered(given.depth.intrinsics(size))
-        if self._options.intrinsics is not None:
-            return CameraFile.of_intrinsics(self._options.intrinsics).calibration(
-                depth_size=size, color_size=size
-            )
         return Calibration.registered(fit_camera(cloud.points_m, str(path)))
 
     def _first_calibration(self) -> Calibration:

@@ -237,11 +237,8 @@ class RecordingReader(FrameSource):
         samples: dict[str, TopicSample],
         transforms: list[tuple[str, str, NDArray[np.float64]]],
     ) -> CameraFile:
-        if options.calibration is not None:
-            return CameraFile.of_calibration(options.calibration, Path("--calibration"))
-        if options.intrinsics is not None:
-            return CameraFile.of_intrinsics(options.intrinsics)
-        return recorded_cameras(self._path, self._topics, samples, transforms)
+        given = options.given_cameras()
+        return given or recorded_cameras(self._path, self._topics, samples, transforms)
 
     def _calibration(self, samples: dict[str, TopicSample]) -> Calibration:
         """Return the calibration for the sizes of the images that there are."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from nurbseg.drivers.errors import DeviceNotFoundError, RecordingFormatError
 
 if TYPE_CHECKING:
+    from nurbseg.drivers.camera_file import CameraFile
     from nurbseg.drivers.frame import Calibration
     from nurbseg.drivers.openni2.options import DeviceOptions
     from nurbseg.drivers.source import FrameSource
@@ -44,8 +45,10 @@ class SourceOptions:
         Depth units per metre of a recording that does not say it; None takes the format's own.
     association_limit_s : float
         Largest difference between the stamps of a depth image and its color image, seconds.
-    calibration : Calibration or None
-        Counts before what a recording or camera brings.
+    calibration : Calibration, CameraFile or None
+        Counts before `intrinsics`, and both before what a recording brings. What a file says
+        (`nurbseg.drivers.calibration.read_camera_file`) may leave the images' sizes open. A camera is
+        told by ``device.calibration``.
     device : DeviceOptions or None
         Settings of a camera; None leaves them as they are.
 
@@ -58,7 +61,7 @@ class SourceOptions:
     intrinsics: tuple[float, float, float, float] | None = None
     depth_scale: float | None = None
     association_limit_s: float = 0.02
-    calibration: Calibration | None = None
+    calibration: Calibration | CameraFile | None = None
     device: DeviceOptions | None = None
 
     def __post_init__(self) -> None:
@@ -68,6 +71,16 @@ class SourceOptions:
             raise ValueError(f"depth_scale: expected units per metre over 0, got {self.depth_scale}")
         if not self.association_limit_s > 0:
             raise ValueError(f"association_limit_s: expected more than 0, got {self.association_limit_s}")
+
+    def given_cameras(self) -> CameraFile | None:
+        """Return the cameras that the user gives, as if a file said so; None where the user gives none."""
+        from nurbseg.drivers.camera_file import CameraFile
+
+        if isinstance(self.calibration, CameraFile):
+            return self.calibration
+        if self.calibration is not None:
+            return CameraFile.of_calibration(self.calibration, Path("--calibration"))
+        return None if self.intrinsics is None else CameraFile.of_intrinsics(self.intrinsics)
 
 
 def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameSource:
@@ -122,7 +135,7 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
         return _open_with("nurbseg.drivers.pcd", "open_path", path, options)
     hdf5 = any(head[offset:].startswith(_HDF5_MAGIC) for offset in _HDF5_OFFSETS)
     if hdf5 or head.startswith(_MATLAB5_MAGIC):
-        return _open_with("nurbseg.drivers.nyu", "open_path", path)
+        return _open_with("nurbseg.drivers.nyu", "open_path", path, options)
     if not head:
         raise RecordingFormatError(f"{path}: the file is empty; expected {_FORMATS}")
     raise RecordingFormatError(f"{path}: not a recording of a known form; expected {_FORMATS}")
@@ -144,7 +157,7 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
     if any(path.glob("*.pcd")):
         return _open_with("nurbseg.drivers.pcd", "open_path", path, options)
     if any(path.glob("nyu_v2_*.mat")):
-        return _open_with("nurbseg.drivers.nyu", "open_path", path)
+        return _open_with("nurbseg.drivers.nyu", "open_path", path, options)
     recordings = sorted([*path.glob("*.mcap"), *path.glob("*.oni")])
     if len(recordings) == 1:
         # A bag of ROS 2 is a folder with one MCAP file.

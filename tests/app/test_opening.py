@@ -175,6 +175,18 @@ def test_a_calibration_file_serves_a_recording(write_pairs: Callable[..., Path],
         assert source.calibration.depth.fx == 70.0
 
 
+def test_a_calibration_file_without_image_sizes_takes_those_of_the_recording(
+    write_pairs: Callable[..., Path], tmp_path: Path
+) -> None:
+    folder = write_pairs(camera=False)
+    path = tmp_path / "intrinsics.txt"
+    path.write_text("70 0 31.5\n0 71 23.5\n0 0 1\n")
+    config = AppConfig(source=SourceConfig(replay=str(folder)), camera=DeviceOptions(calibration=str(path)))
+    with open_chosen(config).source as source:
+        camera = source.calibration.color
+    assert (camera.width, camera.height, camera.fx, camera.fy) == (64, 48, 70.0, 71.0)
+
+
 def test_the_demo_is_replaced_where_it_was_not_installed(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -9,7 +9,9 @@ import pytest
 import scipy.io
 
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, RecordingFormatError
+from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.drivers.nyu import NyuLabelledSource, depth_to_mm, open_path
+from nurbseg.drivers.registry import SourceOptions, open_source
 
 
 def labelled_set(path: Path, frames: int = 3, **left_out: None) -> Path:
@@ -43,6 +45,13 @@ def test_the_labelled_set_is_read_upright_with_a_region_for_each_instance(tmp_pa
     assert set(np.unique(labels)) == {0, 1, 2, 3}
     assert labels[0, 0] != labels[47, 0]
     assert (labels[:, 60:] == 0).all()
+
+
+def test_a_given_calibration_takes_the_place_of_the_sets_own(tmp_path: Path) -> None:
+    path = labelled_set(tmp_path / "set.mat", frames=1)
+    given = Calibration.registered(Intrinsics(width=64, height=48, fx=70.0, fy=71.0, cx=31.5, cy=23.5))
+    with open_source(path, SourceOptions(calibration=given)) as source:
+        assert source.calibration.depth.fy == source.read().calibration.color.fy == 71.0
 
 
 def test_skipping_the_labelled_set_reads_nothing_in_between(tmp_path: Path) -> None:
