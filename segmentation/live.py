@@ -206,7 +206,17 @@ class LiveTree:
         # The tree is revised.
         measures = misfit(on_grid, lattice, grid, config.noise_per_m, len(self._leaves))
         done = self._reviser.revise(
-            cloud, grid, joined, on_grid, appeared, self._root, self._leaves, measures, budget, config
+            cloud,
+            grid,
+            joined,
+            on_grid,
+            appeared,
+            self._root,
+            self._leaves,
+            measures,
+            self._objects.together,
+            budget,
+            config,
         )
         self._leaves = done.leaves
         labels = done.relabelled(labels, step)

@@ -49,6 +49,13 @@ class ObjectMemory:
         self._borders: dict[_Pair, _Border] = {}
         self._frame = 0
 
+    @property
+    def together(self) -> set[tuple[int, int]]:
+        """Numbers of leaves, the smaller first, that met in the last frame and are one object."""
+        return {
+            pair for pair, border in self._borders.items() if border.merged and border.seen == self._frame
+        }
+
     def merged(
         self,
         leaves: Sequence[LiveLeaf],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 
@@ -29,6 +29,8 @@ _SQUARE_MOST, _FAR_MOST = 2.2, 0.05
 _WORSE_FACTOR, _WORSE_BY = 1.5, 0.5
 #: Two leaves become one where so much less noise than there is explains both.
 _FOLD_NOISE = 0.9
+#: The mean square that one surface may leave on either, as a factor on what its own leaves, and on top of it.
+_FOLD_WORSE, _FOLD_NOISE_SHARE = 1.1, 0.05
 #: Places of the grid along which two leaves that are held against one surface meet.
 _MEETING_LEAST = 4
 #: Frames between two looks at one leaf for what its surface does not explain, and of which a split is kept.
@@ -90,6 +92,7 @@ class Reviser:
         root: Node,
         leaves: Sequence[LiveLeaf],
         measures: Misfit,
+        together: Container[tuple[int, int]],
         budget: Budget,
         config: SegmentationConfig,
     ) -> Revised:
@@ -109,6 +112,8 @@ class Reviser:
             Of the labels.
         measures : Misfit
             How well their surfaces explain them.
+        together : container of (int, int)
+            Numbers of leaves, the smaller first, that meet and are one object.
         budget : Budget
             How much is done.
         config : SegmentationConfig
@@ -126,7 +131,7 @@ class Reviser:
         work.take_out()
         work.refit(budget.refits)
         work.split(budget.trials)
-        work.fold(budget.folds, self._asked, self._frame)
+        work.fold(budget.folds, together, self._asked, self._frame)
         self._asked = {pair: at for pair, at in self._asked.items() if self._frame - at < _FORGOTTEN}
         done = growth.finished()
         self._final = done.final
@@ -225,8 +230,14 @@ class _Revision:
         elif most:
             self._try_unexplained()
 
-    def fold(self, most: int, asked: dict[tuple[int, int], int], frame: int) -> None:
-        """Let one leaf take another in where one surface explains both; the pair longest unasked first."""
+    def fold(
+        self,
+        most: int,
+        together: Container[tuple[int, int]],
+        asked: dict[tuple[int, int], int],
+        frame: int,
+    ) -> None:
+        """Let a leaf take in another of its object that its surface explains; the longest unasked first."""
         config, growth = self._config, self._growth
         if not (config.noise_stop and most):
             return
@@ -236,14 +247,15 @@ class _Revision:
             one, two = (growth.by_number[n].number for n in pair)
             return (one, two) if one < two else (two, one)
 
-        pairs = sorted((asked.get(pair_of(pair), 0), pair) for pair in self._neighbors())
+        candidates = [pair for pair in self._neighbors() if pair_of(pair) in together]
+        pairs = sorted((asked.get(pair_of(pair), 0), pair) for pair in candidates)
         for _, pair in pairs[:most]:
             asked[pair_of(pair)] = frame
             sizes = growth.sizes()
             kept, gone = pair if sizes[pair[0]] >= sizes[pair[1]] else (pair[1], pair[0])
             places = np.flatnonzero((growth.labels == kept) | (growth.labels == gone))
             _, fit, stop = measured(self._scene, places, quieter)
-            if stop is None or fit.surface is None or not self._is_explained(gone, fit.surface):
+            if stop is None or fit.surface is None or not self._is_as_good(pair, fit.surface):
                 continue
             growth.absorb(gone, kept)
             leaf = growth.by_number[kept]
@@ -252,12 +264,19 @@ class _Revision:
             growth.done.folds += 1
             return
 
-    def _is_explained(self, number: int, surface: NurbsSurface) -> bool:
-        """Say whether a surface explains a leaf, which may be a small part of what it was fitted to."""
-        grid, noise_per_m = self._scene.grid, _FOLD_NOISE * self._config.noise_per_m
-        own = np.where(self._growth.labels == number, 1, 0).astype(np.int32)
-        found = misfit(own, SurfaceLattice([surface], grid.step), grid, noise_per_m, 1)
-        return bool(found.square[1] < _SQUARE_MOST and found.far[1] < _FAR_MOST)
+    def _is_as_good(self, pair: tuple[int, int], surface: NurbsSurface) -> bool:
+        """Say whether a surface explains each of two leaves as well as their own surfaces do."""
+        grid, own = self._scene.grid, self._measures.square
+        if max(pair) >= own.size:
+            return False
+        labels = np.zeros(grid.valid.shape, dtype=np.int32)
+        for label, number in enumerate(pair, start=1):
+            labels[self._growth.labels == number] = label
+        both = misfit(
+            labels, SurfaceLattice([surface, surface], grid.step), grid, self._config.noise_per_m, 2
+        )
+        limits = [min(_FOLD_WORSE * own[number] + _FOLD_NOISE_SHARE, _SQUARE_MOST) for number in pair]
+        return all(both.square[n] < limit and both.far[n] < _FAR_MOST for n, limit in enumerate(limits, 1))
 
     def _neighbors(self) -> list[tuple[int, int]]:
         """Return the leaves that meet without a gap in depth, by their working numbers."""
