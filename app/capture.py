@@ -21,6 +21,8 @@ _log = logging.getLogger(__name__)
 
 #: Longest wait of one read, seconds; stopping takes at most this long.
 _READ_TIMEOUT_S = 0.5
+#: Longest wait for the read that is under way when the run ends: a file on a dead disk never answers.
+_STOP_TIMEOUT_S = 5.0
 #: Damaged frames that are told one by one; the others are counted.
 _DAMAGED_NAMED_MAX = 20
 
@@ -184,11 +186,13 @@ class CaptureThread:
         return self._source.losses
 
     def stop(self) -> None:
-        """Stop reading, and wait for the read that is under way."""
+        """Stop reading, and wait for the read that is under way, a few seconds at most."""
         self._stop.set()
         self.frames.close()
         if self._thread.ident is not None:
-            self._thread.join()
+            self._thread.join(_STOP_TIMEOUT_S)
+            if self._thread.is_alive():
+                _log.error("the source did not answer within %g s and is left behind", _STOP_TIMEOUT_S)
 
     def _run(self) -> None:
         try:

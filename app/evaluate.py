@@ -68,6 +68,9 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--title", default="Segmentation on labelled frames", help="of the report")
     run.add_argument("--no-report", action="store_true", help="write tables only")
     run.add_argument(
+        "--pictures", type=int, default=200, help="frames shown in the report, the worst ones (%(default)s)"
+    )
+    run.add_argument(
         "--time-frames", type=int, default=3, help="frames on which each variant is timed alone (%(default)s)"
     )
     tune = commands.add_parser("tune", help="search the settings that score best")
@@ -160,7 +163,7 @@ def _study(given: argparse.Namespace) -> Study:
         except ValueError:
             raise ValueError(f"--intrinsics {given.intrinsics}: expected FX,FY,CX,CY in pixels") from None
         intrinsics = (fx, fy, cx, cy)
-    for name, least in (("frames", 1), ("start", 0), ("jobs", 1), ("seed", 0)):
+    for name, least in (("frames", 1), ("start", 0), ("jobs", 1), ("seed", 0), ("pictures", 0)):
         value = getattr(given, name, None)
         if value is not None and value < least:
             raise ValueError(f"--{name}: expected at least {least}, got {value}")
@@ -243,6 +246,7 @@ def _run(given: argparse.Namespace, study: Study, config: SegmentationConfig, wo
                 title=given.title,
                 command=shlex.join(["nurbseg-eval", *words]),
                 date=datetime.now(UTC).date().isoformat(),
+                frames_shown=given.pictures,
             )
         )
     for frame in results.skipped:

@@ -24,6 +24,8 @@ _BEHIND_SHARE: Final = 0.4
 _WAIT_S: Final = 0.5
 #: How long writing what waits may take at the end, seconds: of a run that ended, and of one interrupted.
 _DRAIN_S, _INTERRUPTED_DRAIN_S = 60.0, 1.2
+#: Longest wait for the one frame that is being written.
+_LAST_FRAME_S = 10.0
 
 
 class FrameWriter(Protocol):
@@ -91,6 +93,11 @@ class QueuedRecording:
         self._finishing = False
         self._thread = threading.Thread(target=self._run, name="recording")
         self._thread.start()
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The file."""
+        return (self.path,)
 
     @property
     def behind(self) -> bool:
@@ -196,7 +203,11 @@ class QueuedRecording:
             with self._changed:
                 self.lost += len(self._queue)
                 self._queue.clear()
-            self._thread.join()
+            # What is left is the frame that is being written; a dead disk never finishes it.
+            self._thread.join(_LAST_FRAME_S)
+            if self._thread.is_alive():
+                self.failure = self.failure or f"{self.path}: the disk did not take the last frame"
+                return
         if self.frames == 0:
             self.path.unlink(missing_ok=True)
 
@@ -204,6 +215,7 @@ class QueuedRecording:
         """Return what the run's report says of the recording."""
         return {
             "file": str(self.path),
+            "files": [str(self.path)],
             "frames": self.frames,
             "lost": self.lost,
             "megabytes": round(self.path.stat().st_size / 1e6, 1) if self.path.exists() else 0.0,

@@ -91,8 +91,14 @@ class FileSink:
         self._check()
 
     def _check(self) -> None:
-        if self._error is not None:
-            raise ViewError(f"{self._path}: cannot be written: {self._error}") from self._error
+        if self._error is None:
+            return
+        # Rerun tells of a disk by RuntimeError; anything else is a frame that could not be drawn.
+        trouble = isinstance(self._error, OSError | RuntimeError)
+        problem = (
+            "cannot be written" if trouble else f"a frame cannot be shown ({type(self._error).__name__})"
+        )
+        raise ViewError(f"{self._path}: {problem}: {self._error}") from self._error
 
     def _run(self, opening: Opening) -> None:
         try:

@@ -54,6 +54,7 @@ def write_report(
     title: str,
     command: str,
     date: str,
+    frames_shown: int = 200,
 ) -> Path:
     """Write ``report.html`` and ``pictures/*.png`` into the study's folder.
 
@@ -69,6 +70,8 @@ def write_report(
         Time per frame by variant; may be empty.
     title, command, date : str
         What the report says of itself.
+    frames_shown : int
+        Frames of which there are pictures, the worst ones.
 
     Returns
     -------
@@ -107,7 +110,8 @@ def write_report(
         plots=plots,
         leader=best.name,
         pictures=[
-            _frame_pictures(study, store, frame, shown, folder) for frame in results.worst_frames(best)
+            _frame_pictures(study, store, frame, shown, folder)
+            for frame in results.worst_frames(best)[:frames_shown]
         ],
         trees=[] if trees_of is None else _tree_pictures(study, store, results, trees_of, folder),
         stops=[(stop.value, pictures.stop_color(stop)) for stop in STOP_COLORS],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import itertools
 import json
 import time
@@ -77,7 +78,16 @@ class Study:
                 "association_limit_s": self.options.association_limit_s,
             },
             "seed": self.seed,
+            "nurbseg": program_version(),
         }
+
+
+def program_version() -> str:
+    """Return the version that is installed; results of another one are not mixed with its own."""
+    try:
+        return importlib.metadata.version("nurbseg")
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"
 
 
 def frame_refs(study: Study) -> list[FrameRef]:

@@ -58,6 +58,13 @@ def test_the_rows_hold_every_frame_and_variant(frames: Path, tmp_path: Path) -> 
     assert len((out / "results.csv").read_text().splitlines()) == 11
 
 
+def test_the_report_of_many_frames_shows_the_worst(frames: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = ["run", str(frames), "--methods", "fh04", "--out", str(out), "--time-frames", "0"]
+    assert main([*words, "--pictures", "2"]) == 0
+    assert (out / "report.html").read_text().count("<figcaption>ground truth") == 2
+
+
 def test_a_segment_bears_the_color_of_the_region_it_overlaps_most() -> None:
     truth = np.repeat(np.array([[1, 1, 2, 2]], np.uint16), 4, axis=0)
     labels = np.repeat(np.array([[9, 9, 9, 4]], np.uint16), 4, axis=0)
