@@ -16,6 +16,7 @@ from typing import IO, Any
 import cv2
 import numpy as np
 import pytest
+from fair_clock import FairClock
 
 from nurbseg.app.worker import FrameResult, process_frame
 from nurbseg.drivers.registry import open_source
@@ -70,12 +71,12 @@ class RunningCommand:
                 pytest.fail(f"never said {text!r}: {self.said}")
 
     def end_with(self, *numbers: signal.Signals) -> tuple[int, float]:
-        """Send signals; return the exit code and how long it took to end, seconds."""
-        began_s = time.monotonic()
-        for number in numbers:
-            self.process.send_signal(number)
-        code = self.process.wait(20.0)
-        return code, time.monotonic() - began_s
+        """Send signals; return the exit code and how long it took to end by a fair clock, seconds."""
+        with FairClock(self.process.pid) as clock:
+            for number in numbers:
+                self.process.send_signal(number)
+            code = self.process.wait(60.0)
+        return code, clock.elapsed_s
 
     def close(self) -> None:
         """End it in any case."""

@@ -25,6 +25,7 @@ from nurbseg.app.view_config import ViewConfig
 from nurbseg.app.viewer_process import viewer_executable
 from nurbseg.app.worker import FrameResult, process_frame
 from nurbseg.drivers.frame import Calibration, Intrinsics
+from tests.fakes.fair_clock import FairClock
 from tests.fakes.saved_view import SavedView, read_saved_view
 from tests.fakes.small_scene import CONFIG, HEIGHT, WIDTH, small_frame, small_result
 
@@ -156,7 +157,10 @@ def test_the_table_tells_of_every_segment(saved: SavedView, results: list[FrameR
         cells = next(line for line in text.splitlines() if line.startswith(f"| P{each.name} |")).split("|")
         assert cells[2].strip() == (str(label) if each.is_leaf else "")
         assert cells[3].strip() == f"{each.pixels.size:,}"
-        assert float(cells[4]) == pytest.approx(each.fit.values["mse"], rel=0.01)
+        if each.is_leaf or "mse" in each.fit.values:
+            assert float(cells[4]) == pytest.approx(each.fit.values["mse"], rel=0.01)
+        else:  # a method may fit the final segments only
+            assert cells[4].strip() == ""
         assert cells[6].strip() == (each.stop or "")
 
 
@@ -324,10 +328,10 @@ def test_ctrl_c_leaves_a_whole_file_within_two_seconds(tmp_path: Path) -> None:
     with _start(_SAVER, path) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "shown\n"
-        began_s = time.monotonic()
-        process.send_signal(signal.SIGINT)
-        process.wait(timeout=10.0)
-        assert time.monotonic() - began_s < 2.0
+        with FairClock(process.pid) as clock:
+            process.send_signal(signal.SIGINT)
+            process.wait(timeout=60.0)
+        assert clock.elapsed_s < 2.0
     assert read_saved_view(path).frames("world/camera/image/depth") == [0]
     subprocess.run([viewer_executable(), "rrd", "verify", path], check=True, capture_output=True, timeout=60)
 
@@ -337,12 +341,12 @@ def test_a_killed_process_leaves_what_it_saved_until_then(tmp_path: Path) -> Non
     with _start(_SAVER, path) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "shown\n"
-        deadline_s = time.monotonic() + 20.0
+        deadline_s = time.monotonic() + 60.0
         while not _holds_a_frame(path):
             assert time.monotonic() < deadline_s
             time.sleep(0.1)
         os.kill(process.pid, signal.SIGKILL)
-        process.wait(timeout=10.0)
+        process.wait(timeout=60.0)
     assert read_saved_view(path, ended=False).frames("world/camera/image/depth") == [0]
 
 

@@ -25,6 +25,11 @@ class FairClock:
     ----------
     process : int, optional
         The process that is held to account, with its children as of now; this one by default.
+
+    Attributes
+    ----------
+    elapsed_s : float
+        How long the block took, once it has ended.
     """
 
     def __init__(self, process: int | None = None) -> None:
@@ -39,8 +44,8 @@ class FairClock:
 
     def __enter__(self) -> Self:
         self._look()
-        self._began_s = time.monotonic()
         self._watching.start()
+        self._began = self._lap = (time.monotonic(), self._delay_s())
         return self
 
     def __exit__(
@@ -49,11 +54,23 @@ class FairClock:
         exc: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        self.elapsed_s = time.monotonic() - self._began_s
+        ended_s = time.monotonic()
         self._ended.set()
         self._watching.join()
         self._look()
-        self.elapsed_s -= 1e-9 * sum(last - first for first, last in self._delays_ns.values())
+        began_s, delay_s = self._began
+        self.elapsed_s = ended_s - began_s - (self._delay_s() - delay_s)
+
+    def lap_s(self) -> float:
+        """Return the time since the last call, or since the block began, seconds."""
+        before_s, delay_before_s = self._lap
+        now_s = time.monotonic()
+        self._look()
+        self._lap = (time.monotonic(), self._delay_s())
+        return now_s - before_s - (self._lap[1] - delay_before_s)
+
+    def _delay_s(self) -> float:
+        return 1e-9 * sum(last - first for first, last in list(self._delays_ns.values()))
 
     def _watch(self) -> None:
         while not self._ended.wait(_INTERVAL_S):

@@ -7,8 +7,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-import psutil
 import pytest
+from own_children import own_children
 from virtual_camera import color_image, depth_image, frame_number
 
 from nurbseg.drivers.errors import (
@@ -27,7 +27,7 @@ from nurbseg.drivers.openni2.playback import OniSource
 
 
 def child():
-    (process,) = psutil.Process().children()
+    (process,) = own_children()
     return process
 
 
@@ -112,7 +112,7 @@ def test_errors_on_opening_are_those_of_the_camera(virtual_cameras, wanted, opti
     virtual_cameras.add()
     with pytest.raises(error, match=message):
         IsolatedCamera(wanted, DeviceOptions(**options))
-    assert not psutil.Process().children()
+    assert not own_children()
 
 
 def test_a_missing_library_is_said_so(virtual_cameras, monkeypatch, tmp_path):

@@ -9,8 +9,8 @@ import textwrap
 import time
 
 import numpy as np
-import psutil
 import pytest
+from own_children import own_children
 from virtual_camera import color_image, depth_image, frame_number
 
 from nurbseg.drivers.calibration import write_calibration
@@ -371,7 +371,7 @@ def test_closing_leaves_no_process(recording):
     source = OniSource(recording)
     source.read()
     source.close()
-    assert not psutil.Process().children()
+    assert not own_children()
 
 
 def test_a_slow_reader_loses_nothing(recording):
@@ -407,3 +407,10 @@ def test_a_foreign_recording_is_taken_as_registered_unless_said_otherwise(record
         assert replay(recording)[0].calibration.is_registered
     assert "does not say whether depth is registered to color; taken as registered" in caplog.text
     assert not replay(recording, registration="software")[0].calibration.is_registered
+
+
+def test_given_intrinsics_count_before_the_recordings(recording):
+    options = SourceOptions(intrinsics=(600.0, 601.0, 320.0, 240.0))
+    with open_source(recording, options) as source:
+        assert source.calibration.color.fy == source.read().calibration.depth.fy == 601.0
+        assert int(source.metadata["dropped"]) == source.half_pairs
