@@ -6,6 +6,7 @@ import ctypes
 import logging
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from nurbseg.drivers.frame import Calibration
 from nurbseg.drivers.openni2 import nominal
@@ -13,6 +14,9 @@ from nurbseg.drivers.openni2.capi import OniCropping, PixelFormat, StreamPropert
 from nurbseg.drivers.openni2.opened import OpenedDevice
 from nurbseg.drivers.openni2.options import DeviceOptions, parse_mode
 from nurbseg.drivers.openni2.stream import Stream
+
+if TYPE_CHECKING:
+    from nurbseg.drivers.camera_file import CameraFile
 
 logger = logging.getLogger(__name__)
 
@@ -120,6 +124,7 @@ def calibrate(
     options: DeviceOptions,
     *,
     registered: bool,
+    cameras: CameraFile | None = None,
 ) -> Calibration:
     """Return the calibration of what two streams deliver.
 
@@ -133,6 +138,8 @@ def calibrate(
         May name a calibration file, and say that images are mirrored.
     registered : bool
         Whether depth was brought onto the color image, and so is seen from the color camera.
+    cameras : CameraFile, optional
+        A calibration that the user gives in another way than by that file.
 
     Raises
     ------
@@ -143,9 +150,10 @@ def calibrate(
     if options.calibration is not None:
         from nurbseg.drivers.calibration import read_camera_file
 
-        file = read_camera_file(Path(options.calibration))
-        given = file.calibration(
-            depth_size=file.depth.size or depth_size, color_size=file.color.size or color_size
+        cameras = read_camera_file(Path(options.calibration))
+    if cameras is not None:
+        given = cameras.calibration(
+            depth_size=cameras.depth.size or depth_size, color_size=cameras.color.size or color_size
         )
     if registered:
         camera = given.color if given else nominal.from_field_of_view(*color_size, fov[1])

@@ -36,6 +36,7 @@ from nurbseg.drivers.openni2.player_process import OPEN_LIMIT_S, Message, Player
 from nurbseg.drivers.source import FrameSource
 
 if TYPE_CHECKING:
+    from nurbseg.drivers.camera_file import CameraFile
     from nurbseg.drivers.registry import SourceOptions
 
 logger = logging.getLogger(__name__)
@@ -53,11 +54,13 @@ class OniSource(FrameSource):
         onto color, where the file does not say so: other programs' recordings never do.
     pairing_limit_s : float
         Largest difference between the times of a depth image and its color image, seconds.
+    cameras : CameraFile, optional
+        A calibration that counts before the recording's, where `options` name no file.
 
     Attributes
     ----------
     half_pairs : int
-        Images of the recording that have no other half, and are in no frame.
+        Images of the recording that have no other half, and are in no frame; ``metadata["dropped"]`` too.
 
     Raises
     ------
@@ -73,10 +76,12 @@ class OniSource(FrameSource):
         options: DeviceOptions | None = None,
         *,
         pairing_limit_s: float = 0.02,
+        cameras: CameraFile | None = None,
     ) -> None:
         super().__init__()
         self._path = path
         self._options = options or DeviceOptions()
+        self._cameras = cameras
         find_library()
         file = read_structure(path)
         if not file.complete:
@@ -123,6 +128,7 @@ class OniSource(FrameSource):
         told: dict[str, Any] = json.loads(message.body)
         self.metadata.update({key: str(value) for key, value in file.note.get("device", {}).items()})
         self.metadata.setdefault("openni2_version", told["openni2_version"])
+        self.metadata["dropped"] = str(self.half_pairs)
         for name, stored in (("depth", file.depth), ("color", file.color)):
             if tuple(told[name]["size"]) != stored.size:
                 raise RecordingFormatError(
@@ -134,7 +140,7 @@ class OniSource(FrameSource):
         )
         self._tenths = told["depth"]["format"] == PixelFormat.DEPTH_100_UM
         noted = file.note.get("calibration")
-        if noted is not None and self._options.calibration is None:
+        if noted is not None and self._options.calibration is None and self._cameras is None:
             calibration = calibration_of_note(self._path, noted)
             mirrored = self.metadata.get("mirror") == "on"
             self.calibration = (
@@ -157,6 +163,7 @@ class OniSource(FrameSource):
             (told["depth"]["fov"], told["color"]["fov"]),
             self._options,
             registered=registered,
+            cameras=self._cameras,
         )
 
     def _read(self, timeout_s: float) -> RGBDFrame:
@@ -217,4 +224,9 @@ def open_path(path: Path, options: SourceOptions) -> OniSource:
     RecordingFormatError
         If the file is damaged.
     """
-    return OniSource(path, options.device, pairing_limit_s=options.association_limit_s)
+    return OniSource(
+        path,
+        options.device,
+        pairing_limit_s=options.association_limit_s,
+        cameras=options.given_cameras(),
+    )
