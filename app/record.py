@@ -94,7 +94,7 @@ def tell_recorded(recording: Recording) -> None:
     """
     if recording.failure:
         raise RecordError(f"{recording.failure}; the {recording.frames} frames before can be replayed")
-    _log.info("recorded %d frames to %s", recording.frames, recording.path)
+    _log.info("recorded %d frames to %s", recording.frames, ", ".join(str(file) for file in recording.files))
     if recording.lost:
         _log.warning("%d frames are missing in %s: writing was too slow", recording.lost, recording.path)
     if recording.frames == 0:

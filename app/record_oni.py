@@ -12,7 +12,7 @@ from nurbseg.app.disk_space import free_space, shortage
 from nurbseg.app.record_config import RecordConfig
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.frame import RGBDFrame
-from nurbseg.drivers.reconnect import Recordable
+from nurbseg.drivers.reconnect import Reconnecting, Recordable
 
 _log = logging.getLogger(__name__)
 
@@ -74,6 +74,12 @@ class OniRecording:
         """Whether nothing more is written."""
         return bool(self.failure)
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files; more than one where the camera was away in between."""
+        later = self._camera.recorded_files[1:] if isinstance(self._camera, Reconnecting) else ()
+        return (self.path, *later)
+
     def _start(self) -> None:
         self._camera.start_recording(self.path, lossy=self._lossy)
         self._is_recording = True
@@ -93,6 +99,10 @@ class OniRecording:
                 self._is_recording = False
                 self._camera.stop_recording()
                 self._fail(missing)
+                return
+            if isinstance(self._camera, Reconnecting) and self._camera.recording_failure:
+                self._is_recording = False
+                self._fail(self._camera.recording_failure)
                 return
         except DriverError as err:
             self._fail(str(err))
@@ -119,11 +129,13 @@ class OniRecording:
 
     def figures(self) -> dict[str, Any]:
         """Return what the run's report says of the recording."""
+        files = self.files
         return {
             "file": str(self.path),
+            "files": [str(file) for file in files],
             "frames": self.frames,
             "lost": self.lost,
-            "megabytes": round(self.path.stat().st_size / 1e6, 1) if self.path.exists() else 0.0,
+            "megabytes": round(sum(file.stat().st_size for file in files if file.exists()) / 1e6, 1),
             "failure": self.failure,
         }
 

@@ -7,6 +7,7 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
+from itertools import count
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -54,6 +55,10 @@ class Reconnecting(FrameSource):
         Whether the camera is there.
     reconnections : int
         How often it was taken up again.
+    recorded_files : tuple of Path
+        The files of the recording that is being made, or was made last.
+    recording_failure : str
+        Why that recording ended before it was stopped; empty where it did not.
     """
 
     live = True
@@ -82,7 +87,8 @@ class Reconnecting(FrameSource):
         self._next_try_s = 0.0
         self._index = 0
         self._recording: tuple[Path, bool] | None = None
-        self._part = 1
+        self.recorded_files: tuple[Path, ...] = ()
+        self.recording_failure = ""
         self._last_ns = 0
         self._last_s: float | None = None
         self._ahead_ns: int | None = 0
@@ -111,7 +117,8 @@ class Reconnecting(FrameSource):
         Parameters
         ----------
         path : Path
-            The file; written over. After the camera was away, ``NAME-2.oni`` and so on.
+            The file; written over. After the camera was away, ``NAME-2.oni`` and so on; there, names
+            of files that exist are passed over.
         lossy : bool
             Whether color may be packed with loss.
 
@@ -124,6 +131,7 @@ class Reconnecting(FrameSource):
             raise DriverError(f"{path}: cannot be recorded to: the camera is away or has no recorder")
         self._source.start_recording(path, lossy=lossy)
         self._recording = (path, lossy)
+        self.recorded_files, self.recording_failure = (path,), ""
 
     def stop_recording(self) -> None:
         """Finish the recording, if there is one."""
@@ -132,16 +140,18 @@ class Reconnecting(FrameSource):
             self._source.stop_recording()
 
     def _go_on_recording(self, source: FrameSource) -> None:
-        if self._recording is None or not isinstance(source, Recordable):
+        if self._recording is None or self.recording_failure or not isinstance(source, Recordable):
             return
         path, lossy = self._recording
-        self._part += 1
-        part = path.with_stem(f"{path.stem}-{self._part}")
+        numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(len(self.recorded_files) + 1))
+        part = next(each for each in numbered if not each.exists())
         try:
             source.start_recording(part, lossy=lossy)
         except DriverError as err:
+            self.recording_failure = f"it does not go on as the camera is back: {err}"
             logger.error("the recording does not go on: %s", err)
         else:
+            self.recorded_files += (part,)
             logger.warning("the recording goes on in %s", part)
 
     def _read(self, timeout_s: float) -> RGBDFrame:

@@ -14,6 +14,8 @@ from nurbseg.app.capture import CaptureThread
 from nurbseg.app.record import RecordError, open_recording, tell_recorded
 from nurbseg.app.record_config import RecordConfig
 from nurbseg.app.record_queue import QueuedRecording
+from nurbseg.drivers.errors import DeviceLostError, DriverError, EndOfRecordingError
+from nurbseg.drivers.reconnect import Reconnecting
 from nurbseg.drivers.registry import open_source
 
 LARGE = 10**12
@@ -229,11 +231,53 @@ def test_figures_tell_what_the_report_needs(tmp_path):
         recording.put(small_frame(0))
     assert recording.figures() == {
         "file": str(path),
+        "files": [str(path)],
         "frames": 1,
         "lost": 0,
         "megabytes": pytest.approx(path.stat().st_size / 1e6, abs=0.1),
         "failure": "",
     }
+
+
+class Recorder(ScriptedSource):
+    """A camera with a recorder of its own, that is lost after its last frame."""
+
+    def __init__(self, *frames, refusal=""):
+        super().__init__(list(frames), live=True)
+        self._refusal = refusal
+
+    def start_recording(self, path, *, lossy=False):
+        if self._refusal:
+            raise DriverError(self._refusal)
+        path.write_bytes(bytes(1000))
+
+    def stop_recording(self):
+        pass
+
+    def _read(self, timeout_s):
+        try:
+            return super()._read(timeout_s)
+        except EndOfRecordingError as err:
+            raise DeviceLostError("unplugged") from err
+
+
+def test_the_files_of_a_camera_that_was_away_are_all_told(tmp_path, caplog):
+    path = tmp_path / "run.oni"
+    cameras = [Recorder(small_frame(0)), Recorder(small_frame(0)), Recorder(small_frame(0), refusal="full")]
+    with (
+        caplog.at_level("INFO"),
+        Reconnecting(cameras.pop(0), lambda: cameras.pop(0)) as camera,
+        open_recording(RecordConfig(file=str(path)), camera) as recording,
+    ):
+        for _ in range(2):
+            recording.put(camera.read())
+        assert recording.figures()["files"] == [str(path), str(tmp_path / "run-2.oni")]
+        tell_recorded(recording)
+        assert "run-2.oni" in caplog.text
+        recording.put(camera.read())
+        assert (recording.frames, recording.ended) == (2, True)
+        with pytest.raises(RecordError, match="does not go on as the camera is back: full"):
+            tell_recorded(recording)
 
 
 @pytest.mark.parametrize(

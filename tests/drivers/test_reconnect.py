@@ -177,6 +177,19 @@ def test_a_recording_goes_on_under_the_next_number():
     assert again.recorded == [(Path("clip-3.oni"), True), "stopped"]
 
 
+def test_going_on_leaves_files_that_exist_alone(tmp_path):
+    clock = Clock()
+    back = Camera(clock, 1)
+    (tmp_path / "clip-2.oni").write_text("of another day")
+    with reconnecting(clock, Camera(clock, 1), World(clock, [back])) as source:
+        source.start_recording(tmp_path / "clip.oni")
+        for _ in range(2):
+            source.read()
+        assert source.recorded_files == (tmp_path / "clip.oni", tmp_path / "clip-3.oni")
+    assert back.recorded[0] == (tmp_path / "clip-3.oni", False)
+    assert (tmp_path / "clip-2.oni").read_text() == "of another day"
+
+
 def test_a_recording_that_cannot_go_on_does_not_stop_the_frames(caplog):
     clock = Clock()
     back = Camera(clock, 1)
@@ -184,6 +197,7 @@ def test_a_recording_that_cannot_go_on_does_not_stop_the_frames(caplog):
     with reconnecting(clock, Camera(clock, 0), World(clock, [back])) as source:
         source.start_recording(Path("clip.oni"))
         source.read()
+        assert "disk full" in source.recording_failure
     assert "the recording does not go on: disk full" in caplog.text
 
 
