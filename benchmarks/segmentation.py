@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import cv2
@@ -29,23 +30,42 @@ from skimage.segmentation import felzenszwalb
 
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.registry import SourceOptions, open_source
-from nurbseg.segmentation import tree
+from nurbseg.segmentation import splitting, tree
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.registration import PointMap, register
 from nurbseg.segmentation.surface import fit_surface
 
 DEMO = Path(__file__).parent.parent / "recordings" / "demo.mcap"
-#: Functions that the tree calls, and the stage that their time belongs to.
-STAGES = {
-    "decimated_grid": "grid",
-    "raw_vectors": "vectors",
-    "normalization": "vectors",
-    "normalized": "vectors",
-    "normalized_cut": "cut",
-    "_cleaned": "clean-up",
-    "fit_on_grid": "fit",
-    "all_metrics": "curvature",
-    "settle": "settle",
+#: For each method the module that grows the tree, and the stage that the time of its functions belongs to.
+STAGES: dict[str, tuple[ModuleType, dict[str, str]]] = {
+    "stag15": (
+        tree,
+        {
+            "decimated_grid": "grid",
+            "raw_vectors": "vectors",
+            "normalization": "vectors",
+            "normalized": "vectors",
+            "normalized_cut": "cut",
+            "_cleaned": "clean-up",
+            "fit_on_grid": "fit",
+            "all_metrics": "curvature",
+            "settle": "settle",
+        },
+    ),
+    "nurbseg": (
+        splitting,
+        {
+            "prepare": "prepare",
+            "normalized_cuts": "cut",
+            "_continued": "cut",
+            "_pieces": "pieces",
+            "measured": "fit",
+            "labels_of_every_pixel": "borders",
+            "refine_borders": "borders",
+            "merge_surfaces": "merge",
+            "finished_segments": "segments",
+        },
+    ),
 }
 SIZES = {"QVGA": (320, 240), "VGA": (640, 480), "SXGA": (1280, 960)}
 
@@ -62,28 +82,38 @@ def milliseconds(work: Callable[[], Any], repeat: int) -> float:
 
 
 @contextmanager
-def stage_clock() -> Iterator[dict[str, float]]:
+def stage_clock(module: ModuleType, stages: dict[str, str]) -> Iterator[dict[str, float]]:
     """Measure the time spent in each stage while the tree is made, in ms."""
     spent: dict[str, float] = defaultdict(float)
-    originals = {name: getattr(tree, name) for name in STAGES if hasattr(tree, name)}
+    originals = {name: getattr(module, name) for name in stages}
 
     def timed(name: str) -> Callable[..., Any]:
-        def call(*arguments: Any, **options: Any) -> Any:
+        def clocked(work: Callable[[], Any]) -> Any:
             start = time.perf_counter()
             try:
-                return originals[name](*arguments, **options)
+                return work()
             finally:
-                spent[STAGES[name]] += 1e3 * (time.perf_counter() - start)
+                spent[stages[name]] += 1e3 * (time.perf_counter() - start)
+
+        def call(*arguments: Any, **options: Any) -> Any:
+            found = clocked(lambda: originals[name](*arguments, **options))
+            return steps(found) if isinstance(found, Iterator) else found
+
+        def steps(found: Iterator[Any]) -> Iterator[Any]:
+            # A generator works when it is asked for its next value.
+            end = object()
+            while (value := clocked(lambda: next(found, end))) is not end:
+                yield value
 
         return call
 
     for name in originals:
-        setattr(tree, name, timed(name))
+        setattr(module, name, timed(name))
     try:
         yield spent
     finally:
         for name, original in originals.items():
-            setattr(tree, name, original)
+            setattr(module, name, original)
 
 
 def resized(frame: RGBDFrame, width: int, height: int) -> RGBDFrame:
@@ -115,7 +145,7 @@ def main() -> None:
     parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="of frames without calibration, pixels")
     parser.add_argument("--frames", type=int, default=5, help="frames, spread over the data (5)")
     parser.add_argument("--repeat", type=int, default=5, help="runs of which the median is taken (5)")
-    parser.add_argument("--method", default="stag15", help="segmentation method (stag15)")
+    parser.add_argument("--method", default="nurbseg", choices=STAGES, help="segmentation method (nurbseg)")
     parser.add_argument("--literal", action="store_true", help="time the literal version too: minutes")
     arguments = parser.parse_args()
     intrinsics = tuple(float(x) for x in arguments.intrinsics.split(",")) if arguments.intrinsics else None
@@ -127,7 +157,8 @@ def main() -> None:
     print(f"Python {platform.python_version()}, {versions}, scikit-image {skimage.__version__}")
     print(f"{len(frames)} frames of {arguments.data}, medians of {arguments.repeat} runs, ms\n")
 
-    columns = sorted(set(STAGES.values()), key=list(STAGES.values()).index)
+    module, stages = STAGES[config.method]
+    columns = list(dict.fromkeys(stages.values()))
     print(
         "frame".ljust(12),
         "register",
@@ -140,20 +171,23 @@ def main() -> None:
         cloud = register(frame)
         registered = milliseconds(lambda frame=frame: register(frame), arguments.repeat)
         whole = milliseconds(lambda cloud=cloud: tree.segment(cloud, config), arguments.repeat)
-        with stage_clock() as spent:
-            found = tree.segment(cloud, config)
+        spends = []
+        for _ in range(arguments.repeat):
+            with stage_clock(module, stages) as spent:
+                found = tree.segment(cloud, config)
+            spends.append(spent)
+        by_stage = [statistics.median(spent[each] for spent in spends) for each in columns]
         peer = milliseconds(
             lambda frame=frame: felzenszwalb(frame.color, scale=1000, sigma=0.8, min_size=750),
             arguments.repeat,
         )
-        rows.append((registered, whole, peer, whole / peer))
-        stages = (f"{spent[each]:9.1f}" for each in columns)
+        rows.append((registered, whole, *by_stage, peer, whole / peer))
         name = frame.name or str(frame.index)
-        print(f"{name:12} {registered:8.1f} {whole:6.1f}", *stages, end=" ")
+        print(f"{name:12} {registered:8.1f} {whole:6.1f}", *(f"{each:9.1f}" for each in by_stage), end=" ")
         print(f"{len(found.leaves()):9} {peer:7.1f} {whole / peer:6.3f}")
     medians = [statistics.median(column) for column in zip(*rows, strict=True)]
-    print("median".ljust(12), f"{medians[0]:8.1f} {medians[1]:6.1f}", " " * (10 * len(columns) + 9), end="")
-    print(f"{medians[2]:7.1f} {medians[3]:6.3f}")
+    print("median".ljust(12), f"{medians[0]:8.1f} {medians[1]:6.1f}", end=" ")
+    print(*(f"{each:9.1f}" for each in medians[2:-2]), " " * 9, f"{medians[-2]:7.1f} {medians[-1]:6.3f}")
     print(f"\nfull VGA frame, 20x20 control points, residuals: {full_frame_fit(config, 15):.1f} ms")
 
     print("\nsize    pixels     tree   per megapixel")
