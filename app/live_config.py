@@ -26,6 +26,12 @@ class LiveConfig:
         "all but replays of every frame (--speed 0)",
         choices=get_args(Temporal),
     )
+    target_fps: float = setting(
+        30.0,
+        "frames per second that live segmentation holds by doing less for each; 0 never does less",
+        unit="1/s",
+        least=0.0,
+    )
 
     def __post_init__(self) -> None:
         check_settings(self)

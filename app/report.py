@@ -22,6 +22,7 @@ from nurbseg.app.atomic_file import write_atomically
 from nurbseg.app.capture import CaptureThread
 from nurbseg.app.config import AppConfig
 from nurbseg.segmentation.identity import Event
+from nurbseg.segmentation.live import Revision
 
 _PACKAGES = ("nurbseg", "numpy", "scipy", "opencv-python-headless", "rerun-sdk", "mcap")
 
@@ -57,10 +58,15 @@ class RunReport:
         self._last_s = self._began_s
         self._stages_ms: dict[str, array[float]] = {}
         self._events: Counter[str] = Counter()
+        self._anew: Counter[str] = Counter()
 
-    def add(self, elapsed_ms: Mapping[str, float], events: Sequence[Event] = ()) -> None:
+    def add(
+        self, elapsed_ms: Mapping[str, float], events: Sequence[Event] = (), revision: Revision | None = None
+    ) -> None:
         """Count a frame that was segmented, with each stage's time in milliseconds, and what happened."""
         self._events.update(each.kind for each in events)
+        if revision is not None and revision.cold:
+            self._anew[revision.cold] += 1
         self._last_s = time.monotonic()
         if self._first_s is None:
             self._first_s = self._last_s
@@ -116,6 +122,7 @@ class RunReport:
             else round(self._first_s - self._began_s, 3),
             "latency_ms": {stage: _percentiles(values) for stage, values in self._stages_ms.items()},
             "events": dict(sorted(self._events.items())),
+            "segmented_anew": dict(sorted(self._anew.items())),
             "peak_memory_mb": round(peak_memory_mb(), 1),
             "configuration": asdict(self._config),
             "versions": versions(),

@@ -98,7 +98,9 @@ def run(config: AppConfig, interruption: Interruption) -> RunReport:
                         _pass_by(capture, report, interruption)
                     else:
                         temporal = config.live.follows(every_frame=opened.every_frame)
-                        segmenter = Segmenter(config.segmentation, temporal=temporal)
+                        # Where every frame is wanted, none is hurried.
+                        target_hz = 0.0 if opened.every_frame else config.live.target_fps
+                        segmenter = Segmenter(config.segmentation, temporal=temporal, target_hz=target_hz)
                         _work(capture, segmenter, consumers, report, interruption)
                 finally:
                     interruption.hold()
@@ -147,7 +149,7 @@ def _work(
             started_s = time.perf_counter()
             consume(result)
             elapsed_ms[stage] = 1e3 * (time.perf_counter() - started_s)
-        report.add(elapsed_ms, result.events)
+        report.add(elapsed_ms, result.events, result.revision)
         progress.segmented(result)
 
 

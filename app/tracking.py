@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.app.governor import Governor
 from nurbseg.app.worker import FrameResult, process_frame
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
@@ -28,11 +29,13 @@ class Segmenter:
     temporal : bool
         Whether a frame continues the one before: segments keep their identities and, with the default
         method, the tree of a frame is that of the one before, revised.
+    target_hz : float
+        Frames per second to hold by doing less for each; 0 for doing the usual.
     """
 
-    def __init__(self, config: SegmentationConfig, *, temporal: bool) -> None:
+    def __init__(self, config: SegmentationConfig, *, temporal: bool, target_hz: float = 0.0) -> None:
         self.config = config
-        self.budget = Budget()
+        self._governor = Governor(target_hz, config.decimation) if target_hz > 0 else None
         self._temporal = temporal
         self._live = LiveTree(config) if temporal and lives(config) else None
         self._surfaces: Identities | None = None
@@ -60,13 +63,18 @@ class Segmenter:
         started_s = time.perf_counter()
         cloud = register(frame)
         registered_s = time.perf_counter()
-        tree = self._live.segment(cloud, self.budget)
+        budget = Budget() if self._governor is None else self._governor.budget
+        tree = self._live.segment(cloud, budget)
         elapsed_ms = {
             "register": 1e3 * (registered_s - started_s),
             "segment": 1e3 * (time.perf_counter() - registered_s),
         }
         result = FrameResult(frame, cloud, tree, elapsed_ms, revision=self._live.revision)
-        return self._identified(result, None if self._live.revision.cold else self._live.labels_before)
+        cold = bool(self._live.revision.cold)
+        result = self._identified(result, None if cold else self._live.labels_before)
+        if self._governor is not None:
+            self._governor.took(sum(result.elapsed_ms.values()), cold=cold)
+        return result
 
     def _identified(self, result: FrameResult, before: NDArray[np.uint16] | None) -> FrameResult:
         """Give the segments of a frame the identities of those that they continue.

@@ -80,7 +80,7 @@ def blueprint(*, registered: bool = True, ground_truth: bool = False) -> rrb.Blu
         rrb.TextLogView(name="Log", origin=entity.LOG),
     )
     plots = rrb.Grid(
-        _plot("Rate (1/s)", entity.RATE, legend=False),
+        _plot("Rate (1/s)", entity.RATE, legend=True),
         _plot("Latency (ms)", entity.LATENCY, legend=True),
         _plot("Segments", entity.SEGMENT_COUNT, legend=False),
         _plot("Metric", entity.METRIC, legend=True),

@@ -23,6 +23,7 @@ from nurbseg.app.worker import FrameResult
 from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.identity import Event, event_text
+from nurbseg.segmentation.live import Revision
 from nurbseg.segmentation.tree import SegmentationTree
 
 WORLD = "world"
@@ -35,6 +36,7 @@ POINTS, SURFACES = f"{WORLD}/points", f"{WORLD}/surfaces"
 LEGEND = "legend"
 RATE, LATENCY, SEGMENT_COUNT, METRIC = "plots/rate", "plots/latency", "plots/segments", "plots/metric"
 EVENTS = f"{SEGMENT_COUNT}/events"
+GRID_STEP = f"{RATE}/grid_step"
 LOG = "log"
 
 
@@ -116,6 +118,7 @@ class FrameEntities:
                     *tree_entities(self.result, self.segmentation.metric),
                     *_scalars(self.result.tree, self.elapsed_ms, self.rate_hz, self.segmentation.metric),
                     *event_entities(self.result.events),
+                    *_revision_entities(self.result.revision),
                 ]
             return self._built
 
@@ -155,6 +158,7 @@ def opening_entities() -> Entities:
     yield RATE, _line("frames per second", 2)
     yield SEGMENT_COUNT, _line("segments", 0)
     yield EVENTS, _line("events", 3)
+    yield GRID_STEP, _line("pixel step of the grid", 7)
     yield f"{METRIC}/worst", _line("worst segment", 3)
     yield f"{METRIC}/mean", _line("mean of all points", 1)
 
@@ -244,6 +248,15 @@ def event_entities(events: Sequence[Event]) -> Entities:
     yield EVENTS, rr.Scalars(len(events))
     if events:
         yield LOG, rr.TextLog("; ".join(map(event_text, events)), level="INFO")
+
+
+def _revision_entities(revision: Revision | None) -> Entities:
+    """Return what was done to the live tree: how fine it was worked, and when it was begun anew."""
+    if revision is None:
+        return
+    yield GRID_STEP, rr.Scalars(revision.step)
+    if revision.cold:
+        yield LOG, rr.TextLog(f"segmented anew: {revision.cold}", level="INFO")
 
 
 __all__ = [

@@ -14,7 +14,7 @@ from nurbseg.segmentation.lattice import SurfaceLattice
 from nurbseg.segmentation.live_leaf import LiveLeaf, Misfit, misfit, remeasured
 from nurbseg.segmentation.live_objects import ObjectMemory
 from nurbseg.segmentation.live_revision import Budget, Reviser
-from nurbseg.segmentation.motion import brightness, carried, flow_back
+from nurbseg.segmentation.motion import brightness, carried, flow_back, resized
 from nurbseg.segmentation.pieces import Joints, connected_pieces, joints, spread_labels
 from nurbseg.segmentation.registration import PointMap
 from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, finished_segments
@@ -43,6 +43,8 @@ class Revision:
         Surfaces fitted anew, leaves tried for a split, splits made, and splits undone.
     waiting : int
         Leaves that are to be tried in later frames.
+    step : int
+        Pixels from one place of the grid to the next.
     """
 
     cold: str = ""
@@ -52,6 +54,7 @@ class Revision:
     splits: int = 0
     folds: int = 0
     waiting: int = 0
+    step: int = 1
 
 
 class LiveTree:
@@ -85,6 +88,7 @@ class LiveTree:
         if not lives(config):
             raise ValueError(f"method: expected nurbseg with inverse-depth fits, got {config.method}")
         self._config = config
+        self._configs = {config.decimation: config}
         self.revision = Revision()
         self._leaves: list[LiveLeaf] = []
         self._root = Node(
@@ -121,7 +125,7 @@ class LiveTree:
             reason = self.revision.cold
         tree = segment_nurbseg(cloud, self._config)
         self._take_over(tree, cloud)
-        self.revision = replace(self.revision, cold=reason)
+        self.revision = replace(self.revision, cold=reason, step=self._config.decimation)
         return tree
 
     def _no_continuation(self, cloud: PointMap) -> str:
@@ -162,11 +166,12 @@ class LiveTree:
 
     def _followed(self, cloud: PointMap, budget: Budget) -> SegmentationTree | None:
         """Let the tree live on into a frame; None where the frame is not explained."""
-        config, step = self._config, self._config.decimation
+        step = budget.decimation or self._config.decimation
+        config = self._configs.setdefault(step, replace(self._config, decimation=step))
         grid = depth_grid(cloud, step)
         per_m = inverse_depth_image(cloud)
         gray = brightness(cloud.color, step)
-        before = carried(self._labels, flow_back(gray, self._gray))
+        before = carried(self._labels, flow_back(gray, resized(self._gray, gray.shape)))
         on_grid = np.where(grid.valid, before[::step, ::step], 0).astype(np.int32)
 
         # Surfaces move with their points, and what they do not explain is open.
@@ -228,9 +233,9 @@ class LiveTree:
         self.labels_before = before
         self._overdue = self._overdue + 1 if done.waiting > _WAITING_MOST else 0
         self.revision = Revision(
-            "", unexplained, done.refits, done.trials, done.splits, done.folds, done.waiting
+            "", unexplained, done.refits, done.trials, done.splits, done.folds, done.waiting, step
         )
-        return self._finished(cloud, grid, labels, before)
+        return self._finished(cloud, grid, labels, before, config)
 
     def _limits_per_m(self) -> NDArray[np.float32]:
         """Return from which residual on a place is not a leaf's own, by label."""
@@ -270,9 +275,13 @@ class LiveTree:
         return cleaned, image
 
     def _finished(
-        self, cloud: PointMap, grid: DepthGrid, labels: NDArray[np.uint16], before: NDArray[np.uint16]
+        self,
+        cloud: PointMap,
+        grid: DepthGrid,
+        labels: NDArray[np.uint16],
+        before: NDArray[np.uint16],
+        config: SegmentationConfig,
     ) -> SegmentationTree:
-        config = self._config
         nodes = depth_first(self._root)
         leaf_nodes = [leaf.node for leaf in self._leaves]
         surfaces = [leaf.surface for leaf in self._leaves]

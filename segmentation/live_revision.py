@@ -57,11 +57,14 @@ class Budget:
         Leaves that are tried for a split, the worst first.
     folds : int
         Pairs of leaves that are held against one surface for both.
+    decimation : int or None
+        Pixels from one place of the grid to the next; None for what the configuration says.
     """
 
     refits: int = 6
     trials: int = 1
     folds: int = 1
+    decimation: int | None = None
 
 
 class Reviser:

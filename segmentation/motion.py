@@ -14,6 +14,14 @@ def brightness(color: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
     return np.asarray(cv2.resize(gray, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
+def resized(image: NDArray[np.uint8], shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """Return a gray image at another size, (rows, columns)."""
+    if image.shape == shape:
+        return image
+    found = cv2.resize(image, (shape[1], shape[0]), interpolation=cv2.INTER_AREA)
+    return np.asarray(found, dtype=np.uint8)
+
+
 def flow_back(now: NDArray[np.uint8], before: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Find by dense inverse search where each pixel was in the frame before.
 
@@ -65,4 +73,4 @@ def carried(image: NDArray[np.uint16], flow: NDArray[np.float32]) -> NDArray[np.
     return np.asarray(found, dtype=np.uint16)
 
 
-__all__ = ["brightness", "carried", "flow_back"]
+__all__ = ["brightness", "carried", "flow_back", "resized"]

@@ -1,0 +1,118 @@
+"""Measure the live run: rates, latency by stage, drops and memory, with a recording saved and no export.
+
+Each run is the installed command in a process of its own, replaying at the recorded rate. Memory is that of
+the process; its slope is fitted to what the second half of the run resides in.
+
+Examples
+--------
+The rendered scene, then a folder that is replayed over and over for ten minutes::
+
+    python benchmarks/live.py "synthetic:?frames=600"
+    python benchmarks/live.py FOLDER --duration 600 --runs 1
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+COMMAND = Path(sys.executable).with_name("nurbseg-live")
+STAGES = ("wait", "register", "segment", "identify", "capture_to_labels", "show")
+
+
+def main() -> None:
+    """Run and print the tables."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("source", help="what nurbseg-live replays")
+    parser.add_argument("--duration", type=float, default=20.0, help="seconds of each run (20)")
+    parser.add_argument("--runs", type=int, default=5, help="runs of which medians are taken (5)")
+    parser.add_argument("options", nargs="*", help="further options of nurbseg-live, after --")
+    arguments = parser.parse_args()
+    reports = [
+        one_run(arguments.source, arguments.duration, arguments.options) for _ in range(arguments.runs)
+    ]
+    print(f"{arguments.source}: {arguments.runs} runs of {arguments.duration:g} s at the recorded rate")
+    versions = reports[0]["versions"]
+    print(", ".join(f"{name} {version}" for name, version in versions.items()))
+    print(f"\n{'':20}{'median':>10}{'least':>10}{'most':>10}")
+    rows = {
+        "frames/s segmented": [each["frames_per_s"] for each in reports],
+        "frames read": [each["frames"]["read"] for each in reports],
+        "dropped, %": [100.0 * dropped(each) / max(1, each["frames"]["read"]) for each in reports],
+        "segmented anew": [sum(each["segmented_anew"].values()) for each in reports],
+        "first labels, s": [each["first_labels_s"] for each in reports],
+        "resident, MB": [each["peak_memory_mb"] for each in reports],
+        "slope, MB/min": [each["slope_mb_per_min"] for each in reports],
+        "recording, MB": [each["saved_mb"] for each in reports],
+    }
+    for name, values in rows.items():
+        print(f"{name:20}{statistics.median(values):10.2f}{min(values):10.2f}{max(values):10.2f}")
+    print(f"\n{'stage, ms':20}{'p50':>10}{'p95':>10}{'most':>10}")
+    for stage in STAGES:
+        found = [each["latency_ms"][stage] for each in reports if stage in each["latency_ms"]]
+        if found:
+            medians = (statistics.median(each[key] for each in found) for key in ("p50", "p95", "max"))
+            print(f"{stage:20}" + "".join(f"{value:10.1f}" for value in medians))
+
+
+def dropped(report: dict[str, Any]) -> int:
+    """Return how many frames were overwritten by newer ones."""
+    return int(report["frames"]["dropped"]["overwritten_by_a_newer_frame"])
+
+
+def one_run(source: str, duration_s: float, options: list[str]) -> dict[str, Any]:
+    """Run the command; return its report with what was seen from outside."""
+    with tempfile.TemporaryDirectory() as folder:
+        saved, report = Path(folder) / "run.rrd", Path(folder) / "report.json"
+        words = [str(COMMAND), "--replay", source, "--speed", "1", "--loop", "--duration", str(duration_s)]
+        words += ["--view", "none", "--save", str(saved), "--report", str(report), *options]
+        started_s = time.monotonic()
+        process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+        times: list[float] = []
+        resident: list[float] = []
+        while process.poll() is None:
+            if time.monotonic() - started_s > 2.0 * duration_s + 60.0:
+                process.kill()
+                raise SystemExit(f"{source}: did not end in time")
+            megabytes = resident_mb(process.pid)
+            if megabytes:
+                times.append(time.monotonic() - started_s)
+                resident.append(megabytes)
+            time.sleep(0.25)
+        said = "" if process.stderr is None else process.stderr.read()
+        if process.returncode:
+            raise SystemExit(f"{source}: ended with {process.returncode}:\n{said}")
+        found: dict[str, Any] = json.loads(report.read_text())
+        half = len(times) // 2
+        slope = np.polyfit(times[half:], resident[half:], 1)[0] if len(times) - half > 2 else float("nan")
+        # The report counts from the start of the run; Python and its packages start before that.
+        ahead_s = max(0.0, time.monotonic() - started_s - found["seconds"])
+        return {
+            **found,
+            "slope_mb_per_min": 60.0 * float(slope),
+            "saved_mb": saved.stat().st_size / 1e6,
+            "first_labels_s": found["first_result_after_s"] + ahead_s,
+        }
+
+
+def resident_mb(pid: int) -> float:
+    """Return the resident size of a process, 0 where that is not known."""
+    try:
+        pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    except (OSError, IndexError):
+        return 0.0
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+if __name__ == "__main__":
+    main()
