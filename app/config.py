@@ -28,7 +28,9 @@ class SourceConfig:
         If more than one source is named, or a value is out of its bounds.
     """
 
-    device: str | None = setting(None, "camera to open: xtion, kinect, any or an OpenNI2 URI", unit="NAME")
+    device: str | None = setting(
+        None, "camera to open: xtion, kinect, orbbec, any, an OpenNI2 URI or a serial number", unit="NAME"
+    )
     replay: str | None = setting(None, "recording or folder of images to replay", unit="PATH")
     synthetic: bool = setting(False, "the rendered scene, which needs neither camera nor file")
     fallback: str | None = setting(None, "what to replay where no camera is found", unit="PATH")

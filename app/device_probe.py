@@ -48,10 +48,10 @@ def probe(wanted: str = "any", *, time_limit_s: float = _TIME_LIMIT_S) -> Probe:
 
 
 def _is_meant(camera: dict[str, str], word: str) -> bool:
-    if word in ("", "any"):
+    if word.lower() in ("", "any"):
         return True
-    if word in WANTED:
-        return camera["family"] in WANTED[word]
+    if word.lower() in WANTED:
+        return camera["family"] in WANTED[word.lower()]
     return word in (camera["uri"], camera["serial"], f"port:{camera['usb_port']}")
 
 

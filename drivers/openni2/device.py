@@ -17,9 +17,8 @@ from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.openni2.calibration_note import calibration_note
 from nurbseg.drivers.openni2.capi import DeviceState, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate, configure, set_modes
-from nurbseg.drivers.openni2.library import in_use
 from nurbseg.drivers.openni2.oni_player import COLOR_IMAGE, DEPTH_IMAGE
-from nurbseg.drivers.openni2.opened import OpenedDevice, describe, find_camera
+from nurbseg.drivers.openni2.opened import OpenedDevice, describe, open_camera
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.openni2.pairing import Pairing
 from nurbseg.drivers.openni2.recorder import OniRecorder
@@ -88,9 +87,7 @@ class DeviceSource(FrameSource):
         self._settling = _SETTLING_PAIRS
         self._silent_s = 0.0
         self._recorder: OniRecorder | None = None
-        with in_use():  # so that cameras are looked for once, and not once more to open one
-            listing = find_camera(wanted, self._options.serial)
-            self._device = OpenedDevice(listing.uri, self._on_event)
+        self._device, listing = open_camera(wanted, self._options.serial, self._on_event)
         try:
             depth = self._device.add_stream(Sensor.DEPTH)
             color = self._device.add_stream(Sensor.COLOR)

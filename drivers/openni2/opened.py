@@ -172,18 +172,29 @@ def serial_of(listing: DeviceListing) -> str:
         return ""
 
 
-def find_camera(wanted: str, serial: str = "") -> DeviceListing:
-    """Return the camera that is meant, as `nurbseg.drivers.openni2.selection.choose` reads it.
+def open_camera(
+    wanted: str, serial: str = "", on_event: Callable[[str], None] | None = None
+) -> tuple[OpenedDevice, DeviceListing]:
+    """Open the camera that is meant, as `nurbseg.drivers.openni2.selection.choose` reads it.
+
+    Of several, the first that opens: another program may have the others.
 
     Raises
     ------
     BackendMissingError
         If OpenNI2 is not installed.
     DeviceNotFoundError
-        If there is no such camera.
+        If there is no such camera, or none of them can be opened.
     """
     with in_use() as library:
-        return choose(library.devices(), wanted, serial, serial_of)
+        first: DeviceNotFoundError | None = None
+        for listing in choose(library.devices(), wanted, serial, serial_of):
+            try:
+                return OpenedDevice(listing.uri, on_event), listing
+            except DeviceNotFoundError as err:
+                logger.info("%s", err)
+                first = first or err
+        raise first or DeviceNotFoundError(f"openni2:{wanted}: no such camera")
 
 
 def describe(listing: DeviceListing, device: OpenedDevice) -> dict[str, str]:

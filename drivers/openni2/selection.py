@@ -59,8 +59,8 @@ def choose(
     wanted: str,
     serial: str,
     serial_of: Callable[[DeviceListing], str],
-) -> DeviceListing:
-    """Return the camera that is meant.
+) -> list[DeviceListing]:
+    """Return the cameras that may be meant, of which the first that opens is to be taken.
 
     Parameters
     ----------
@@ -74,29 +74,45 @@ def choose(
     serial_of : callable
         Finds a camera's serial number, for which it must be opened.
 
+    Returns
+    -------
+    list of DeviceListing
+        One at least.
+
     Raises
     ------
     DeviceNotFoundError
         If there is none; says what there is instead.
     """
     cameras = [listing for listing in listings if is_camera(listing)]
+    serials: dict[str, str] = {}
+
+    def known_serial(listing: DeviceListing) -> str:
+        if listing.uri not in serials:
+            serials[listing.uri] = serial_of(listing)
+        return serials[listing.uri]
+
     if wanted.startswith("port:"):
         matching = [each for each in cameras if usb_port(each.uri) == wanted.removeprefix("port:")]
-    elif wanted in ("", "any"):
+    elif wanted.lower() in ("", "any"):
         matching = cameras
-    elif wanted in WANTED:
-        matching = [each for each in cameras if family_of(each) in WANTED[wanted]]
+    elif wanted.lower() in WANTED:
+        matching = [each for each in cameras if family_of(each) in WANTED[wanted.lower()]]
     else:
         matching = [each for each in cameras if each.uri == wanted]
         if not matching:
-            matching = [each for each in cameras if serial_of(each) == wanted]
+            matching = [each for each in cameras if known_serial(each) == wanted]
     if serial:
-        matching = [each for each in matching if serial_of(each) == serial]
+        matching = [each for each in matching if known_serial(each) == serial]
     if matching:
-        return matching[0]
+        return matching
     name = f"{wanted or 'any'}" + (f" with serial number {serial}" if serial else "")
-    there = "; ".join(
-        f"{each.vendor} {each.name} ({each.usb_vendor:04x}:{each.usb_product:04x}) at {each.uri}"
-        for each in cameras
-    )
+    there = "; ".join(_told(each, serials.get(each.uri)) for each in cameras)
     raise DeviceNotFoundError(f"openni2:{name}: no such camera; OpenNI2 finds {there or 'no camera at all'}")
+
+
+def _told(listing: DeviceListing, serial: str | None) -> str:
+    ids = f"{listing.usb_vendor:04x}:{listing.usb_product:04x}"
+    if serial is not None:  # it was asked for it
+        ids += f", serial {serial or 'unknown: it has none, or another program has the camera'}"
+    return f"{listing.vendor} {listing.name} ({ids}) at {listing.uri}"

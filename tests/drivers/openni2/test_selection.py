@@ -16,7 +16,7 @@ SERIALS = {XTION.uri: "X1", KINECT.uri: "K1", NAMELESS.uri: "K2"}
 
 
 def chosen(wanted, serial="", there=(RECORDING, KINECT, XTION, NAMELESS)):
-    return choose(there, wanted, serial, lambda listing: SERIALS[listing.uri])
+    return choose(there, wanted, serial, lambda listing: SERIALS[listing.uri])[0]
 
 
 @pytest.mark.parametrize(
@@ -25,6 +25,7 @@ def chosen(wanted, serial="", there=(RECORDING, KINECT, XTION, NAMELESS)):
         ("", KINECT),
         ("any", KINECT),
         ("xtion", XTION),
+        ("Xtion", XTION),
         ("kinect", KINECT),
         ("1d27/0601@2/5", XTION),
         ("X1", XTION),
@@ -37,7 +38,9 @@ def test_cameras_are_chosen_by_kind_uri_or_serial_number(wanted, expected):
 
 def test_a_serial_number_decides_among_cameras_of_a_kind():
     assert chosen("kinect", "K2") is NAMELESS
-    with pytest.raises(DeviceNotFoundError, match=r"openni2:xtion with serial number K1: no such camera"):
+    with pytest.raises(
+        DeviceNotFoundError, match=r"openni2:xtion with serial number K1: no such camera.*serial X1\) at 1d27"
+    ):
         chosen("xtion", "K1")
 
 
@@ -80,6 +83,24 @@ def test_two_cameras_are_told_apart_and_used_at_once(virtual_cameras):
         assert (kinect.metadata["serial"], xtion.metadata["serial"]) == ("B2", "A1")
         for _ in range(5):
             assert kinect.read().depth_mm.shape == xtion.read().depth_mm.shape
+
+
+def test_of_several_cameras_one_is_taken_that_nobody_else_has(virtual_cameras):
+    first = virtual_cameras.add("first", serial="A1")
+    second = virtual_cameras.add("second", serial="B2")
+    for busy in (0, 1):
+        first.set(busy=busy)
+        second.set(busy=1 - busy)
+        with DeviceSource("xtion") as source:
+            assert source.metadata["serial"] == ("B2" if busy else "A1")
+
+
+def test_a_camera_that_another_program_has_is_named(virtual_cameras):
+    virtual_cameras.add("first", serial="A1", busy=1)
+    with pytest.raises(DeviceNotFoundError, match="opening virtual/first: OpenNI2 answers"):
+        DeviceSource("xtion")
+    with pytest.raises(DeviceNotFoundError, match="serial unknown.*another program"):
+        DeviceSource("any", DeviceOptions(serial="A1"))
 
 
 def test_unplugging_one_camera_leaves_the_other(virtual_cameras):
