@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import argparse
 import logging
+import os
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 READY, NOT_READY = 0, 1
+
+#: OpenNI2 must be done with its cameras within this time, seconds.
+_TIME_LIMIT_S = 60.0
 
 _DESCRIPTION = """\
 List the depth cameras on this computer, find out why one does not work, and
@@ -41,7 +46,13 @@ def main(words: Sequence[str] | None = None) -> int:
     arguments = _parser().parse_args(words)
     run: Callable[[argparse.Namespace], int] = arguments.run
     try:
-        return run(arguments)
+        code = run(arguments)
+        sys.stdout.flush()
+        return code
+    except BrokenPipeError:
+        # Whoever read it has enough, as `head` has; the flush at the end would say so once more.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return NOT_READY
     except DriverError as err:
         print(f"nurbseg-devices: error: {err}", file=sys.stderr)
         if isinstance(err, DeviceNotFoundError):
@@ -69,7 +80,7 @@ def _parser() -> argparse.ArgumentParser:
 
     command = commands.add_parser("doctor", help="find out why a camera does not work, and what to do")
     command.set_defaults(run=_doctor)
-    _add_device(command, "which camera should work: xtion, kinect, orbbec, any or an OpenNI2 URI")
+    _add_device(command, "which camera should work: xtion, kinect, orbbec, any, a URI or a serial number")
     command.add_argument("--json", action="store_true", help="write the findings as JSON")
 
     command = commands.add_parser("calibration", help="write what a camera reports of its lenses to a file")
@@ -77,7 +88,7 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument(
         "file", type=_toml_path, metavar="FILE.toml", help="file to write, for --calibration"
     )
-    _add_device(command, "which camera: xtion, kinect, orbbec, any or an OpenNI2 URI")
+    _add_device(command, "which camera: xtion, kinect, orbbec, any, a URI or a serial number")
     command.add_argument("--serial", default="", help="the camera with this serial number")
     command.add_argument("--force", action="store_true", help="replace the file where it exists")
 
@@ -135,7 +146,8 @@ def _list(arguments: argparse.Namespace) -> int:
     from nurbseg.app import device_report
     from nurbseg.drivers.camera_list import list_cameras
 
-    cameras = list_cameras()
+    with _time_limit():
+        cameras = list_cameras()
     as_words = device_report.cameras_as_json if arguments.json else device_report.cameras_as_text
     print(as_words(cameras))
     return READY if any(not camera.error for camera in cameras) else NOT_READY
@@ -164,7 +176,7 @@ def _calibration(arguments: argparse.Namespace) -> int:
         raise DriverError(f"{path}: exists already; --force replaces it")
     # Without the camera's own registration, with which its frames have one camera only.
     options = DeviceOptions(serial=arguments.serial, registration="software")
-    with _quiet(), DeviceSource(arguments.device.removeprefix("openni2:"), options) as source:
+    with _quiet(), _time_limit(), DeviceSource(arguments.device.removeprefix("openni2:"), options) as source:
         calibration, name = source.calibration, source.metadata["device"]
     try:
         write_calibration(path, calibration)
@@ -181,6 +193,28 @@ def _calibration(arguments: argparse.Namespace) -> int:
         "docs/calibration.md says how to measure the nominal values."
     )
     return READY
+
+
+@contextmanager
+def _time_limit() -> Iterator[None]:
+    """End the program if a driver hangs, which nothing else can make it return from."""
+    timer = threading.Timer(_TIME_LIMIT_S, _give_up)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+def _give_up() -> None:
+    print(
+        f"nurbseg-devices: error: OpenNI2, or one of its drivers, did not answer within {_TIME_LIMIT_S:g} s\n"
+        "To find out why: nurbseg-devices doctor",
+        file=sys.stderr,
+        flush=True,
+    )
+    os._exit(NOT_READY)
 
 
 @contextmanager

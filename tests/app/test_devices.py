@@ -121,6 +121,38 @@ def test_without_a_camera_the_list_names_the_doctor(virtual_cameras, capsys):
     assert capsys.readouterr().out == "OpenNI2 finds no camera. To find out why: nurbseg-devices doctor\n"
 
 
+def test_a_driver_that_hangs_does_not_hang_the_list():
+    code = (
+        "import sys, time\n"
+        "from nurbseg.app import devices\n"
+        "from nurbseg.drivers import camera_list\n"
+        "devices._TIME_LIMIT_S = 0.2\n"
+        "camera_list.list_cameras = lambda: time.sleep(50)\n"
+        "sys.exit(devices.main(['list']))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=45, check=False
+    )
+    assert done.returncode == 1
+    assert "did not answer within 0.2 s" in done.stderr
+
+
+def test_a_reader_that_has_enough_is_no_error(virtual_cameras):
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "wb") as pipe:
+        done = subprocess.run(
+            [sys.executable, "-m", "nurbseg.app.devices"],
+            stdout=pipe,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+    assert done.returncode == 1
+    assert done.stderr == ""
+
+
 def test_the_doctor_calls_a_camera_ready_that_openni2_opens(virtual_cameras, capsys):
     virtual_cameras.add(serial="S1")
     assert devices.main(["doctor"]) == 0

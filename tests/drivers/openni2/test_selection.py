@@ -99,7 +99,7 @@ def test_a_camera_that_another_program_has_is_named(virtual_cameras):
     virtual_cameras.add("first", serial="A1", busy=1)
     with pytest.raises(DeviceNotFoundError, match="opening virtual/first: OpenNI2 answers"):
         DeviceSource("xtion")
-    with pytest.raises(DeviceNotFoundError, match="serial unknown.*another program"):
+    with pytest.raises(DeviceNotFoundError, match=r"serial unknown.*another program"):
         DeviceSource("any", DeviceOptions(serial="A1"))
 
 
