@@ -19,6 +19,9 @@ _MEAN_MOST = 2.2
 #: Residuals beyond this many standard deviations are far off, and the share of them that is allowed.
 _FAR_DEVIATIONS = 3.0
 _FAR_SHARE_MOST = 0.05
+#: Half the side of the windows over which residuals are averaged, places, and the mean, in standard
+#: deviations, beyond which a window holds something else than noise.
+_PATCH_HALF, _PATCH_DEVIATIONS = 2, 2.5
 #: Points at a segment's rim are often mixed with what lies behind: judged without it where this much is left.
 _INNER_SHARE = 0.3
 
@@ -29,6 +32,7 @@ def explained_by_noise(
     noise_per_m: float,
     *,
     rim: bool = False,
+    patch_places: float = np.inf,
 ) -> bool:
     """Say whether a surface leaves no more than noise.
 
@@ -42,23 +46,45 @@ def explained_by_noise(
         Standard deviation of the inverse depth, 1/m, more than 0.
     rim : bool
         Whether the places at the rim of the mask are judged too.
+    patch_places : float
+        A connected patch of so many places that lie to one side of the surface is a thing of its own,
+        however small its share of a large segment; infinite for no such test.
 
     Returns
     -------
     bool
         Whether the mean of the squared residuals, in units of the noise and each limited, and the share
-        of residuals that are far off are both what noise leaves.
+        of residuals that are far off are both what noise leaves, and no patch lies off the surface.
     """
+    deviations = residuals_per_m / noise_per_m
+    judged = mask
     if not rim:
         kernel = np.ones((3, 3), dtype=np.uint8)
         eroded = cv2.erode(mask.astype(np.uint8), kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0)
         inner = eroded[mask] > 0
-        if np.count_nonzero(inner) >= _INNER_SHARE * residuals_per_m.size:
-            residuals_per_m = residuals_per_m[inner]
-    squares = np.square(residuals_per_m / noise_per_m)
+        if np.count_nonzero(inner) >= _INNER_SHARE * deviations.size:
+            deviations, judged = deviations[inner], eroded > 0
+    squares = np.square(deviations)
     far = np.count_nonzero(squares > _FAR_DEVIATIONS**2)
-    mean = float(np.minimum(squares, SQUARE_MOST).mean())
-    return bool(mean < _MEAN_MOST and far < _FAR_SHARE_MOST * squares.size)
+    if not (np.minimum(squares, SQUARE_MOST).mean() < _MEAN_MOST and far < _FAR_SHARE_MOST * squares.size):
+        return False
+    # Far residuals are fewer than the patch: the usual case, and the cheap one.
+    return far < patch_places or not _has_patch(deviations, judged, patch_places)
+
+
+def _has_patch(deviations: NDArray[np.float64], judged: NDArray[np.bool_], patch_places: float) -> bool:
+    """Say whether a connected patch of places lies off the surface, noise being averaged out."""
+    image = np.zeros(judged.shape, dtype=np.float32)
+    # Limited, so that one flying pixel does not make a patch of its window.
+    image[judged] = np.clip(deviations, -SQUARE_MOST, SQUARE_MOST)
+    size = (2 * _PATCH_HALF + 1, 2 * _PATCH_HALF + 1)
+    weight = cv2.boxFilter(judged.astype(np.float32), -1, size, borderType=cv2.BORDER_CONSTANT)
+    mean = cv2.boxFilter(image, -1, size, borderType=cv2.BORDER_CONSTANT) / np.maximum(weight, 1e-6)
+    for off in (mean > _PATCH_DEVIATIONS, mean < -_PATCH_DEVIATIONS):
+        patches = cv2.connectedComponentsWithStats((off & judged).astype(np.uint8), connectivity=4)[2]
+        if patches[1:, cv2.CC_STAT_AREA].max(initial=0) >= patch_places:
+            return True
+    return False
 
 
 @dataclass(frozen=True, slots=True)

@@ -238,7 +238,9 @@ def measured(scene: Scene, places: NDArray[np.intp], config: SegmentationConfig)
     fit, residuals_per_m = fit_window(scene.grid, window, mask, config)
     if config.metric in CURVATURE_METRICS:
         fit = replace(fit, values=all_metrics(fit, scene.grid.points.image_shape[1], config))
-    explained = config.noise_stop and explained_by_noise(residuals_per_m, mask, config.noise_per_m)
+    explained = config.noise_stop and explained_by_noise(
+        residuals_per_m, mask, config.noise_per_m, patch_places=scene.places_min(config)
+    )
     return places, fit, StopReason.NOISE if explained else None
 
 

@@ -61,3 +61,23 @@ def test_flying_pixels_at_the_rim_are_forgiven():
     residuals[0], residuals[-1], residuals[:, 0], residuals[:, -1] = (0.1,) * 4
     assert explained_by_noise(residuals[mask], mask, 3e-3)
     assert not explained_by_noise(residuals[mask], mask, 3e-3, rim=True)
+
+
+def test_a_thin_thing_on_a_large_table_is_no_noise_however_small_its_share() -> None:
+    rng = np.random.default_rng(2)
+    mask = np.ones((240, 320), dtype=np.bool_)
+    residuals = rng.normal(0.0, 2.5e-3, mask.shape)
+    assert explained_by_noise(residuals[mask], mask, 2.5e-3, patch_places=60)
+    residuals[100:110, 100:140] += 4 * 2.5e-3
+    assert explained_by_noise(residuals[mask], mask, 2.5e-3)
+    assert not explained_by_noise(residuals[mask], mask, 2.5e-3, patch_places=60)
+    assert explained_by_noise(residuals[mask], mask, 2.5e-3, patch_places=900)
+
+
+def test_flying_pixels_are_no_patch() -> None:
+    rng = np.random.default_rng(3)
+    mask = np.ones((240, 320), dtype=np.bool_)
+    residuals = rng.normal(0.0, 2.5e-3, mask.shape)
+    flying = rng.choice(mask.size, 1500, replace=False)
+    residuals.reshape(-1)[flying] += rng.choice([-1.0, 1.0], flying.size) * 0.05
+    assert explained_by_noise(residuals[mask], mask, 2.5e-3, patch_places=60)
