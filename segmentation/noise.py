@@ -69,7 +69,7 @@ def explained_by_noise(
     if not (np.minimum(squares, SQUARE_MOST).mean() < _MEAN_MOST and far < _FAR_SHARE_MOST * squares.size):
         return False
     # Far residuals are fewer than the patch: the usual case, and the cheap one.
-    return far < patch_places or not _has_patch(deviations, judged, patch_places)
+    return bool(far < patch_places) or not _has_patch(deviations, judged, patch_places)
 
 
 def _has_patch(deviations: NDArray[np.float64], judged: NDArray[np.bool_], patch_places: float) -> bool:
