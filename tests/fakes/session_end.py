@@ -21,16 +21,18 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
 @pytest.hookimpl(trylast=True)
 def pytest_unconfigure(config: pytest.Config) -> None:
     """End the process by force where it would not end by itself; the summary has been printed."""
-    for thread in threading.enumerate():
-        if thread is not threading.current_thread() and not thread.daemon:
-            thread.join(_GRACE_S)
-    left = [each.name for each in threading.enumerate() if each is not threading.current_thread()]
-    if left and _status in config.stash:
-        print(f"ended by force, threads still run: {', '.join(left)}", flush=True)
+    threads = [
+        each for each in threading.enumerate() if each is not threading.current_thread() and not each.daemon
+    ]
+    for thread in threads:
+        thread.join(_GRACE_S)
+    stuck = [each.name for each in threads if each.is_alive()]
+    if stuck and _status in config.stash:
+        print(f"ended by force, threads still run: {', '.join(stuck)}", flush=True)
         sys.stderr.flush()
         os._exit(config.stash[_status])
     if sys.__stderr__ is not None:
-        # Threads of libraries are not among those: Rerun's can hold up the interpreter's end for good.
+        # Others may be stuck in a library: Rerun's can hold up the interpreter's end for good.
         faulthandler.dump_traceback_later(_END_LIMIT_S, exit=True, file=sys.__stderr__)
 
 
