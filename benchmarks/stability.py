@@ -39,7 +39,7 @@ from nurbseg.segmentation.tree import SegmentationTree, segment
 
 #: Depth at which a carried pixel is seen again agrees within this share.
 _DEPTH_SHARE = 0.02
-#: A ground-truth object counts where it has this many pixels, of which the middle is looked at.
+#: A ground-truth object counts in frames where it has this many pixels with depth.
 _OBJECT_PIXELS_MIN = 400
 
 #: Gives the transforms from the camera of one frame to that of another: one for all, or one for each label.
@@ -175,9 +175,10 @@ def measure(source: FrameSource, motion: Motion, config: SegmentationConfig, cou
                     carried = earlier[level].ravel()[pairs[0]], alone[level].ravel()[pairs[1]]
                     each.alone_to_before.append(variation_of_information(*carried))
         if frame.labels is not None:
-            for label in np.flatnonzero(np.bincount(frame.labels.ravel()) >= _OBJECT_PIXELS_MIN):
-                own = result.object_image()[(frame.labels == label) & cloud.valid]
-                if label and own.size:
+            truth = np.where(cloud.valid, frame.labels, 0)
+            for label in np.flatnonzero(np.bincount(truth.ravel()) >= _OBJECT_PIXELS_MIN):
+                own = live["objects"][truth == label]
+                if label:
                     named[int(label)][int(np.bincount(own).argmax())] += 1
         before = frame, cloud, live
     report(found, named, cold, events, source)

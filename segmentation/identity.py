@@ -20,8 +20,10 @@ _OVERLAP_MIN = 0.2
 #: Share of a segment that another must have taken over for a split or a merge to be told.
 _TAKEN_SHARE = 0.3
 #: A segment that comes back may have moved this far (metres and a share of its distance), be this many
-#: times larger or smaller, and differ this much in color (CIELab).
-_RETURN_M, _RETURN_SHARE, _RETURN_SIZE, _RETURN_LAB = 0.05, 0.05, 3.0, 20.0
+#: times larger, or smaller since it appears bit by bit, and differ this much in color (CIELab).
+_RETURN_M, _RETURN_SHARE, _RETURN_LARGER, _RETURN_SMALLER, _RETURN_LAB = 0.05, 0.05, 3.0, 12.0, 20.0
+#: What is left of a remembered size after a frame in which less was seen; color goes with it.
+_SIZE_KEPT = 0.97
 #: Pixels of the image are compared on a grid of about this width.
 _GRID_WIDTH = 160
 
@@ -190,7 +192,10 @@ def carry_identities(
         parent = _mostly_from(label, overlap, identities, present)
         events.append(Event("new", identity) if parent is None else Event("split", identity, parent))
 
-    portraits = {identity: seen[label] for label, identity in of_label.items()}
+    portraits = {
+        identity: _updated(previous.portraits.get(identity), seen[label])
+        for label, identity in of_label.items()
+    }
     for identity, portrait in previous.portraits.items():
         if identity in portraits:
             continue
@@ -202,6 +207,13 @@ def carry_identities(
             portraits[identity] = Portrait(portrait.center_m, portrait.color_lab, portrait.pixels, unseen)
     found = Identities(of_label, np.zeros_like(coarse), portraits, tuple(events), next_identity)
     return Identities(of_label, found.image(coarse), portraits, tuple(events), next_identity)
+
+
+def _updated(before: Portrait | None, now: Portrait) -> Portrait:
+    """Return a portrait with its place now, and size and color of when more of it was seen."""
+    if before is None or now.pixels >= _SIZE_KEPT * before.pixels:
+        return now
+    return Portrait(now.center_m, before.color_lab, round(_SIZE_KEPT * before.pixels))
 
 
 def _portraits(
@@ -271,11 +283,11 @@ def _known_again(portrait: Portrait, lost: Mapping[int, Portrait]) -> int | None
     for identity, other in lost.items():
         reach = _RETURN_M + _RETURN_SHARE * float(np.linalg.norm(other.center_m))
         # Hidden things go on moving.
-        reach *= 1.0 + 0.1 * other.unseen
+        reach *= 1.0 + 0.2 * other.unseen
         distance = float(np.linalg.norm(portrait.center_m - other.center_m)) / reach
         color = float(np.linalg.norm(portrait.color_lab - other.color_lab)) / _RETURN_LAB
-        ratio = max(portrait.pixels, other.pixels) / max(1, min(portrait.pixels, other.pixels))
-        if distance <= 1 and color <= 1 and ratio <= _RETURN_SIZE:
+        ratio = portrait.pixels / max(1, other.pixels)
+        if distance <= 1 and color <= 1 and 1.0 / _RETURN_SMALLER <= ratio <= _RETURN_LARGER:
             difference = distance + color
             if best is None or difference < best[0]:
                 best = difference, identity

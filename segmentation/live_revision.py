@@ -33,8 +33,10 @@ _FOLD_NOISE = 0.9
 _FOLD_WORSE, _FOLD_NOISE_SHARE = 1.1, 0.05
 #: Places of the grid along which two leaves that are held against one surface meet.
 _MEETING_LEAST = 4
-#: Frames between two looks at one leaf for what its surface does not explain, and of which a split is kept.
-_PATIENCE = 10
+#: Frames between two looks at one leaf for what its surface does not explain.
+_PATIENCE = 3
+#: Size of a patch that is looked at, without its rim, as a share of the smallest segment.
+_PATCH_SHARE = 0.4
 #: A leaf with fewer places than this share of the smallest is gone.
 _GONE_SHARE = 0.25
 #: Things that appear in one frame, at most; the others wait.
@@ -325,22 +327,25 @@ class _Revision:
         """Set the largest patch apart that its leaf's surface does not explain but one of its own does."""
         m = self._measures
         unexplained = ((m.deviations > 3.0) & m.inner).view(np.uint8)
-        far = cv2.morphologyEx(unexplained, cv2.MORPH_OPEN, np.ones((3, 3), dtype=np.uint8))
+        kernel = np.ones((3, 3), dtype=np.uint8)
+        far = cv2.morphologyEx(unexplained, cv2.MORPH_OPEN, kernel)
         patches, image, stats, _ = cv2.connectedComponentsWithStats(far, connectivity=4)
         if patches < 2:
             return
         for patch in np.argsort(-stats[1:, cv2.CC_STAT_AREA])[:4] + 1:
-            if stats[patch, cv2.CC_STAT_AREA] < self._places_min:
+            if stats[patch, cv2.CC_STAT_AREA] < _PATCH_SHARE * self._places_min:
                 return
             mask = image == patch
             number = int(np.bincount(self._growth.labels[mask]).argmax())
+            # Its rim, which tells less and was left out.
+            mask = (cv2.dilate(mask.view(np.uint8), kernel) > 0) & (m.deviations > 2.0)
             leaf = self._growth.by_number.get(number)
             if leaf is None or leaf.patience > 0:
                 continue
             leaf.patience = _PATIENCE
             mask &= self._growth.labels == number
             places = np.flatnonzero(mask)
-            if places.size < self._places_min:
+            if places.size < 0.75 * self._places_min:
                 continue
             self._growth.done.trials += 1
             part = measured(self._scene, places, self._config)
