@@ -24,7 +24,7 @@ _STOP_TEXTS = {
 }
 
 
-def blueprint(*, registered: bool = True, ground_truth: bool = False) -> rrb.Blueprint:
+def blueprint(*, registered: bool = True, ground_truth: bool = False, objects: bool = False) -> rrb.Blueprint:
     """Return the layout: space above, pictures beside it, tree and figures below.
 
     Parameters
@@ -33,8 +33,11 @@ def blueprint(*, registered: bool = True, ground_truth: bool = False) -> rrb.Blu
         Whether depth and color have one camera; otherwise the color camera's own picture is shown too.
     ground_truth : bool
         Whether frames have one, which is then shown beside the segments.
+    objects : bool
+        Whether surfaces are merged into objects; both are then shown, the objects in front.
     """
-    flat = [f"- {path}" for path in (entity.COLOR, entity.DEPTH, entity.LABELS, entity.GROUND_TRUTH)]
+    images = (entity.COLOR, entity.DEPTH, entity.LABELS, entity.OBJECTS, entity.GROUND_TRUTH)
+    flat = [f"- {path}" for path in images]
     space = [f"+ {entity.WORLD}/**", *flat, f"- {entity.UNREGISTERED_COLOR}"]
     views = [
         rrb.Spatial3DView(
@@ -60,12 +63,10 @@ def blueprint(*, registered: bool = True, ground_truth: bool = False) -> rrb.Blu
     last = (
         _picture("Ground truth", entity.GROUND_TRUTH) if ground_truth else _picture("Segments", entity.LABELS)
     )
-    overlay = rrb.Spatial2DView(
-        name="Segments on color",
-        origin=entity.CAMERA,
-        contents=[entity.COLOR, entity.LABELS],
-        overrides={entity.LABELS: rr.SegmentationImage.from_fields(opacity=0.6)},
-    )
+    overlay: rrb.View | rrb.Tabs = _on_color("Segments on color", entity.LABELS)
+    if objects:
+        surfaces = _on_color("Surfaces on color", entity.LABELS)
+        overlay = rrb.Tabs(_on_color("Objects on color", entity.OBJECTS), surfaces)
     pictures = rrb.Grid(color, _picture("Depth", entity.DEPTH), overlay, last, grid_columns=2)
     tree = rrb.GraphView(
         name="Tree",
@@ -100,6 +101,15 @@ def blueprint(*, registered: bool = True, ground_truth: bool = False) -> rrb.Blu
 
 def _picture(name: str, path: str) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(name=name, origin=entity.CAMERA, contents=[path])
+
+
+def _on_color(name: str, path: str) -> rrb.Spatial2DView:
+    return rrb.Spatial2DView(
+        name=name,
+        origin=entity.CAMERA,
+        contents=[entity.COLOR, path],
+        overrides={path: rr.SegmentationImage.from_fields(opacity=0.6)},
+    )
 
 
 def _plot(name: str, path: str, *, legend: bool) -> rrb.TimeSeriesView:

@@ -90,7 +90,11 @@ class Writer:
         if self._calibration is None:
             frame = item.result.frame
             self._stream.send_blueprint(
-                blueprint(registered=frame.calibration.is_registered, ground_truth=frame.labels is not None)
+                blueprint(
+                    registered=frame.calibration.is_registered,
+                    ground_truth=frame.labels is not None,
+                    objects=bool(item.result.tree.objects),
+                )
             )
         if item.calibration is not self._calibration:
             self._calibration = item.calibration
