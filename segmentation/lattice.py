@@ -24,19 +24,30 @@ class SurfaceLattice:
         Of the labels 1, 2, ...; a label without one has no inverse depth anywhere.
     step : int
         Pixels from one place of the grid to the next.
+    known : SurfaceLattice, optional
+        Another one, from which surfaces that it shares with this one are taken over.
     """
 
-    def __init__(self, surfaces: Sequence[NurbsSurface | None], step: int) -> None:
+    def __init__(
+        self, surfaces: Sequence[NurbsSurface | None], step: int, known: SurfaceLattice | None = None
+    ) -> None:
+        self._step: int = step
+        self._images: dict[int, tuple[NurbsSurface, int, int, NDArray[np.float32]]] = {}
+        shared = known._images if known is not None and known._step == step else {}
         count = len(surfaces) + 1
         # Label 0 is no segment: its window is empty.
         self._window = np.zeros((4, count), dtype=np.int32)
         self._start = np.zeros(count, dtype=np.int32)
-        self._step = step
         values, start = [], 0
         for label, surface in enumerate(surfaces, start=1):
             if surface is None:
                 continue
-            top, left, image = _evaluated(surface, step)
+            found = shared.get(id(surface))
+            if found is None:
+                found = surface, *_evaluated(surface, step)
+            # The surface is kept with its image, so that no other one can have its identity.
+            self._images[id(surface)] = found
+            _, top, left, image = found
             self._window[:, label] = top, left, *image.shape
             self._start[label] = start
             start += image.size

@@ -99,6 +99,7 @@ class LiveTree:
         self._objects = ObjectMemory()
         self._reviser = Reviser()
         self._overdue = 0
+        self._lattice: SurfaceLattice | None = None
         self.labels_before = self._labels
 
     def segment(self, cloud: PointMap, budget: Budget | None = None) -> SegmentationTree:
@@ -176,7 +177,7 @@ class LiveTree:
 
         # Surfaces move with their points, and what they do not explain is open.
         surfaces = [leaf.surface for leaf in self._leaves]
-        lattice = SurfaceLattice(surfaces, step)
+        lattice = SurfaceLattice(surfaces, step, self._lattice)
         inner = inner_places(on_grid)
         surfaces = moved_surfaces(surfaces, lattice, on_grid, grid.per_m, inner, step, config.noise_per_m)
         lattice = SurfaceLattice(surfaces, step)
@@ -235,7 +236,7 @@ class LiveTree:
         self.revision = Revision(
             "", unexplained, done.refits, done.trials, done.splits, done.folds, done.waiting, step
         )
-        return self._finished(cloud, grid, labels, before, config)
+        return self._finished(cloud, grid, labels, before, lattice, config)
 
     def _limits_per_m(self) -> NDArray[np.float32]:
         """Return from which residual on a place is not a leaf's own, by label."""
@@ -280,12 +281,13 @@ class LiveTree:
         grid: DepthGrid,
         labels: NDArray[np.uint16],
         before: NDArray[np.uint16],
+        lattice: SurfaceLattice,
         config: SegmentationConfig,
     ) -> SegmentationTree:
         nodes = depth_first(self._root)
         leaf_nodes = [leaf.node for leaf in self._leaves]
         surfaces = [leaf.surface for leaf in self._leaves]
-        lattice = SurfaceLattice(surfaces, grid.step)
+        self._lattice = lattice = SurfaceLattice(surfaces, grid.step, lattice)
         on_grid = np.ascontiguousarray(labels[:: grid.step, :: grid.step]).astype(np.int32)
         remeasured(self._leaves, on_grid, lattice, grid, config)
         number = np.where(labels > 0, labels - np.uint16(1), np.uint16(len(leaf_nodes))).ravel()
