@@ -73,7 +73,7 @@ class _Commands:
         self.ended.set()
 
 
-def _open(asked: dict[str, Any], commands: _Commands) -> DeviceSource | None:
+def _open(asked: dict[str, Any], commands: _Commands, sender: _Sender) -> DeviceSource | None:
     """Open the camera, waiting for it if that is asked; None if nobody wants it any more."""
     options = DeviceOptions(**asked["options"])
     while True:
@@ -82,6 +82,7 @@ def _open(asked: dict[str, Any], commands: _Commands) -> DeviceSource | None:
         except DeviceNotFoundError:
             if asked["patience_s"] is None:
                 raise
+        sender.send(away=True)
         if commands.ended.wait(asked["patience_s"]):
             return None
 
@@ -137,7 +138,7 @@ def main() -> int:
     commands = _Commands(sys.stdin.buffer, asked["slots"])
     ring = Ring(mmap.mmap(asked["ring"], 0), asked["depth_size"], asked["color_size"])
     try:
-        source = _open(asked, commands)
+        source = _open(asked, commands, sender)
         if source is None:
             return 0
         with source:

@@ -129,6 +129,7 @@ class IsolatedCamera(FrameSource):
         assert self._process.stdout is not None
         self._words, self._answers = self._process.stdin, self._process.stdout
         self._is_open = False
+        self._heard_s = time.monotonic()
         if patience_s is None:
             self._wait_until_open()
 
@@ -155,6 +156,9 @@ class IsolatedCamera(FrameSource):
                 self.metadata.update(line["opened"])
                 self.calibration = calibration_of_note(Path("the camera"), line["calibration"])
                 self._is_open = True
+        if not self._is_open and time.monotonic() - self._heard_s > _OPEN_LIMIT_S:
+            # A process that looks for its camera says so each time that it does not find it.
+            self._failure = self._failure or DeviceLostError("OpenNI2 opens no camera; its driver hangs")
         if not self._is_open and self._failure is not None:
             raise self._failure
         return self._is_open
@@ -215,6 +219,7 @@ class IsolatedCamera(FrameSource):
         if not ready:
             return []
         part = os.read(self._answers.fileno(), 1 << 16)
+        self._heard_s = time.monotonic()
         if not part and self._failure is None:
             code = self._process.wait(_ANSWER_LIMIT_S)
             self._failure = DeviceLostError(f"OpenNI2's driver stopped the camera's process, code {code}")

@@ -159,6 +159,20 @@ def test_a_hanging_driver_times_out_and_is_then_a_lost_camera(virtual_cameras, m
     assert not process.is_running()
 
 
+def test_a_driver_that_hangs_while_the_camera_is_looked_for_is_given_up(virtual_cameras, monkeypatch):
+    monkeypatch.setattr(isolated, "_OPEN_LIMIT_S", 5.0)
+    with IsolatedCamera(patience_s=0.1) as source:
+        begun_s = time.monotonic()
+        while time.monotonic() - begun_s < 6.0:  # it is away, and that is said again and again
+            assert not source.is_open(0.1)
+        monkeypatch.setattr(isolated, "_OPEN_LIMIT_S", 0.5)
+        monkeypatch.setattr(isolated, "_ANSWER_LIMIT_S", 3.0)
+        child().suspend()
+        with pytest.raises(DeviceLostError, match="its driver hangs"):
+            while time.monotonic() - begun_s < 30.0:
+                source.is_open(0.1)
+
+
 def test_closing_ends_the_process(virtual_cameras):
     virtual_cameras.add()
     source = IsolatedCamera()
