@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.inverse_depth import inverse_depth_image_of
 from nurbseg.segmentation.noise import SQUARE_MOST
-from nurbseg.segmentation.pieces import connected_pieces, joints, spread_labels
+from nurbseg.segmentation.pieces import connected_pieces, joints, labels_of_pieces, spread_labels
 from nurbseg.segmentation.surface import NurbsSurface
 
 #: Neighbours that vote are at most so far away along rows and columns, pixels.
@@ -22,6 +22,8 @@ _VOTE = 0.7
 #: Vote of a neighbour across a gap in depth, in shares of another's.
 _ACROSS_GAP = 0.25
 _SWEEPS = 6
+#: Pixels judged at once, so that their neighbours stay in the cache.
+_BLOCK = 4096
 _OFFSETS = tuple(pair for pair in product(range(-_REACH, _REACH + 1), repeat=2) if pair != (0, 0))
 _DISTANCES = np.hypot(*np.array(_OFFSETS).T).astype(np.float32)
 
@@ -57,11 +59,13 @@ def labels_of_every_pixel(
         labels = on_grid.copy()
         open_pixels = valid & (labels == 0)
     else:
-        at = np.ix_(np.arange(height) // step, np.arange(width) // step)
-        labels = on_grid[at]
-        across = np.abs(grid_per_m[at] - per_m) >= config.depth_gap_per_m
-        open_pixels = valid & ((labels == 0) | across)
-        labels[~valid | open_pixels] = 0
+        labels = np.repeat(np.repeat(on_grid, step, axis=1)[:, :width], step, axis=0)[:height]
+        steps = np.repeat(np.repeat(grid_per_m, step, axis=1)[:, :width], step, axis=0)[:height]
+        steps -= per_m
+        open_pixels = np.abs(steps, out=steps) >= config.depth_gap_per_m
+        open_pixels |= labels == 0
+        open_pixels &= valid
+        labels *= valid & ~open_pixels
     return spread_labels(labels, open_pixels, per_m, config.depth_gap_per_m)
 
 
@@ -155,6 +159,7 @@ class _Sides:
         width = self._labels.shape[1]
         self._steps = np.array([down * width + across for down, across in _OFFSETS])[:, np.newaxis]
         self._votes = (_VOTE / _DISTANCES)[:, np.newaxis]
+        self._votes_across = np.float32(_ACROSS_GAP) * self._votes
         self._gaps = (gap_per_m * np.sqrt(_DISTANCES))[:, np.newaxis]
         self._explain(labels, surfaces)
 
@@ -164,41 +169,56 @@ class _Sides:
 
     def improve(self, pixels: NDArray[np.intp]) -> NDArray[np.intp]:
         """Give pixels, flat in the image, the cheapest label around them; return those that changed."""
+        best = [self._cheapest(pixels[n : n + _BLOCK]) for n in range(0, pixels.size, _BLOCK)]
+        rows, columns = np.divmod(pixels, self._shape[1])
+        flat, numbers = self._labels.reshape(-1), (rows + _REACH) * self._labels.shape[1] + columns + _REACH
+        cheapest = np.concatenate(best)
+        changed = cheapest != flat[numbers]
+        flat[numbers[changed]] = cheapest[changed]
+        moved: NDArray[np.intp] = pixels[changed]
+        return moved
+
+    def _cheapest(self, pixels: NDArray[np.intp]) -> NDArray[np.int32]:
+        """Return the cheapest label around each pixel."""
         rows, columns = np.divmod(pixels, self._shape[1])
         numbers = (rows + _REACH) * self._labels.shape[1] + columns + _REACH
         flat = self._labels.reshape(-1)
         at = self._steps + numbers
-        near, own = flat[at], self._per_m[numbers]
-        weights = np.where(
-            np.abs(self._per_m[at] - own) >= self._gaps, _ACROSS_GAP * self._votes, self._votes
-        )
+        near, own = flat.take(at), self._per_m.take(numbers)
+        steps = self._per_m.take(at)
+        steps -= own
+        weights = np.where(np.abs(steps, out=steps) >= self._gaps, self._votes_across, self._votes)
 
-        def cost(label: NDArray[np.int32], which: NDArray[np.intp] | slice) -> NDArray[np.float32]:
+        def cost(
+            label: NDArray[np.int32], which: NDArray[np.intp], same: NDArray[np.bool_]
+        ) -> NDArray[np.float32]:
             residual = self._explained(label, rows[which], columns[which])
             residual -= own[which]
             residual *= self._per_deviation
             np.minimum(np.square(residual, out=residual), np.float32(SQUARE_MOST), out=residual)
-            same = near == label if isinstance(which, slice) else near[:, which] == label
-            residual -= np.where(same, weights[:, which], np.float32(0.0)).sum(axis=0)
+            some = weights if which.size == pixels.size else weights[:, which]
+            residual -= np.where(same, some, np.float32(0.0)).sum(axis=0)
             return residual
 
         before = flat[numbers]
-        best, least = before.copy(), cost(before, slice(None))
-        # The other labels around, the largest first; few pixels see more than one.
         which = np.arange(pixels.size)
-        others = np.where(near == before, 0, near)
-        while which.size:
+        same = near == before
+        best: NDArray[np.int32] = before.copy()
+        least = cost(before, which, same)
+        # The other labels around, the largest first; few pixels see more than one.
+        others = near
+        while True:
+            others[same] = 0
             label = others.max(axis=0)
-            some = label > 0
-            which, label, others = which[some], label[some], others[:, some]
-            value = cost(label, which)
+            some = np.flatnonzero(label)
+            if some.size == 0:
+                return best
+            if some.size < label.size:
+                which, label, others = which[some], label[some], others[:, some]
+            same = others == label
+            value = cost(label, which, same)
             better = (value < least[which]) | ((value == least[which]) & (label < best[which]))
             best[which[better]], least[which[better]] = label[better], value[better]
-            others = np.where(others == label, 0, others)
-        changed = best != before
-        flat[numbers[changed]] = best[changed]
-        moved: NDArray[np.intp] = pixels[changed]
-        return moved
 
     def around(self, pixels: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the labelled pixels within reach of some."""
@@ -248,11 +268,11 @@ def _extents(labels: NDArray[np.int32], count: int) -> list[tuple[int, int, int,
     height, width = labels.shape
     # Where labels change along a row or column, and at its ends, is where windows can end.
     in_row, in_column = (np.zeros((extent, count + 1), dtype=np.bool_) for extent in (height, width))
-    for across, image in ((in_row, labels), (in_column, labels.T)):
+    for across, image in ((in_row, labels), (in_column, np.asarray(cv2.transpose(labels)))):
         turns = np.ones(image.shape, dtype=np.bool_)
         np.not_equal(image[:, 1:], image[:, :-1], out=turns[:, 1:])
-        lines, places = np.nonzero(turns)
-        across[lines, image[lines, places]] = True
+        places = np.flatnonzero(turns)
+        across[places // image.shape[1], image.take(places)] = True
     windows = []
     for label in range(1, count + 1):
         rows, columns = np.flatnonzero(in_row[:, label]), np.flatnonzero(in_column[:, label])
@@ -270,8 +290,7 @@ def _without_severed_pieces(
     joined = joints(per_m, labels > 0, config.depth_gap_per_m)
     count, pieces = connected_pieces(labels, joined)
     sizes = np.bincount(pieces.ravel(), minlength=count + 1)
-    label_of = np.zeros(count + 1, dtype=np.int32)
-    label_of[pieces.ravel()] = labels.ravel()
+    label_of = labels_of_pieces(labels, count, pieces)
     unit = labels.size / (640.0 * 480.0)
     kept = sizes >= config.piece_pixels_min * unit
     # In ascending order of size, so that the largest piece of each label is written last.
@@ -280,6 +299,8 @@ def _without_severed_pieces(
     largest[label_of[order]] = order
     kept[largest[1:]] = True
     kept[0] = True
+    if kept.all():
+        return labels
     severed = ~kept[pieces]
     cleaned = np.where(severed, 0, labels)
     return spread_labels(cleaned, severed, per_m, config.depth_gap_per_m)

@@ -156,9 +156,10 @@ def normals_from_slopes(
     """
     nx, ny = slope_u * focal_px[0], slope_v * focal_px[1]
     nz = inverse_depth - nx * ray_x - ny * ray_y
-    normals = np.stack([-nx, -ny, -nz], axis=-1)
-    length = np.sqrt(np.einsum("...c,...c->...", normals, normals))
-    normals /= np.maximum(length, 1e-12)[..., np.newaxis]
+    towards = -1.0 / np.maximum(np.sqrt(nx * nx + ny * ny + nz * nz), 1e-12)
+    normals: NDArray[_Float] = np.empty((*inverse_depth.shape, 3), dtype=inverse_depth.dtype)
+    for axis, along in enumerate((nx, ny, nz)):
+        np.multiply(along, towards, out=normals[..., axis])
     return normals
 
 

@@ -83,6 +83,17 @@ def connected_pieces(labels: NDArray[np.int32], joined: Joints) -> tuple[int, ND
     return count - 1, np.asarray(found[::2, ::2], dtype=np.int32)
 
 
+def labels_of_pieces(labels: NDArray[np.int32], count: int, pieces: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return the label of each piece, (count + 1,) int32, from those of every place; 0 for number 0."""
+    # Every piece has a place that follows one of another piece, or the first of all.
+    flat = pieces.reshape(-1)
+    starts = np.flatnonzero(flat[1:] != flat[:-1]) + 1
+    label_of = np.zeros(count + 1, dtype=np.int32)
+    label_of[flat[:1]] = labels.reshape(-1)[:1]
+    label_of[flat.take(starts)] = labels.take(starts)
+    return label_of
+
+
 def spread_labels(
     labels: NDArray[np.int32],
     wanted: NDArray[np.bool_],
@@ -181,12 +192,11 @@ def large_pieces(
     number = np.zeros(count + 1, dtype=np.int32)
     number[kept] = np.arange(1, kept.size + 1)
     pieces = number[found]
-    label_of = np.zeros(count + 1, dtype=np.int32)
-    label_of[found.ravel()] = labels.ravel()
+    label_of = labels_of_pieces(labels, count, found)
     homeless = (labels > 0) & (pieces == 0)
     if kept.size and homeless.any():
         pieces = spread_labels(pieces, homeless, inverse_depth, gap_per_m)
     return pieces, label_of[kept]
 
 
-__all__ = ["Joints", "connected_pieces", "joints", "large_pieces", "spread_labels"]
+__all__ = ["Joints", "connected_pieces", "joints", "labels_of_pieces", "large_pieces", "spread_labels"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +13,14 @@ from nurbseg.segmentation.components import give_away_small_pieces
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.curvature import all_metrics
 from nurbseg.segmentation.cut import Cut, normalized_cuts
-from nurbseg.segmentation.features import Normalization, normalization, normalized, raw_vectors
-from nurbseg.segmentation.inverse_depth import DepthGrid, depth_grid, fit_window, inverse_depth_image
+from nurbseg.segmentation.features import Normalization, normalized
+from nurbseg.segmentation.inverse_depth import fit_window, inverse_depth_image
 from nurbseg.segmentation.merge import merge_surfaces
 from nurbseg.segmentation.metrics import CURVATURE_METRICS, acceptance_ratio
 from nurbseg.segmentation.noise import explained_by_noise
-from nurbseg.segmentation.normals import facet_normals
-from nurbseg.segmentation.pieces import Joints, joints, large_pieces
+from nurbseg.segmentation.pieces import large_pieces
 from nurbseg.segmentation.registration import PointMap
+from nurbseg.segmentation.scene import Scene, node_normalization, prepare
 from nurbseg.segmentation.segments import (
     Node,
     SegmentationTree,
@@ -32,32 +32,6 @@ from nurbseg.segmentation.surface import Fit
 
 #: From so many places on, a segment is cut at a quarter of them.
 _MANY_PLACES = 12_000
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Scene:
-    """A frame on the grid on which splits are decided.
-
-    Parameters
-    ----------
-    grid : DepthGrid
-        Points and inverse depths.
-    joined : Joints
-        Neighbours without a gap between them.
-    raw : (h * w, 6 or 9) float32
-        Lab color, position and, where they are used, normal of every place that has a point.
-    whole : Normalization or None
-        Of the whole frame, where segments do not have their own.
-    """
-
-    grid: DepthGrid
-    joined: Joints
-    raw: NDArray[np.float32]
-    whole: Normalization | None
-
-    def places_min(self, config: SegmentationConfig) -> float:
-        """Return the fewest places of a segment."""
-        return config.piece_pixels_min * self.grid.points.pixel_share
 
 
 def segment_nurbseg(cloud: PointMap, config: SegmentationConfig) -> SegmentationTree:
@@ -99,50 +73,6 @@ def segment_nurbseg(cloud: PointMap, config: SegmentationConfig) -> Segmentation
     segments = finished_segments(nodes, leaves, number)
     objects, contacts = merge_surfaces(labels, scene.grid, [leaf.name for leaf in leaves], surfaces, config)
     return SegmentationTree(segments, cloud.valid.shape, objects, contacts, config.level)
-
-
-def prepare(cloud: PointMap, config: SegmentationConfig) -> Scene:
-    """Lay a frame out on the grid: inverse depth, joints and raw vectors.
-
-    Parameters
-    ----------
-    cloud : PointMap
-        The frame.
-    config : SegmentationConfig
-        Grid, windows, weights and gap.
-
-    Returns
-    -------
-    Scene
-        What the tree grows on.
-    """
-    grid = depth_grid(cloud, config.decimation)
-    places = np.flatnonzero(grid.valid)
-    raw = np.zeros((grid.valid.size, 9 if config.normal_weight > 0 else 6), dtype=np.float32)
-    raw[places, :6] = raw_vectors(cloud, grid.points.pixels(places))
-    if config.normal_weight > 0:
-        half = round(0.5 * config.normal_window_px * grid.unit_px / grid.step - 0.5)
-        normals = facet_normals(
-            grid.per_m,
-            grid.valid,
-            grid.rays,
-            step=grid.step,
-            window=2 * max(1, half) + 1,
-            noise_per_m=config.noise_per_m,
-        )
-        raw[:, 6:] = normals.reshape(-1, 3)
-    joined = joints(grid.per_m, grid.valid, config.depth_gap_per_m)
-    whole = None if config.normalize_nodes else _normalization(raw[places], config)
-    return Scene(grid, joined, raw, whole)
-
-
-def _normalization(raw: NDArray[np.float32], config: SegmentationConfig) -> Normalization:
-    return normalization(
-        raw,
-        config.geometry_weight,
-        color_weight=config.color_weight,
-        normal_weight=config.normal_weight,
-    )
 
 
 def grow(scene: Scene, config: SegmentationConfig) -> Node:
@@ -269,7 +199,7 @@ def best_split(
     points = scene.grid.points
     drawn = points.every_second(node.places) if node.places.size >= _MANY_PLACES else node.places
     raw = scene.raw.take(drawn, axis=0)
-    scale = scene.whole or _normalization(raw, config)
+    scale = scene.whole or node_normalization(raw, config)
     rng = np.random.default_rng([config.seed, int(f"1{node.name}", 2)])
     node.stop = StopReason.NO_CUT
     for cut in normalized_cuts(

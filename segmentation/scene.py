@@ -1,0 +1,104 @@
+"""A frame laid out on the grid on which splits are decided: points, joints between them, and raw vectors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.features import Normalization, lab, normalization
+from nurbseg.segmentation.inverse_depth import DepthGrid, depth_grid
+from nurbseg.segmentation.normals import facet_normals
+from nurbseg.segmentation.pieces import Joints, joints
+from nurbseg.segmentation.registration import PointMap
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """A frame on the grid on which splits are decided.
+
+    Parameters
+    ----------
+    grid : DepthGrid
+        Points and inverse depths.
+    joined : Joints
+        Neighbours without a gap between them.
+    raw : (h * w, 6 or 9) float32
+        Lab color, position and, where they are used, normal of every place that has a point.
+    whole : Normalization or None
+        Of the whole frame, where segments do not have their own.
+    """
+
+    grid: DepthGrid
+    joined: Joints
+    raw: NDArray[np.float32]
+    whole: Normalization | None
+
+    def places_min(self, config: SegmentationConfig) -> float:
+        """Return the fewest places of a segment."""
+        return config.piece_pixels_min * self.grid.points.pixel_share
+
+
+def prepare(cloud: PointMap, config: SegmentationConfig) -> Scene:
+    """Lay a frame out on the grid: inverse depth, joints and raw vectors.
+
+    Parameters
+    ----------
+    cloud : PointMap
+        The frame.
+    config : SegmentationConfig
+        Grid, windows, weights and gap.
+
+    Returns
+    -------
+    Scene
+        What the tree grows on.
+    """
+    grid = depth_grid(cloud, config.decimation)
+    color = cloud.color[:: grid.step, :: grid.step].reshape(-1, 3)
+    planes = [*np.moveaxis(lab(color), -1, 0), *grid.points.coordinates_m.reshape(3, -1)]
+    if config.normal_weight > 0:
+        half = round(0.5 * config.normal_window_px * grid.unit_px / grid.step - 0.5)
+        normals = facet_normals(
+            grid.per_m,
+            grid.valid,
+            grid.rays,
+            step=grid.step,
+            window=2 * max(1, half) + 1,
+            noise_per_m=config.noise_per_m,
+        )
+        planes += [*np.moveaxis(normals.reshape(-1, 3), -1, 0)]
+    merged = cv2.merge([np.ascontiguousarray(each) for each in planes])
+    raw = np.asarray(merged, dtype=np.float32).reshape(-1, len(planes))
+    joined = joints(grid.per_m, grid.valid, config.depth_gap_per_m)
+    whole = None if config.normalize_nodes else node_normalization(raw[grid.valid.ravel()], config)
+    return Scene(grid, joined, raw, whole)
+
+
+def node_normalization(raw: NDArray[np.float32], config: SegmentationConfig) -> Normalization:
+    """Measure what makes the vectors of a segment comparable, with the weights that are set.
+
+    Parameters
+    ----------
+    raw : (N, 6 or 9) float32
+        Of the scene.
+    config : SegmentationConfig
+        The weights.
+
+    Returns
+    -------
+    Normalization
+        Of these vectors.
+    """
+    return normalization(
+        raw,
+        config.geometry_weight,
+        color_weight=config.color_weight,
+        normal_weight=config.normal_weight,
+    )
+
+
+__all__ = ["Scene", "node_normalization", "prepare"]
