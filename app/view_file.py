@@ -9,6 +9,7 @@ from pathlib import Path
 import rerun as rr
 
 from nurbseg.app.outbox import Outbox
+from nurbseg.app.piped_file import PipedFile
 from nurbseg.app.view_entities import FrameEntities
 from nurbseg.app.view_stream import Item, LogLine, Opening, Writer
 from nurbseg.app.viewer_process import ViewError
@@ -43,7 +44,10 @@ class FileSink:
         self._error: BaseException | None = None
         self._stream = opening.stream()
         try:
-            self._stream.set_sinks(rr.FileSink(path))
+            # A full disk would leave Rerun stuck for good, in a flush as well as in ending the stream.
+            self._file = PipedFile(path)
+            with self._file as pipe:
+                self._stream.set_sinks(rr.FileSink(pipe))
         except (RuntimeError, OSError) as err:
             raise ViewError(f"{path}: cannot be created: {err}") from err
         self._thread = threading.Thread(target=self._run, args=(opening,), name=f"view-file-{path.name}")
@@ -86,14 +90,18 @@ class FileSink:
             If the file is not whole.
         """
         self._thread.join(max(0.0, deadline_s - time.monotonic()))
-        if self._thread.is_alive():
+        if not self._file.join(deadline_s - time.monotonic()):
+            self._check()
             raise ViewError(f"{self._path}: not written in time; its last frames are missing")
         self._check()
 
     def _check(self) -> None:
+        if self._file.error is not None:
+            reason = self._file.error.strerror
+            raise ViewError(f"{self._path}: cannot be written: {reason}") from self._file.error
         if self._error is None:
             return
-        # Rerun tells of a disk by RuntimeError; anything else is a frame that could not be drawn.
+        # Rerun tells of a stuck disk by RuntimeError; anything else is a frame that could not be drawn.
         trouble = isinstance(self._error, OSError | RuntimeError)
         problem = (
             "cannot be written" if trouble else f"a frame cannot be shown ({type(self._error).__name__})"
@@ -109,7 +117,7 @@ class FileSink:
                 for item in self._outbox.take(timeout_s=_FLUSH_S):
                     writer.write(item)
                 if time.monotonic() - flushed_s > _FLUSH_S:
-                    # So that a full disk is found out, and a killed process leaves what it wrote.
+                    # So that a killed process leaves what it wrote.
                     self._stream.flush(timeout_sec=_TIMEOUT_S)
                     flushed_s = time.monotonic()
             self._stream.flush(timeout_sec=_TIMEOUT_S)

@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
+from types import TracebackType
 from typing import Self
 from urllib.parse import quote
 
@@ -41,6 +42,8 @@ from nurbseg.app.viewer_process import (
 
 #: What closing may take: for the file to be whole, then for the viewer to take the last frame.
 _FILE_CLOSE_S, _VIEWER_CLOSE_S = 1.2, 0.3
+#: How long a file is waited for where nobody waits for the program's end.
+_FILE_PATIENCE_S = 15.0
 #: Frames over which the rate is taken.
 _RATE_FRAMES = 10
 #: A device clock past this (the year 2001) is a date.
@@ -171,8 +174,13 @@ class RerunView:
         for sink in self._sinks:
             sink.put_line(line)
 
-    def close(self) -> None:
+    def close(self, *, file_limit_s: float = _FILE_CLOSE_S) -> None:
         """End within 2 s: the file is whole and can be read; a viewer's window stays.
+
+        Parameters
+        ----------
+        file_limit_s : float
+            Longest wait for a disk, seconds. A block that ends by itself waits longer for a slow one.
 
         Raises
         ------
@@ -188,7 +196,7 @@ class RerunView:
             sink.begin_close()
         try:
             for file in self._files:
-                file.finish_close(time.monotonic() + _FILE_CLOSE_S)
+                file.finish_close(time.monotonic() + file_limit_s)
         finally:
             for viewer in self._viewers:
                 viewer.finish_close(time.monotonic() + _VIEWER_CLOSE_S)
@@ -199,8 +207,13 @@ class RerunView:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close(file_limit_s=_FILE_PATIENCE_S if exc_type is None else _FILE_CLOSE_S)
 
     @property
     def _sinks(self) -> tuple[ViewerSink | FileSink, ...]:

@@ -266,7 +266,18 @@ def test_a_full_disk_is_told_instead_of_losing_frames_silently(tmp_path: Path) -
     path = tmp_path / "full.rrd"
     with _start(_LIMITED_SAVER, path) as process:
         printed, _ = process.communicate(timeout=60.0)
-    assert printed.count(f"{path}: cannot be written") == 2
+    assert printed.count(f"{path}: cannot be written: File too large") == 2
+
+
+def test_a_full_disk_is_told_at_once_and_nothing_is_left_waiting(results: list[FrameResult]) -> None:
+    view = open_view(ViewConfig(mode="none", save="/dev/full"), CONFIG)
+    with FairClock() as clock, pytest.raises(ViewError, match="cannot be written: No space left on device"):
+        while True:
+            view.show(results[0])
+            assert clock.lap_s() < 10.0
+    with FairClock() as clock, pytest.raises(ViewError, match="No space left on device"):
+        view.close()
+    assert clock.elapsed_s < 2.0
 
 
 def test_nothing_to_show_and_nothing_to_save_costs_nothing(results: list[FrameResult]) -> None:

@@ -1,0 +1,80 @@
+"""A file that a library writes without ever learning that the disk is full."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import threading
+from pathlib import Path
+from types import TracebackType
+
+#: Read at once, and what the pipe may hold, bytes.
+_PART = 1 << 20
+
+
+class PipedFile:
+    """A file behind a pipe: what is written into the pipe goes to the file, or nowhere after an error.
+
+    Some libraries stand still for good once a file of theirs cannot be written. They are given a pipe in
+    its place, which is read to its end whatever becomes of the file. The block ends the wait for writers
+    that are still to come; the file ends when the last writer has closed the pipe.
+
+    Parameters
+    ----------
+    path : Path
+        The file; overwritten.
+
+    Attributes
+    ----------
+    error : OSError or None
+        Why the file could not be written; what came after is not in it.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be created.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.error: OSError | None = None
+        self._file = path.open("wb", buffering=0)
+        self._read_end, self._write_end = os.pipe()
+        with contextlib.suppress(OSError):
+            # A writer need not wait then for each 64 kB to be taken.
+            fcntl.fcntl(self._write_end, fcntl.F_SETPIPE_SZ, _PART)
+        self._thread = threading.Thread(target=self._copy, name=f"view-file-{path.name}")
+        self._thread.start()
+
+    def __enter__(self) -> Path:
+        """Return a path by which the pipe can be opened for writing."""
+        return Path(f"/proc/self/fd/{self._write_end}")
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        os.close(self._write_end)
+
+    def join(self, timeout_s: float) -> bool:
+        """Wait until the file has ended; return whether it has, within `timeout_s` seconds."""
+        self._thread.join(max(0.0, timeout_s))
+        return not self._thread.is_alive()
+
+    def _copy(self) -> None:
+        while part := memoryview(os.read(self._read_end, _PART)):
+            try:
+                while part and self.error is None:
+                    part = part[self._file.write(part) :]
+            except OSError as err:
+                self.error = err
+        os.close(self._read_end)
+        try:
+            self._file.close()
+        except OSError as err:
+            self.error = self.error or err
+
+
+__all__ = ["PipedFile"]
