@@ -22,7 +22,7 @@ from nurbseg.segmentation.splitting import segment_nurbseg
 from nurbseg.segmentation.surface import Fit
 
 #: The scene is another one where so much of it is not explained by the surfaces of the frame before.
-_CHANGED_SHARE = 0.3
+_CHANGED_SHARE = 0.4
 #: So many leaves waiting for a trial, over so many frames, are more than revising can do.
 _WAITING_MOST, _WAITING_FRAMES = 6, 15
 #: A leaf's own residuals, in units of their root mean square, beyond which a place is not its own.
