@@ -7,12 +7,15 @@ from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 
+from nurbseg.app.arguments import flags
 from nurbseg.app.config import AppConfig, SourceConfig
 from nurbseg.app.replay import Limited, Looped
 from nurbseg.drivers.calibration import read_camera_file
 from nurbseg.drivers.diagnosis import explain_no_camera
 from nurbseg.drivers.errors import BackendMissingError, DeviceNotFoundError, RecordingFormatError
+from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.registry import SourceOptions, open_source
+from nurbseg.drivers.settings import described_fields
 from nurbseg.drivers.source import FrameSource, Paced
 
 _log = logging.getLogger(__name__)
@@ -63,6 +66,7 @@ def open_chosen(app_config: AppConfig) -> OpenedSource:
         # A camera reads the file itself; a recording is told.
         if app_config.camera.calibration is not None:
             options = replace(options, calibration=read_camera_file(Path(app_config.camera.calibration)))
+        _warn_of_camera_settings(uri, app_config.camera)
         return _prepared(uri, app_config, options)
     try:
         return _prepared(uri, app_config, options)
@@ -137,6 +141,19 @@ def _opened_at_start(uri: str, config: SourceConfig, options: SourceOptions) -> 
     return source
 
 
+def _warn_of_camera_settings(uri: str, camera: DeviceOptions) -> None:
+    heeded = set() if uri.startswith(SYNTHETIC) else {"calibration"}
+    if uri.lower().endswith(".oni"):
+        heeded |= {"mirror", "registration"}
+    ignored = [
+        flags(each)[0]
+        for each in described_fields(DeviceOptions)
+        if each.name not in heeded and getattr(camera, each.name) != each.default
+    ]
+    if ignored:
+        _log.warning("%s: for cameras only, ignored for %s", ", ".join(ignored), uri)
+
+
 def _warn_of_replay_settings(config: SourceConfig) -> None:
     ignored = [
         flag
@@ -144,6 +161,8 @@ def _warn_of_replay_settings(config: SourceConfig) -> None:
             ("--speed", config.speed != 1),
             ("--loop", config.loop),
             ("--start", config.start > 0),
+            ("--intrinsics", config.intrinsics is not None),
+            ("--depth-scale", config.depth_scale is not None),
         )
         if is_set
     ]

@@ -151,6 +151,20 @@ def test_settings_of_a_replay_are_told_to_be_ignored_for_a_camera(
 ) -> None:
     open_chosen(chosen(device="any", loop=True, start=3, speed=0.0)).source.close()
     assert "--speed, --loop, --start: for replays only" in caplog.text
+    open_chosen(chosen(device="any", intrinsics=(60.0, 61.0, 31.5, 23.5))).source.close()
+    assert "--intrinsics: for replays only" in caplog.text
+
+
+def test_settings_of_a_camera_are_said_to_be_ignored_for_other_sources(
+    caplog: pytest.LogCaptureFixture, tmp_path: Path
+) -> None:
+    camera = DeviceOptions(mirror=True, depth_mode="qvga")
+    open_chosen(AppConfig(source=SourceConfig(replay=SMALL), camera=camera)).source.close()
+    assert f"--depth-mode, --mirror: for cameras only, ignored for {SMALL}" in caplog.text
+    caplog.clear()
+    with pytest.raises(DeviceNotFoundError):
+        open_chosen(AppConfig(source=SourceConfig(replay=str(tmp_path / "x.oni")), camera=camera))
+    assert "--depth-mode: for cameras only" in caplog.text
 
 
 def test_intrinsics_and_depth_scale_reach_the_recording(write_pairs: Callable[..., Path]) -> None:
