@@ -319,7 +319,7 @@ class _Revision:
         parts.sort(key=lambda each: -each.places.size)
         for part in parts:
             part.stop = part.stop or StopReason.CRITERION
-        leaf.node, leaf.surface, leaf.tried = parts[0], parts[0].fit.surface, float("nan")
+        leaf.node, leaf.surface, leaf.tried = parts[0], parts[0].fit.surface, 0.0
         for part in parts[1:]:
             self._growth.labels.ravel()[part.places] = self._growth.adopt(part)
 

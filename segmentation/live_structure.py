@@ -115,7 +115,9 @@ class Growth:
         """Make a leaf of a node; return its working number."""
         number = self._next
         self._next += 1
-        self.by_number[number] = self._make_leaf(node)
+        leaf = self.by_number[number] = self._make_leaf(node)
+        # Nobody has tried to split it yet.
+        leaf.tried = 0.0
         return number
 
     def absorb(self, gone: int, heir: int) -> None:
