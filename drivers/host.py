@@ -136,7 +136,7 @@ def _library_folders(environ: Mapping[str, str]) -> list[str]:
     """Return where the loader looks for the library, relative to the file system's root."""
     multiarch = sysconfig.get_config_var("MULTIARCH") or ""
     usual = [f"usr/lib/{multiarch}", f"lib/{multiarch}", "usr/local/lib", "usr/lib64", "usr/lib", "lib"]
-    own = [each.lstrip("/") for each in environ.get("LD_LIBRARY_PATH", "").split(":") if each]
+    own = [each.strip("/") for each in environ.get("LD_LIBRARY_PATH", "").split(":") if each]
     return [each for each in own + usual if not each.endswith("/")]
 
 

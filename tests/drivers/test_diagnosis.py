@@ -283,6 +283,16 @@ def test_the_library_is_missing(root, findings):
     assert "apt install libopenni2-0" in found[0].steps[0]
 
 
+@pytest.mark.parametrize("ending", ["", "/"])
+def test_the_loaders_own_folders_are_looked_through_first(root, ending):
+    root.write("opt/openni/libOpenNI2.so.0", "")
+    root.write("opt/openni/OpenNI2/Drivers/libPS1080.so", "")
+    system = describe(
+        backend=ScriptedUsb(), root=root.path, environ={"LD_LIBRARY_PATH": f":/opt/openni{ending}"}
+    )
+    assert system.host.installation.library == str(root.path / "opt/openni/libOpenNI2.so.0")
+
+
 def test_openni2_redist_names_a_folder_without_the_library(findings, tmp_path):
     found = findings(ScriptedDevice(XTION), environ={"OPENNI2_REDIST": "/opt/openni"})
     assert codes(found) == ["redist-wrong"]
