@@ -189,14 +189,24 @@ class Reconnecting(FrameSource):
                     logger.debug("still away: %s", err)
                 else:
                     self._source = source
-                    self.calibration = source.calibration
-                    self.metadata = source.metadata
+                    self._take_over(source)
                     self._go_on_recording(source)
                     return source
             now = self._clock()
             if now >= deadline:
                 raise FrameTimeoutError(f"the camera is away: no frame within {timeout_s:g} s")
             self._sleep(max(0.0, min(self._next_try_s, deadline) - now))
+
+    def _take_over(self, source: FrameSource) -> None:
+        before, self.calibration = self.calibration, source.calibration
+        # In place, for whoever has it already.
+        self.metadata.update(source.metadata)
+        if before.is_registered != source.calibration.is_registered:
+            logger.warning(
+                "%s %s depth to color now, other than before: a recording keeps the calibration it began with",
+                self.metadata.get("device", "the camera"),
+                "registers" if source.calibration.is_registered else "does not register",
+            )
 
     def _continued(self, frame: RGBDFrame) -> RGBDFrame:
         now_s = self._clock()

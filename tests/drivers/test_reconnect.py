@@ -163,6 +163,22 @@ def test_metadata_is_that_of_the_camera_in_use():
         assert source.metadata["device"] == "second"
 
 
+def test_a_camera_that_comes_back_with_another_registration_is_said_so(caplog):
+    clock = Clock()
+    apart, same = Camera(clock, 1), Camera(clock, 1)
+    offset = np.eye(4)
+    offset[0, 3] = -0.025
+    apart.calibration = Calibration(CALIBRATION.depth, CALIBRATION.color, offset)
+    with reconnecting(clock, Camera(clock, 0), World(clock, [same, apart])) as source:
+        told = source.metadata
+        source.read()
+        assert "register" not in caplog.text
+        source.read()
+        assert source.calibration is apart.calibration
+        assert source.metadata is told
+    assert "camera does not register depth to color now, other than before" in caplog.text
+
+
 def test_a_recording_goes_on_under_the_next_number():
     clock = Clock()
     back, again = Camera(clock, 1), Camera(clock, 1)
