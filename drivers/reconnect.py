@@ -203,7 +203,7 @@ class Reconnecting(FrameSource):
         self.metadata.update(source.metadata)
         if before.is_registered != source.calibration.is_registered:
             logger.warning(
-                "%s %s depth to color now, other than before: recordings keep the calibration they began with",
+                "%s %s depth to color now, other than before: recordings keep the calibration they had",
                 self.metadata.get("device", "the camera"),
                 "registers" if source.calibration.is_registered else "does not register",
             )
