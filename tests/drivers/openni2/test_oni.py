@@ -339,7 +339,7 @@ def test_garbage_never_crashes_or_hangs(recording, rng, monkeypatch):
                     assert frame.depth_mm.shape == (480, 640)
         except (RecordingFormatError, FrameTimeoutError) as err:
             assert "clip.oni" in str(err)
-        assert time.monotonic() - begun < 20
+        assert time.monotonic() - begun < 60
 
 
 def test_a_player_that_crashes_is_a_damaged_file(recording):

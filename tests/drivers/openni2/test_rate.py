@@ -5,6 +5,7 @@ import threading
 
 import numpy as np
 import pytest
+from busy_computer import skip_if_busy
 from virtual_camera import frame_number
 
 from nurbseg.drivers.openni2.device import DeviceSource
@@ -57,8 +58,8 @@ def fewest_lost(read, tries=3):
             break
     tried = f"frames lost: {results}, load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
     print(tried)
-    if min(results) > 0 and os.getloadavg()[0] > 2 * (os.cpu_count() or 1) + 1:
-        pytest.skip(f"other programs keep this computer too busy to keep up with a camera; {tried}")
+    if min(results) > 0:
+        skip_if_busy(tried)
     return min(results)
 
 

@@ -89,19 +89,19 @@ def test_a_stalled_camera_times_out_and_then_goes_on(virtual_cameras, open_camer
 
 def test_a_camera_that_stays_silent_is_taken_for_lost(virtual_cameras, open_camera):
     camera = virtual_cameras.add()
-    with open_camera(options=DeviceOptions(silence_limit_s=0.5)) as source:
+    with open_camera(options=DeviceOptions(silence_limit_s=2.0)) as source:
         source.read()
         camera.set(plugged=0, unplug_silently=1)
-        assert read_until_lost(source) < 1.0
-        with pytest.raises(DeviceLostError, match=r"no depth and color for 0.5 s"):
+        assert read_until_lost(source) < 2.5
+        with pytest.raises(DeviceLostError, match=r"no depth and color for 2 s"):
             source.read()
 
 
 def test_time_without_reading_is_no_silence(virtual_cameras, open_camera):
     virtual_cameras.add()
-    with open_camera(options=DeviceOptions(silence_limit_s=0.1)) as source:
+    with open_camera(options=DeviceOptions(silence_limit_s=1.0)) as source:
         source.read()
-        time.sleep(0.3)
+        time.sleep(1.5)
         source.read()
 
 
@@ -145,9 +145,11 @@ def test_depth_and_color_are_paired_by_time_not_by_arrival(virtual_cameras):
 def test_images_too_far_apart_in_time_are_no_pair(virtual_cameras):
     virtual_cameras.add(color_delay_us=15000)
     with DeviceSource(options=DeviceOptions(sync=False), pairing_limit_s=0.005) as source:
-        with pytest.raises(FrameTimeoutError):
-            source.read(timeout_s=0.5)
-        assert source.half_pairs > 10
+        deadline = time.monotonic() + 60.0
+        while source.half_pairs <= 10:
+            assert time.monotonic() < deadline
+            with pytest.raises(FrameTimeoutError):
+                source.read(timeout_s=0.5)
 
 
 @pytest.mark.parametrize("jump_us", [5_000_000, -100_000])
@@ -155,7 +157,7 @@ def test_a_jump_of_the_camera_clock_does_not_stop_frames(virtual_cameras, open_c
     virtual_cameras.add(time_jump_at=15, time_jump_us=jump_us)
     with open_camera() as source:
         stamps = [source.read().timestamp_ns for _ in range(25)]
-        assert source.half_pairs <= 2
+        assert source.half_pairs <= 2 + source.missed
     steps = np.diff(stamps)
     assert np.any(np.abs(steps - jump_us * 1000) < 200_000_000)
 
@@ -192,7 +194,7 @@ def test_frames_go_on_when_the_camera_is_back(virtual_cameras, caplog):
     assert [frame.index for frame in frames] == list(range(len(frames)))
     assert np.all(np.diff([frame.timestamp_ns for frame in frames]) > 0)
     away_s = (after[0].timestamp_ns - before[-1].timestamp_ns) * 1e-9
-    assert 0.4 < away_s < 10
+    assert 0.4 < away_s < 60
     messages = [record.message for record in caplog.records]
     assert any("waiting until it is back" in message for message in messages)
     assert any("PrimeSense PS1080 is back" in message for message in messages)
