@@ -118,3 +118,23 @@ def test_no_two_segments_of_a_frame_share_an_identity(seed: int) -> None:
         state = carry_identities(state, labels, cloud, remembered=2)
         assert len(set(state.of_label.values())) == len(state.of_label)
         assert set(state.of_label) == set(np.unique(labels[labels > 0]))
+
+
+def test_what_comes_back_bit_by_bit_is_known_by_what_was_seen_of_it_at_its_best() -> None:
+    whole = (50, 20, 16, 20, 240)
+    first = state = carry_identities(None, *scene(whole))
+    for width in (12, 8, 4):
+        state = carry_identities(state, *scene((50, 20, width, 20, 240)))
+    state = carry_identities(state, *scene())
+    back = carry_identities(state, *scene((52, 20, 5, 20, 240)))
+    assert back.of_label[2] == first.of_label[2]
+
+
+def test_identities_go_along_with_what_is_known_of_the_motion() -> None:
+    first = carry_identities(None, *scene((10, 10, 10, 10, 240)))
+    labels, cloud = scene((40, 30, 10, 10, 10))
+    alone = carry_identities(first, labels, cloud)
+    assert alone.of_label[2] != first.of_label[2]
+    followed = carry_identities(first, labels, cloud, carried=first.image(labels))
+    assert followed.of_label == first.of_label
+    assert followed.events == ()
