@@ -348,7 +348,9 @@ def test_the_real_viewer_shows_every_part_without_complaint(
     finally:
         close_in_time(view)
     names = {each.name for each in state.views}
-    assert {"Tree", "Color", "Depth", "Ground truth", "Segments on color", "Latency (ms)", "Log"} <= names
+    assert {"Tree", "Color", "Depth", "Ground truth", "Latency (ms)", "Log"} <= names
+    overlays = {"Objects on color", "Surfaces on color"} if result.tree.objects else {"Segments on color"}
+    assert overlays <= names
     assert [(each.name, each.reports) for each in state.views if each.reports] == []
 
 
