@@ -12,14 +12,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
 from session_end import pytest_sessionfinish, pytest_unconfigure
 
 from nurbseg.drivers.source import FrameSource
 
 __all__ = ["nothing_is_left_open", "pytest_sessionfinish", "pytest_unconfigure", "real_data"]
 
+# How fast examples are computed says nothing on a busy computer.
+settings.register_profile("any speed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("any speed")
+
 #: How long a thread may take to end after its test, seconds.
-_GRACE_S = 2.0
+_GRACE_S = 10.0
 _DATA_VARIABLE = "NURBSEG_DATA"
 
 
