@@ -319,18 +319,25 @@ def test_stages_that_come_later_are_plotted_too(tmp_path: Path, results: list[Fr
     assert saved.static["plots/latency/merge_leaves"]["SeriesLines:names"] == ["merge leaves"]
 
 
+# As the command does: a handler that notes the signal, so that no destructor can swallow the interruption
+# and no foreign thread can keep it from the main one.
 _SAVER = """
-    import sys, time
+    import signal, sys, threading, time
     from nurbseg.app.view import open_view
     from nurbseg.app.view_config import ViewConfig
     from tests.fakes.small_scene import CONFIG, small_result
 
+    interrupted = threading.Event()
+    signal.signal(signal.SIGINT, lambda *_: interrupted.set())
     result = small_result()
     with open_view(ViewConfig(mode="none", save=sys.argv[1]), CONFIG) as view:
         for _ in range(5):
             view.show(result)
         print("shown", flush=True)
-        time.sleep(60.0)
+        deadline_s = time.monotonic() + 60.0
+        while not interrupted.wait(0.02) and time.monotonic() < deadline_s:
+            pass
+        raise KeyboardInterrupt
 """
 
 
