@@ -1,0 +1,46 @@
+"""Loops over pixels as machine code: compiled when first called, kept on disk, run without Python's lock."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
+
+import numba
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+#: What the compiler may reorder: sums, and products within them; not what a NaN or an infinity means.
+_FASTMATH = {"reassoc", "contract", "nsz"}
+
+
+def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Compile a function of arrays and numbers for the types that it is called with.
+
+    The code is kept beside the source file, or in the user's cache directory where that cannot be written, so
+    that only the first call on a computer waits for the compiler. What is kept is held against the source
+    file of the function alone: a compiled function calls compiled functions of its own file only. Indices are
+    not checked.
+
+    Parameters
+    ----------
+    function : callable
+        Of what Numba compiles.
+
+    Returns
+    -------
+    callable
+        The same, compiled.
+    """
+    try:
+        return _compiled(function, cache=True)
+    except RuntimeError:
+        # Nowhere to keep it: each process compiles for itself.
+        return _compiled(function, cache=False)
+
+
+def _compiled(function: Callable[_P, _R], *, cache: bool) -> Callable[_P, _R]:
+    return numba.njit(cache=cache, nogil=True, error_model="numpy", fastmath=_FASTMATH)(function)
+
+
+__all__ = ["compiled"]
