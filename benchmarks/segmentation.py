@@ -1,4 +1,4 @@
-"""Time the segmentation by stage and by size, beside scikit-image's felzenszwalb on the same frames.
+"""Time the segmentation by stage, size and splits, beside scikit-image's felzenszwalb on the same frames.
 
 Examples
 --------
@@ -138,6 +138,41 @@ def full_frame_fit(config: SegmentationConfig, repeat: int) -> float:
     return milliseconds(lambda: fit_surface(cloud, pixels, config), repeat)
 
 
+def by_size(frames: list[RGBDFrame], config: SegmentationConfig, repeat: int) -> None:
+    """Print how the time grows with the number of pixels."""
+    if not frames:
+        return
+    print("\nsize    pixels     tree   per megapixel")
+    sums = []
+    for name, (width, height) in SIZES.items():
+        clouds = [register(resized(frame, width, height)) for frame in frames]
+        total = statistics.mean(
+            milliseconds(lambda cloud=cloud: tree.segment(cloud, config), repeat) for cloud in clouds
+        )
+        sums.append((width * height, total))
+        print(f"{name:6} {width * height:8} {total:8.1f} {1e6 * total / (width * height):10.1f}")
+    exponent = np.polyfit(*np.log(np.array(sums)).T, 1)[0]
+    print(f"time grows with pixels to the power of {exponent:.2f}")
+
+
+def by_splits(frame: RGBDFrame, config: SegmentationConfig, repeat: int) -> None:
+    """Print how the time grows with the number of splits, for as many as the frame has."""
+    print("\nsplits allowed   made     tree   per split")
+    cloud = register(frame)
+    found: list[tuple[int, float]] = []
+    for allowed in (2, 4, 8, 16, 32, 64):
+        limited = replace(config, splits_max=allowed)
+        splits = sum(each.cut is not None for each in tree.segment(cloud, limited).segments)
+        if splits == 0 or (found and splits == found[-1][0]):
+            break
+        total = milliseconds(lambda limited=limited: tree.segment(cloud, limited), repeat)
+        found.append((splits, total))
+        print(f"{allowed:14} {splits:6} {total:8.1f} {total / splits:11.2f}")
+    if len(found) > 1:
+        exponent = np.polyfit(*np.log(np.array(found)).T, 1)[0]
+        print(f"time grows with splits to the power of {exponent:.2f}")
+
+
 def main() -> None:
     """Run and print the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -190,21 +225,8 @@ def main() -> None:
     print(*(f"{each:9.1f}" for each in medians[2:-2]), " " * 9, f"{medians[-2]:7.1f} {medians[-1]:6.3f}")
     print(f"\nfull VGA frame, 20x20 control points, residuals: {full_frame_fit(config, 15):.1f} ms")
 
-    print("\nsize    pixels     tree   per megapixel")
-    chosen = [frame for frame in frames if frame.calibration.is_registered][:3]
-    sums = []
-    for name, (width, height) in SIZES.items():
-        if chosen:
-            clouds = [register(resized(frame, width, height)) for frame in chosen]
-            total = statistics.mean(
-                milliseconds(lambda cloud=cloud: tree.segment(cloud, config), arguments.repeat)
-                for cloud in clouds
-            )
-            sums.append((width * height, total))
-            print(f"{name:6} {width * height:8} {total:8.1f} {1e6 * total / (width * height):10.1f}")
-    if len(sums) > 1:
-        exponent = np.polyfit(*np.log(np.array(sums)).T, 1)[0]
-        print(f"time grows with pixels to the power of {exponent:.2f}")
+    by_size([frame for frame in frames if frame.calibration.is_registered][:3], config, arguments.repeat)
+    by_splits(max(zip(frames, rows, strict=True), key=lambda each: each[1][1])[0], config, arguments.repeat)
 
     if arguments.literal:
         import literal
