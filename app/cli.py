@@ -69,6 +69,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 def _run(arguments: Arguments, interruption: Interruption) -> int:
     # Late, so that --help need not wait for numpy and OpenCV.
+    from nurbseg.app.compilation import told_compilation
     from nurbseg.app.export import ExportError
     from nurbseg.app.run import SetupError, run
     from nurbseg.app.viewer_process import ViewError
@@ -76,7 +77,8 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
 
     config = arguments.config
     try:
-        report = run(config, interruption)
+        with told_compilation():
+            report = run(config, interruption)
     except SetupError as err:
         _log.error("%s", err, exc_info=arguments.verbosity > 0)
         return NOT_STARTED
