@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import Level, SegmentationConfig
-from nurbseg.segmentation.cut import Cut
-from nurbseg.segmentation.surface import Fit
 
 if TYPE_CHECKING:
+    from nurbseg.segmentation.cut import Cut
     from nurbseg.segmentation.merge import Contact, SceneObject
+    from nurbseg.segmentation.surface import Fit
 
 
 class StopReason(StrEnum):
