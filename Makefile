@@ -71,7 +71,7 @@ define install
 rm -rf build
 $(BIN)/pip install --quiet --no-build-isolation --no-deps --force-reinstall .
 # The inner loops are compiled now, so that no run waits for that.
-$(BIN)/nurbseg-live -q --replay 'synthetic:?frames=4' --speed 0 --temporal on --view none --save $(VENV)/first.rrd
+$(BIN)/nurbseg-live --quiet --replay 'synthetic:?frames=4' --speed 0 --temporal on --view none --save $(VENV)/first.rrd
 touch $@
 endef
 
