@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.surface_samples import Lattices, evaluate_vertices
-from nurbseg.segmentation.surface import Fit
-from nurbseg.segmentation.tree import SegmentationTree
+from nurbseg.segmentation.compiled import compiled
+from nurbseg.segmentation.segments import SegmentationTree
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,89 +63,148 @@ def surface_mesh(tree: SegmentationTree, labels: NDArray[np.uint16], step_px: fl
     surfaces = [surface for _, _, surface in shown]
     label_of = np.array([label for label, _, _ in shown], dtype=np.uint16)
     lattices = Lattices.over(surfaces, step_px)
-    surface, row, column = lattices.places()
+    first, step, count = lattices.first, lattices.step, lattices.count
 
-    triangles = _trimmed_triangles(lattices, surface, row, column, label_of, labels)
-    used = np.zeros(surface.size, dtype=np.bool_)
-    used[triangles] = True
-    renumbered = np.cumsum(used, dtype=np.int64) - 1
-    triangles = renumbered[triangles]
+    row_of = np.empty(lattices.vertices, dtype=np.int64)
+    corners = np.empty((2 * lattices.vertices, 3), dtype=np.uint32)
+    cut = _trimmed_triangles(np.ascontiguousarray(labels), label_of, first, step, count, row_of, corners)
+    triangles = corners[:cut].copy()
+    wanted = row_of >= 0
+    vertices = evaluate_vertices(surfaces, lattices, wanted)
+    normals = np.zeros_like(vertices)
+    _normals(vertices, triangles, normals)
+    residuals = np.zeros(len(vertices), dtype=np.float32)
+    if fits:
+        _mean_residuals(
+            np.concatenate([fit.pixels for fit in fits]),
+            np.concatenate([fit.residuals_m for fit in fits]),
+            np.array([fit.pixels.size for fit in fits], dtype=np.intp),
+            labels.shape[1],
+            first,
+            step,
+            count,
+            row_of,
+            residuals,
+        )
+    sizes = count[:, 0] * count[:, 1]
+    return SurfaceMesh(vertices, normals, triangles, residuals, np.repeat(label_of, sizes)[wanted])
 
-    vertices = evaluate_vertices(surfaces, lattices, surface[used], row[used], column[used])
-    return SurfaceMesh(
-        vertices_m=vertices,
-        normals=_normals(vertices, triangles),
-        triangles=triangles.astype(np.uint32),
-        residuals_m=_mean_residuals(fits, lattices, labels.shape[1], surface.size)[used],
-        labels=label_of[surface[used]],
-    )
 
-
+@compiled
 def _trimmed_triangles(
-    lattices: Lattices,
-    surface: NDArray[np.intp],
-    row: NDArray[np.intp],
-    column: NDArray[np.intp],
-    label_of: NDArray[np.uint16],
     labels: NDArray[np.uint16],
-) -> NDArray[np.intp]:
-    """Return the triangles, two for a cell, at whose centroid the image has the surface's label."""
-    columns = lattices.count[surface, 1]
-    corner = np.flatnonzero((row < lattices.count[surface, 0] - 1) & (column < columns - 1))
-    of = surface[corner]
-    below = corner + columns[corner]
-    at = np.stack([row[corner], column[corner]], axis=-1)
-    kept = []
-    for third, triangle in ((1 / 3, (corner, below, corner + 1)), (2 / 3, (corner + 1, below, below + 1))):
-        place = np.rint(lattices.first[of] + (at + third) * lattices.step[of]).astype(np.intp)
-        inside = labels[place[:, 0], place[:, 1]] == label_of[of]
-        kept.append(np.stack([each[inside] for each in triangle], axis=-1))
-    return np.concatenate(kept)
+    label_of: NDArray[np.uint16],
+    first: NDArray[np.float64],
+    step: NDArray[np.float64],
+    count: NDArray[np.intp],
+    row_of: NDArray[np.int64],
+    corners: NDArray[np.uint32],
+) -> int:
+    """Keep the triangles, two for a cell, at whose centroid the image has the surface's label.
+
+    Fills `row_of` with each vertex's row among those that a triangle needs, -1 for the others, and `corners`
+    with such rows; returns the number of triangles.
+    """
+    row_of[:] = -1
+    kept = start = 0
+    for surface in range(label_of.size):
+        rows, columns = count[surface]
+        for row in range(rows - 1):
+            for column in range(columns - 1):
+                corner = start + row * columns + column
+                for third in (1, 2):
+                    v = int(np.rint(first[surface, 0] + (row + third / 3.0) * step[surface, 0]))
+                    u = int(np.rint(first[surface, 1] + (column + third / 3.0) * step[surface, 1]))
+                    if labels[v, u] != label_of[surface]:
+                        continue
+                    corners[kept, 0] = corner + third - 1
+                    corners[kept, 1] = corner + columns
+                    corners[kept, 2] = corner + 1 if third == 1 else corner + columns + 1
+                    for each in corners[kept]:
+                        row_of[each] = 0
+                    kept += 1
+        start += rows * columns
+    needed = 0
+    for vertex in range(row_of.size):
+        if row_of[vertex] == 0:
+            row_of[vertex] = needed
+            needed += 1
+    for triangle in range(kept):
+        for place in range(3):
+            corners[triangle, place] = row_of[corners[triangle, place]]
+    return kept
 
 
+@compiled
 def _mean_residuals(
-    fits: Sequence[Fit], lattices: Lattices, width: int, vertices: int
-) -> NDArray[np.float32]:
+    pixels: NDArray[np.intp],
+    residuals_m: NDArray[np.float64],
+    sizes: NDArray[np.intp],
+    width: int,
+    first: NDArray[np.float64],
+    step: NDArray[np.float64],
+    count: NDArray[np.intp],
+    row_of: NDArray[np.int64],
+    means: NDArray[np.float32],
+) -> None:
     """Average the residuals around each vertex; where there is none, those of the whole fit.
 
     A surface carried over from the frame before explains pixels beyond its window, too: no vertex is there.
     """
-    if not fits:
-        return np.zeros(0, dtype=np.float32)
-    sizes = [fit.pixels.size for fit in fits]
-    of = np.repeat(np.arange(len(fits)), sizes)
-    residuals = np.concatenate([fit.residuals_m for fit in fits])
-    rows, columns = np.divmod(np.concatenate([fit.pixels for fit in fits]), width)
-    scale = 1.0 / np.maximum(lattices.step, 1e-9)
-    nearest = [
-        np.floor((at - lattices.first[of, axis]) * scale[of, axis] + 0.5).astype(np.intp)
-        for axis, at in enumerate((rows, columns))
-    ]
-    inside = np.ones(of.size, dtype=np.bool_)
-    for axis in (0, 1):
-        inside &= (nearest[axis] >= 0) & (nearest[axis] < lattices.count[of, axis])
-    vertex = (lattices.start[of] + nearest[0] * lattices.count[of, 1] + nearest[1])[inside]
-    count = np.bincount(vertex, minlength=vertices)
-    total = np.bincount(vertex, weights=residuals[inside], minlength=vertices)
-    means = np.array([fit.residuals_m.mean() for fit in fits])
-    mean = np.repeat(means, lattices.count[:, 0] * lattices.count[:, 1])
-    np.divide(total, count, out=mean, where=count > 0)
-    return mean.astype(np.float32)
+    total = np.zeros(means.size)
+    number = np.zeros(means.size)
+    begin = start = 0
+    for surface in range(sizes.size):
+        rows, columns = count[surface]
+        per_row, per_column = 1.0 / max(step[surface, 0], 1e-9), 1.0 / max(step[surface, 1], 1e-9)
+        of_fit = 0.0
+        for place in range(begin, begin + sizes[surface]):
+            of_fit += residuals_m[place]
+            v, u = pixels[place] // width, pixels[place] % width
+            row = int(np.floor((v - first[surface, 0]) * per_row + 0.5))
+            column = int(np.floor((u - first[surface, 1]) * per_column + 0.5))
+            if 0 <= row < rows and 0 <= column < columns:
+                vertex = row_of[start + row * columns + column]
+                if vertex >= 0:
+                    total[vertex] += residuals_m[place]
+                    number[vertex] += 1.0
+        for place in range(start, start + rows * columns):
+            vertex = row_of[place]
+            if vertex >= 0:
+                mean = (
+                    total[vertex] / number[vertex] if number[vertex] > 0 else of_fit / max(sizes[surface], 1)
+                )
+                means[vertex] = mean
+        begin += sizes[surface]
+        start += rows * columns
 
 
-def _normals(vertices: NDArray[np.float32], triangles: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Return the unit normal of each vertex, the mean of its triangles' by area, towards the camera."""
-    a, b, c = (vertices[triangles[:, corner]] for corner in range(3))
-    (ux, uy, uz), (vx, vy, vz) = (b - a).T, (c - a).T
-    corners = triangles.T.ravel()
-    normals = np.empty((len(vertices), 3), dtype=np.float32)
-    for axis, along in enumerate((uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx)):
-        normals[:, axis] = np.bincount(corners, weights=np.tile(along, 3), minlength=len(vertices))
-    length = np.sqrt(np.einsum("ij,ij->i", normals, normals))
-    length[length == 0] = 1.0
-    length[np.einsum("ij,ij->i", normals, vertices) > 0] *= -1.0
-    normals /= length[:, np.newaxis]
-    return normals
+@compiled
+def _normals(
+    vertices: NDArray[np.float32], triangles: NDArray[np.uint32], normals: NDArray[np.float32]
+) -> None:
+    """Add up the normals of each vertex's triangles by area, as unit vectors towards the camera."""
+    for triangle in range(triangles.shape[0]):
+        a, b, c = (
+            vertices[triangles[triangle, 0]],
+            vertices[triangles[triangle, 1]],
+            vertices[triangles[triangle, 2]],
+        )
+        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        for corner in triangles[triangle]:
+            normals[corner, 0] += uy * vz - uz * vy
+            normals[corner, 1] += uz * vx - ux * vz
+            normals[corner, 2] += ux * vy - uy * vx
+    for vertex in range(vertices.shape[0]):
+        x, y, z = normals[vertex]
+        length = np.sqrt(x * x + y * y + z * z)
+        if length == 0.0:
+            continue
+        px, py, pz = vertices[vertex]
+        if x * px + y * py + z * pz > 0.0:
+            length = -length
+        normals[vertex, 0], normals[vertex, 1], normals[vertex, 2] = x / length, y / length, z / length
 
 
 __all__ = ["SurfaceMesh", "surface_mesh"]

@@ -1,18 +1,18 @@
 """Many surfaces evaluated at once, each on its own lattice: what drawing a frame's surfaces needs.
 
-A call for each of fifty small surfaces costs more than the arithmetic does; here all positions of all
-surfaces pass through each operation together.
+A call for each of fifty small surfaces costs more than the arithmetic does; here all surfaces lie end to end
+in a few arrays, and one compiled loop goes through them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.surface import NurbsSurface
 
 
@@ -41,27 +41,20 @@ class Lattices:
     def over(cls, surfaces: Sequence[NurbsSurface], step_px: float) -> Lattices:
         """Lay a lattice over each surface's window, its border included, with steps near `step_px` pixels."""
         windows = np.array([surface.window for surface in surfaces], dtype=np.float64).reshape(-1, 4)
-        first = windows[:, :2]
+        first = np.ascontiguousarray(windows[:, :2])
         extent = np.maximum(windows[:, 2:] - 1.0 - first, 0.0)
         count = np.maximum(np.rint(extent / step_px).astype(np.intp) + 1, 2)
         sizes = count[:, 0] * count[:, 1]
         return cls(first, extent / (count - 1), count, np.cumsum(sizes) - sizes)
 
-    def places(self) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-        """Return surface, row and column of every vertex, (V,) each."""
-        sizes = self.count[:, 0] * self.count[:, 1]
-        surface = np.repeat(np.arange(len(sizes)), sizes)
-        within = np.arange(int(sizes.sum())) - self.start[surface]
-        row, column = np.divmod(within, self.count[surface, 1])
-        return surface, row, column
+    @property
+    def vertices(self) -> int:
+        """Number of the vertices of all lattices."""
+        return int((self.count[:, 0] * self.count[:, 1]).sum())
 
 
 def evaluate_vertices(
-    surfaces: Sequence[NurbsSurface],
-    lattices: Lattices,
-    surface: NDArray[np.intp],
-    row: NDArray[np.intp],
-    column: NDArray[np.intp],
+    surfaces: Sequence[NurbsSurface], lattices: Lattices, wanted: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
     """Evaluate surfaces of one degree at vertices of their lattices.
 
@@ -71,13 +64,13 @@ def evaluate_vertices(
         All of the same degree.
     lattices : Lattices
         Of these surfaces.
-    surface, row, column : (V,) intp
-        Which vertices.
+    wanted : (V,) bool
+        Which of the lattices' vertices.
 
     Returns
     -------
-    (V, 3) float32
-        Points, metres.
+    (N, 3) float32
+        Points, metres, of the wanted vertices in their order.
 
     Raises
     ------
@@ -91,77 +84,99 @@ def evaluate_vertices(
     degrees = {each.degree for each in surfaces}
     if len(degrees) > 1:
         raise ValueError(f"surfaces: expected one degree, got {sorted(degrees)}")
-    if not surfaces:
-        return np.zeros((0, 3), dtype=np.float32)
-    degree_u, degree_v = degrees.pop()
-    basis_v, span_v, start_v = _bases([each.knots_v for each in surfaces], degree_v, lattices, 0)
-    basis_u, span_u, start_u = _bases([each.knots_u for each in surfaces], degree_u, lattices, 1)
-
-    # The control points of all surfaces in one list, in homogeneous coordinates.
-    net = np.concatenate(
-        [
-            np.concatenate(
-                [each.control_points_m * each.weights[..., np.newaxis], each.weights[..., np.newaxis]],
-                axis=-1,
-            ).reshape(-1, 4)
-            for each in surfaces
-        ]
-    ).astype(np.float32)
-    width = np.array([each.weights.shape[1] for each in surfaces])
-    net_start = np.array(list(accumulate((each.weights.size for each in surfaces), initial=0)))[:-1]
-
-    at_v, at_u = start_v[surface] + row, start_u[surface] + column
-    corner = net_start[surface] + span_v[at_v] * width[surface] + span_u[at_u]
-    weight_v, weight_u = basis_v[at_v], basis_u[at_u]
-    total = np.zeros((len(surface), 4), dtype=np.float32)
-    for a in range(degree_v + 1):
-        for b in range(degree_u + 1):
-            share = weight_v[:, a] * weight_u[:, b]
-            total += share[:, np.newaxis] * net[corner + b]
-        corner = corner + width[surface]
-    return total[:, :3] / total[:, 3:]
+    points = np.empty((np.count_nonzero(wanted), 3), dtype=np.float32)
+    if surfaces:
+        degree_u, degree_v = degrees.pop()
+        _evaluate(
+            np.concatenate([each.knots_u for each in surfaces]),
+            np.concatenate([each.knots_v for each in surfaces]),
+            np.concatenate([each.control_points_m.reshape(-1, 3) for each in surfaces]),
+            np.concatenate([each.weights.ravel() for each in surfaces]),
+            np.array([each.weights.shape for each in surfaces], dtype=np.intp),
+            degree_u,
+            degree_v,
+            lattices.first,
+            lattices.step,
+            lattices.count,
+            wanted,
+            points,
+        )
+    return points
 
 
-def _bases(
-    knots: Sequence[NDArray[np.float64]], degree: int, lattices: Lattices, axis: int
-) -> tuple[NDArray[np.float32], NDArray[np.intp], NDArray[np.intp]]:
-    """Evaluate the basis functions that are not 0 at each row (axis 0) or column (axis 1) of all lattices.
+@compiled
+def _evaluate(
+    knots_u: NDArray[np.float64],
+    knots_v: NDArray[np.float64],
+    control: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    shapes: NDArray[np.intp],
+    degree_u: int,
+    degree_v: int,
+    first: NDArray[np.float64],
+    step: NDArray[np.float64],
+    count: NDArray[np.intp],
+    wanted: NDArray[np.bool_],
+    points: NDArray[np.float32],
+) -> None:
+    """Fill `points`: for each lattice row a curve of homogeneous points, evaluated at the columns."""
+    widest, most_columns = shapes[:, 1].max(), count[:, 1].max()
+    basis_v = np.empty(degree_v + 1)
+    bases_u = np.empty((most_columns, degree_u + 1))
+    spans_u = np.empty(most_columns, dtype=np.intp)
+    curve = np.empty((widest, 4))
+    at_u = at_v = net = vertex = done = 0
+    for surface in range(shapes.shape[0]):
+        height, width = shapes[surface]
+        own_u = knots_u[at_u : at_u + width + degree_u + 1]
+        own_v = knots_v[at_v : at_v + height + degree_v + 1]
+        for column in range(count[surface, 1]):
+            u = first[surface, 1] + column * step[surface, 1]
+            spans_u[column] = _basis(own_u, degree_u, u, bases_u[column])
+        for row in range(count[surface, 0]):
+            span_v = _basis(own_v, degree_v, first[surface, 0] + row * step[surface, 0], basis_v)
+            curve[:width] = 0.0
+            for a in range(degree_v + 1):
+                begin = net + (span_v + a) * width
+                for b in range(width):
+                    share = basis_v[a] * weights[begin + b]
+                    for axis in range(3):
+                        curve[b, axis] += share * control[begin + b, axis]
+                    curve[b, 3] += share
+            for column in range(count[surface, 1]):
+                if wanted[vertex]:
+                    x = y = z = w = 0.0
+                    for b in range(degree_u + 1):
+                        at = curve[spans_u[column] + b]
+                        x += bases_u[column, b] * at[0]
+                        y += bases_u[column, b] * at[1]
+                        z += bases_u[column, b] * at[2]
+                        w += bases_u[column, b] * at[3]
+                    points[done, 0], points[done, 1], points[done, 2] = x / w, y / w, z / w
+                    done += 1
+                vertex += 1
+        at_u += width + degree_u + 1
+        at_v += height + degree_v + 1
+        net += height * width
 
-    Returns
-    -------
-    values : (M, degree + 1) float32
-        Of the functions.
-    first : (M,) intp
-        Index of the first of them.
-    start : (L,) intp
-        Where the rows or columns of each surface begin.
-    """
-    count = lattices.count[:, axis]
-    start = np.cumsum(count) - count
-    surface = np.repeat(np.arange(len(count)), count)
-    within = np.arange(int(count.sum())) - start[surface]
-    at = lattices.first[surface, axis] + within * lattices.step[surface, axis]
 
-    first = np.empty(at.size, dtype=np.intp)
-    for each, begin, size in zip(knots, start, count, strict=True):
-        inner = each[degree + 1 : each.size - degree - 1]
-        first[begin : begin + size] = np.searchsorted(inner, at[begin : begin + size], side="right")
-    knots_start = np.cumsum([0, *(each.size for each in knots[:-1])])
-    span = knots_start[surface] + first + degree
-    all_knots = np.concatenate(knots)
-
-    values = np.zeros((at.size, degree + 1))
-    values[:, 0] = 1.0
+@compiled
+def _basis(knots: NDArray[np.float64], degree: int, at: float, values: NDArray[np.float64]) -> int:
+    """Fill in the basis functions that are not 0 at a parameter; return the index of the first."""
+    span = degree
+    while span < knots.size - degree - 2 and at >= knots[span + 1]:
+        span += 1
+    values[0] = 1.0
     for order in range(1, degree + 1):
-        saved = np.zeros(at.size)
+        saved = 0.0
         for r in range(order):
-            right, left = all_knots[span + r + 1], all_knots[span + r + 1 - order]
+            right, left = knots[span + r + 1], knots[span + r + 1 - order]
             # Knots that coincide enclose nothing: their function is 0.
-            share = np.divide(values[:, r], right - left, out=np.zeros(at.size), where=right > left)
-            values[:, r] = saved + (right - at) * share
+            share = values[r] / (right - left) if right > left else 0.0
+            values[r] = saved + (right - at) * share
             saved = (at - left) * share
-        values[:, order] = saved
-    return values.astype(np.float32), first, start
+        values[order] = saved
+    return span - degree
 
 
 __all__ = ["Lattices", "evaluate_vertices"]

@@ -30,15 +30,18 @@ def test_vertices_are_where_the_surfaces_own_evaluation_puts_them() -> None:
         surface(rng, (7, 9, 8, 30), 4, 7),
     ]
     lattices = Lattices.over(surfaces, 5.0)
-    which, row, column = lattices.places()
-    points = evaluate_vertices(surfaces, lattices, which, row, column)
+    wanted = np.ones(lattices.vertices, dtype=bool)
+    points = evaluate_vertices(surfaces, lattices, wanted)
+    ends = [*lattices.start, lattices.vertices]
     for number, each in enumerate(surfaces):
         top, left, bottom, right = each.window
         rows, columns = lattices.count[number]
         v, u = np.linspace(top, bottom - 1, rows), np.linspace(left, right - 1, columns)
-        assert points[which == number].reshape(rows, columns, 3) == pytest.approx(
+        assert points[ends[number] : ends[number + 1]].reshape(rows, columns, 3) == pytest.approx(
             evaluate_lattice(each, u, v), abs=2e-6, rel=2e-5
         )
+    some = rng.random(wanted.size) < 0.3
+    np.testing.assert_array_equal(evaluate_vertices(surfaces, lattices, some), points[some])
 
 
 def test_a_lattice_spans_its_window_with_steps_near_the_one_asked_for() -> None:
@@ -54,4 +57,4 @@ def test_surfaces_of_two_degrees_are_refused() -> None:
     surfaces = [surface(rng, (0, 0, 20, 20), 4, 4), surface(rng, (0, 0, 20, 20), 4, 4, degree=2)]
     lattices = Lattices.over(surfaces, 5.0)
     with pytest.raises(ValueError, match=r"expected one degree, got \[\(2, 2\), \(3, 3\)\]"):
-        evaluate_vertices(surfaces, lattices, *lattices.places())
+        evaluate_vertices(surfaces, lattices, np.ones(lattices.vertices, dtype=bool))
