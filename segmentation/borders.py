@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.inverse_depth import inverse_depth_image_of
 from nurbseg.segmentation.noise import SQUARE_MOST
-from nurbseg.segmentation.pieces import connected_pieces, joints, labels_of_pieces, spread_labels
+from nurbseg.segmentation.pieces import connected_pieces, joints
+from nurbseg.segmentation.spreading import spread_labels
 from nurbseg.segmentation.surface import NurbsSurface
 
 #: Neighbours that vote are at most so far away along rows and columns, pixels.
@@ -287,21 +288,12 @@ def _without_severed_pieces(
     labels: NDArray[np.int32], per_m: NDArray[np.float32], config: SegmentationConfig
 ) -> NDArray[np.int32]:
     """Give small pieces to their neighbours where they are not the largest piece of their label."""
-    joined = joints(per_m, labels > 0, config.depth_gap_per_m)
-    count, pieces = connected_pieces(labels, joined)
-    sizes = np.bincount(pieces.ravel(), minlength=count + 1)
-    label_of = labels_of_pieces(labels, count, pieces)
+    found = connected_pieces(labels, joints(per_m, labels > 0, config.depth_gap_per_m))
     unit = labels.size / (640.0 * 480.0)
-    kept = sizes >= config.piece_pixels_min * unit
-    # In ascending order of size, so that the largest piece of each label is written last.
-    order = np.argsort(sizes, kind="stable")
-    largest = np.zeros(int(labels.max()) + 1, dtype=np.intp)
-    largest[label_of[order]] = order
-    kept[largest[1:]] = True
-    kept[0] = True
-    if kept.all():
+    kept = found.large(config.piece_pixels_min * unit, int(labels.max()))
+    if kept[1:].all():
         return labels
-    severed = ~kept[pieces]
+    severed = (labels > 0) & ~kept[found.numbers]
     cleaned = np.where(severed, 0, labels)
     return spread_labels(cleaned, severed, per_m, config.depth_gap_per_m)
 

@@ -15,10 +15,11 @@ from nurbseg.segmentation.live_leaf import LiveLeaf, Misfit, misfit, remeasured
 from nurbseg.segmentation.live_objects import ObjectMemory
 from nurbseg.segmentation.live_revision import Budget, Reviser
 from nurbseg.segmentation.motion import brightness, carried, flow_back, resized
-from nurbseg.segmentation.pieces import Joints, connected_pieces, joints, spread_labels
+from nurbseg.segmentation.pieces import Joints, connected_pieces, joints
 from nurbseg.segmentation.registration import PointMap
 from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, finished_segments
 from nurbseg.segmentation.splitting import segment_nurbseg
+from nurbseg.segmentation.spreading import spread_labels
 from nurbseg.segmentation.surface import Fit
 
 #: The scene is another one where so much of it is not explained by the surfaces of the frame before.
@@ -252,22 +253,14 @@ class LiveTree:
         places_min = config.piece_pixels_min * grid.points.pixel_share
         open_label = len(self._leaves) + 1
         marked = np.where(grid.valid & (on_grid == 0), open_label, on_grid).astype(np.int32)
-        count, pieces = connected_pieces(marked, joined)
-        sizes = np.bincount(pieces.ravel(), minlength=count + 1)
-        label_of = np.zeros(count + 1, dtype=np.int32)
-        label_of[pieces.ravel()] = marked.ravel()
-        kept = sizes >= places_min
+        found = connected_pieces(marked, joined)
         # The largest piece of a leaf stays, however small it is.
-        order = np.argsort(sizes, kind="stable")
-        largest = np.zeros(open_label + 1, dtype=np.intp)
-        largest[label_of[order]] = order
-        kept[largest[1:open_label]] = True
-        kept[0] = False
-        new = np.flatnonzero(kept & (label_of == open_label))
-        appeared = np.zeros(count + 1, dtype=np.int32)
+        kept = found.large(places_min, open_label - 1)
+        new = np.flatnonzero(kept & (found.labels_of == open_label))
+        appeared = np.zeros(kept.size, dtype=np.int32)
         appeared[new] = np.arange(1, new.size + 1)
-        homeless = (marked > 0) & ~kept[pieces]
-        image = appeared[pieces]
+        homeless = (marked > 0) & ~kept[found.numbers]
+        image = appeared[found.numbers]
         cleaned = np.where(homeless, 0, np.where(image > 0, open_label + image, marked)).astype(np.int32)
         if homeless.any():
             cleaned = spread_labels(cleaned, homeless, grid.per_m, config.depth_gap_per_m)

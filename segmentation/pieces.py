@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from nurbseg.segmentation.compiled import compiled
+from nurbseg.segmentation.spreading import spread_labels
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,10 +26,38 @@ class Joints:
     right: NDArray[np.bool_]
     down: NDArray[np.bool_]
 
-    def inside(self, window: tuple[int, int, int, int]) -> Joints:
-        """Return those of a window (first row and column, one past the last of each)."""
-        top, left, bottom, right = window
-        return Joints(self.right[top:bottom, left:right], self.down[top:bottom, left:right])
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pieces:
+    """Connected pieces of equal label, numbered from 1 in the order of their first places.
+
+    Parameters
+    ----------
+    numbers : (h, w) int32
+        Number of each place's piece; 0 where the label is 0.
+    labels_of : (count + 1,) int32
+        Label of each piece; 0 for number 0.
+    sizes : (count + 1,) intp
+        Places of each piece; 0 for number 0.
+    """
+
+    numbers: NDArray[np.int32]
+    labels_of: NDArray[np.int32]
+    sizes: NDArray[np.intp]
+
+    def large(self, places_min: float, keep: int) -> NDArray[np.bool_]:
+        """Say which pieces have enough places, or are the largest of a label from 1 to `keep`.
+
+        Returns (count + 1,) bool, False for number 0.
+        """
+        kept = self.sizes >= places_min
+        # In ascending order of size, so that the largest piece of each label is written last.
+        order = np.argsort(self.sizes, kind="stable")
+        largest = np.zeros(max(keep, int(self.labels_of.max())) + 1, dtype=np.intp)
+        largest[self.labels_of[order]] = order
+        kept[largest[1 : keep + 1]] = True
+        kept[0] = False
+        return kept
 
 
 def joints(inverse_depth: NDArray[np.float32], valid: NDArray[np.bool_], gap_per_m: float) -> Joints:
@@ -47,15 +77,39 @@ def joints(inverse_depth: NDArray[np.float32], valid: NDArray[np.bool_], gap_per
     Joints
         Between points only.
     """
-    right, down = np.zeros_like(valid), np.zeros_like(valid)
-    right[:, :-1] = valid[:, :-1] & valid[:, 1:]
-    right[:, :-1] &= np.abs(inverse_depth[:, 1:] - inverse_depth[:, :-1]) < gap_per_m
-    down[:-1] = valid[:-1] & valid[1:]
-    down[:-1] &= np.abs(inverse_depth[1:] - inverse_depth[:-1]) < gap_per_m
-    return Joints(right, down)
+    joined = Joints(np.empty(valid.shape, dtype=np.bool_), np.empty(valid.shape, dtype=np.bool_))
+    _join(
+        np.ascontiguousarray(inverse_depth),
+        np.ascontiguousarray(valid),
+        np.float32(gap_per_m),
+        joined.right,
+        joined.down,
+    )
+    return joined
 
 
-def connected_pieces(labels: NDArray[np.int32], joined: Joints) -> tuple[int, NDArray[np.int32]]:
+@compiled
+def _join(
+    per_m: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    gap_per_m: np.float32,
+    right: NDArray[np.bool_],
+    down: NDArray[np.bool_],
+) -> None:
+    height, width = valid.shape
+    for row in range(height):
+        for column in range(width - 1):
+            step = abs(per_m[row, column + 1] - per_m[row, column])
+            right[row, column] = (step < gap_per_m) & valid[row, column] & valid[row, column + 1]
+        right[row, width - 1] = False
+    for row in range(height - 1):
+        for column in range(width):
+            step = abs(per_m[row + 1, column] - per_m[row, column])
+            down[row, column] = (step < gap_per_m) & valid[row, column] & valid[row + 1, column]
+    down[height - 1] = False
+
+
+def connected_pieces(labels: NDArray[np.int32], joined: Joints) -> Pieces:
     """Find the pieces of equal label that are connected through joined neighbours.
 
     Parameters
@@ -67,113 +121,102 @@ def connected_pieces(labels: NDArray[np.int32], joined: Joints) -> tuple[int, ND
 
     Returns
     -------
-    count : int
-        Number of pieces.
-    pieces : (h, w) int32
-        1 to `count`; 0 where the label is 0.
+    Pieces
+        All of them, however small.
+    """
+    numbers = np.empty(labels.shape, dtype=np.int32)
+    labels_of = np.empty(labels.size + 1, dtype=np.int32)
+    sizes = np.empty(labels.size + 1, dtype=np.intp)
+    count = _connect(
+        np.ascontiguousarray(labels, dtype=np.int32), joined.right, joined.down, numbers, labels_of, sizes
+    )
+    return Pieces(numbers, labels_of[: count + 1].copy(), sizes[: count + 1].copy())
+
+
+@compiled
+def _root(parents: NDArray[np.int32], number: int) -> int:
+    while parents[number] != number:
+        parents[number] = parents[parents[number]]
+        number = parents[number]
+    return number
+
+
+@compiled
+def _connect(
+    labels: NDArray[np.int32],
+    right: NDArray[np.bool_],
+    down: NDArray[np.bool_],
+    numbers: NDArray[np.int32],
+    labels_of: NDArray[np.int32],
+    sizes: NDArray[np.intp],
+) -> int:
+    """Give each piece a number; return how many there are.
+
+    A place takes the number of a neighbour before it, and two numbers that meet become one: the larger has
+    the smaller for its parent.
     """
     height, width = labels.shape
-    # Places at even rows and columns, joints between them: so a plain component search sees the gaps.
-    lattice = np.zeros((2 * height - 1, 2 * width - 1), dtype=np.uint8)
-    inside = labels > 0
-    lattice[::2, ::2] = inside
-    lattice[::2, 1::2] = joined.right[:, :-1] & inside[:, :-1] & (labels[:, 1:] == labels[:, :-1])
-    lattice[1::2, ::2] = joined.down[:-1] & inside[:-1] & (labels[1:] == labels[:-1])
-    count, found = cv2.connectedComponents(lattice, connectivity=4, ltype=cv2.CV_32S)
-    return count - 1, np.asarray(found[::2, ::2], dtype=np.int32)
-
-
-def labels_of_pieces(labels: NDArray[np.int32], count: int, pieces: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return the label of each piece, (count + 1,) int32, from those of every place; 0 for number 0."""
-    # Every piece has a place that follows one of another piece, or the first of all.
-    flat = pieces.reshape(-1)
-    starts = np.flatnonzero(flat[1:] != flat[:-1]) + 1
-    label_of = np.zeros(count + 1, dtype=np.int32)
-    label_of[flat[:1]] = labels.reshape(-1)[:1]
-    label_of[flat.take(starts)] = labels.take(starts)
-    return label_of
-
-
-def spread_labels(
-    labels: NDArray[np.int32],
-    wanted: NDArray[np.bool_],
-    inverse_depth: NDArray[np.float32],
-    gap_per_m: float,
-) -> NDArray[np.int32]:
-    """Give unlabelled places the label of the neighbour nearest in inverse depth, from the rim inwards.
-
-    Parameters
-    ----------
-    labels : (h, w) int32
-        0 is no label.
-    wanted : (h, w) bool
-        Places to label, unlabelled so far. Those that no chain of them connects to a label take that of
-        the nearest labelled place.
-    inverse_depth : (h, w) float32
-        One over depth, 1/m.
-    gap_per_m : float
-        Labels go across a gap in depth only where nothing else is left to do, 1/m.
-
-    Returns
-    -------
-    (h, w) int32
-        The labels, with those of the wanted places.
-    """
-    if not wanted.any():
-        return labels.copy()
-    # With a margin of one place all have four neighbours.
-    padded = np.pad(labels, 1)
-    width = padded.shape[1]
-    flat, depths = padded.reshape(-1), np.pad(inverse_depth, 1).reshape(-1)
-    rows, columns = np.divmod(np.flatnonzero(wanted), width - 2)
-    places = (rows + 1) * width + columns + 1
-    neighbors = np.array([[1], [width], [-1], [-width]]) + places
-    steps = np.abs(depths[neighbors] - depths[places])
-    limit = gap_per_m
-    while places.size:
-        around = flat[neighbors]
-        distances = np.where(around > 0, steps, np.float32(np.inf))
-        nearest = distances.argmin(axis=0)
-        each = np.arange(places.size)
-        least = distances[nearest, each]
-        found = least < limit
-        if not found.any():
-            if limit == np.inf:
-                break
-            limit = np.inf
-            continue
-        limit = gap_per_m
-        flat[places[found]] = around[nearest[found], each[found]]
-        left = ~found
-        places, neighbors, steps = places[left], neighbors[:, left], steps[:, left]
-    labels = np.ascontiguousarray(padded[1:-1, 1:-1])
-    rows, columns = places // width - 1, places % width - 1
-    if rows.size and labels.any():
-        _, source = cv2.distanceTransformWithLabels(
-            (labels == 0).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
-        )
-        label_of = np.zeros(int(source.max()) + 1, dtype=np.int32)
-        label_of[source[labels > 0]] = labels[labels > 0]
-        labels[rows, columns] = label_of[source[rows, columns]]
-    return labels
+    parents = np.empty(labels.size + 1, dtype=np.int32)
+    parents[0] = labels_of[0] = sizes[0] = 0
+    count = 0
+    for row in range(height):
+        for column in range(width):
+            label = labels[row, column]
+            if label == 0:
+                numbers[row, column] = 0
+                continue
+            number = 0
+            if column > 0 and right[row, column - 1] and labels[row, column - 1] == label:
+                number = numbers[row, column - 1]
+            if row > 0 and down[row - 1, column] and labels[row - 1, column] == label:
+                above = numbers[row - 1, column]
+                if number == 0:
+                    number = above
+                elif number != above:
+                    one, other = _root(parents, number), _root(parents, above)
+                    number = min(one, other)
+                    parents[max(one, other)] = number
+            if number == 0:
+                count += 1
+                number = count
+                parents[number], labels_of[number], sizes[number] = number, label, 0
+            numbers[row, column] = number
+            sizes[number] += 1
+    # Parents come first, so that theirs are final numbers by then.
+    last = 0
+    for number in range(1, count + 1):
+        if parents[number] == number:
+            last += 1
+            labels_of[last], sizes[last] = labels_of[number], sizes[number]
+            parents[number] = last
+        else:
+            parents[number] = parents[parents[number]]
+            sizes[parents[number]] += sizes[number]
+    for row in range(height):
+        for column in range(width):
+            numbers[row, column] = parents[numbers[row, column]]
+    return last
 
 
 def large_pieces(
+    places: NDArray[np.intp],
     labels: NDArray[np.int32],
     joined: Joints,
     inverse_depth: NDArray[np.float32],
     *,
     gap_per_m: float,
     places_min: float,
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+) -> tuple[list[NDArray[np.intp]], list[int]]:
     """Find the connected pieces that are large enough, and give them what the small ones hold.
 
     Parameters
     ----------
-    labels : (h, w) int32
-        0 belongs to no piece.
+    places : (N,) intp
+        Flat places of a grid, ascending; at least one.
+    labels : (N,) int32
+        Label of each, more than 0.
     joined, inverse_depth : Joints, (h, w) float32
-        Of the same places.
+        Of the whole grid.
     gap_per_m : float
         Gap in depth, 1/m.
     places_min : float
@@ -181,22 +224,52 @@ def large_pieces(
 
     Returns
     -------
-    pieces : (h, w) int32
-        1 to the number of pieces kept, 0 where the label is 0; all 0 where no piece is large enough.
-    labels_of : (pieces,) int32
+    pieces : list of (n,) intp
+        Places of each piece kept, ascending; none where no piece is large enough.
+    labels_of : list of int
         Label that each piece had.
     """
-    count, found = connected_pieces(labels, joined)
-    sizes = np.bincount(found.ravel(), minlength=count + 1)
-    kept = np.flatnonzero(sizes[1:] >= places_min) + 1
-    number = np.zeros(count + 1, dtype=np.int32)
+    # Only the rows that hold places are looked at.
+    width = joined.right.shape[1]
+    rows = slice(int(places[0]) // width, int(places[-1]) // width + 1)
+    at = places - rows.start * width
+    image = np.zeros((rows.stop - rows.start, width), dtype=np.int32)
+    image.reshape(-1)[at] = labels
+    found = connected_pieces(image, Joints(joined.right[rows], joined.down[rows]))
+    kept = np.flatnonzero(found.sizes[1:] >= places_min) + 1
+    if not kept.size:
+        return [], []
+    number = np.zeros(found.sizes.size, dtype=np.int32)
     number[kept] = np.arange(1, kept.size + 1)
-    pieces = number[found]
-    label_of = labels_of_pieces(labels, count, found)
-    homeless = (labels > 0) & (pieces == 0)
-    if kept.size and homeless.any():
-        pieces = spread_labels(pieces, homeless, inverse_depth, gap_per_m)
-    return pieces, label_of[kept]
+    pieces = number.take(found.numbers)
+    if kept.size + 1 < number.size:
+        homeless = (image > 0) & (pieces == 0)
+        pieces = spread_labels(pieces, homeless, inverse_depth[rows], gap_per_m)
+    return _by_number(places, pieces.take(at), kept.size), found.labels_of[kept].tolist()
 
 
-__all__ = ["Joints", "connected_pieces", "joints", "labels_of_pieces", "large_pieces", "spread_labels"]
+def _by_number(places: NDArray[np.intp], numbers: NDArray[np.int32], count: int) -> list[NDArray[np.intp]]:
+    """Return the places of each number from 1 to `count`, in their order."""
+    if count == 1:
+        return [places]
+    grouped, ends = np.empty_like(places), np.zeros(count + 2, dtype=np.intp)
+    _group(places, numbers, grouped, ends)
+    return [grouped[ends[n - 1] : ends[n]] for n in range(1, count + 1)]
+
+
+@compiled
+def _group(
+    places: NDArray[np.intp], numbers: NDArray[np.int32], grouped: NDArray[np.intp], ends: NDArray[np.intp]
+) -> None:
+    """Sort places by number, from 1 on; `ends`, 0 at first, says where each number's places end."""
+    for number in numbers:
+        ends[number + 1] += 1
+    for n in range(1, ends.size):
+        ends[n] += ends[n - 1]
+    # What is the end of the number before grows to that of its own.
+    for n in range(places.size):
+        grouped[ends[numbers[n]]] = places[n]
+        ends[numbers[n]] += 1
+
+
+__all__ = ["Joints", "Pieces", "connected_pieces", "joints", "large_pieces"]

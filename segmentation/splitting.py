@@ -261,23 +261,19 @@ def _pieces(
     """
     if places.size == 0:
         return [], []
-    points = scene.grid.points
-    rows, columns, window = points.locate(places)
-    top, left, bottom, right = window
-    at = rows - top, columns - left
-    image = np.zeros((bottom - top, right - left), dtype=np.int32)
-    image[at] = labels
     if config.connected_pieces:
-        per_m = scene.grid.per_m[top:bottom, left:right]
-        found, label_of = large_pieces(
-            image,
-            scene.joined.inside(window),
-            per_m,
+        return large_pieces(
+            places,
+            labels,
+            scene.joined,
+            scene.grid.per_m,
             gap_per_m=config.depth_gap_per_m,
             places_min=scene.places_min(config),
         )
-        number = found[at]
-        return [places[number == n] for n in range(1, len(label_of) + 1)], label_of.tolist()
+    rows, columns, (top, left, bottom, right) = scene.grid.points.locate(places)
+    at = rows - top, columns - left
+    image = np.zeros((bottom - top, right - left), dtype=np.int32)
+    image[at] = labels
     side = give_away_small_pieces(image > 0, image == 2, scene.places_min(config))[at]
     parts = [(places[side == each], 1 + each) for each in (False, True)]
     kept = [(part, label) for part, label in parts if part.size >= scene.places_min(config)]

@@ -1,0 +1,141 @@
+"""Labels that spread over unlabelled places, from the rim inwards."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.compiled import compiled
+
+#: Marks of places to label, in an image of labels: those that wait, and those that are next.
+_OPEN, _NEXT = -1, -2
+#: Rows and columns to the neighbours; of equally near ones the first gives its label.
+_NEIGHBORS = ((0, 1), (1, 0), (0, -1), (-1, 0))
+
+
+def spread_labels(
+    labels: NDArray[np.int32],
+    wanted: NDArray[np.bool_],
+    inverse_depth: NDArray[np.float32],
+    gap_per_m: float,
+) -> NDArray[np.int32]:
+    """Give unlabelled places the label of the neighbour nearest in inverse depth, from the rim inwards.
+
+    Parameters
+    ----------
+    labels : (h, w) int32
+        0 is no label.
+    wanted : (h, w) bool
+        Places to label, unlabelled so far. Those that no chain of them connects to a label take that of
+        the nearest labelled place.
+    inverse_depth : (h, w) float32
+        One over depth, 1/m.
+    gap_per_m : float
+        Labels go across a gap in depth only where nothing else is left to do, 1/m.
+
+    Returns
+    -------
+    (h, w) int32
+        The labels, with those of the wanted places.
+    """
+    spread = np.array(labels, dtype=np.int32, order="C")
+    places = np.flatnonzero(wanted)
+    if places.size:
+        spread.reshape(-1)[places] = _OPEN
+        islands = _spread(spread, np.ascontiguousarray(inverse_depth), places, np.float32(gap_per_m))
+        if islands:
+            _take_nearest(spread, places[:islands])
+    return spread
+
+
+@compiled
+def _spread(
+    labels: NDArray[np.int32], per_m: NDArray[np.float32], places: NDArray[np.intp], gap_per_m: np.float32
+) -> int:
+    """Label open places in rounds; return how many stay open, which are then the first of `places`."""
+    height, width = labels.shape
+    flat = labels.reshape(-1)
+    # Only what is next to a label of the round before can take one now, unless gaps have ceased to count.
+    front, reached = places.copy(), np.empty_like(places)
+    taken = np.empty(places.size, dtype=np.int32)
+    waiting, fronts = places.size, places.size
+    limit = gap_per_m
+    while True:
+        count = 0
+        for n in range(fronts):
+            row, column = front[n] // width, front[n] % width
+            least, nearest = limit, np.int32(0)
+            for down, across in _NEIGHBORS:
+                r, c = row + down, column + across
+                if 0 <= r < height and 0 <= c < width and labels[r, c] > 0:
+                    step = abs(per_m[r, c] - per_m[row, column])
+                    if step < least:
+                        least, nearest = step, labels[r, c]
+            flat[front[n]] = _OPEN
+            if nearest > 0:
+                reached[count], taken[count] = front[n], nearest
+                count += 1
+        fronts = 0
+        if count == 0:
+            for n in range(waiting):
+                if flat[places[n]] < 0:
+                    places[fronts] = front[fronts] = places[n]
+                    fronts += 1
+            waiting = fronts
+            if waiting == 0 or limit == np.float32(np.inf):
+                return waiting
+            limit = np.float32(np.inf)
+            continue
+        limit = gap_per_m
+        for n in range(count):
+            flat[reached[n]] = taken[n]
+        for n in range(count):
+            row, column = reached[n] // width, reached[n] % width
+            for down, across in _NEIGHBORS:
+                r, c = row + down, column + across
+                if 0 <= r < height and 0 <= c < width and labels[r, c] == _OPEN:
+                    labels[r, c] = _NEXT
+                    front[fronts] = r * width + c
+                    fronts += 1
+
+
+@compiled
+def _take_nearest(labels: NDArray[np.int32], islands: NDArray[np.intp]) -> None:
+    """Give open places the label of the nearest labelled place, 0 where there is none."""
+    height, width = labels.shape
+    # How far the nearest label of the same column is, upwards less than 0; `height` where there is none.
+    along = np.empty((height, width), dtype=np.int32)
+    for column in range(width):
+        along[0, column] = 0 if labels[0, column] > 0 else height
+    for row in range(1, height):
+        for column in range(width):
+            above = along[row - 1, column]
+            if labels[row, column] > 0:
+                along[row, column] = 0
+            else:
+                along[row, column] = height if above == height else above - 1
+    for row in range(height - 2, -1, -1):
+        for column in range(width):
+            below = along[row + 1, column] + 1
+            if 0 < below < abs(along[row, column]):
+                along[row, column] = below
+    nearest = np.zeros(islands.size, dtype=np.int32)
+    for n in range(islands.size):
+        row, column = islands[n] // width, islands[n] % width
+        least = height * height + width * width
+        for apart in range(width):
+            if apart * apart >= least or (apart > column and column + apart >= width):
+                break
+            for other in (column - apart, column + apart):
+                if not 0 <= other < width:
+                    continue
+                down = along[row, other]
+                if abs(down) < height and apart * apart + down * down < least:
+                    least = apart * apart + down * down
+                    nearest[n] = labels[row + down, other]
+    flat = labels.reshape(-1)
+    for n in range(islands.size):
+        flat[islands[n]] = nearest[n]
+
+
+__all__ = ["spread_labels"]
