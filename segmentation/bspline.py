@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -114,22 +115,41 @@ def _even_basis(
     """Evaluate the cubic basis on evenly spaced knots, which is the same four polynomials on every span."""
     place = (parameters - first) * (1.0 / spacing)
     span = np.minimum(np.maximum(np.floor(place), CUBIC), count - 1).astype(np.intp)
-    t = place - span
+    values = np.zeros((parameters.size, count))
+    at = np.arange(parameters.size) * count + (span - CUBIC)
+    flat = values.reshape(-1)
+    for step, piece in enumerate(even_functions(place - span, spacing, derivative)):
+        flat[at + step] = piece
+    return values
+
+
+def even_functions(
+    t: NDArray[np.float64], spacing: float, derivative: int = 0
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Evaluate the four cubic functions on a span of evenly spaced knots.
+
+    Parameters
+    ----------
+    t : (M,) float64
+        Places on the span, in units of the spacing from its beginning.
+    spacing : float
+        Distance of the knots.
+    derivative : int
+        0 for the functions, 1 for their slopes.
+
+    Returns
+    -------
+    four of (M,) float64
+        In the order in which the functions begin.
+    """
     if derivative == 0:
         s, cube = 1.0 - t, t * t * t
         low = s * s * s / 6.0
         third = 2.0 / 3.0 - t * t * (1.0 - 0.5 * t)
-        pieces = low, third, 1.0 - low - third - cube / 6.0, cube / 6.0
-    else:
-        low, third = -0.5 * (1.0 - t) ** 2 / spacing, t * (1.5 * t - 2.0) / spacing
-        high = 0.5 * t * t / spacing
-        pieces = low, third, -low - third - high, high
-    values = np.zeros((parameters.size, count))
-    at = np.arange(parameters.size) * count + (span - CUBIC)
-    flat = values.reshape(-1)
-    for step, piece in enumerate(pieces):
-        flat[at + step] = piece
-    return values
+        return low, third, 1.0 - low - third - cube / 6.0, cube / 6.0
+    low, third = -0.5 * (1.0 - t) ** 2 / spacing, t * (1.5 * t - 2.0) / spacing
+    high = 0.5 * t * t / spacing
+    return low, third, -low - third - high, high
 
 
 @lru_cache(maxsize=256)
@@ -153,8 +173,31 @@ def pixel_knots(size: int, count: int) -> NDArray[np.float64]:
     return knots
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SpanBasis:
+    """The four cubic basis functions that are not zero at each of some places along an axis.
+
+    Parameters
+    ----------
+    starts : (M,) intp
+        Number of the first of the four functions, ascending.
+    values : (M, 4) float64
+        Of the four functions.
+    count : int
+        Number of functions.
+    """
+
+    starts: NDArray[np.intp]
+    values: NDArray[np.float64]
+    count: int
+
+    def __post_init__(self) -> None:
+        self.starts.flags.writeable = False
+        self.values.flags.writeable = False
+
+
 @lru_cache(maxsize=256)
-def pixel_basis(size: int, count: int, derivative: int = 0) -> NDArray[np.float64]:
+def pixel_basis(size: int, count: int) -> SpanBasis:
     """Return the cubic basis at `size` pixels in a row, whose parameters are 0, 1, ..., size - 1.
 
     Parameters
@@ -163,42 +206,27 @@ def pixel_basis(size: int, count: int, derivative: int = 0) -> NDArray[np.float6
         Number of pixels.
     count : int
         Number of control points.
-    derivative : int
-        Order of the derivative.
 
     Returns
     -------
-    (size, count) float64
-        Read-only.
+    SpanBasis
+        Kept for the next segment of the same size.
     """
-    basis = basis_matrix(pixel_knots(size, count), CUBIC, np.arange(size, dtype=np.float64), derivative)
-    basis.flags.writeable = False
-    return basis
+    knots, places = pixel_knots(size, count), np.arange(size, dtype=np.float64)
+    domain = knots[CUBIC : count + 1]
+    last_span = int(np.searchsorted(domain, domain[-1], side="left")) - 1
+    starts = np.clip(np.searchsorted(domain, places, side="right") - 1, 0, last_span)
+    functions = starts[:, np.newaxis] + np.arange(CUBIC + 1)
+    values = np.take_along_axis(basis_matrix(knots, CUBIC, places), functions, axis=1)
+    return SpanBasis(starts, values, count)
 
 
-@lru_cache(maxsize=256)
-def neighbor_products(size: int, count: int) -> NDArray[np.float64]:
-    """Return the products of basis functions that overlap, at `size` pixels in a row.
-
-    Parameters
-    ----------
-    size : int
-        Number of pixels.
-    count : int
-        Number of control points.
-
-    Returns
-    -------
-    (size, 4 * count) float64
-        Column ``k * count + i`` is the product of functions ``i`` and ``i + k``, zero where there is no
-        such function; read-only.
-    """
-    basis = pixel_basis(size, count)
-    products = np.zeros((size, (CUBIC + 1) * count))
-    for k in range(CUBIC + 1):
-        products[:, k * count : k * count + count - k] = basis[:, : count - k] * basis[:, k:]
-    products.flags.writeable = False
-    return products
-
-
-__all__ = ["CUBIC", "averaged_knots", "basis_matrix", "neighbor_products", "pixel_basis", "pixel_knots"]
+__all__ = [
+    "CUBIC",
+    "SpanBasis",
+    "averaged_knots",
+    "basis_matrix",
+    "even_functions",
+    "pixel_basis",
+    "pixel_knots",
+]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.registration import PointMap
 
 Window = tuple[int, int, int, int]
@@ -55,25 +56,27 @@ class PixelGrid:
 
     def window_mask(self, places: NDArray[np.intp]) -> tuple[Window, NDArray[np.bool_]]:
         """Return the tight window of flat places and which of its places they are."""
-        flat = np.zeros(self.valid.size, dtype=np.bool_)
-        flat[places] = True
-        image = flat.reshape(self.valid.shape)
-        rows, columns = np.flatnonzero(image.any(axis=1)), np.flatnonzero(image.any(axis=0))
-        top, left, bottom, right = int(rows[0]), int(columns[0]), int(rows[-1]) + 1, int(columns[-1]) + 1
-        return (top, left, bottom, right), image[top:bottom, left:right]
+        *window, mask = _window_mask(places, self.shape[1])
+        top, left, bottom, right = window
+        return (top, left, bottom, right), mask
 
     def pixels(self, places: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the flat indices into the full image of flat places of the grid."""
         if self.step == 1:
             return places
-        rows, columns = np.divmod(places, self.shape[1])
-        return (rows * self.image_shape[1] + columns) * self.step
+        return _on_image(places, self.shape[1], self.image_shape[1], self.step)
+
+    def places_of_window(self, window: Window, mask: NDArray[np.bool_]) -> NDArray[np.intp]:
+        """Return the flat places, ascending, of the marked places of a window."""
+        return _marked(np.ascontiguousarray(mask), window[0], window[1], self.shape[1], 1)
+
+    def pixels_of_window(self, window: Window, mask: NDArray[np.bool_]) -> NDArray[np.intp]:
+        """Return the flat indices into the full image of the marked places of a window."""
+        return _marked(np.ascontiguousarray(mask), window[0], window[1], self.image_shape[1], self.step)
 
     def every_second(self, places: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return those of some flat places that are on even rows and columns."""
-        rows, columns = np.divmod(places, self.shape[1])
-        found: NDArray[np.intp] = places[((rows | columns) & 1) == 0]
-        return found
+        return _every_second(places, self.shape[1])
 
     def full_window(self, window: Window) -> Window:
         """Return a window of the grid in pixels of the full image."""
@@ -84,6 +87,57 @@ class PixelGrid:
             (bottom - 1) * self.step + 1,
             (right - 1) * self.step + 1,
         )
+
+
+@compiled
+def _window_mask(places: NDArray[np.intp], width: int) -> tuple[int, int, int, int, NDArray[np.bool_]]:
+    """Tight window of at least one flat place, one past the last, and which of its places they are."""
+    top = bottom = places[0] // width
+    left = right = places[0] % width
+    for place in places:
+        row = place // width
+        column = place - row * width
+        top, bottom = min(top, row), max(bottom, row)
+        left, right = min(left, column), max(right, column)
+    mask = np.zeros((bottom + 1 - top, right + 1 - left), dtype=np.bool_)
+    for place in places:
+        row = place // width
+        mask[row - top, place - row * width - left] = True
+    return top, left, bottom + 1, right + 1, mask
+
+
+@compiled
+def _marked(mask: NDArray[np.bool_], top: int, left: int, width: int, step: int) -> NDArray[np.intp]:
+    """Flat indices, on an image of some width, of the marked places of a window of every `step`-th pixel."""
+    marked = np.empty(mask.size, dtype=np.intp)
+    count = 0
+    for y in range(mask.shape[0]):
+        for x in range(mask.shape[1]):
+            marked[count] = ((top + y) * width + left + x) * step
+            count += mask[y, x]
+    return marked[:count].copy()
+
+
+@compiled
+def _on_image(places: NDArray[np.intp], width: int, image_width: int, step: int) -> NDArray[np.intp]:
+    """Flat indices into the image of flat places of the grid."""
+    pixels = np.empty(places.size, dtype=np.intp)
+    for n in range(places.size):
+        row = places[n] // width
+        pixels[n] = (row * image_width + places[n] - row * width) * step
+    return pixels
+
+
+@compiled
+def _every_second(places: NDArray[np.intp], width: int) -> NDArray[np.intp]:
+    """Those of some flat places that are on even rows and columns."""
+    found = np.empty(places.size, dtype=np.intp)
+    count = 0
+    for place in places:
+        row = place // width
+        found[count] = place
+        count += ((row | (place - row * width)) & 1) == 0
+    return found[:count].copy()
 
 
 def decimated_grid(cloud: PointMap, step: int) -> PixelGrid:

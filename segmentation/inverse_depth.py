@@ -13,11 +13,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.bspline import CUBIC, basis_matrix
+from nurbseg.segmentation.bspline import CUBIC, SpanBasis, basis_matrix
+from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.grid import PixelGrid, Window, decimated_grid
-from nurbseg.segmentation.knot_lattice import LatticeBasis, lattice_basis
-from nurbseg.segmentation.leastsquares import LinAlgError, fit_on_lattice
+from nurbseg.segmentation.knot_lattice import lattice_basis
+from nurbseg.segmentation.leastsquares import LinAlgError, fit_splines
 from nurbseg.segmentation.metrics import residual_metrics
 from nurbseg.segmentation.rays import Rays, rays_of
 from nurbseg.segmentation.registration import PointMap
@@ -134,35 +135,32 @@ def fit_window(
        11(2), 1996.
     """
     top, left, bottom, right = window
-    rows, columns = np.nonzero(mask)
-    places = (rows + top) * grid.points.shape[1] + columns + left
-    measured = grid.per_m[top:bottom, left:right].astype(np.float64)
+    mask = np.ascontiguousarray(mask)
+    pixels = grid.points.pixels_of_window(window, mask)
     if config.fit_of == "xyz":
-        fit = fit_on_grid(grid.points, places, config)
+        fit = fit_on_grid(grid.points, grid.points.places_of_window(window, mask), config)
         if fit.surface is None:
-            return fit, np.full(places.size, np.inf)
+            return fit, np.full(pixels.size, np.inf)
         u = np.arange(left, right, dtype=np.float64) * grid.step
         v = np.arange(top, bottom, dtype=np.float64) * grid.step
-        return fit, (inverse_depth_lattice(fit.surface, u, v)[0] - measured)[mask]
+        fitted = inverse_depth_lattice(fit.surface, u, v)[0]
+        return fit, (fitted - grid.per_m[top:bottom, left:right])[mask]
 
     try:
-        control, along_v, along_u = _control_values(grid, window, mask, measured, config)
+        spline = _fitted_spline(grid, window, mask, config)
     except LinAlgError as error:
-        none = Fit(None, np.zeros(0), {}, f"no least-squares solution: {error}", grid.points.pixels(places))
-        return none, np.full(places.size, np.inf)
-    fitted = (along_v.values @ (control @ along_u.values.T))[mask]
-    residuals_per_m = fitted - measured[mask]
-    # The point and its surface point lie on one ray: their distance is in proportion to the point's own.
-    residuals_m = np.abs(residuals_per_m) * grid.distances_m[top:bottom, left:right][mask] / fitted
+        none = Fit(None, np.zeros(0), {}, f"no least-squares solution: {error}", pixels)
+        return none, np.full(pixels.size, np.inf)
+    residuals_per_m, residuals_m = spline.residuals(grid, window, mask)
     surface = rational_surface(
-        control,
-        along_u.knots * grid.step,
-        along_v.knots * grid.step,
+        spline.control_per_m,
+        spline.knots_u * grid.step,
+        spline.knots_v * grid.step,
         grid.rays,
         grid.points.full_window(window),
     )
     metrics = residual_metrics(residuals_m, config)
-    return Fit(surface, residuals_m, metrics, "", grid.points.pixels(places)), residuals_per_m
+    return Fit(surface, residuals_m, metrics, "", pixels), residuals_per_m
 
 
 def residuals_of_fit(
@@ -182,35 +180,94 @@ def residuals_of_fit(
     """
     if config.fit_of == "xyz":
         return fit_window(grid, window, mask, config)[1]
-    top, left, bottom, right = window
-    measured = grid.per_m[top:bottom, left:right].astype(np.float64)
+    mask = np.ascontiguousarray(mask)
     try:
-        control, along_v, along_u = _control_values(grid, window, mask, measured, config)
+        spline = _fitted_spline(grid, window, mask, config)
     except LinAlgError:
         return np.full(np.count_nonzero(mask), np.inf)
-    residuals: NDArray[np.float64] = (along_v.values @ (control @ along_u.values.T) - measured)[mask]
-    return residuals
+    return spline.residuals(grid, window, mask)[0]
 
 
-def _control_values(
-    grid: DepthGrid,
-    window: Window,
-    mask: NDArray[np.bool_],
-    measured: NDArray[np.float64],
-    config: SegmentationConfig,
-) -> tuple[NDArray[np.float64], LatticeBasis, LatticeBasis]:
-    """Fit positive control values; returns them with the bases along v and u."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Spline:
+    """Positive control values of inverse depth, and the functions at the rows and columns of a window."""
+
+    control_per_m: NDArray[np.float64]
+    rows: SpanBasis
+    columns: SpanBasis
+    knots_v: NDArray[np.float64]
+    knots_u: NDArray[np.float64]
+
+    def residuals(
+        self, grid: DepthGrid, window: Window, mask: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the residuals of inverse depth, 1/m, and in space, metres, at the marked places."""
+        rows, columns = self.rows, self.columns
+        return _residuals(
+            *(grid.per_m, grid.distances_m, mask, window[0], window[1], self.control_per_m),
+            *(rows.starts, rows.values, columns.starts, columns.values),
+        )
+
+
+def _fitted_spline(
+    grid: DepthGrid, window: Window, mask: NDArray[np.bool_], config: SegmentationConfig
+) -> _Spline:
+    """Fit positive control values to the marked places of a window."""
     top, left, bottom, right = window
     smoothness = config.smoothness * (2.0 * grid.unit_px / grid.step) ** 2
     spacing = config.knot_spacing_px * grid.unit_px / grid.step
     wide = int(np.ceil(_MARGIN_PX * grid.unit_px / grid.step))
     for margin, stiffer in ((wide, 1.0), (1, 1.0), *((1, each) for each in _STIFFER)):
-        along_v = lattice_basis(top, bottom, margin, spacing)
-        along_u = lattice_basis(left, right, margin, spacing)
-        control, held = fit_on_lattice(measured, mask, along_v, along_u, stiffer * smoothness)
+        rows, knots_v = lattice_basis(top, bottom, margin, spacing)
+        columns, knots_u = lattice_basis(left, right, margin, spacing)
+        images, stiffness = grid.per_m[np.newaxis], stiffer * smoothness
+        (control,), held = fit_splines(images, mask, (top, left), rows, columns, stiffness)
         if control.min() > _LEAST_PER_M or (control[held > _HELD] > _LEAST_PER_M).all():
             break
-    return np.maximum(control, _LEAST_PER_M), along_v, along_u
+    return _Spline(np.maximum(control, _LEAST_PER_M), rows, columns, knots_v, knots_u)
+
+
+@compiled
+def _residuals(
+    per_m: NDArray[np.float32],
+    distances_m: NDArray[np.float32],
+    mask: NDArray[np.bool_],
+    top: int,
+    left: int,
+    control: NDArray[np.float64],
+    starts_v: NDArray[np.intp],
+    values_v: NDArray[np.float64],
+    starts_u: NDArray[np.intp],
+    values_u: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Evaluate a spline at the marked places and hold it against what was measured there."""
+    height, width = mask.shape
+    count = 0
+    for y in range(height):
+        for x in range(width):
+            count += mask[y, x]
+    residuals_per_m, residuals_m = np.empty(count), np.empty(count)
+    along = np.empty(control.shape[1])
+    n = 0
+    for y in range(height):
+        first = starts_v[y]
+        for k in range(along.size):
+            along[k] = 0.0
+            for i in range(4):
+                along[k] += values_v[y, i] * control[first + i, k]
+        for x in range(width):
+            if mask[y, x]:
+                start = starts_u[x]
+                fitted = 0.0
+                for j in range(4):
+                    fitted += values_u[x, j] * along[start + j]
+                residual = fitted - per_m[top + y, left + x]
+                residuals_per_m[n] = residual
+                # The point and its surface point lie on one ray: their distance is in proportion to the
+                # point's own.
+                residuals_m[n] = abs(residual) * distances_m[top + y, left + x] / fitted
+                n += 1
+    return residuals_per_m, residuals_m
 
 
 def rational_surface(
@@ -238,12 +295,14 @@ def rational_surface(
     NurbsSurface
         Whose point at (u, v) is ray(u, v) / d(u, v), exactly.
     """
-    weighted = np.concatenate([rays.control_values(knots_u, knots_v), np.ones((1, *control_per_m.shape))])
+    points_m = np.empty((*control_per_m.shape, 3))
+    for axis, along in enumerate((*rays.control_values(knots_u, knots_v), 1.0)):
+        np.divide(along, control_per_m, out=points_m[..., axis])
     return NurbsSurface(
         degree=(CUBIC, CUBIC),
         knots_u=knots_u,
         knots_v=knots_v,
-        control_points_m=np.moveaxis(weighted / control_per_m, 0, -1),
+        control_points_m=points_m,
         weights=control_per_m,
         window=window,
     )

@@ -8,6 +8,7 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 
 METRICS: tuple[Metric, ...] = get_args(Metric)
@@ -35,16 +36,25 @@ def residual_metrics(residuals_m: NDArray[np.float64], config: SegmentationConfi
         ``mse`` and ``ve`` in square metres, ``mae`` in metres, ``nle`` a count. Residuals that are no
         more than the rounding of the points count as 0, all together or not at all.
     """
-    if residuals_m.size == 0 or residuals_m.max() <= ROUNDING_M:
+    if residuals_m.size == 0:
         return {"mse": 0.0, "mae": 0.0, "ve": 0.0, "nle": 0.0}
-    mse = float(residuals_m @ residuals_m) / residuals_m.size
-    mae = float(residuals_m.mean())
-    return {
-        "mse": mse,
-        "mae": mae,
-        "ve": max(mse - mae * mae, 0.0),
-        "nle": float(np.count_nonzero(residuals_m > config.large_error_m)),
-    }
+    largest, squares, total, large = _sums(residuals_m, config.large_error_m)
+    if largest <= ROUNDING_M:
+        return {"mse": 0.0, "mae": 0.0, "ve": 0.0, "nle": 0.0}
+    mse, mae = squares / residuals_m.size, total / residuals_m.size
+    return {"mse": mse, "mae": mae, "ve": max(mse - mae * mae, 0.0), "nle": float(large)}
+
+
+@compiled
+def _sums(residuals_m: NDArray[np.float64], large_m: float) -> tuple[float, float, float, int]:
+    """Largest residual, sum of squares, sum, and how many are large."""
+    largest, squares, total, large = 0.0, 0.0, 0.0, 0
+    for residual in residuals_m:
+        largest = max(largest, residual)
+        squares += residual * residual
+        total += residual
+        large += residual > large_m
+    return largest, squares, total, large
 
 
 def curvature_metrics(

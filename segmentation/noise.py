@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.inverse_depth import inverse_depth_image
 from nurbseg.segmentation.registration import PointMap
 
@@ -56,27 +57,62 @@ def explained_by_noise(
         Whether the mean of the squared residuals, in units of the noise and each limited, and the share
         of residuals that are far off are both what noise leaves, and no patch lies off the surface.
     """
-    deviations = residuals_per_m / noise_per_m
-    judged = mask
-    if not rim:
-        kernel = np.ones((3, 3), dtype=np.uint8)
-        eroded = cv2.erode(mask.astype(np.uint8), kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0)
-        inner = eroded[mask] > 0
-        if np.count_nonzero(inner) >= _INNER_SHARE * deviations.size:
-            deviations, judged = deviations[inner], eroded > 0
-    squares = np.square(deviations)
-    far = np.count_nonzero(squares > _FAR_DEVIATIONS**2)
-    if not (np.minimum(squares, SQUARE_MOST).mean() < _MEAN_MOST and far < _FAR_SHARE_MOST * squares.size):
+    mask = np.ascontiguousarray(mask)
+    everywhere, inside = _noise_counts(residuals_per_m, mask, 1.0 / noise_per_m)
+    inner = not rim and inside[0] >= _INNER_SHARE * everywhere[0]
+    count, far, squares = inside if inner else everywhere
+    if not (squares < _MEAN_MOST * count and far < _FAR_SHARE_MOST * count):
         return False
     # Far residuals are fewer than the patch: the usual case, and the cheap one.
-    return bool(far < patch_places) or not _has_patch(deviations, judged, patch_places)
+    if far < patch_places:
+        return True
+    return not _has_patch(residuals_per_m / noise_per_m, mask, inner, patch_places)
 
 
-def _has_patch(deviations: NDArray[np.float64], judged: NDArray[np.bool_], patch_places: float) -> bool:
+@compiled
+def _noise_counts(
+    residuals_per_m: NDArray[np.float64], mask: NDArray[np.bool_], per_noise: float
+) -> tuple[tuple[int, int, float], tuple[int, int, float]]:
+    """Count all places of a mask and those not at its rim: how many, how many far off, limited squares."""
+    height, width = mask.shape
+    three, inner = np.zeros(width, dtype=np.bool_), np.zeros(width, dtype=np.bool_)
+    n, far, squares = 0, 0, 0.0
+    inner_n, inner_far, inner_squares = 0, 0, 0.0
+    for y in range(height):
+        if 0 < y < height - 1:
+            for x in range(width):
+                three[x] = mask[y - 1, x] & mask[y, x] & mask[y + 1, x]
+            for x in range(1, width - 1):
+                inner[x] = three[x - 1] & three[x] & three[x + 1]
+        else:
+            inner[:] = False
+        for x in range(width):
+            if mask[y, x]:
+                deviation = residuals_per_m[n] * per_noise
+                square = deviation * deviation
+                is_far = square > _FAR_DEVIATIONS * _FAR_DEVIATIONS
+                square = min(square, SQUARE_MOST)
+                n += 1
+                far += is_far
+                squares += square
+                inner_n += inner[x]
+                inner_far += is_far & inner[x]
+                inner_squares += square if inner[x] else 0.0
+    return (n, far, squares), (inner_n, inner_far, inner_squares)
+
+
+def _has_patch(
+    deviations: NDArray[np.float64], mask: NDArray[np.bool_], inner: bool, patch_places: float
+) -> bool:
     """Say whether a connected patch of places lies off the surface, noise being averaged out."""
-    image = np.zeros(judged.shape, dtype=np.float32)
+    image, judged = np.zeros(mask.shape, dtype=np.float32), mask
     # Limited, so that one flying pixel does not make a patch of its window.
-    image[judged] = np.clip(deviations, -SQUARE_MOST, SQUARE_MOST)
+    image[mask] = np.clip(deviations, -SQUARE_MOST, SQUARE_MOST)
+    if inner:
+        kernel = np.ones((3, 3), dtype=np.uint8)
+        eroded = cv2.erode(mask.view(np.uint8), kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+        judged = eroded.view(np.bool_)
+        image[~judged] = 0.0
     size = (2 * _PATCH_HALF + 1, 2 * _PATCH_HALF + 1)
     weight = cv2.boxFilter(judged.astype(np.float32), -1, size, borderType=cv2.BORDER_CONSTANT)
     mean = cv2.boxFilter(image, -1, size, borderType=cv2.BORDER_CONSTANT) / np.maximum(weight, 1e-6)

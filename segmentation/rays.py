@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.bspline import CUBIC, basis_matrix
+from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.registration import PointMap
 
 #: Rays of a lens without distortion differ from linear ones by the rounding of single precision.
@@ -110,16 +111,33 @@ class Rays:
         """
         if self.linear:
             # The control values of what is linear lie on it.
-            return np.stack(self.lattice(_abscissae(knots_u), _abscissae(knots_v)))
+            return _linear_control_values(self.coefficients, *self.center, self.scale, knots_u, knots_v)
         u, take_u = _interpolator(knots_u)
         v, take_v = _interpolator(knots_v)
         return np.stack([take_v @ each @ take_u.T for each in self.lattice(u, v)])
 
 
-def _abscissae(knots: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the Greville abscissae of a cubic knot vector."""
-    places: NDArray[np.float64] = (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3
-    return places
+@compiled
+def _linear_control_values(
+    coefficients: NDArray[np.float64],
+    center_u: float,
+    center_v: float,
+    scale: float,
+    knots_u: NDArray[np.float64],
+    knots_v: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Evaluate linear rays at the Greville abscissae of cubic knot vectors."""
+    height, width = knots_v.size - 4, knots_u.size - 4
+    values = np.empty((2, height, width))
+    for row in range(height):
+        t = ((knots_v[row + 1] + knots_v[row + 2] + knots_v[row + 3]) / 3.0 - center_v) / scale
+        for column in range(width):
+            s = ((knots_u[column + 1] + knots_u[column + 2] + knots_u[column + 3]) / 3.0 - center_u) / scale
+            for k in range(2):
+                values[k, row, column] = (
+                    coefficients[k, 0, 0] + coefficients[k, 1, 0] * s + coefficients[k, 0, 1] * t
+                )
+    return values
 
 
 def _interpolator(knots: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.bspline import CUBIC, basis_matrix, pixel_basis, pixel_knots
+from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.grid import PixelGrid, full_grid
 from nurbseg.segmentation.leastsquares import LinAlgError, fit_control_points
@@ -298,12 +299,15 @@ def fit_on_grid(grid: PixelGrid, places: NDArray[np.intp], config: SegmentationC
         control_point_count(right - left, grid.shape[1], config),
         control_point_count(bottom - top, grid.shape[0], config),
     )
-    points = grid.coordinates_m[:, top:bottom, left:right]
     try:
-        control = fit_control_points(points, mask, counts)
+        control = fit_control_points(grid.coordinates_m, mask, (top, left), counts)
     except LinAlgError as error:
         return Fit(None, np.zeros(0), {}, f"no least-squares solution: {error}", grid.pixels(places))
-    residuals = _distances(control, points, mask)
+    rows, columns = pixel_basis(bottom - top, counts[1]), pixel_basis(right - left, counts[0])
+    residuals = _distances(
+        *(grid.coordinates_m, np.ascontiguousarray(mask), top, left, control),
+        *(rows.starts, rows.values, columns.starts, columns.values),
+    )
     surface = NurbsSurface(
         degree=(CUBIC, CUBIC),
         knots_u=_full_image_knots(right - left, counts[0], left, grid.step),
@@ -315,21 +319,46 @@ def fit_on_grid(grid: PixelGrid, places: NDArray[np.intp], config: SegmentationC
     return Fit(surface, residuals, residual_metrics(residuals, config), "", grid.pixels(places))
 
 
+@compiled
 def _distances(
-    control: NDArray[np.float64], points: NDArray[np.float32], mask: NDArray[np.bool_]
+    points_m: NDArray[np.float32],
+    mask: NDArray[np.bool_],
+    top: int,
+    left: int,
+    control_m: NDArray[np.float64],
+    starts_v: NDArray[np.intp],
+    values_v: NDArray[np.float64],
+    starts_u: NDArray[np.intp],
+    values_u: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Distance of each point of a window to the surface at its own parameters, in the order of pixels."""
-    Bu, Bv = pixel_basis(mask.shape[1], control.shape[2]), pixel_basis(mask.shape[0], control.shape[1])
-    squares = np.zeros(mask.shape)
-    fitted = np.empty(mask.shape)
-    # One coordinate at a time: three images at once would not stay in the cache.
-    for net, coordinate in zip(control, points, strict=True):
-        np.matmul(Bv, net @ Bu.T, out=fitted)
-        fitted -= coordinate
-        fitted *= fitted
-        squares += fitted
-    distances: NDArray[np.float64] = squares[mask]
-    return np.sqrt(distances, out=distances)
+    """Distance of each marked point of a window to a spline at its own parameters, in the order of pixels."""
+    height, width = mask.shape
+    count = 0
+    for y in range(height):
+        for x in range(width):
+            count += mask[y, x]
+    distances, squares = np.empty(count), np.empty(width)
+    net, weights = np.empty(control_m.shape[2]), np.ascontiguousarray(values_u.T)
+    n = 0
+    for y in range(height):
+        squares[:] = 0.0
+        first = starts_v[y]
+        for c in range(3):
+            for k in range(net.size):
+                net[k] = 0.0
+                for i in range(4):
+                    net[k] += values_v[y, i] * control_m[c, first + i, k]
+            along = points_m[c, top + y, left : left + width]
+            for x in range(width):
+                start, off = starts_u[x], -np.float64(along[x])
+                for j in range(4):
+                    off += weights[j, x] * net[start + j]
+                squares[x] += off * off
+        for x in range(width):
+            if mask[y, x]:
+                distances[n] = np.sqrt(squares[x])
+                n += 1
+    return distances
 
 
 def control_point_count(extent: int, image_extent: int, config: SegmentationConfig) -> int:

@@ -3,7 +3,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.interpolate import BSpline
 
-from nurbseg.segmentation.bspline import averaged_knots, basis_matrix, neighbor_products, pixel_basis
+from nurbseg.segmentation.bspline import averaged_knots, basis_matrix, pixel_basis, pixel_knots
 
 
 def test_knots_are_those_of_the_book_worked_by_hand():
@@ -38,14 +38,16 @@ def test_beyond_the_domain_the_end_polynomials_go_on():
 
 
 def test_a_single_pixel_has_a_basis_that_sums_to_one():
-    assert_allclose(pixel_basis(1, 4).sum(axis=1), 1.0)
+    assert_allclose(pixel_basis(1, 4).values.sum(axis=1), 1.0)
 
 
-def test_neighbor_products_multiply_functions_that_overlap():
-    basis, products = pixel_basis(30, 7), neighbor_products(30, 7)
-    for k in range(4):
-        for i in range(7 - k):
-            assert_allclose(products[:, k * 7 + i], basis[:, i] * basis[:, i + k])
+@pytest.mark.parametrize(("size", "count"), [(30, 7), (4, 4), (1, 4), (640, 20)])
+def test_four_functions_are_not_zero_at_a_pixel(size: int, count: int):
+    basis = pixel_basis(size, count)
+    whole = np.zeros((size, count))
+    for place in range(size):
+        whole[place, basis.starts[place] : basis.starts[place] + 4] = basis.values[place]
+    assert_allclose(whole, basis_matrix(pixel_knots(size, count), 3, np.arange(float(size))), atol=1e-15)
 
 
 def test_fewer_control_points_than_a_cubic_needs_are_refused():

@@ -11,7 +11,6 @@ from nurbseg.segmentation.inverse_depth import (
     inverse_depth_lattice,
     rational_surface,
 )
-from nurbseg.segmentation.leastsquares import fit_control_points
 from nurbseg.segmentation.rays import rays_of
 from nurbseg.segmentation.surface import evaluate, evaluate_lattice
 
@@ -105,38 +104,6 @@ def test_a_surface_never_passes_through_infinity_where_nothing_holds_it(cloud_of
     fit, _ = fit_window(depth_grid(cloud, 1), WHOLE, mask, CONFIG)
     assert (fit.surface.weights > 0).all()
     assert np.isfinite(evaluate_lattice(fit.surface, np.arange(80.0), np.arange(60.0))).all()
-
-
-@pytest.mark.parametrize("counts", [(5, 7), (8, 4)])
-def test_smooth_fits_solve_the_penalised_normal_equations(counts):
-    rng = np.random.default_rng(2)
-    mask = rng.random((23, 31)) < 0.5
-    mask[:, 20:] = False
-    values = rng.normal(size=(1, 23, 31))
-    nu, nv = counts
-    knots = [averaged_knots(np.arange(float(size)), count) for size, count in ((31, nu), (23, nv))]
-    Bu, Bv = (basis_matrix(k, 3, np.arange(float(size))) for k, size in zip(knots, (31, 23), strict=True))
-    rows, columns = np.nonzero(mask)
-    A = np.einsum("na,nb->nab", Bv[rows], Bu[columns]).reshape(rows.size, -1)
-
-    def bends(knot, count):
-        place = np.array([knot[i + 1 : i + 4].mean() for i in range(count)])
-        unit = np.diff(place).mean()
-        result = np.zeros((count - 2, count))
-        for i in range(1, count - 1):
-            before, after = place[i] - place[i - 1], place[i + 1] - place[i]
-            result[i - 1, i - 1 : i + 2] = unit / before, -unit / before - unit / after, unit / after
-        return result
-
-    penalty = np.concatenate(
-        [np.kron(np.eye(nv), bends(knots[0], nu)), np.kron(bends(knots[1], nv), np.eye(nu))]
-    )
-    weight = 2.5
-    stacked = np.concatenate([A, np.sqrt(weight) * penalty])
-    right = np.concatenate([values[0][mask], np.zeros(len(penalty))])
-    expected = np.linalg.lstsq(stacked, right, rcond=None)[0].reshape(nv, nu)
-    found = fit_control_points(values * mask, mask, counts, smoothness=weight)[0]
-    assert_allclose(found, expected, atol=1e-6)
 
 
 def test_points_that_are_nowhere_leave_no_surface_but_a_reason(cloud_of):
