@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import product
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.inverse_depth import inverse_depth_image_of
 from nurbseg.segmentation.noise import SQUARE_MOST
 from nurbseg.segmentation.pieces import connected_pieces, joints
 from nurbseg.segmentation.spreading import spread_labels
 from nurbseg.segmentation.surface import NurbsSurface
+from nurbseg.segmentation.surface_table import SurfaceTable
 
 #: Neighbours that vote are at most so far away along rows and columns, pixels.
 _REACH = 2
@@ -23,10 +25,12 @@ _VOTE = 0.7
 #: Vote of a neighbour across a gap in depth, in shares of another's.
 _ACROSS_GAP = 0.25
 _SWEEPS = 6
-#: Pixels judged at once, so that their neighbours stay in the cache.
+#: Pixels judged at once, so that what is found for them stays in the cache.
 _BLOCK = 4096
 _OFFSETS = tuple(pair for pair in product(range(-_REACH, _REACH + 1), repeat=2) if pair != (0, 0))
 _DISTANCES = np.hypot(*np.array(_OFFSETS).T).astype(np.float32)
+#: Labels around a pixel, at most, with its own.
+_LABELS_MOST = len(_OFFSETS) + 1
 
 
 def labels_of_every_pixel(
@@ -55,19 +59,42 @@ def labels_of_every_pixel(
         The label of the place of the grid at or before the pixel, unless a gap in depth is in between:
         then that of the neighbour nearest in inverse depth. 0 only where there is no point.
     """
-    step, (height, width) = config.decimation, valid.shape
-    if step == 1:
-        labels = on_grid.copy()
-        open_pixels = valid & (labels == 0)
-    else:
-        labels = np.repeat(np.repeat(on_grid, step, axis=1)[:, :width], step, axis=0)[:height]
-        steps = np.repeat(np.repeat(grid_per_m, step, axis=1)[:, :width], step, axis=0)[:height]
-        steps -= per_m
-        open_pixels = np.abs(steps, out=steps) >= config.depth_gap_per_m
-        open_pixels |= labels == 0
-        open_pixels &= valid
-        labels *= valid & ~open_pixels
+    labels = np.empty(valid.shape, dtype=np.int32)
+    open_pixels = np.empty(valid.shape, dtype=np.bool_)
+    _take_over(
+        np.ascontiguousarray(on_grid),
+        np.ascontiguousarray(grid_per_m),
+        np.ascontiguousarray(per_m),
+        np.ascontiguousarray(valid),
+        config.decimation,
+        np.float32(config.depth_gap_per_m),
+        labels,
+        open_pixels,
+    )
     return spread_labels(labels, open_pixels, per_m, config.depth_gap_per_m)
+
+
+@compiled
+def _take_over(
+    on_grid: NDArray[np.int32],
+    grid_per_m: NDArray[np.float32],
+    per_m: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    step: int,
+    gap_per_m: np.float32,
+    labels: NDArray[np.int32],
+    open_pixels: NDArray[np.bool_],
+) -> None:
+    """Give pixels the label of their place of the grid, where no gap is in between; open the others."""
+    height, width = valid.shape
+    for row in range(height):
+        r = row // step
+        for c in range(on_grid.shape[1]):
+            label, own = on_grid[r, c], grid_per_m[r, c]
+            for column in range(c * step, min((c + 1) * step, width)):
+                known = valid[row, column] and label > 0 and abs(own - per_m[row, column]) < gap_per_m
+                labels[row, column] = label if known else 0
+                open_pixels[row, column] = valid[row, column] and not known
 
 
 def refine_borders(
@@ -104,28 +131,182 @@ def refine_borders(
     .. [1] J. Besag, "On the statistical analysis of dirty pictures", Journal of the Royal Statistical
        Society B 48(3), 1986.
     """
-    if len(surfaces) < 2 or not labels.any():
+    present = _present(labels, len(surfaces))
+    if len(surfaces) < 2 or not present.any():
         return labels
-    sides = _Sides(labels, per_m, surfaces, config.noise_per_m, config.depth_gap_per_m)
-    pixels = np.flatnonzero(_near_borders(labels))
-    for sweep in range(_SWEEPS):
-        if sweep > 1:
-            # By then neighbours that only change places are left: one of two at a time.
-            rows, columns = np.divmod(pixels, labels.shape[1])
-            pixels = pixels[(rows + columns + sweep) % 2 == 0]
-        if pixels.size == 0:
-            break
-        # Only where a label has changed within reach can another one be the cheapest now.
-        pixels = sides.around(sides.improve(pixels))
-    refined = _without_severed_pieces(sides.labels(), per_m, config)
-    count = len(surfaces) + 1
-    lost = np.bincount(labels.ravel(), minlength=count) > 0
-    lost &= np.bincount(refined.ravel(), minlength=count) == 0
-    lost[0] = False
+    refined = _without_severed_pieces(_cheapest(labels, per_m, surfaces, config), per_m, config)
+    lost = present & ~_present(refined, len(surfaces))
     if lost.any():
         kept = lost[labels]
         refined[kept] = labels[kept]
     return refined
+
+
+def _cheapest(
+    labels: NDArray[np.int32],
+    per_m: NDArray[np.float32],
+    surfaces: Sequence[NurbsSurface | None],
+    config: SegmentationConfig,
+) -> NDArray[np.int32]:
+    """Give pixels at borders the cheapest label around them, in a few sweeps.
+
+    Pixels are numbered in an image with a margin as wide as the reach, so that all have all neighbours.
+    """
+    table = SurfaceTable(surfaces)
+    padded, depths = np.pad(labels, _REACH), np.pad(per_m, _REACH).ravel()
+    flat, width = padded.reshape(-1), padded.shape[1]
+    around = np.array([down * width + across for down, across in _OFFSETS])
+    gaps = (config.depth_gap_per_m * np.sqrt(_DISTANCES)).astype(np.float32)
+    votes = (_VOTE / _DISTANCES).astype(np.float32)
+    across = np.float32(_ACROSS_GAP) * votes
+    per_deviation = np.float32(1.0 / config.noise_per_m)
+
+    reached = np.empty(flat.size, dtype=np.bool_)
+    pixels = np.flatnonzero(np.pad(_near_borders(labels), _REACH))
+    for sweep in range(_SWEEPS):
+        if pixels.size == 0:
+            break
+        best = np.empty(pixels.size, dtype=np.int32)
+        for block in (slice(n, n + _BLOCK) for n in range(0, pixels.size, _BLOCK)):
+            some = pixels[block]
+            candidates = _room_for(some.size)
+            count = _find_candidates(flat, depths, some, width, around, gaps, votes, across, candidates)
+            label, row, column = (
+                each[:count] for each in (candidates.label, candidates.row, candidates.column)
+            )
+            explained = table.inverse_depths(label, row, column)
+            _choose(flat, depths, some, candidates, explained, per_deviation, best[block])
+        # Only where a label has changed within reach can another one be the cheapest now. By the third
+        # sweep neighbours that only change places are left: one of two at a time.
+        reached[:] = False
+        _move(flat, width, pixels, best, around, sweep + 1 if sweep > 0 else -1, reached)
+        pixels = np.flatnonzero(reached)
+    return np.ascontiguousarray(padded[_REACH:-_REACH, _REACH:-_REACH])
+
+
+class _Candidates(NamedTuple):
+    """Labels that pixels could have: those around them and their own.
+
+    Parameters
+    ----------
+    ends : (N,) intp
+        Where those of each pixel end.
+    label, row, column : (25 N,) int32
+        Which label, and the pixel.
+    votes : (25 N,) float32
+        Sum of the votes of the neighbours that have it.
+    """
+
+    ends: NDArray[np.intp]
+    label: NDArray[np.int32]
+    row: NDArray[np.int32]
+    column: NDArray[np.int32]
+    votes: NDArray[np.float32]
+
+
+def _room_for(pixels: int) -> _Candidates:
+    """Return candidates of so many pixels that are yet to be found."""
+    most = pixels * _LABELS_MOST
+    label, row, column = np.empty((3, most), dtype=np.int32)
+    return _Candidates(np.empty(pixels, dtype=np.intp), label, row, column, np.empty(most, dtype=np.float32))
+
+
+@compiled
+def _find_candidates(
+    labels: NDArray[np.int32],
+    per_m: NDArray[np.float32],
+    pixels: NDArray[np.intp],
+    width: int,
+    around: NDArray[np.intp],
+    gaps_per_m: NDArray[np.float32],
+    votes: NDArray[np.float32],
+    votes_across: NDArray[np.float32],
+    found: _Candidates,
+) -> int:
+    """Find the labels around pixels, a pixel's own first, none where there is no other; count them."""
+    end = 0
+    for n in range(pixels.size):
+        pixel = pixels[n]
+        own, own_votes = labels[pixel], np.float32(0.0)
+        first = end
+        end += 1
+        for k in range(around.size):
+            other = pixel + around[k]
+            label = labels[other]
+            if label == 0:
+                continue
+            across_gap = abs(per_m[other] - per_m[pixel]) >= gaps_per_m[k]
+            vote = votes_across[k] if across_gap else votes[k]
+            if label == own:
+                own_votes += vote
+                continue
+            at = first + 1
+            while at < end and found.label[at] != label:
+                at += 1
+            if at == end:
+                found.label[end], found.votes[end] = label, 0.0
+                end += 1
+            found.votes[at] += vote
+        found.label[first], found.votes[first] = own, own_votes
+        if end == first + 1:
+            end = first
+        for at in range(first, end):
+            found.row[at], found.column[at] = pixel // width - _REACH, pixel % width - _REACH
+        found.ends[n] = end
+    return end
+
+
+@compiled
+def _choose(
+    labels: NDArray[np.int32],
+    per_m: NDArray[np.float32],
+    pixels: NDArray[np.intp],
+    candidates: _Candidates,
+    explained_per_m: NDArray[np.float32],
+    per_deviation: np.float32,
+    best: NDArray[np.int32],
+) -> None:
+    """Find the cheapest candidate of each pixel, the one of the smallest label among several."""
+    first = 0
+    for n in range(pixels.size):
+        best[n] = labels[pixels[n]]
+        least = np.float32(np.inf)
+        for at in range(first, candidates.ends[n]):
+            residual = (explained_per_m[at] - per_m[pixels[n]]) * per_deviation
+            cost = np.float32(SQUARE_MOST)
+            # False for what has no surface.
+            if residual * residual < cost:
+                cost = residual * residual
+            cost -= candidates.votes[at]
+            label = candidates.label[at]
+            if cost < least or (cost == least and label < best[n]):
+                least, best[n] = cost, label
+        first = candidates.ends[n]
+
+
+@compiled
+def _move(
+    labels: NDArray[np.int32],
+    width: int,
+    pixels: NDArray[np.intp],
+    best: NDArray[np.int32],
+    around: NDArray[np.intp],
+    parity: int,
+    reached: NDArray[np.bool_],
+) -> None:
+    """Give pixels new labels, and mark the labelled pixels within reach of those that changed.
+
+    Of these only the ones whose row and column add up to an even number with `parity`, unless that is less
+    than 0.
+    """
+    for n in range(pixels.size):
+        if best[n] == labels[pixels[n]]:
+            continue
+        labels[pixels[n]] = best[n]
+        for k in range(around.size + 1):
+            pixel = pixels[n] + around[k] if k < around.size else pixels[n]
+            wanted = parity < 0 or (pixel // width + pixel % width + parity) % 2 == 0
+            reached[pixel] = wanted and labels[pixel] > 0
 
 
 def _near_borders(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
@@ -139,149 +320,18 @@ def _near_borders(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
     return np.asarray((image > 0) & (largest != least))
 
 
-class _Sides:
-    """Labels at their borders, and what each pixel would cost on the other side.
-
-    Pixels are numbered in an image with a margin as wide as the reach, so that all have all neighbours.
-    """
-
-    def __init__(
-        self,
-        labels: NDArray[np.int32],
-        per_m: NDArray[np.float32],
-        surfaces: Sequence[NurbsSurface | None],
-        noise_per_m: float,
-        gap_per_m: float,
-    ) -> None:
-        self._shape = labels.shape
-        self._labels = np.pad(labels, _REACH)
-        self._per_m = np.pad(per_m, _REACH).ravel()
-        self._per_deviation = np.float32(1.0 / noise_per_m)
-        width = self._labels.shape[1]
-        self._steps = np.array([down * width + across for down, across in _OFFSETS])[:, np.newaxis]
-        self._votes = (_VOTE / _DISTANCES)[:, np.newaxis]
-        self._votes_across = np.float32(_ACROSS_GAP) * self._votes
-        self._gaps = (gap_per_m * np.sqrt(_DISTANCES))[:, np.newaxis]
-        self._explain(labels, surfaces)
-
-    def labels(self) -> NDArray[np.int32]:
-        """Return the labels as they are now, (H, W)."""
-        return np.ascontiguousarray(self._labels[_REACH:-_REACH, _REACH:-_REACH])
-
-    def improve(self, pixels: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Give pixels, flat in the image, the cheapest label around them; return those that changed."""
-        best = [self._cheapest(pixels[n : n + _BLOCK]) for n in range(0, pixels.size, _BLOCK)]
-        rows, columns = np.divmod(pixels, self._shape[1])
-        flat, numbers = self._labels.reshape(-1), (rows + _REACH) * self._labels.shape[1] + columns + _REACH
-        cheapest = np.concatenate(best)
-        changed = cheapest != flat[numbers]
-        flat[numbers[changed]] = cheapest[changed]
-        moved: NDArray[np.intp] = pixels[changed]
-        return moved
-
-    def _cheapest(self, pixels: NDArray[np.intp]) -> NDArray[np.int32]:
-        """Return the cheapest label around each pixel."""
-        rows, columns = np.divmod(pixels, self._shape[1])
-        numbers = (rows + _REACH) * self._labels.shape[1] + columns + _REACH
-        flat = self._labels.reshape(-1)
-        at = self._steps + numbers
-        near, own = flat.take(at), self._per_m.take(numbers)
-        steps = self._per_m.take(at)
-        steps -= own
-        weights = np.where(np.abs(steps, out=steps) >= self._gaps, self._votes_across, self._votes)
-
-        def cost(
-            label: NDArray[np.int32], which: NDArray[np.intp], same: NDArray[np.bool_]
-        ) -> NDArray[np.float32]:
-            residual = self._explained(label, rows[which], columns[which])
-            residual -= own[which]
-            residual *= self._per_deviation
-            np.minimum(np.square(residual, out=residual), np.float32(SQUARE_MOST), out=residual)
-            some = weights if which.size == pixels.size else weights[:, which]
-            residual -= np.where(same, some, np.float32(0.0)).sum(axis=0)
-            return residual
-
-        before = flat[numbers]
-        which = np.arange(pixels.size)
-        same = near == before
-        best: NDArray[np.int32] = before.copy()
-        least = cost(before, which, same)
-        # The other labels around, the largest first; few pixels see more than one.
-        others = near
-        while True:
-            others[same] = 0
-            label = others.max(axis=0)
-            some = np.flatnonzero(label)
-            if some.size == 0:
-                return best
-            if some.size < label.size:
-                which, label, others = which[some], label[some], others[:, some]
-            same = others == label
-            value = cost(label, which, same)
-            better = (value < least[which]) | ((value == least[which]) & (label < best[which]))
-            best[which[better]], least[which[better]] = label[better], value[better]
-
-    def around(self, pixels: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return the labelled pixels within reach of some."""
-        rows, columns = np.divmod(pixels, self._shape[1])
-        numbers = (rows + _REACH) * self._labels.shape[1] + columns + _REACH
-        reached = np.zeros(self._labels.size, dtype=np.bool_)
-        reached[numbers] = True
-        reached[self._steps + numbers] = True
-        image = reached.reshape(self._labels.shape) & (self._labels > 0)
-        found: NDArray[np.intp] = np.flatnonzero(image[_REACH:-_REACH, _REACH:-_REACH])
-        return found
-
-    def _explain(self, labels: NDArray[np.int32], surfaces: Sequence[NurbsSurface | None]) -> None:
-        """Evaluate each surface wherever its label can get, one after the other in one array."""
-        height, width = self._shape
-        margin = _REACH * _SWEEPS
-        windows = []
-        self._first = np.zeros(len(surfaces) + 1, dtype=np.intp)
-        self._row_length = np.zeros(len(surfaces) + 1, dtype=np.intp)
-        start = 0
-        for label, (top, left, bottom, right) in enumerate(_extents(labels, len(surfaces)), start=1):
-            top, left = max(top - margin, 0), max(left - margin, 0)
-            bottom, right = min(bottom + margin, height), min(right + margin, width)
-            surface = surfaces[label - 1]
-            self._row_length[label] = right - left
-            self._first[label] = start - top * (right - left) - left
-            start += (bottom - top) * (right - left)
-            if surface is None:
-                windows.append(np.full((bottom - top) * (right - left), np.inf, dtype=np.float32))
-                continue
-            u, v = np.arange(left, right, dtype=np.float64), np.arange(top, bottom, dtype=np.float64)
-            windows.append(inverse_depth_image_of(surface, u, v).ravel())
-        self._inverse_depths = np.concatenate(windows)
-
-    def _explained(
-        self, labels: NDArray[np.int32], rows: NDArray[np.intp], columns: NDArray[np.intp]
-    ) -> NDArray[np.float32]:
-        """Return the inverse depth of the surfaces of some labels, each at its own pixel."""
-        explained: NDArray[np.float32] = self._inverse_depths.take(
-            self._first.take(labels) + rows * self._row_length.take(labels) + columns
-        )
-        return explained
+def _present(labels: NDArray[np.int32], count: int) -> NDArray[np.bool_]:
+    """Say which of the labels from 1 to `count` there are, (count + 1,) bool; False for 0."""
+    present = np.zeros(count + 1, dtype=np.bool_)
+    _mark(np.ascontiguousarray(labels), present)
+    present[0] = False
+    return present
 
 
-def _extents(labels: NDArray[np.int32], count: int) -> list[tuple[int, int, int, int]]:
-    """Return the tight window of each label from 1 on; an empty one where it has no pixel."""
-    height, width = labels.shape
-    # Where labels change along a row or column, and at its ends, is where windows can end.
-    in_row, in_column = (np.zeros((extent, count + 1), dtype=np.bool_) for extent in (height, width))
-    for across, image in ((in_row, labels), (in_column, np.asarray(cv2.transpose(labels)))):
-        turns = np.ones(image.shape, dtype=np.bool_)
-        np.not_equal(image[:, 1:], image[:, :-1], out=turns[:, 1:])
-        places = np.flatnonzero(turns)
-        across[places // image.shape[1], image.take(places)] = True
-    windows = []
-    for label in range(1, count + 1):
-        rows, columns = np.flatnonzero(in_row[:, label]), np.flatnonzero(in_column[:, label])
-        if rows.size == 0:
-            windows.append((0, 0, 0, 0))
-            continue
-        windows.append((int(rows[0]), int(columns[0]), int(rows[-1]) + 1, int(columns[-1]) + 1))
-    return windows
+@compiled
+def _mark(labels: NDArray[np.int32], present: NDArray[np.bool_]) -> None:
+    for label in labels.flat:
+        present[label] = True
 
 
 def _without_severed_pieces(
