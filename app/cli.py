@@ -6,11 +6,15 @@ import logging
 import os
 import sys
 from collections.abc import Sequence
-from typing import NoReturn
+from contextlib import nullcontext
+from typing import TYPE_CHECKING, NoReturn
 
 from nurbseg.app.arguments import Arguments, parse_arguments
 from nurbseg.app.interruption import Interruption
 from nurbseg.app.threads import one_thread_for_products
+
+if TYPE_CHECKING:
+    from nurbseg.app.view_process import ViewProcess
 
 _log = logging.getLogger("nurbseg.live")
 
@@ -68,7 +72,15 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Arguments, interruption: Interruption) -> int:
-    # Late, so that --help need not wait for numpy and OpenCV.
+    # Late, so that --help need not wait for numpy and OpenCV; what shows imports Rerun in the meantime.
+    from nurbseg.app.view_process import begin_view
+
+    process = begin_view(arguments.config.shown)
+    with process or nullcontext():
+        return _run_with(arguments, interruption, process)
+
+
+def _run_with(arguments: Arguments, interruption: Interruption, process: ViewProcess | None) -> int:
     from nurbseg.app.compilation import told_compilation
     from nurbseg.app.export import ExportError
     from nurbseg.app.run import SetupError, run
@@ -78,7 +90,7 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
     config = arguments.config
     try:
         with told_compilation():
-            report = run(config, interruption)
+            report = run(config, interruption, process)
     except SetupError as err:
         _log.error("%s", err, exc_info=arguments.verbosity > 0)
         return NOT_STARTED

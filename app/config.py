@@ -121,6 +121,11 @@ class AppConfig:
     export: ExportConfig = field(default_factory=ExportConfig)
     record: RecordConfig = field(default_factory=RecordConfig)
 
+    @property
+    def shown(self) -> ViewConfig:
+        """What is shown and saved for viewing: nothing where frames are only recorded."""
+        return ViewConfig(mode="none") if self.record.only else self.view
+
 
 def sections() -> dict[str, type[Any]]:
     """Return the sections of `AppConfig` by name, in their order."""

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.tree import StopReason
+from nurbseg.segmentation.segments import StopReason
 
 #: Labels that have a color of their own; the viewer makes up colors beyond.
 LABEL_COLORS = 1023

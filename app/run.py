@@ -20,7 +20,7 @@ from nurbseg.app.record import open_recording, tell_recorded
 from nurbseg.app.report import RunReport
 from nurbseg.app.tracking import Segmenter
 from nurbseg.app.view import ViewError, open_view
-from nurbseg.app.view_config import ViewConfig
+from nurbseg.app.view_process import ViewProcess
 from nurbseg.app.worker import FrameResult
 from nurbseg.drivers.errors import DriverError
 
@@ -41,7 +41,7 @@ class NoFramesError(DriverError):
     """The source ended before it gave a single frame that can be read."""
 
 
-def run(config: AppConfig, interruption: Interruption) -> RunReport:
+def run(config: AppConfig, interruption: Interruption, view_process: ViewProcess | None = None) -> RunReport:
     """Segment a source's frames until it ends.
 
     Parameters
@@ -50,6 +50,8 @@ def run(config: AppConfig, interruption: Interruption) -> RunReport:
         What to do.
     interruption : Interruption
         Ends the run early; everything is closed then as well, and the report written.
+    view_process : ViewProcess, optional
+        Which shows and saves, if it was started for this configuration before.
 
     Raises
     ------
@@ -78,9 +80,10 @@ def run(config: AppConfig, interruption: Interruption) -> RunReport:
                 )
                 consumers.append(("export", exporter.write))
             name = Path(opened.uri).name
-            view_config = ViewConfig(mode="none") if config.record.only else config.view
             view = stack.enter_context(
-                open_view(view_config, config.segmentation, opened.source.metadata, name=name)
+                open_view(
+                    config.shown, config.segmentation, opened.source.metadata, name=name, process=view_process
+                )
             )
             consumers.append(("show", view.show))
             recording = open_recording(config.record, opened.camera, lossless=opened.every_frame)

@@ -8,6 +8,7 @@ from types import TracebackType
 from typing import Protocol, Self
 
 from nurbseg.app.view_config import ViewConfig
+from nurbseg.app.view_process import ViewProcess, begin_view
 from nurbseg.app.viewer_process import ViewError
 from nurbseg.app.worker import FrameResult
 from nurbseg.segmentation.config import SegmentationConfig
@@ -45,12 +46,19 @@ class View(Protocol):
 
 
 class NullView:
-    """Shows nothing."""
+    """Shows nothing.
 
-    #: How to look at what is shown; empty.
-    how_to_look = ""
+    Attributes
+    ----------
+    how_to_look : str
+        What a person may do to see something all the same; may be empty.
+    """
+
     #: Whether others may look as long as this process runs; never.
     serving = False
+
+    def __init__(self, how_to_look: str = "") -> None:
+        self.how_to_look = how_to_look
 
     def show(self, result: FrameResult) -> None:
         """Do nothing."""
@@ -72,6 +80,7 @@ def open_view(
     *,
     name: str = "nurbseg",
     logger: logging.Logger | None = None,
+    process: ViewProcess | None = None,
 ) -> View:
     """Open the view that a configuration asks for.
 
@@ -87,6 +96,8 @@ def open_view(
         What the recording is called.
     logger : logging.Logger, optional
         Whose messages are shown too; the package's by default.
+    process : ViewProcess, optional
+        Which was started for this configuration before.
 
     Returns
     -------
@@ -98,12 +109,21 @@ def open_view(
     ViewError
         If the file cannot be created, a port is taken, or the viewer cannot be started.
     """
-    if config.mode == "none" and config.save is None:
-        return NullView()
-    # Late: Rerun takes a while to import, and a run without a view needs none of it.
-    from nurbseg.app.view_rerun import RerunView
+    process = process or begin_view(config)
+    if process is None:
+        return NullView("" if config.mode == "none" else _NO_DISPLAY)
+    # Late: most of what draws is compiled, and a run without a view needs none of it.
+    from nurbseg.app.view_isolated import IsolatedView
 
-    return RerunView(config, segmentation, metadata or {}, name, logger or logging.getLogger("nurbseg"))
+    return IsolatedView(
+        process, config, segmentation, metadata or {}, name, logger or logging.getLogger("nurbseg")
+    )
 
+
+_NO_DISPLAY = (
+    "no display (neither DISPLAY nor WAYLAND_DISPLAY is set), so nothing is shown: "
+    "serve a web page (--view serve), connect to a viewer elsewhere (--connect HOST), "
+    "or save a recording (--save FILE.rrd) and open it with 'rerun FILE.rrd'"
+)
 
 __all__ = ["NullView", "View", "ViewError", "open_view"]

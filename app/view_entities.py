@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,15 +16,11 @@ from nurbseg.app.palette import (
     label_colors,
     residual_colors,
 )
-from nurbseg.app.surface_mesh import surface_mesh
 from nurbseg.app.view_config import ViewConfig
+from nurbseg.app.view_frame import Moment, ViewFrame
 from nurbseg.app.view_tree import Entities, tree_entities
-from nurbseg.app.worker import FrameResult
 from nurbseg.drivers.frame import Calibration, Intrinsics
-from nurbseg.segmentation.config import Metric, SegmentationConfig
-from nurbseg.segmentation.identity import Event, event_text
-from nurbseg.segmentation.live import Revision
-from nurbseg.segmentation.tree import SegmentationTree
+from nurbseg.segmentation.config import Metric
 
 WORLD = "world"
 CAMERA = f"{WORLD}/camera"
@@ -40,85 +36,49 @@ GRID_STEP = f"{RATE}/grid_step"
 LOG = "log"
 
 
-@dataclass(frozen=True, slots=True)
-class Moment:
-    """When something was: the frame's number, and the device's clock.
-
-    Parameters
-    ----------
-    frame : int
-        Number of the frame.
-    device_ns : int or None
-        Nanoseconds; None before the first frame.
-    since_epoch : bool
-        Whether the device's clock is a date; otherwise it counts from some start.
-    """
-
-    frame: int
-    device_ns: int | None
-    since_epoch: bool
-
-    def set_on(self, stream: rr.RecordingStream) -> None:
-        """Make it the time of what this thread logs next."""
-        stream.set_time("frame", sequence=self.frame)
-        if self.device_ns is None:
-            return
-        if self.since_epoch:
-            stream.set_time("device_time", timestamp=np.datetime64(self.device_ns, "ns"))
-        else:
-            stream.set_time("device_time", duration=np.timedelta64(self.device_ns, "ns"))
-
-
 @dataclass(slots=True, eq=False)
 class FrameEntities:
     """One frame for all sinks: built by the first thread that needs it, shared with the others.
 
     Parameters
     ----------
-    result : FrameResult
+    frame : ViewFrame
         The frame.
-    elapsed_ms : mapping of str to float
-        Time that each stage took until now, milliseconds; a copy, since the run may go on timing.
-    moment : Moment
-        When it was.
-    rate_hz : float
-        Frames segmented in a second; 0 where it is not known yet.
+    calibration : Calibration
+        Of its cameras.
     view : ViewConfig
         How fine everything is drawn.
-    segmentation : SegmentationConfig
-        Names the metric.
+    metric : str
+        Which of the metrics is shown.
     """
 
-    result: FrameResult
-    elapsed_ms: Mapping[str, float]
-    moment: Moment
-    rate_hz: float
+    frame: ViewFrame
+    calibration: Calibration
     view: ViewConfig
-    segmentation: SegmentationConfig
+    metric: Metric
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _built: list[tuple[str, Any]] | None = None
 
     @property
-    def stages(self) -> tuple[str, ...]:
-        """Names of the stages that were timed."""
-        return tuple(self.elapsed_ms)
+    def moment(self) -> Moment:
+        """When it was."""
+        return self.frame.moment
 
     @property
-    def calibration(self) -> Calibration:
-        """Of the frame's cameras."""
-        return self.result.frame.calibration
+    def stages(self) -> tuple[str, ...]:
+        """Names of the stages that were timed."""
+        return tuple(self.frame.elapsed_ms)
 
     def entities(self) -> Entities:
         """Return paths and what is logged there."""
         with self._lock:
             if self._built is None:
                 self._built = [
-                    *_images(self.result, self.view),
-                    *_space(self.result, self.view),
-                    *tree_entities(self.result, self.segmentation.metric),
-                    *_scalars(self.result.tree, self.elapsed_ms, self.rate_hz, self.segmentation.metric),
-                    *event_entities(self.result.events),
-                    *_revision_entities(self.result.revision),
+                    *_images(self.frame, self.view),
+                    *_space(self.frame, self.view),
+                    *tree_entities(self.frame, self.metric),
+                    *_scalars(self.frame),
+                    *_said(self.frame),
                 ]
             return self._built
 
@@ -185,87 +145,65 @@ def _pinhole(camera: Intrinsics, color: tuple[int, int, int]) -> rr.Pinhole:
     )
 
 
-def _images(result: FrameResult, view: ViewConfig) -> Entities:
-    frame = result.frame
-    color = frame.color if frame.calibration.is_registered else result.cloud.color
-    yield COLOR, rr.Image(color).compress(jpeg_quality=view.jpeg_quality)
-    if not frame.calibration.is_registered:
-        yield UNREGISTERED_COLOR, rr.Image(frame.color).compress(jpeg_quality=view.jpeg_quality)
+def _images(frame: ViewFrame, view: ViewConfig) -> Entities:
+    yield COLOR, rr.Image(frame.color).compress(jpeg_quality=view.jpeg_quality)
+    if frame.unregistered_color is not None:
+        yield UNREGISTERED_COLOR, rr.Image(frame.unregistered_color).compress(jpeg_quality=view.jpeg_quality)
     yield DEPTH, rr.DepthImage(frame.depth_mm, meter=1000.0, colormap="turbo")
-    yield LABELS, rr.SegmentationImage(result.surface_image(), opacity=1.0)
-    if result.tree.objects:
-        yield OBJECTS, rr.SegmentationImage(result.object_image(), opacity=1.0)
-    if frame.labels is not None:
-        yield GROUND_TRUTH, rr.SegmentationImage(frame.labels, opacity=1.0)
+    yield LABELS, rr.SegmentationImage(frame.surfaces, opacity=1.0)
+    if frame.objects is not None:
+        yield OBJECTS, rr.SegmentationImage(frame.objects, opacity=1.0)
+    if frame.truth is not None:
+        yield GROUND_TRUTH, rr.SegmentationImage(frame.truth, opacity=1.0)
 
 
-def _space(result: FrameResult, view: ViewConfig) -> Entities:
-    # Meshes go with the tree's own labels; what is seen bears those that last.
-    labels = result.tree.label_image()
-    pixels = labels.size
+def _space(frame: ViewFrame, view: ViewConfig) -> Entities:
     if view.points_max:
-        step = max(1, int(np.ceil(np.sqrt(pixels / view.points_max))))
-        answer = result.labels()[::step, ::step]
-        shown = answer > 0
         yield (
             POINTS,
-            rr.Points3D(
-                result.cloud.points_m[::step, ::step][shown],
-                class_ids=answer[shown],
-                radii=rr.Radius.ui_points(1.8),
-            ),
+            rr.Points3D(frame.points_m, class_ids=frame.point_labels, radii=rr.Radius.ui_points(1.8)),
         )
-    mesh = surface_mesh(result.tree, labels, view.mesh_step_px * np.sqrt(pixels / (640 * 480)))
     yield (
         SURFACES,
         rr.Mesh3D(
-            vertex_positions=mesh.vertices_m,
-            vertex_normals=mesh.normals,
-            triangle_indices=mesh.triangles,
-            vertex_colors=residual_colors(mesh.residuals_m, view.residual_max_m),
+            vertex_positions=frame.vertices_m,
+            vertex_normals=frame.normals,
+            triangle_indices=frame.triangles,
+            vertex_colors=residual_colors(frame.residuals_m, view.residual_max_m),
         ),
     )
 
 
-def _scalars(
-    tree: SegmentationTree, elapsed_ms: Mapping[str, float], rate_hz: float, metric: Metric
-) -> Entities:
-    if rate_hz > 0:
-        yield RATE, rr.Scalars(rate_hz)
-    for stage, stage_ms in elapsed_ms.items():
+def _scalars(frame: ViewFrame) -> Entities:
+    if frame.rate_hz > 0:
+        yield RATE, rr.Scalars(frame.rate_hz)
+    for stage, stage_ms in frame.elapsed_ms.items():
         yield f"{LATENCY}/{stage}", rr.Scalars(stage_ms)
-    leaves = [leaf for leaf in tree.leaves() if leaf.fit.surface is not None]
+    leaves = [each for each in frame.tree if each.label is not None and each.has_surface]
     yield SEGMENT_COUNT, rr.Scalars(len(leaves))
-    values = np.array([leaf.fit.values.get(metric, 0.0) for leaf in leaves])
-    if values.size:
-        weights = np.array([leaf.pixels.size for leaf in leaves], dtype=float)
-        yield f"{METRIC}/worst", rr.Scalars(values.max())
-        yield f"{METRIC}/mean", rr.Scalars(np.average(values, weights=np.maximum(weights, 1.0)))
+    if leaves:
+        values = [each.value or 0.0 for each in leaves]
+        weights = [max(each.pixels, 1) for each in leaves]
+        yield f"{METRIC}/worst", rr.Scalars(max(values))
+        yield f"{METRIC}/mean", rr.Scalars(np.average(values, weights=weights))
+    if frame.grid_step is not None:
+        yield GRID_STEP, rr.Scalars(frame.grid_step)
+    yield EVENTS, rr.Scalars(len(frame.events))
 
 
-def event_entities(events: Sequence[Event]) -> Entities:
-    """Return what happened to segments between two frames: a number, and a line of the log for all."""
-    yield EVENTS, rr.Scalars(len(events))
-    if events:
-        yield LOG, rr.TextLog("; ".join(map(event_text, events)), level="INFO")
-
-
-def _revision_entities(revision: Revision | None) -> Entities:
-    """Return what was done to the live tree: how fine it was worked, and when it was begun anew."""
-    if revision is None:
-        return
-    yield GRID_STEP, rr.Scalars(revision.step)
-    if revision.cold:
-        yield LOG, rr.TextLog(f"segmented anew: {revision.cold}", level="INFO")
+def _said(frame: ViewFrame) -> Entities:
+    """Return lines of the log: what happened to segments, and why the tree was begun anew."""
+    if frame.events:
+        yield LOG, rr.TextLog("; ".join(frame.events), level="INFO")
+    if frame.anew:
+        yield LOG, rr.TextLog(f"segmented anew: {frame.anew}", level="INFO")
 
 
 __all__ = [
     "CAMERA",
     "Entities",
     "FrameEntities",
-    "Moment",
     "camera_entities",
-    "event_entities",
     "opening_entities",
     "stage_entities",
 ]

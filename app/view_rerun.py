@@ -5,20 +5,15 @@ from __future__ import annotations
 import logging
 import os
 import subprocess
-import sys
 import time
 import uuid
-from collections import deque
 from collections.abc import Mapping
-from dataclasses import asdict, fields
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 from urllib.parse import quote
 
-from nurbseg.app.report import versions
 from nurbseg.app.view_config import ViewConfig, bracketed
-from nurbseg.app.worker import FrameResult
+from nurbseg.app.view_frame import Moment, ViewFrame
+from nurbseg.drivers.frame import Calibration
 from nurbseg.segmentation.config import SegmentationConfig
 
 # Rerun's own words on a lost viewer go to stderr, once for each entity; ours are enough.
@@ -27,12 +22,13 @@ os.environ.setdefault("RUST_LOG", "warn,re_grpc_client=off,re_sdk::recording_str
 import rerun as rr
 
 from nurbseg.app.view_blueprint import legend
-from nurbseg.app.view_entities import LEGEND, FrameEntities, Moment, opening_entities
+from nurbseg.app.view_entities import LEGEND, FrameEntities, opening_entities
 from nurbseg.app.view_file import FileSink
 from nurbseg.app.view_live import ViewerSink
 from nurbseg.app.view_stream import LogLine, Opening
 from nurbseg.app.viewer_process import (
     ViewError,
+    chosen_mode,
     free_port,
     is_taken,
     listens,
@@ -40,14 +36,12 @@ from nurbseg.app.viewer_process import (
     start_web_server,
 )
 
+logger = logging.getLogger(__name__)
+
 #: What closing may take: for the file to be whole, then for the viewer to take the last frame.
 _FILE_CLOSE_S, _VIEWER_CLOSE_S = 1.2, 0.3
 #: How long a file is waited for where nobody waits for the program's end.
-_FILE_PATIENCE_S = 15.0
-#: Frames over which the rate is taken.
-_RATE_FRAMES = 10
-#: A device clock past this (the year 2001) is a date.
-_EPOCH_NS = 1_000_000_000 * 10**9
+FILE_PATIENCE_S = 15.0
 
 _LEVELS = {
     logging.CRITICAL: "CRITICAL",
@@ -61,18 +55,18 @@ _LEVELS = {
 class RerunView:
     """Shows and saves frames, each sink in its own thread with its own stream of the same recording.
 
+    It runs in a process of its own: `nurbseg.app.view_program`.
+
     Parameters
     ----------
     config : ViewConfig
         Where, and how fine.
     segmentation : SegmentationConfig
         Kept with the recording; names the metric that is shown.
-    metadata : mapping of str to str
-        What is known of the device; kept with the recording.
+    properties : mapping of str to mapping of str to str
+        What else is kept with the recording, by subject.
     name : str
         What the recording is called.
-    logger : logging.Logger
-        Its messages are shown too.
 
     Attributes
     ----------
@@ -89,16 +83,12 @@ class RerunView:
         self,
         config: ViewConfig,
         segmentation: SegmentationConfig,
-        metadata: Mapping[str, str],
+        properties: Mapping[str, Mapping[str, str]],
         name: str,
-        logger: logging.Logger,
     ) -> None:
         self._config = config
-        self._segmentation = segmentation
-        self._logger = logger
-        self._shown_s: deque[float] = deque(maxlen=_RATE_FRAMES + 1)
-        self._moment = Moment(0, None, False)
-        self._since_epoch: bool | None = None
+        self._metric = segmentation.metric
+        self._calibration: Calibration | None = None
         self._closed = False
         self._process: subprocess.Popen[bytes] | None = None
         self._files: list[FileSink] = []
@@ -107,7 +97,10 @@ class RerunView:
         opening = Opening(
             recording_id=str(uuid.uuid4()),
             name=name,
-            properties=_properties(config, segmentation, metadata),
+            properties={
+                subject: rr.AnyValues(drop_untyped_nones=True, **values)
+                for subject, values in properties.items()
+            },
             static=(
                 *opening_entities(),
                 (LEGEND, rr.TextDocument(legend(config, segmentation), media_type=rr.MediaType.MARKDOWN)),
@@ -120,8 +113,6 @@ class RerunView:
         except BaseException:
             self.close()
             raise
-        self._handler = _LogHandler(self)
-        logger.addHandler(self._handler)
 
     @property
     def serving(self) -> bool:
@@ -133,21 +124,17 @@ class RerunView:
         """How often a viewer was connected to; more than 1 where one was lost and came back."""
         return sum(viewer.connections for viewer in self._viewers)
 
-    def wait_connected(self, timeout_s: float) -> bool:
-        """Wait until a viewer takes frames; return whether one does, within `timeout_s` seconds."""
-        return any(viewer.wait_connected(timeout_s) for viewer in self._viewers)
-
     @property
     def dropped(self) -> int:
         """Frames that were not shown live because the viewer was slow, frozen or absent."""
         return sum(viewer.dropped for viewer in self._viewers)
 
-    def show(self, result: FrameResult) -> None:
+    def show(self, frame: ViewFrame) -> None:
         """Show a frame and save it.
 
         Parameters
         ----------
-        result : FrameResult
+        frame : ViewFrame
             The frame; a viewer that is behind gets the newest one only, the file gets every one.
 
         Raises
@@ -155,22 +142,16 @@ class RerunView:
         ViewError
             If the file can no longer be written.
         """
-        if self._closed:
-            raise ViewError("the view is closed")
-        frame = result.frame
-        if self._since_epoch is None:
-            self._since_epoch = frame.timestamp_ns > _EPOCH_NS
-        self._moment = Moment(frame.index, frame.timestamp_ns, self._since_epoch)
-        self._shown_s.append(time.monotonic())
-        entities = FrameEntities(
-            result, dict(result.elapsed_ms), self._moment, self._rate_hz(), self._config, self._segmentation
-        )
+        self._calibration = frame.calibration or self._calibration
+        if self._calibration is None:
+            raise ValueError("calibration: expected one with the first frame")
+        entities = FrameEntities(frame, self._calibration, self._config, self._metric)
         for sink in self._sinks:
             sink.put(entities)
 
-    def show_line(self, level: int, text: str) -> None:
-        """Show a line of the log, of one of logging's levels; from any thread, never waits."""
-        line = LogLine(self._moment, _LEVELS.get(level, "INFO"), text)
+    def show_line(self, moment: Moment, level: int, text: str) -> None:
+        """Show a line of the log, of one of logging's levels, as said at a moment; never waits."""
+        line = LogLine(moment, _LEVELS.get(level, "INFO"), text)
         for sink in self._sinks:
             sink.put_line(line)
 
@@ -190,8 +171,6 @@ class RerunView:
         if self._closed:
             return
         self._closed = True
-        if hasattr(self, "_handler"):
-            self._logger.removeHandler(self._handler)
         for sink in self._sinks:
             sink.begin_close()
         try:
@@ -204,33 +183,13 @@ class RerunView:
                 self._process.kill()
                 self._process.wait()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close(file_limit_s=_FILE_PATIENCE_S if exc_type is None else _FILE_CLOSE_S)
-
     @property
     def _sinks(self) -> tuple[ViewerSink | FileSink, ...]:
         return (*self._viewers, *self._files)
 
-    def _rate_hz(self) -> float:
-        if len(self._shown_s) < 2:
-            return 0.0
-        return (len(self._shown_s) - 1) / max(self._shown_s[-1] - self._shown_s[0], 1e-6)
-
     def _open_viewer(self, opening: Opening) -> None:
         config = self._config
-        mode = config.mode
-        if mode == "auto":
-            mode = "connect" if config.connect is not None else "spawn" if has_display() else "none"
-            if mode == "none" and config.save is None:
-                self.how_to_look = _NO_DISPLAY
+        mode = chosen_mode(config)
         if mode == "connect":
             self._viewers.append(ViewerSink(config.viewer_url, opening))
         elif mode == "spawn":
@@ -253,7 +212,7 @@ class RerunView:
         def starting() -> bool:
             code = process.poll() if process is not None else None
             if code is not None:
-                self._logger.warning(
+                logger.warning(
                     "the viewer ended at once (code %d); run 'rerun' to see why, or use --view serve", code
                 )
             return process is not None and code is None
@@ -275,52 +234,9 @@ class RerunView:
         self._viewers.append(ViewerSink(url, opening, lambda: process.poll() is None))
 
 
-_NO_DISPLAY = (
-    "no display (neither DISPLAY nor WAYLAND_DISPLAY is set), so nothing is shown: "
-    "serve a web page (--view serve), connect to a viewer elsewhere (--connect HOST), "
-    "or save a recording (--save FILE.rrd) and open it with 'rerun FILE.rrd'"
-)
-
-
-def has_display() -> bool:
-    """Whether a window can be opened."""
-    if sys.platform != "linux":
-        return True
-    return any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
-
-
 def _host_of(bind: str) -> str:
     """Return an address to reach what listens on `bind`."""
     return {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(bind, bind)
 
 
-def _properties(
-    config: ViewConfig, segmentation: SegmentationConfig, metadata: Mapping[str, str]
-) -> dict[str, rr.AnyValues]:
-    settings = {each.name: getattr(segmentation, each.name) for each in fields(segmentation)}
-    properties = {
-        "segmentation": settings,
-        "view": {key: value for key, value in asdict(config).items() if value is not None},
-        "versions": versions(),
-    }
-    if metadata:
-        properties["device"] = dict(metadata)
-    # As text: Rerun holds one name to one type, and a device may call anything anything.
-    return {
-        name: rr.AnyValues(drop_untyped_nones=True, **{key: str(value) for key, value in values.items()})
-        for name, values in properties.items()
-    }
-
-
-class _LogHandler(logging.Handler):
-    """Shows the program's log."""
-
-    def __init__(self, view: RerunView) -> None:
-        super().__init__()
-        self._view = view
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self._view.show_line(record.levelno, record.getMessage())
-
-
-__all__ = ["RerunView", "has_display"]
+__all__ = ["FILE_PATIENCE_S", "RerunView"]

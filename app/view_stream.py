@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
 import rerun as rr
 
 from nurbseg.app.view_blueprint import blueprint
-from nurbseg.app.view_entities import LOG, Entities, FrameEntities, Moment, camera_entities, stage_entities
+from nurbseg.app.view_entities import LOG, Entities, FrameEntities, camera_entities, stage_entities
+from nurbseg.app.view_frame import Moment
 from nurbseg.drivers.frame import Calibration
 
 APPLICATION = "nurbseg"
@@ -73,6 +75,17 @@ def log_entities(stream: rr.RecordingStream, entities: Entities, *, static: bool
         stream.log(path, entity, static=static)
 
 
+def set_time(stream: rr.RecordingStream, moment: Moment) -> None:
+    """Make a moment the time of what this thread logs next."""
+    stream.set_time("frame", sequence=moment.frame)
+    if moment.device_ns is None:
+        return
+    if moment.since_epoch:
+        stream.set_time("device_time", timestamp=np.datetime64(moment.device_ns, "ns"))
+    else:
+        stream.set_time("device_time", duration=np.timedelta64(moment.device_ns, "ns"))
+
+
 class Writer:
     """Writes items to one stream; first the layout for their kind, and the cameras when they change."""
 
@@ -83,17 +96,16 @@ class Writer:
 
     def write(self, item: Item) -> None:
         """Log a frame or a line at its moment."""
-        item.moment.set_on(self._stream)
+        set_time(self._stream, item.moment)
         if isinstance(item, LogLine):
             self._stream.log(LOG, rr.TextLog(item.text, level=item.level))
             return
         if self._calibration is None:
-            frame = item.result.frame
             self._stream.send_blueprint(
                 blueprint(
-                    registered=frame.calibration.is_registered,
-                    ground_truth=frame.labels is not None,
-                    objects=bool(item.result.tree.objects),
+                    registered=item.frame.unregistered_color is None,
+                    ground_truth=item.frame.truth is not None,
+                    objects=item.frame.objects is not None,
                 )
             )
         if item.calibration is not self._calibration:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -10,9 +10,8 @@ import rerun as rr
 
 from nurbseg.app.palette import INNER_COLOR, LABEL_COLORS, STOP_COLORS, label_colors
 from nurbseg.app.tree_layout import fitted, tidy_positions
-from nurbseg.app.worker import FrameResult
+from nurbseg.app.view_frame import TreeNode, ViewFrame
 from nurbseg.segmentation.config import Metric
-from nurbseg.segmentation.tree import Segment, SegmentationTree
 
 #: Paths and what is logged there.
 Entities = Iterable[tuple[str, Any]]
@@ -42,31 +41,30 @@ def display_name(name: str) -> str:
     return f"P{name}"
 
 
-def tree_entities(result: FrameResult, metric: Metric) -> Entities:
+def tree_entities(frame: ViewFrame, metric: Metric) -> Entities:
     """Return the drawing of a frame's tree and its table."""
-    tree = result.tree
-    segments = tree.segments
-    labels = {leaf.name: label for label, leaf in zip(result.surface_labels, tree.leaves(), strict=True)}
-    positions = tidy_positions({each.name: each.children for each in segments}, tree.root.name)
+    nodes = frame.tree
+    positions = tidy_positions({each.name: each.children for each in nodes}, nodes[0].name)
     places, spacing = fitted(
-        [positions[each.name] for each in segments], TREE_WIDTH, TREE_HEIGHT - _RADIUS, _SPACING, _LEVEL
+        [positions[each.name] for each in nodes], TREE_WIDTH, TREE_HEIGHT - _RADIUS, _SPACING, _LEVEL
     )
     radius = min(_RADIUS, 0.42 * spacing)
-    names = [display_name(each.name) for each in segments]
-    edges = [(display_name(each.name), display_name(child)) for each in segments for child in each.children]
+    names = [display_name(each.name) for each in nodes]
+    edges = [(display_name(each.name), display_name(child)) for each in nodes for child in each.children]
     # Below each leaf a dot in the color of its label; in the same graph, because the viewer frames each.
-    at_leaf = [row for row, each in enumerate(segments) if each.is_leaf]
-    numbers = [labels[segments[row].name] for row in at_leaf]
+    at_leaf = [row for row, each in enumerate(nodes) if each.label is not None]
+    numbers = [each.label for each in nodes if each.label is not None]
     dots = places[at_leaf] + np.array([0.0, 1.9 * radius], dtype=np.float32)
-    fills = np.array([_node_color(each) for each in segments], dtype=np.uint8).reshape(-1, 3)
+    fills = np.array([_node_color(each) for each in nodes], dtype=np.uint8).reshape(-1, 3)
     dot_fills = label_colors()[(np.array(numbers, dtype=np.intp) - 1) % LABEL_COLORS]
+    texts = names + [f"label {number}" for number in numbers]
     yield (
         TREE,
         rr.GraphNodes(
-            names + [f"label {number}" for number in numbers],
+            texts,
             positions=np.concatenate([places, dots]),
             colors=np.concatenate([fills, dot_fills]),
-            labels=names + [f"label {number}" for number in numbers],
+            labels=texts,
             show_labels=False,
             radii=np.repeat(np.array([radius, 0.5 * radius], dtype=np.float32), [len(names), len(numbers)]),
         ),
@@ -74,35 +72,32 @@ def tree_entities(result: FrameResult, metric: Metric) -> Entities:
     yield TREE, rr.GraphEdges(edges, graph_type="directed")
     yield (
         TREE_TABLE,
-        rr.TextDocument(
-            _headline(result) + tree_table(tree, metric, labels), media_type=rr.MediaType.MARKDOWN
-        ),
+        rr.TextDocument(_headline(frame) + tree_table(nodes, metric), media_type=rr.MediaType.MARKDOWN),
     )
 
 
-def _node_color(segment: Segment) -> tuple[int, int, int]:
-    return INNER_COLOR if segment.stop is None else STOP_COLORS[segment.stop]
+def _node_color(node: TreeNode) -> tuple[int, int, int]:
+    return INNER_COLOR if node.stop is None else STOP_COLORS[node.stop]
 
 
-def _headline(result: FrameResult) -> str:
-    name = result.frame.name or f"frame {result.frame.index}"
-    leaves = len(result.tree.leaves())
-    return f"**{name}**: {leaves} final segments of {len(result.tree.segments)}\n\n"
+def _headline(frame: ViewFrame) -> str:
+    name = frame.name or f"frame {frame.moment.frame}"
+    leaves = sum(each.label is not None for each in frame.tree)
+    return f"**{name}**: {leaves} final segments of {len(frame.tree)}\n\n"
 
 
-def tree_table(tree: SegmentationTree, metric: Metric, labels: Mapping[str, int]) -> str:
-    """Return the tree as a Markdown table, one line for each segment; leaves have labels, by their names."""
+def tree_table(nodes: Iterable[TreeNode], metric: Metric) -> str:
+    """Return the tree as a Markdown table, one line for each segment; leaves have labels."""
     lines = [
         f"| segment | label | pixels | {metric.upper()} ({_METRIC_UNITS[metric]}) | ratio | stopped by |",
         "|---|---:|---:|---:|---:|---|",
     ]
-    for each in tree.segments:
-        value = each.fit.values.get(metric)
+    for each in nodes:
         cells = (
             display_name(each.name),
-            str(labels[each.name]) if each.is_leaf else "",
-            f"{each.pixels.size:,}",
-            "" if value is None else f"{value:.3g}",
+            "" if each.label is None else str(each.label),
+            f"{each.pixels:,}",
+            "" if each.value is None else f"{each.value:.3g}",
             "" if each.ratio is None else f"{each.ratio:.3f}",
             "" if each.stop is None else str(each.stop),
         )

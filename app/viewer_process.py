@@ -6,9 +6,10 @@ import contextlib
 import os
 import socket
 import subprocess
+import sys
 from pathlib import Path
 
-from nurbseg.app.view_config import ViewConfig
+from nurbseg.app.view_config import ViewConfig, ViewMode
 
 #: Longest wait for a peer's TCP handshake.
 PROBE_TIMEOUT_S = 0.5
@@ -16,6 +17,20 @@ PROBE_TIMEOUT_S = 0.5
 
 class ViewError(Exception):
     """What should be shown or saved cannot be; the message says what and why."""
+
+
+def has_display() -> bool:
+    """Whether a window can be opened."""
+    if sys.platform != "linux":
+        return True
+    return any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+
+
+def chosen_mode(config: ViewConfig) -> ViewMode:
+    """Return where to show, which "auto" leaves to what there is."""
+    if config.mode != "auto":
+        return config.mode
+    return "connect" if config.connect is not None else "spawn" if has_display() else "none"
 
 
 def viewer_executable() -> Path:
@@ -127,8 +142,10 @@ def cut_connections(host: str, port: int) -> int:
 
 __all__ = [
     "ViewError",
+    "chosen_mode",
     "cut_connections",
     "free_port",
+    "has_display",
     "is_taken",
     "listens",
     "start_viewer",

@@ -47,14 +47,29 @@ class FrameResult:
     object_identities: Identities | None = None
     revision: Revision | None = None
 
+    @property
+    def surface_of_leaf(self) -> NDArray[np.uint16]:
+        """Label of the surface by the leaf's place in the tree plus one; 0 for 0."""
+        return np.array([0, *self.surface_labels], dtype=np.uint16)
+
+    @property
+    def object_of_leaf(self) -> NDArray[np.uint16]:
+        """Label of the object, or surface without objects, by the leaf's place plus one; 0 for 0."""
+        if not self.tree.objects:
+            return self.surface_of_leaf
+        numbered = zip(self.object_labels, self.tree.objects, strict=True)
+        label = {name: label for label, each in numbered for name in each.leaves}
+        return np.array([0, *(label[leaf.name] for leaf in self.tree.leaves())], dtype=np.uint16)
+
     def surface_image(self) -> NDArray[np.uint16]:
         """Return the label of every pixel's surface, (H, W) uint16; 0 where there is no depth."""
-        return _identified(self.tree.label_image(), self.surface_identities)
+        image: NDArray[np.uint16] = self.surface_of_leaf[self.tree.label_image()]
+        return image
 
     def object_image(self) -> NDArray[np.uint16]:
         """Return the label of every pixel's object, or surface without objects; (H, W) uint16."""
-        identities = self.object_identities if self.tree.objects else self.surface_identities
-        return _identified(self.tree.object_image(), identities)
+        image: NDArray[np.uint16] = self.object_of_leaf[self.tree.label_image()]
+        return image
 
     def labels(self) -> NDArray[np.uint16]:
         """Return the answer at the tree's level, (H, W) uint16: surfaces or objects; 0 for no depth."""
@@ -76,10 +91,6 @@ class FrameResult:
         by_object = self.tree.objects and self.tree.level == "objects"
         identities = self.object_identities if by_object else self.surface_identities
         return () if identities is None else identities.events
-
-
-def _identified(labels: NDArray[np.uint16], identities: Identities | None) -> NDArray[np.uint16]:
-    return labels if identities is None else identities.image(labels)
 
 
 def _each_identified(count: int, identities: Identities | None) -> tuple[int, ...]:

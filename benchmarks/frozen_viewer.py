@@ -23,7 +23,7 @@ from pathlib import Path
 
 from nurbseg.app.view import open_view
 from nurbseg.app.view_config import ViewConfig
-from nurbseg.app.view_rerun import RerunView
+from nurbseg.app.view_isolated import IsolatedView
 from nurbseg.app.viewer_process import free_port, listens, start_viewer
 from nurbseg.app.worker import process_frame
 from nurbseg.drivers.frame import RGBDFrame
@@ -51,7 +51,7 @@ def run(
     longest_s = 0.0
     try:
         if viewer is not None:
-            if not isinstance(view, RerunView) or not view.wait_connected(30.0):
+            if not isinstance(view, IsolatedView) or not view.wait_connected(30.0):
                 raise SystemExit("the viewer was not connected to")
             viewer.send_signal(signal.SIGSTOP)
         began_s = time.perf_counter()

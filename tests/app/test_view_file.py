@@ -16,7 +16,6 @@ import cv2
 import numpy as np
 import psutil
 import pytest
-import rerun as rr
 from rerun.chunk import RrdReader
 
 from nurbseg.app.palette import INNER_COLOR, STOP_COLORS
@@ -32,12 +31,12 @@ from tests.fakes.small_scene import CONFIG, HEIGHT, WIDTH, small_frame, small_re
 FRAMES = 12
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(autouse=True, scope="module")
 def strict() -> Iterator[None]:
-    """Make an error of what Rerun would only warn of."""
-    rr.set_strict_mode(True)
-    yield
-    rr.set_strict_mode(False)
+    """Make an error of what Rerun would only warn of, in the process that shows and saves."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RERUN_STRICT", "1")
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -241,14 +240,15 @@ def _start(script: str, path: Path) -> subprocess.Popen[str]:
 
 
 _LIMITED_SAVER = """
-    import resource, sys, time
+    import psutil, sys, time
     from nurbseg.app.view import ViewError, open_view
     from nurbseg.app.view_config import ViewConfig
     from tests.fakes.small_scene import CONFIG, small_result
 
     result = small_result()
     view = open_view(ViewConfig(mode="none", save=sys.argv[1]), CONFIG)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
+    (saver,) = psutil.Process().children()
+    saver.rlimit(psutil.RLIMIT_FSIZE, (300_000, 300_000))
     deadline_s = time.monotonic() + 20.0
     try:
         while time.monotonic() < deadline_s:
@@ -363,8 +363,28 @@ def test_a_killed_process_leaves_what_it_saved_until_then(tmp_path: Path) -> Non
         while not _holds_a_frame(path):
             assert time.monotonic() < deadline_s
             time.sleep(0.1)
+        (saver,) = psutil.Process(process.pid).children()
         os.kill(process.pid, signal.SIGKILL)
         process.wait(timeout=60.0)
+        saver.wait(timeout=60.0)
+    # The process that saves outlives it for as long as the file takes to be whole.
+    assert read_saved_view(path).frames("world/camera/image/depth") == [0]
+
+
+def test_both_processes_killed_leave_what_was_saved_until_then(tmp_path: Path) -> None:
+    path = tmp_path / "killed.rrd"
+    with _start(_SAVER, path) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "shown\n"
+        deadline_s = time.monotonic() + 60.0
+        while not _holds_a_frame(path):
+            assert time.monotonic() < deadline_s
+            time.sleep(0.1)
+        (saver,) = psutil.Process(process.pid).children()
+        for number in (saver.pid, process.pid):
+            os.kill(number, signal.SIGKILL)
+        process.wait(timeout=60.0)
+        saver.wait(timeout=60.0)
     assert read_saved_view(path, ended=False).frames("world/camera/image/depth") == [0]
 
 

@@ -16,12 +16,11 @@ from pathlib import Path
 
 import psutil
 import pytest
-import rerun as rr
 from rerun.experimental import ViewerClient
 
 from nurbseg.app.view import ViewError, open_view
 from nurbseg.app.view_config import ViewConfig
-from nurbseg.app.view_rerun import RerunView
+from nurbseg.app.view_isolated import IsolatedView
 from nurbseg.app.viewer_process import free_port, listens, start_viewer, viewer_executable
 from nurbseg.app.worker import FrameResult
 from tests.fakes.fair_clock import FairClock
@@ -33,14 +32,15 @@ LOCAL = "127.0.0.1"
 #: More than what sockets and queues on the way to a viewer can hold.
 FRAMES = 150
 
-_views: list[RerunView] = []
+_views: list[IsolatedView] = []
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(autouse=True, scope="module")
 def strict() -> Iterator[None]:
-    rr.set_strict_mode(True)
-    yield
-    rr.set_strict_mode(False)
+    """Make an error of what Rerun would only warn of, in the process that shows and saves."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RERUN_STRICT", "1")
+        yield
 
 
 @pytest.fixture(autouse=True)
@@ -81,15 +81,15 @@ def wait_until(condition: Callable[[], bool], what: str, timeout_s: float = 60.0
         time.sleep(0.02)
 
 
-def connected(port: int, **settings: object) -> RerunView:
+def connected(port: int, **settings: object) -> IsolatedView:
     config = ViewConfig(mode="connect", connect=f"{LOCAL}:{port}", mesh_step_px=20, **settings)  # type: ignore[arg-type]
     view = open_view(config, CONFIG)
-    assert isinstance(view, RerunView)
+    assert isinstance(view, IsolatedView)
     _views.append(view)
     return view
 
 
-def show_all(view: RerunView, result: FrameResult, frames: int = FRAMES) -> float:
+def show_all(view: IsolatedView, result: FrameResult, frames: int = FRAMES) -> float:
     """Show many frames, numbered; return the longest that one took, seconds."""
     longest_s = 0.0
     with FairClock() as clock:
@@ -103,7 +103,7 @@ def numbered(result: FrameResult, index: int) -> FrameResult:
     return replace(result, frame=replace(result.frame, index=index, timestamp_ns=index * 33_000_000))
 
 
-def close_in_time(view: RerunView) -> None:
+def close_in_time(view: IsolatedView) -> None:
     with FairClock() as clock:
         view.close()
     assert clock.elapsed_s < 2.0
@@ -284,21 +284,23 @@ def listeners(process: psutil.Process) -> set[tuple[str, int]]:
 def test_a_served_page_listens_on_this_computer_only_and_ends_with_the_view(result: FrameResult) -> None:
     config = ViewConfig(mode="serve", port=0, web_port=0)
     view = open_view(config, CONFIG)
-    assert isinstance(view, RerunView)
+    assert isinstance(view, IsolatedView)
     try:
         assert view.wait_connected(60.0)
         view.show(result)
         assert view.serving
-        (server,) = own_children()
+        (program,) = own_children()
+        (server,) = program.children()
         wait_until(lambda: len(listeners(server)) == 2, "both ports are open")
         assert {address for address, _ in listeners(server)} == {LOCAL}
-        assert listeners(psutil.Process()) == set()
+        assert listeners(psutil.Process()) == listeners(program) == set()
         ports = {port for _, port in listeners(server)}
         assert all(str(port) in view.how_to_look for port in ports)
         assert view.how_to_look.startswith(f"http://{LOCAL}:")
     finally:
         close_in_time(view)
     assert own_children() == []
+    assert not server.is_running()
 
 
 def test_a_taken_port_is_named_rather_than_served_silently_elsewhere() -> None:
@@ -358,9 +360,9 @@ def test_a_real_viewer_under_sigstop_delays_neither_the_frames_nor_the_file(
     headless_viewer_port: int, tmp_path: Path, result: FrameResult
 ) -> None:
     path = tmp_path / "all.rrd"
+    (viewer,) = own_children()
     view = connected(headless_viewer_port, save=str(path))
     assert view.wait_connected(60.0)
-    (viewer,) = own_children()
     os.kill(viewer.pid, signal.SIGSTOP)
     try:
         assert show_all(view, result) < 1.0
