@@ -15,7 +15,8 @@ from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.identity import Identities, carry_identities
 from nurbseg.segmentation.live import Budget, LiveTree, lives
-from nurbseg.segmentation.registration import PointMap, register
+from nurbseg.segmentation.lookup import looked_up
+from nurbseg.segmentation.registration import register
 from nurbseg.segmentation.tree import SegmentationTree
 
 
@@ -84,11 +85,13 @@ class Segmenter:
         started_s = time.perf_counter()
         tree = result.tree
         labels = tree.label_image()
-        self._surfaces = _carried(self._surfaces, labels, result.cloud, before)
+        self._surfaces = carry_identities(self._surfaces, labels, result.cloud, before=before)
         object_of_label = _object_of_label(tree)
         if tree.objects:
-            objects = None if before is None else self._object_of_label[before]
-            self._objects = _carried(self._objects, object_of_label[labels], result.cloud, objects)
+            objects = None if before is None else looked_up(self._object_of_label, before)
+            self._objects = carry_identities(
+                self._objects, looked_up(object_of_label, labels), result.cloud, before=objects
+            )
         self._object_of_label = object_of_label
         elapsed_ms = {**result.elapsed_ms, "identify": 1e3 * (time.perf_counter() - started_s)}
         return replace(
@@ -97,17 +100,6 @@ class Segmenter:
             surface_identities=self._surfaces,
             object_identities=self._objects if tree.objects else None,
         )
-
-
-def _carried(
-    previous: Identities | None,
-    labels: NDArray[np.uint16],
-    cloud: PointMap,
-    before: NDArray[np.uint16] | None,
-) -> Identities:
-    if previous is None or before is None:
-        return carry_identities(previous, labels, cloud)
-    return carry_identities(previous, labels, cloud, carried=previous.image(before))
 
 
 def _object_of_label(tree: SegmentationTree) -> NDArray[np.uint16]:

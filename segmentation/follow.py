@@ -1,27 +1,23 @@
-"""The leaves of one frame in the next: surfaces moved, labels grown, borders settled."""
+"""The leaves of one frame in the next: surfaces moved, labels grown into what is open."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.lattice import SurfaceLattice
-from nurbseg.segmentation.noise import SQUARE_MOST
 from nurbseg.segmentation.surface import NurbsSurface
 
 #: Differences of inverse depth between two frames that are another surface rather than motion, 1/m.
 _MOTION_MOST_PER_M = 0.15
 #: A surface does not go farther away than this, 1/m.
 _LEAST_PER_M = 1e-2
-#: Vote of a neighbour across a gap in depth, and of one at a distance of one pixel.
-_ACROSS_GAP, _VOTE = 0.25, 1.4
 #: Passes in which labels grow into places that have none.
 _GROWTH = 12
-_NEIGHBORS = ((-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (-1, 1), (1, -1), (1, 1))
 
 
 def moved_surfaces(
@@ -29,14 +25,13 @@ def moved_surfaces(
     lattice: SurfaceLattice,
     labels: NDArray[np.int32],
     per_m: NDArray[np.float32],
-    inner: NDArray[np.bool_],
-    step: int,
     noise_per_m: float,
 ) -> list[NurbsSurface | None]:
     """Move every surface by the linear change of inverse depth that its points tell.
 
     A spline holds linear functions exactly, so that the moved surface has the same knots. It follows any
-    motion of a plane, and small motions of the others.
+    motion of a plane, and small motions of the others. Places whose neighbours have another label tell
+    nothing.
 
     Parameters
     ----------
@@ -48,10 +43,6 @@ def moved_surfaces(
         Labels on the grid.
     per_m : (h, w) float32
         Inverse depth of this frame on the grid, 1/m.
-    inner : (h, w) bool
-        Places whose neighbours have their label, which tell.
-    step : int
-        Pixels from one place of the grid to the next.
     noise_per_m : float
         Standard deviation of inverse depth, 1/m.
 
@@ -60,80 +51,61 @@ def moved_surfaces(
     list of NurbsSurface or None
         The moved ones.
     """
-    count = len(surfaces) + 1
-    rows, columns = np.nonzero(inner)
-    label = labels[rows, columns]
-    change = per_m[rows, columns] - lattice.at(label, rows, columns)
-    told = np.abs(change) < _MOTION_MOST_PER_M
-    label, change = label[told].astype(np.intp), change[told].astype(np.float64)
-    x, y = columns[told].astype(np.float64), rows[told].astype(np.float64)
-    changes = np.zeros((count, 3))
-    if label.size == 0:
-        return list(surfaces)
-
     # First their mean, then a linear change of those that agree with it.
-    n = np.bincount(label, minlength=count)
-    some = np.maximum(n, 1)
-    mean = np.bincount(label, weights=change, minlength=count) / some
-    spread = np.bincount(label, weights=np.square(change - mean[label]), minlength=count) / some
-    limit = np.maximum(6.0 * noise_per_m, 2.0 * np.sqrt(spread))
-    agree = np.abs(change - mean[label]) < limit[label]
-    label, change, x, y = label[agree], change[agree], x[agree], y[agree]
-    n = np.bincount(label, minlength=count)
-    some = np.maximum(n, 1)
-
-    def total(weights: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(np.bincount(label, weights=weights, minlength=count), dtype=np.float64)
-
-    mx, my, mc = total(x) / some, total(y) / some, total(change) / some
-    x, y, change = x - mx[label], y - my[label], change - mc[label]
+    count = len(surfaces) + 1
+    change = lattice.image(labels)
+    n, total, squares = np.zeros((3, count))
+    _tell_changes(labels, per_m, change, n, total, squares)
+    some = np.maximum(n, 1.0)
+    mean = total / some
+    spread = np.sqrt(np.maximum(squares / some - np.square(mean), 0.0))
+    limit = np.maximum(6.0 * noise_per_m, 2.0 * spread)
+    sums = np.zeros((count, 9))
+    _sum_moments(labels, change, mean, limit, sums)
+    n = sums[:, 0]
+    x, y, c, xx, yy, xy, xc, yc = sums[:, 1:].T / np.maximum(n, 1.0)
     # A ridge of one row and column of points keeps slivers from tilting.
-    xx, yy, xy = total(x * x) + 4.0 * n + 1.0, total(y * y) + 4.0 * n + 1.0, total(x * y)
-    xc, yc = total(x * change), total(y * change)
+    xx, yy = n * (xx - x * x) + 4.0 * n + 1.0, n * (yy - y * y) + 4.0 * n + 1.0
+    xy, xc, yc = n * (xy - x * y), n * (xc - x * c), n * (yc - y * c)
     determinant = xx * yy - xy * xy
     along_x, along_y = (yy * xc - xy * yc) / determinant, (xx * yc - xy * xc) / determinant
-    changes[:, 0], changes[:, 1], changes[:, 2] = mc - along_x * mx - along_y * my, along_x, along_y
+    changes = np.stack([mean + c - along_x * x - along_y * y, along_x, along_y], axis=1)
     return [
-        None if surface is None else _moved(surface, changes[place], step)
-        for place, surface in enumerate(surfaces, start=1)
+        None if surface is None else _moved(surface, change, lattice.step)
+        for surface, change in zip(surfaces, changes[1:], strict=True)
     ]
 
 
 def _moved(surface: NurbsSurface, change: NDArray[np.float64], step: int) -> NurbsSurface:
-    u, v = (
-        (knots[1:-3] + knots[2:-2] + knots[3:-1]) / (3.0 * step)
-        for knots in (surface.knots_u, surface.knots_v)
+    weights = np.empty_like(surface.weights)
+    # Coordinate by coordinate, as surfaces of inverse depth are made.
+    points = np.empty((3, *weights.shape))
+    _move_net(
+        surface.weights,
+        np.ascontiguousarray(surface.control_points_m.transpose(2, 0, 1)),
+        surface.knots_u,
+        surface.knots_v,
+        change[0],
+        change[1] / step,
+        change[2] / step,
+        weights,
+        points,
     )
-    weights = surface.weights + change[0] + change[1] * u + change[2] * v[:, np.newaxis]
-    weights = np.maximum(weights, _LEAST_PER_M)
-    points = surface.control_points_m * (surface.weights / weights)[..., np.newaxis]
-    return replace(surface, control_points_m=points, weights=weights)
+    return replace(surface, control_points_m=points.transpose(1, 2, 0), weights=weights)
 
 
-def inner_places(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Find places with a label whose eight neighbours have the same, (h, w) bool."""
-    image = labels.astype(np.uint16)
-    kernel = np.ones((3, 3), dtype=np.uint8)
-    most = cv2.dilate(image, kernel, borderType=cv2.BORDER_REPLICATE)
-    least = cv2.erode(image, kernel, borderType=cv2.BORDER_REPLICATE)
-    return np.asarray((most == least) & (labels > 0), dtype=np.bool_)
-
-
-def grown_labels(
+def kept_labels(
     labels: NDArray[np.int32],
-    wanted: NDArray[np.bool_],
     per_m: NDArray[np.float32],
     lattice: SurfaceLattice,
     limits_per_m: NDArray[np.float32],
 ) -> NDArray[np.int32]:
-    """Let labels grow into unlabelled places that their surfaces explain.
+    """Take labels away from places that their surfaces do not explain.
 
     Parameters
     ----------
     labels : (h, w) int32
         Labels on the grid; 0 is none.
-    wanted : (h, w) bool
-        Places to label.
     per_m : (h, w) float32
         Inverse depth, 1/m.
     lattice : SurfaceLattice
@@ -144,100 +116,192 @@ def grown_labels(
     Returns
     -------
     (h, w) int32
-        The labels; places that no neighbour's surface explains stay 0.
+        The labels, 0 where they are not kept.
     """
-    padded = np.pad(labels, 1)
-    width = padded.shape[1]
-    rows, columns = np.nonzero(wanted)
-    flat = padded.ravel()
-    places = (rows + 1) * width + columns + 1
-    own = per_m[rows, columns]
-    steps = np.array([down * width + across for down, across in _NEIGHBORS[:4]])
-    for _ in range(_GROWTH):
-        if places.size == 0:
-            break
-        near = flat[places[:, np.newaxis] + steps]
-        asked = np.flatnonzero(near.any(axis=1))
-        if asked.size == 0:
-            break
-        near = near[asked]
-        label = near.ravel()
-        repeated = np.repeat(asked, len(steps))
-        residual = np.abs(lattice.at(label, rows[repeated], columns[repeated]) - own[repeated])
-        residual = np.where((label > 0) & (residual < limits_per_m[label]), residual, np.inf)
-        residual = residual.reshape(near.shape)
-        best = residual.argmin(axis=1)
-        which = np.arange(asked.size)
-        fits = np.isfinite(residual[which, best])
-        if not fits.any():
-            break
-        flat[places[asked[fits]]] = near[which[fits], best[fits]]
-        left = np.ones(places.size, dtype=np.bool_)
-        left[asked[fits]] = False
-        rows, columns, places, own = rows[left], columns[left], places[left], own[left]
-    return flat.reshape(padded.shape)[1:-1, 1:-1].copy()
+    kept = np.empty_like(labels)
+    _keep(labels, per_m, lattice.image(labels), limits_per_m, kept)
+    return kept
 
 
-def settled_borders(
-    labels: NDArray[np.uint16],
+def grown_labels(
+    labels: NDArray[np.int32],
     per_m: NDArray[np.float32],
     lattice: SurfaceLattice,
-    *,
-    noise_per_m: float,
-    gap_per_m: float,
-) -> NDArray[np.uint16]:
-    """Give every pixel at a border the cheapest of its own label, the largest and the least beside it.
-
-    One pass of iterated conditional modes, as borders are refined in a first frame; passes of later frames
-    go on with it.
+    limits_per_m: NDArray[np.float32],
+) -> NDArray[np.int32]:
+    """Let labels grow into unlabelled places that their surfaces explain.
 
     Parameters
     ----------
-    labels : (H, W) uint16
-        Labels of all pixels that have a point, or 0 where that is not known yet.
-    per_m : (H, W) float32
-        Inverse depth, 1/m; 0 where there is no point.
-    lattice : SurfaceLattice
-        Of the labels' surfaces.
-    noise_per_m, gap_per_m : float
-        Standard deviation of inverse depth, and smallest gap, 1/m.
+    labels, per_m, lattice, limits_per_m
+        As for `kept_labels`; places without a point, whose inverse depth is 0, stay unlabelled.
 
     Returns
     -------
-    (H, W) uint16
-        The new labels.
+    (h, w) int32
+        The labels; places that no neighbour's surface explains stay 0.
     """
-    kernel = np.ones((3, 3), dtype=np.uint8)
-    most = cv2.dilate(labels, kernel)
-    # 0 wraps around to the largest, so that it is never the least.
-    least = (cv2.erode(labels - np.uint16(1), kernel) + np.uint16(1)).astype(np.uint16)
-    rows, columns = np.nonzero((most != least) & (most > 0) & (per_m > 0))
-    if rows.size == 0:
-        return labels
-    own = per_m[rows, columns]
-    width = labels.shape[1] + 2
-    padded_labels = np.pad(labels, 1).ravel()
-    padded_per_m = np.pad(per_m, 1).ravel()
-    places = (rows + 1) * width + columns + 1
-    candidates = (labels[rows, columns], most[rows, columns], least[rows, columns])
-    votes = [np.zeros(rows.size, dtype=np.float32) for _ in candidates]
-    for down, across in _NEIGHBORS:
-        at = places + (down * width + across)
-        near = padded_labels[at]
-        weight = np.where(np.abs(padded_per_m[at] - own) < gap_per_m, 1.0, _ACROSS_GAP).astype(np.float32)
-        weight *= np.float32(_VOTE / np.hypot(down, across))
-        for vote, label in zip(votes, candidates, strict=True):
-            vote += weight * (near == label)
-    best, cost = candidates[0].copy(), np.full(rows.size, np.inf, dtype=np.float32)
-    for label, vote in zip(candidates, votes, strict=True):
-        residual = lattice.at_pixels(label.astype(np.int32), rows, columns) - own
-        value = np.minimum(np.square(residual / np.float32(noise_per_m)), np.float32(SQUARE_MOST)) - vote
-        value[label == 0] = np.inf
-        better = value < cost
-        best[better], cost[better] = label[better], value[better]
-    settled = labels.copy()
-    settled[rows, columns] = best
-    return settled
+    grown = labels.copy()
+    _grow(grown, per_m, lattice.values, lattice.windows, limits_per_m, _GROWTH)
+    return grown
 
 
-__all__ = ["grown_labels", "inner_places", "moved_surfaces", "settled_borders"]
+@compiled
+def _tell_changes(
+    labels: NDArray[np.int32],
+    per_m: NDArray[np.float32],
+    change: NDArray[np.float32],
+    n: NDArray[np.float64],
+    total: NDArray[np.float64],
+    squares: NDArray[np.float64],
+) -> None:
+    """Turn the surfaces' inverse depths into changes, NaN where a place does not tell; sum by label."""
+    height, width = labels.shape
+    most = np.float32(_MOTION_MOST_PER_M)
+    for r in range(height):
+        above, below = max(r - 1, 0), min(r + 1, height - 1)
+        for c in range(width):
+            left, right = max(c - 1, 0), min(c + 1, width - 1)
+            label = labels[r, c]
+            moved = per_m[r, c] - change[r, c]
+            if (
+                label > 0
+                and abs(moved) < most
+                and labels[r, left] == label
+                and labels[r, right] == label
+                and labels[above, left] == label
+                and labels[above, c] == label
+                and labels[above, right] == label
+                and labels[below, left] == label
+                and labels[below, c] == label
+                and labels[below, right] == label
+            ):
+                change[r, c] = moved
+                n[label] += 1.0
+                total[label] += moved
+                squares[label] += np.float64(moved) * moved
+            else:
+                change[r, c] = np.nan
+
+
+@compiled
+def _sum_moments(
+    labels: NDArray[np.int32],
+    change: NDArray[np.float32],
+    mean: NDArray[np.float64],
+    limit: NDArray[np.float64],
+    sums: NDArray[np.float64],
+) -> None:
+    """Sum by label over changes that agree with their mean: 1, x, y, c, xx, yy, xy, xc, yc."""
+    height, width = labels.shape
+    for r in range(height):
+        for c in range(width):
+            label = labels[r, c]
+            beyond = change[r, c] - mean[label]
+            if abs(beyond) < limit[label]:
+                own = sums[label]
+                own[0] += 1.0
+                own[1] += c
+                own[2] += r
+                own[3] += beyond
+                own[4] += c * c
+                own[5] += r * r
+                own[6] += r * c
+                own[7] += c * beyond
+                own[8] += r * beyond
+
+
+@compiled
+def _move_net(
+    weights: NDArray[np.float64],
+    points: NDArray[np.float64],
+    knots_u: NDArray[np.float64],
+    knots_v: NDArray[np.float64],
+    constant: float,
+    along_u: float,
+    along_v: float,
+    moved: NDArray[np.float64],
+    moved_points: NDArray[np.float64],
+) -> None:
+    """Add a linear function to control values of inverse depth; control points stay on their rays."""
+    n, m = weights.shape
+    for i in range(n):
+        for j in range(m):
+            # On evenly spaced knots the middle one is the Greville abscissa.
+            change = constant + along_u * knots_u[j + 2] + along_v * knots_v[i + 2]
+            moved[i, j] = max(weights[i, j] + change, _LEAST_PER_M)
+            for axis in range(3):
+                moved_points[axis, i, j] = points[axis, i, j] * weights[i, j] / moved[i, j]
+
+
+@compiled
+def _keep(
+    labels: NDArray[np.int32],
+    per_m: NDArray[np.float32],
+    explained: NDArray[np.float32],
+    limits: NDArray[np.float32],
+    kept: NDArray[np.int32],
+) -> None:
+    """Keep labels whose surfaces explain their places."""
+    height, width = labels.shape
+    for r in range(height):
+        for c in range(width):
+            label = labels[r, c]
+            is_own = abs(explained[r, c] - per_m[r, c]) < limits[label]
+            kept[r, c] = label if is_own else 0
+
+
+@compiled
+def _grow(
+    labels: NDArray[np.int32],
+    per_m: NDArray[np.float32],
+    values: NDArray[np.float32],
+    windows: NDArray[np.int32],
+    limits: NDArray[np.float32],
+    passes: int,
+) -> None:
+    """Give open places the label beside them that explains them best, all those of a pass at once."""
+    height, width = labels.shape
+    places, found = np.empty(labels.size, dtype=np.int64), np.empty(labels.size, dtype=np.int32)
+    flat = labels.reshape(-1)
+    depths = per_m.reshape(-1)
+    waiting = 0
+    for place in range(flat.size):
+        if flat[place] == 0 and depths[place] > 0:
+            places[waiting] = place
+            waiting += 1
+    for _ in range(passes):
+        grown = 0
+        for n in range(waiting):
+            row, column = divmod(places[n], width)
+            least = np.float32(np.inf)
+            found[n] = 0
+            for down, across in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+                r, c = row + down, column + across
+                if not (0 <= r < height and 0 <= c < width):
+                    continue
+                label = labels[r, c]
+                if label == 0:
+                    continue
+                top, left, bottom, right, start = windows[label]
+                if not (top <= row < bottom and left <= column < right):
+                    continue
+                at = start + (row - top) * (right - left) + column - left
+                residual = abs(values[at] - depths[places[n]])
+                if residual < limits[label] and residual < least:
+                    least = residual
+                    found[n] = label
+            grown += found[n] > 0
+        if grown == 0:
+            return
+        left_over = 0
+        for n in range(waiting):
+            if found[n] > 0:
+                flat[places[n]] = found[n]
+            else:
+                places[left_over] = places[n]
+                left_over += 1
+        waiting = left_over
+
+
+__all__ = ["grown_labels", "kept_labels", "moved_surfaces"]

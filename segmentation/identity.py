@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -10,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.features import lab
+from nurbseg.segmentation.lookup import labels_present, looked_up, read_only
 from nurbseg.segmentation.registration import PointMap
 
 #: Identities fit into a label image of 16 bits; 0 is "no segment".
@@ -68,7 +71,7 @@ class Portrait:
     center_m : (3,) float64
         Mean of its points, metres.
     color_lab : (3,) float64
-        Mean color, CIELab.
+        Its mean color, CIELab.
     pixels : int
         Number of its pixels on the grid.
     unseen : int
@@ -113,11 +116,10 @@ class Identities:
         labels : (H, W) uint16
             The frame's labels; 0 stays 0.
         """
-        table = np.zeros(int(labels.max(initial=0)) + 1, np.uint16)
+        table = np.zeros(max(self.of_label, default=0) + 1, dtype=np.uint16)
         for label, identity in self.of_label.items():
-            if label < table.size:
-                table[label] = identity
-        return table[labels]
+            table[label] = identity
+        return looked_up(table, labels)
 
 
 def carry_identities(
@@ -125,7 +127,7 @@ def carry_identities(
     labels: NDArray[np.uint16],
     cloud: PointMap,
     *,
-    carried: NDArray[np.uint16] | None = None,
+    before: NDArray[np.uint16] | None = None,
     remembered: int = 30,
 ) -> Identities:
     """Give each segment the identity of the segment of the frame before that it continues.
@@ -142,9 +144,9 @@ def carry_identities(
         Labels of this frame; 0 is no segment.
     cloud : PointMap
         This frame.
-    carried : (H, W) uint16, optional
-        Identities of the frame before, carried along the motion between the frames; 0 is none. Without
-        them they are taken to be where they were.
+    before : (H, W) uint16, optional
+        Labels of the frame before, carried along the motion between the frames; 0 is none. Without them
+        segments are taken to be where they were.
     remembered : int
         Frames for which an identity that is not seen is kept.
 
@@ -155,19 +157,16 @@ def carry_identities(
     """
     step = max(1, round(labels.shape[1] / _GRID_WIDTH))
     coarse = np.ascontiguousarray(labels[::step, ::step])
-    seen = _portraits(coarse, cloud.points_m[::step, ::step], cloud.color[::step, ::step])
-    between = [each for each in np.flatnonzero(np.bincount(labels.reshape(-1))) if each and each not in seen]
+    every = labels_present(labels)
+    seen = _portraits(labels, every, cloud, step)
+    between = [int(each) for each in every if each and each not in seen]
     if between:
         # Slivers that lie between the grid's pixels.
-        is_between = np.zeros(int(labels.max()) + 1, dtype=np.bool_)
-        is_between[between] = True
-        slivers = np.where(is_between[labels], labels, 0)
-        seen |= _portraits(slivers, cloud.points_m, cloud.color)
+        seen |= _portraits(labels, between, cloud, 1)
     if previous is None or previous.grid.shape != coarse.shape:
         previous = Identities({}, np.zeros_like(coarse), {}, (), 1)
-    elif carried is not None:
-        grid = np.ascontiguousarray(carried[::step, ::step])
-        previous = replace(previous, grid=np.where(np.isin(grid, list(previous.portraits)), grid, 0))
+    elif before is not None:
+        previous = replace(previous, grid=previous.image(before[::step, ::step]))
     overlap, identities, present = _overlaps(previous.grid, coarse)
     matched = _matched(overlap, identities, present, previous, seen)
 
@@ -217,39 +216,76 @@ def _updated(before: Portrait | None, now: Portrait) -> Portrait:
 
 
 def _portraits(
-    labels: NDArray[np.uint16], points_m: NDArray[np.float32], color: NDArray[np.uint8]
+    labels: NDArray[np.uint16], wanted: Sequence[int] | NDArray[np.intp], cloud: PointMap, step: int
 ) -> dict[int, Portrait]:
-    used = np.nonzero(labels)
-    own = labels[used].astype(np.intp)
-    if own.size == 0:
-        return {}
-    counts = np.bincount(own)
-    attributes = np.hstack([points_m[used], lab(color[used])])
-    sums = np.stack([np.bincount(own, weights=column) for column in attributes.T], axis=1)
-    means = np.asarray(sums / np.maximum(counts, 1)[:, np.newaxis], dtype=np.float64)
+    """Portray some labels, ascending, from every few rows and columns, those that are there."""
+    sums = np.zeros((len(wanted), 7))
+    place = np.full(int(max(wanted, default=0)) + 1, -1)
+    place[wanted] = np.arange(len(wanted))
+    _sum_points(read_only(labels), cloud.points_m, cloud.color, step, place, sums)
+    counts = sums[:, 0]
+    means = sums[:, 1:] / np.maximum(counts, 1.0)[:, np.newaxis]
+    colors = lab(np.rint(means[:, 3:]).astype(np.uint8)).astype(np.float64)
     return {
-        int(value): Portrait(means[value, :3], means[value, 3:], int(counts[value]))
-        for value in np.flatnonzero(counts)
+        int(label): Portrait(means[n, :3], colors[n], int(counts[n]))
+        for n, label in enumerate(wanted)
+        if label and counts[n]
     }
+
+
+@compiled
+def _sum_points(
+    labels: NDArray[np.uint16],
+    points_m: NDArray[np.float32],
+    color: NDArray[np.uint8],
+    step: int,
+    place: NDArray[np.int64],
+    sums: NDArray[np.float64],
+) -> None:
+    """Count pixels, and sum their points and colors, by the place of their label, if it has one."""
+    height, width = color.shape[:2]
+    for r in range(0, height, step):
+        for c in range(0, width, step):
+            label = labels[r * width + c]
+            if label >= place.size or place[label] < 0:
+                continue
+            own = sums[place[label]]
+            own[0] += 1.0
+            for axis in range(3):
+                own[1 + axis] += points_m[r, c, axis]
+                own[4 + axis] += color[r, c, axis]
 
 
 def _overlaps(
     before: NDArray[np.uint16], now: NDArray[np.uint16]
 ) -> tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16]]:
     """Count common pixels of identities (rows) and labels (columns); the first of either is 0, "none"."""
-    identities, rows = _compressed(before)
-    present, columns = _compressed(now)
-    counts = np.bincount(rows * present.size + columns, minlength=identities.size * present.size)
-    return counts.reshape(identities.size, present.size).astype(np.int64), identities, present
+    identities, rows = _numbered(before)
+    present, columns = _numbered(now)
+    counts = np.zeros((identities.size, present.size), dtype=np.int64)
+    _count_pairs(read_only(before), read_only(now), rows, columns, counts)
+    return counts, identities, present
 
 
-def _compressed(image: NDArray[np.uint16]) -> tuple[NDArray[np.uint16], NDArray[np.intp]]:
-    """Return the values of an image, 0 among them, and the place of each pixel's among these."""
-    is_there = np.zeros(int(image.max(initial=0)) + 1, dtype=np.bool_)
-    is_there[image] = True
-    is_there[0] = True
-    place = np.cumsum(is_there) - 1
-    return np.flatnonzero(is_there).astype(np.uint16), place[image.reshape(-1)]
+def _numbered(image: NDArray[np.uint16]) -> tuple[NDArray[np.uint16], NDArray[np.int64]]:
+    """Return the values of an image, 0 among them, and the place among these of each value."""
+    values = np.union1d(labels_present(image), [0])
+    place = np.zeros(int(values[-1]) + 1, dtype=np.int64)
+    place[values] = np.arange(values.size)
+    return values.astype(np.uint16), place
+
+
+@compiled
+def _count_pairs(
+    before: NDArray[np.uint16],
+    now: NDArray[np.uint16],
+    rows: NDArray[np.int64],
+    columns: NDArray[np.int64],
+    counts: NDArray[np.int64],
+) -> None:
+    """Count the pixels of every value before and value now."""
+    for n in range(now.size):
+        counts[rows[before[n]], columns[now[n]]] += 1
 
 
 def _matched(
@@ -281,11 +317,11 @@ def _known_again(portrait: Portrait, lost: Mapping[int, Portrait]) -> int | None
     """Return the lost identity that a segment resembles most, if it resembles one."""
     best: tuple[float, int] | None = None
     for identity, other in lost.items():
-        reach = _RETURN_M + _RETURN_SHARE * float(np.linalg.norm(other.center_m))
+        reach = _RETURN_M + _RETURN_SHARE * math.hypot(*other.center_m)
         # Hidden things go on moving.
         reach *= 1.0 + 0.2 * other.unseen
-        distance = float(np.linalg.norm(portrait.center_m - other.center_m)) / reach
-        color = float(np.linalg.norm(portrait.color_lab - other.color_lab)) / _RETURN_LAB
+        distance = math.dist(portrait.center_m, other.center_m) / reach
+        color = math.dist(portrait.color_lab, other.color_lab) / _RETURN_LAB
         ratio = portrait.pixels / max(1, other.pixels)
         if distance <= 1 and color <= 1 and 1.0 / _RETURN_SMALLER <= ratio <= _RETURN_LARGER:
             difference = distance + color

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.bspline import CUBIC, basis_matrix
+from nurbseg.segmentation.bspline import CUBIC
+from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.surface import NurbsSurface
+
+#: Part of a place by which a knot on the grid may be off it.
+_ROUNDING = 1e-9
 
 
 class SurfaceLattice:
@@ -21,155 +24,181 @@ class SurfaceLattice:
     Parameters
     ----------
     surfaces : sequence of NurbsSurface or None
-        Of the labels 1, 2, ...; a label without one has no inverse depth anywhere.
+        Of the labels 1, 2, ..., as fits of inverse depth make them: cubic on evenly spaced knots, with
+        weights that are control values of inverse depth. A label without one has no inverse depth anywhere.
     step : int
         Pixels from one place of the grid to the next.
-    known : SurfaceLattice, optional
-        Another one, from which surfaces that it shares with this one are taken over.
+
+    Attributes
+    ----------
+    values : (N,) float32
+        Inverse depths, 1/m, window after window in row order.
+    windows : (labels + 1, 5) int32
+        Of each label: first row and column of the grid that its surface reaches, one past the last of each,
+        and the place of the first in `values`. Empty for 0, which is no label.
     """
 
-    def __init__(
-        self, surfaces: Sequence[NurbsSurface | None], step: int, known: SurfaceLattice | None = None
-    ) -> None:
-        self._step: int = step
-        self._images: dict[int, tuple[NurbsSurface, int, int, NDArray[np.float32]]] = {}
-        shared = known._images if known is not None and known._step == step else {}
-        count = len(surfaces) + 1
-        # Label 0 is no segment: its window is empty.
-        self._window = np.zeros((4, count), dtype=np.int32)
-        self._start = np.zeros(count, dtype=np.int32)
-        values, start = [], 0
-        for label, surface in enumerate(surfaces, start=1):
-            if surface is None:
-                continue
-            found = shared.get(id(surface))
-            if found is None:
-                found = surface, *_evaluated(surface, step)
-            # The surface is kept with its image, so that no other one can have its identity.
-            self._images[id(surface)] = found
-            _, top, left, image = found
-            self._window[:, label] = top, left, *image.shape
-            self._start[label] = start
-            start += image.size
-            values.append(image.ravel())
-        # The last one is for places that a surface does not reach.
-        self._values = np.concatenate([*values, np.full(1, np.inf, dtype=np.float32)])
+    def __init__(self, surfaces: Sequence[NurbsSurface | None], step: int) -> None:
+        self.step = step
+        labels = [label for label, surface in enumerate(surfaces, start=1) if surface is not None]
+        known = [surface for surface in surfaces if surface is not None]
+        shapes = np.array([each.weights.shape for each in known], dtype=np.int64).reshape(-1, 2)
+        # First knot and spacing along rows and columns, in places of the grid.
+        knots = np.array(
+            [(each.knots_v[0], each.knots_v[1], each.knots_u[0], each.knots_u[1]) for each in known],
+            dtype=np.float64,
+        ).reshape(-1, 2, 2)
+        knots /= step
+        first, spacing = knots[..., 0], knots[..., 1] - knots[..., 0]
+        start = np.ceil(first + CUBIC * spacing - _ROUNDING)
+        stop = np.floor(first + shapes * spacing + _ROUNDING) + 1
+        sizes = np.prod(stop - start, axis=1)
+        ends = np.cumsum(sizes)
+        self.windows = np.zeros((len(surfaces) + 1, 5), dtype=np.int32)
+        self.windows[labels] = np.column_stack([start, stop, ends - sizes])
+        self.values = np.empty(int(sizes.sum()), dtype=np.float32)
+        if known:
+            nets = np.concatenate([each.weights.ravel() for each in known])
+            _evaluate(nets.astype(np.float32), shapes, first, spacing, self.windows[labels], self.values)
 
-    def at(
-        self, labels: NDArray[np.int32], rows: NDArray[np.intp], columns: NDArray[np.intp]
-    ) -> NDArray[np.float32]:
-        """Return the inverse depth of each label's surface at a place of the grid.
-
-        Parameters
-        ----------
-        labels, rows, columns : (N,) int
-            Which surface, and where.
-
-        Returns
-        -------
-        (N,) float32
-            In 1/m; inf where the surface does not reach.
-        """
-        top, left, height, width = (each[labels] for each in self._window)
-        r, c = rows - top, columns - left
-        inside = (r >= 0) & (r < height) & (c >= 0) & (c < width)
-        index = np.where(inside, self._start[labels] + r * width + c, self._values.size - 1)
-        return self._values[index]
-
-    def at_pixels(
-        self, labels: NDArray[np.int32], rows: NDArray[np.intp], columns: NDArray[np.intp]
-    ) -> NDArray[np.float32]:
-        """Return the inverse depth of surfaces at pixels, linear between places; as `at`."""
-        if self._step == 1:
-            return self.at(labels, rows, columns)
-        return self._between(labels, rows / self._step, columns / self._step)[0]
+    def image(self, labels: NDArray[np.int32]) -> NDArray[np.float32]:
+        """Return the inverse depth of each place's own surface, (h, w) float32; inf where there is none."""
+        found = np.empty(labels.shape, dtype=np.float32)
+        _take(self.values, self.windows, np.ascontiguousarray(labels), found)
+        return found
 
     def slopes_at(
         self, labels: NDArray[np.int32], u: NDArray[np.float64], v: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return inverse depth and its change by a pixel along columns u and rows v, (N,) each.
+        """Return surfaces at pixels between the places of the grid, where they are taken for linear.
 
-        NaN where a surface does not reach; the slopes are those between neighbouring places.
+        Parameters
+        ----------
+        labels : (N,) int32
+            Which surface.
+        u, v : (N,) float64
+            Columns and rows, pixels.
+
+        Returns
+        -------
+        per_m, along_u, along_v : (N,) float64
+            Inverse depth in 1/m, NaN where a surface does not reach, and its change by a pixel.
         """
-        per_m, along_u, along_v = self._between(labels, v / self._step, u / self._step)
-        per_m = np.where(np.isfinite(per_m), per_m, np.nan)
-        return (
-            per_m.astype(np.float64),
-            along_u.astype(np.float64) / self._step,
-            along_v.astype(np.float64) / self._step,
+        found = np.empty((3, labels.size))
+        _interpolate(
+            self.values,
+            self.windows,
+            np.ascontiguousarray(labels, dtype=np.int32),
+            np.asarray(v / self.step, dtype=np.float64),
+            np.asarray(u / self.step, dtype=np.float64),
+            found,
         )
-
-    def _between(
-        self, labels: NDArray[np.int32], rows: NDArray[np.float64], columns: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        top, left, height, width = (each[labels] for each in self._window)
-        r, c = rows - top, columns - left
-        inside = (r >= 0) & (r <= height - 1) & (c >= 0) & (c <= width - 1) & (height > 1) & (width > 1)
-        r0 = np.clip(r.astype(np.int32), 0, np.maximum(height - 2, 0))
-        c0 = np.clip(c.astype(np.int32), 0, np.maximum(width - 2, 0))
-        last = self._values.size - 1
-        index = np.where(inside, self._start[labels] + r0 * width + c0, last)
-        v = self._values
-        below = np.where(inside, index + width, last)
-        beside = inside.astype(np.int32)
-        a, b, d, e = v[index], v[index + beside], v[below], v[below + beside]
-        fr, fc = (r - r0).astype(np.float32), (c - c0).astype(np.float32)
-        with np.errstate(invalid="ignore"):
-            upper, lower = a + (b - a) * fc, d + (e - d) * fc
-            along_u = (b - a) + ((e - d) - (b - a)) * fr
-            per_m = upper + (lower - upper) * fr
-            per_m[~inside] = np.inf
-            return per_m, along_u, lower - upper
-
-    def image(self, labels: NDArray[np.int32]) -> NDArray[np.float32]:
-        """Return the inverse depth of each place's own surface, (h, w) float32; inf where there is none."""
-        height, width = labels.shape
-        flat = labels.ravel()
-        top, left, tall, wide = self._window
-        # Rows and columns of a place within its label's window, without arrays of rows and columns.
-        index = (self._start - top * wide - left)[flat].reshape(labels.shape)
-        index += np.arange(height, dtype=np.int32)[:, np.newaxis] * wide[labels]
-        index += np.arange(width, dtype=np.int32)
-        rows, columns = np.arange(height)[:, np.newaxis], np.arange(width)
-        outside = (rows < top[labels]) | (rows >= (top + tall)[labels])
-        outside |= (columns < left[labels]) | (columns >= (left + wide)[labels])
-        index[outside] = self._values.size - 1
-        return self._values[index]
+        found[1:] /= self.step
+        return found[0], found[1], found[2]
 
 
-def _evaluated(surface: NurbsSurface, step: int) -> tuple[int, int, NDArray[np.float32]]:
-    """Return the first row and column of a surface's domain on the grid, and its inverse depth there."""
-    rows, Bv = _along(surface.knots_v, surface.degree[1], surface.weights.shape[0], step)
-    columns, Bu = _along(surface.knots_u, surface.degree[0], surface.weights.shape[1], step)
-    depths = surface.control_points_m[..., 2] * surface.weights
-    if np.ptp(depths) <= 1e-9:
-        # The rational surfaces of inverse depth: the ray's z is 1.
-        image = Bv @ (surface.weights * (1.0 / depths[0, 0])).astype(np.float32) @ Bu.T
-    else:
-        image = (Bv @ surface.weights.astype(np.float32) @ Bu.T) / (Bv @ depths.astype(np.float32) @ Bu.T)
-    return rows, columns, np.asarray(image, dtype=np.float32)
+@compiled
+def _evaluate(
+    nets: NDArray[np.float32],
+    shapes: NDArray[np.int64],
+    first: NDArray[np.float64],
+    spacing: NDArray[np.float64],
+    windows: NDArray[np.int32],
+    values: NDArray[np.float32],
+) -> None:
+    """Evaluate splines on their windows: each row of control values along columns, then all along rows."""
+    most, widest = 1, 1
+    for k in range(windows.shape[0]):
+        most, widest = max(most, shapes[k, 0]), max(widest, windows[k, 3] - windows[k, 1])
+    blended = np.empty((most, widest), dtype=np.float32)
+    basis = np.empty(4, dtype=np.float32)
+    net = 0
+    for k in range(windows.shape[0]):
+        n, m = shapes[k]
+        top, left, bottom, right, start = windows[k]
+        width = right - left
+        for c in range(width):
+            j = net + _cubic((left + c - first[k, 1]) / spacing[k, 1], m, basis)
+            for i in range(n):
+                at = j + i * m
+                blended[i, c] = (
+                    basis[0] * nets[at]
+                    + basis[1] * nets[at + 1]
+                    + basis[2] * nets[at + 2]
+                    + basis[3] * nets[at + 3]
+                )
+        for r in range(bottom - top):
+            i = _cubic((top + r - first[k, 0]) / spacing[k, 0], n, basis)
+            row = values[start + r * width : start + (r + 1) * width]
+            for c in range(width):
+                row[c] = (
+                    basis[0] * blended[i, c]
+                    + basis[1] * blended[i + 1, c]
+                    + basis[2] * blended[i + 2, c]
+                    + basis[3] * blended[i + 3, c]
+                )
+        net += n * m
 
 
-def _along(knots: NDArray[np.float64], degree: int, count: int, step: int) -> tuple[int, NDArray[np.float32]]:
-    """Return the first place of a knot vector's domain, and the basis at the places in it."""
-    first, last = float(knots[degree]), float(knots[count])
-    spacing = float(knots[1] - knots[0])
-    start = round(float(knots[0]) / spacing) if spacing > 0 else 0
-    size = int(np.floor(last / step + 1e-9)) - int(np.ceil(first / step - 1e-9)) + 1
-    begin = int(np.ceil(first / step - 1e-9))
-    is_shared = spacing > 0 and degree == CUBIC and abs(start * spacing - float(knots[0])) < 1e-6 * spacing
-    if is_shared and abs(float(knots[-1] - knots[0]) - (knots.size - 1) * spacing) < 1e-6 * spacing:
-        return begin, _shared_basis(spacing / step, begin, size, start, count)
-    places = (begin + np.arange(size, dtype=np.float64)) * step
-    return begin, basis_matrix(knots, degree, places).astype(np.float32)
+@compiled
+def _cubic(place: float, count: int, basis: NDArray[np.float32]) -> int:
+    """Fill in the four cubic functions that are not zero at a place; return the number of the first."""
+    span = min(max(int(np.floor(place)), 3), count - 1)
+    t = place - span
+    s = 1.0 - t
+    low, high = s * s * s / 6.0, t * t * t / 6.0
+    third = 2.0 / 3.0 - t * t * (1.0 - 0.5 * t)
+    basis[0], basis[1], basis[2], basis[3] = low, third, 1.0 - low - third - high, high
+    return span - 3
 
 
-@lru_cache(maxsize=1024)
-def _shared_basis(spacing: float, begin: int, size: int, start: int, count: int) -> NDArray[np.float32]:
-    """Return the cubic basis on knots at every multiple of a spacing, in places, (size, count)."""
-    knots = (start + np.arange(count + CUBIC + 1, dtype=np.float64)) * spacing
-    places = begin + np.arange(size, dtype=np.float64)
-    return np.asarray(basis_matrix(knots, CUBIC, places), dtype=np.float32)
+@compiled
+def _take(
+    values: NDArray[np.float32],
+    windows: NDArray[np.int32],
+    labels: NDArray[np.int32],
+    found: NDArray[np.float32],
+) -> None:
+    """Take the value of each place's label."""
+    height, width = labels.shape
+    for r in range(height):
+        label = np.int32(-1)
+        for c in range(width):
+            if labels[r, c] != label:
+                label = labels[r, c]
+                top, left, bottom, right, start = windows[label]
+                start += (r - top) * (right - left) - left
+                if not top <= r < bottom:
+                    left = right
+            found[r, c] = values[start + c] if left <= c < right else np.inf
+
+
+@compiled
+def _interpolate(
+    values: NDArray[np.float32],
+    windows: NDArray[np.int32],
+    labels: NDArray[np.int32],
+    rows: NDArray[np.float64],
+    columns: NDArray[np.float64],
+    found: NDArray[np.float64],
+) -> None:
+    """Interpolate values between four places, and their change by a place along columns and rows."""
+    for n in range(labels.size):
+        top, left, bottom, right, start = windows[labels[n]]
+        r, c = rows[n] - top, columns[n] - left
+        wide = right - left
+        if not (0 <= r <= bottom - top - 1 and 0 <= c <= wide - 1) or bottom - top < 2 or wide < 2:
+            found[:, n] = np.nan
+            continue
+        r0, c0 = min(int(r), bottom - top - 2), min(int(c), wide - 2)
+        at = start + r0 * wide + c0
+        along_upper = np.float64(values[at + 1]) - values[at]
+        along_lower = np.float64(values[at + wide + 1]) - values[at + wide]
+        upper = values[at] + along_upper * (c - c0)
+        lower = values[at + wide] + along_lower * (c - c0)
+        found[0, n] = upper + (lower - upper) * (r - r0)
+        found[1, n] = along_upper + (along_lower - along_upper) * (r - r0)
+        found[2, n] = lower - upper
 
 
 __all__ = ["SurfaceLattice"]

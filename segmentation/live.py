@@ -8,16 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.follow import grown_labels, inner_places, moved_surfaces, settled_borders
+from nurbseg.segmentation.follow import grown_labels, kept_labels, moved_surfaces
 from nurbseg.segmentation.inverse_depth import DepthGrid, depth_grid, inverse_depth_image
 from nurbseg.segmentation.lattice import SurfaceLattice
+from nurbseg.segmentation.live_borders import settled_borders, spread_to_pixels
 from nurbseg.segmentation.live_leaf import LiveLeaf, Misfit, misfit, remeasured
 from nurbseg.segmentation.live_objects import ObjectMemory
 from nurbseg.segmentation.live_revision import Budget, Reviser
 from nurbseg.segmentation.motion import brightness, carried, flow_back, resized
 from nurbseg.segmentation.pieces import Joints, connected_pieces, joints
 from nurbseg.segmentation.registration import PointMap
-from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, finished_segments
+from nurbseg.segmentation.segment_pixels import finished_segments
+from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first
 from nurbseg.segmentation.splitting import segment_nurbseg
 from nurbseg.segmentation.spreading import spread_labels
 from nurbseg.segmentation.surface import Fit
@@ -100,7 +102,7 @@ class LiveTree:
         self._objects = ObjectMemory()
         self._reviser = Reviser()
         self._overdue = 0
-        self._lattice: SurfaceLattice | None = None
+        self._lattice = SurfaceLattice([], config.decimation)
         self.labels_before = self._labels
 
     def segment(self, cloud: PointMap, budget: Budget | None = None) -> SegmentationTree:
@@ -160,7 +162,8 @@ class LiveTree:
         self._reviser = Reviser()
         self._leaves = [self._reviser.leaf(nodes[leaf.name]) for leaf in tree.leaves()]
         self.labels_before = np.zeros(tree.shape, dtype=np.uint16)
-        self._labels = tree.label_image()
+        self._labels = tree.label_image().copy()
+        self._lattice = SurfaceLattice([leaf.surface for leaf in self._leaves], self._config.decimation)
         self._gray = brightness(cloud.color, self._config.decimation)
         self._objects = ObjectMemory()
         self._overdue = 0
@@ -178,16 +181,14 @@ class LiveTree:
 
         # Surfaces move with their points, and what they do not explain is open.
         surfaces = [leaf.surface for leaf in self._leaves]
-        lattice = SurfaceLattice(surfaces, step, self._lattice)
-        inner = inner_places(on_grid)
-        surfaces = moved_surfaces(surfaces, lattice, on_grid, grid.per_m, inner, step, config.noise_per_m)
+        if self._lattice.step != step:
+            self._lattice = SurfaceLattice(surfaces, step)
+        surfaces = moved_surfaces(surfaces, self._lattice, on_grid, grid.per_m, config.noise_per_m)
         lattice = SurfaceLattice(surfaces, step)
         limits = self._limits_per_m()
-        residual = np.abs(lattice.image(on_grid) - grid.per_m)
-        wanted = grid.valid & ~((on_grid > 0) & (residual < limits[on_grid]))
-        points = max(1, int(np.count_nonzero(grid.valid)))
-        known = np.count_nonzero(on_grid)
-        unexplained = float(np.count_nonzero(wanted & (on_grid > 0))) / max(1, int(known))
+        points, known = int(np.count_nonzero(grid.valid)), int(np.count_nonzero(on_grid))
+        on_grid = kept_labels(on_grid, grid.per_m, lattice, limits)
+        unexplained = 1.0 - int(np.count_nonzero(on_grid)) / max(1, known)
         if unexplained > _CHANGED_SHARE or known < (1.0 - _CHANGED_SHARE) * points:
             self.revision = Revision(cold="another scene", unexplained=unexplained)
             return None
@@ -197,18 +198,17 @@ class LiveTree:
             leaf.patience = max(0, leaf.patience - 1)
 
         # Labels grow into what is open; what stays open is new, or too small to be anything.
-        on_grid[wanted] = 0
-        on_grid = grown_labels(on_grid, wanted, grid.per_m, lattice, limits)
+        on_grid = grown_labels(on_grid, grid.per_m, lattice, limits)
         joined = joints(grid.per_m, grid.valid, config.depth_gap_per_m)
         on_grid, appeared = self._cleaned(on_grid, grid, joined)
 
         # Borders on every pixel.
-        labels = _spread_to_pixels(before, on_grid, per_m, step)
+        labels = spread_to_pixels(before, on_grid, per_m, step)
         if config.refine_borders:
             labels = settled_borders(
                 labels, per_m, lattice, noise_per_m=config.noise_per_m, gap_per_m=config.depth_gap_per_m
             )
-        on_grid = np.where(appeared > 0, 0, np.where(grid.valid, labels[::step, ::step], 0)).astype(np.int32)
+        on_grid = np.where(grid.valid & (appeared == 0), labels[::step, ::step], 0).astype(np.int32)
 
         # The tree is revised.
         measures = misfit(on_grid, lattice, grid, config.noise_per_m, len(self._leaves))
@@ -233,11 +233,12 @@ class LiveTree:
                 np.uint16
             )
         self.labels_before = before
+        self._gray = gray
         self._overdue = self._overdue + 1 if done.waiting > _WAITING_MOST else 0
         self.revision = Revision(
             "", unexplained, done.refits, done.trials, done.splits, done.folds, done.waiting, step
         )
-        return self._finished(cloud, grid, labels, before, lattice, config)
+        return self._finished(cloud, grid, labels, before, config)
 
     def _limits_per_m(self) -> NDArray[np.float32]:
         """Return from which residual on a place is not a leaf's own, by label."""
@@ -252,21 +253,21 @@ class LiveTree:
         config = self._config
         places_min = config.piece_pixels_min * grid.points.pixel_share
         open_label = len(self._leaves) + 1
-        marked = np.where(grid.valid & (on_grid == 0), open_label, on_grid).astype(np.int32)
+        marked = np.where(grid.valid & (on_grid == 0), np.int32(open_label), on_grid)
         found = connected_pieces(marked, joined)
         # The largest piece of a leaf stays, however small it is.
         kept = found.large(places_min, open_label - 1)
         new = np.flatnonzero(kept & (found.labels_of == open_label))
-        appeared = np.zeros(kept.size, dtype=np.int32)
-        appeared[new] = np.arange(1, new.size + 1)
-        homeless = (marked > 0) & ~kept[found.numbers]
-        image = appeared[found.numbers]
-        cleaned = np.where(homeless, 0, np.where(image > 0, open_label + image, marked)).astype(np.int32)
+        labels_of = np.where(kept, found.labels_of, 0).astype(np.int32)
+        labels_of[new] = np.arange(open_label, open_label + new.size)
+        cleaned = labels_of[found.numbers]
+        homeless = (cleaned == 0) & grid.valid
         if homeless.any():
             cleaned = spread_labels(cleaned, homeless, grid.per_m, config.depth_gap_per_m)
-        image = np.where(cleaned > open_label, cleaned - open_label, 0).astype(np.int32)
-        cleaned[cleaned >= open_label] = 0
-        return cleaned, image
+        is_new = cleaned >= open_label
+        appeared = np.where(is_new, cleaned - np.int32(open_label - 1), 0)
+        cleaned[is_new] = 0
+        return cleaned, appeared
 
     def _finished(
         self,
@@ -274,48 +275,25 @@ class LiveTree:
         grid: DepthGrid,
         labels: NDArray[np.uint16],
         before: NDArray[np.uint16],
-        lattice: SurfaceLattice,
         config: SegmentationConfig,
     ) -> SegmentationTree:
         nodes = depth_first(self._root)
         leaf_nodes = [leaf.node for leaf in self._leaves]
         surfaces = [leaf.surface for leaf in self._leaves]
-        self._lattice = lattice = SurfaceLattice(surfaces, grid.step, lattice)
-        on_grid = np.ascontiguousarray(labels[:: grid.step, :: grid.step]).astype(np.int32)
-        remeasured(self._leaves, on_grid, lattice, grid, config)
-        number = np.where(labels > 0, labels - np.uint16(1), np.uint16(len(leaf_nodes))).ravel()
-        segments = finished_segments(nodes, leaf_nodes, number)
-        objects, contacts = self._objects.merged(self._leaves, labels, on_grid, lattice, grid, config)
+        self._lattice = SurfaceLattice(surfaces, grid.step)
+        on_grid = labels[:: grid.step, :: grid.step].astype(np.int32)
+        remeasured(self._leaves, on_grid, self._lattice, grid, config)
+        segments = finished_segments(nodes, leaf_nodes, labels)
+        objects, contacts = self._objects.merged(self._leaves, labels, on_grid, self._lattice, grid, config)
         # What has no depth in this frame keeps its label for the next one.
-        self._labels = np.where(labels > 0, labels, self._reviser.renumbered(before))
-        self._gray = brightness(cloud.color, grid.step)
-        return SegmentationTree(segments, cloud.valid.shape, objects, contacts, config.level)
+        self._labels = self._reviser.renumbered(before)
+        np.copyto(self._labels, labels, where=labels > 0)
+        return SegmentationTree(segments, cloud.valid.shape, objects, contacts, config.level, labels)
 
 
 def lives(config: SegmentationConfig) -> bool:
     """Say whether the tree of a configuration can live on from frame to frame."""
     return config.method == "nurbseg" and config.fit_of == "inverse-depth"
-
-
-def _spread_to_pixels(
-    before: NDArray[np.uint16], on_grid: NDArray[np.int32], per_m: NDArray[np.float32], step: int
-) -> NDArray[np.uint16]:
-    """Take over what was decided on the grid; where nothing was, a pixel keeps its label."""
-    labels = np.where(per_m > 0, before, 0).astype(np.uint16)
-    decided = on_grid.astype(np.uint16)
-    changed = decided != before[::step, ::step]
-    if step == 1:
-        labels[changed] = decided[changed]
-    else:
-        height, width = labels.shape
-        rows, columns = np.nonzero(changed)
-        for down in range(step):
-            for across in range(step):
-                r, c = rows * step + down, columns * step + across
-                inside = (r < height) & (c < width)
-                labels[r[inside], c[inside]] = decided[rows[inside], columns[inside]]
-    labels[per_m <= 0] = 0
-    return labels
 
 
 __all__ = ["Budget", "LiveTree", "Misfit", "Revision", "lives"]

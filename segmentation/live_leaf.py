@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.config import Metric, SegmentationConfig
-from nurbseg.segmentation.follow import inner_places
 from nurbseg.segmentation.inverse_depth import DepthGrid
 from nurbseg.segmentation.lattice import SurfaceLattice
 from nurbseg.segmentation.noise import SQUARE_MOST
+from nurbseg.segmentation.segment_pixels import by_label
 from nurbseg.segmentation.segments import Node
 from nurbseg.segmentation.surface import Fit, NurbsSurface
 
@@ -107,31 +108,57 @@ def misfit(
     leaves : int
         Number of labels.
     """
-    inner = inner_places(labels)
-    residual = np.abs(lattice.image(labels) - grid.per_m)
-    unreached = (labels > 0) & ~np.isfinite(residual)
-    deviations = np.minimum(residual * np.float32(1.0 / noise_per_m), np.float32(np.sqrt(SQUARE_MOST)))
-    deviations[labels == 0] = 0.0
-    flat = labels.ravel()
     size = leaves + 1
-    places = np.bincount(flat, minlength=size)
-    squares = np.square(deviations)
-    far = (deviations > _FAR_DEVIATIONS).astype(np.float32)
+    deviations, inner = lattice.image(labels), np.empty(labels.shape, dtype=np.bool_)
+    # Of the rim and of the inner places: how many, not reached, sum of squares, and how many are far.
+    sums = np.zeros((size, 2, 4))
+    _sum_misfits(labels, grid.per_m, 1.0 / noise_per_m, SQUARE_MOST**0.5, deviations, inner, sums)
+    every = sums.sum(axis=1)
+    thin = sums[:, 1, 0] < _INNER_SHARE * every[:, 0]
+    judged = np.where(thin[:, np.newaxis], every, sums[:, 1])
+    means = judged / np.maximum(judged[:, :1], 1.0)
+    places = every[:, 0].astype(np.int64)
+    return Misfit(places, means[:, 2], means[:, 3], every[:, 1] / np.maximum(places, 1), deviations, inner)
 
-    def mean(of: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
-        at = labels[mask]
-        sums = np.bincount(at, weights=of[mask], minlength=size)
-        return np.asarray(sums / np.maximum(np.bincount(at, minlength=size), 1), dtype=np.float64)
 
-    n_inner = np.bincount(labels[inner], minlength=size)
-    square, far_share = mean(squares, inner), mean(far, inner)
-    every = labels > 0
-    square_all, far_all = mean(squares, every), mean(far, every)
-    thin = n_inner < _INNER_SHARE * places
-    square = np.where(thin, square_all, square)
-    far_share = np.where(thin, far_all, far_share)
-    missed = np.bincount(flat[unreached.ravel()], minlength=size) / np.maximum(places, 1)
-    return Misfit(places, square, far_share, missed, deviations, inner)
+@compiled
+def _sum_misfits(
+    labels: NDArray[np.int32],
+    per_m: NDArray[np.float32],
+    per_deviation: float,
+    most: float,
+    deviations: NDArray[np.float32],
+    inner: NDArray[np.bool_],
+    sums: NDArray[np.float64],
+) -> None:
+    """Turn the surfaces' inverse depths into residuals in units of the noise; sum them by label."""
+    height, width = labels.shape
+    for r in range(height):
+        above, below = max(r - 1, 0), min(r + 1, height - 1)
+        for c in range(width):
+            left, right = max(c - 1, 0), min(c + 1, width - 1)
+            label = labels[r, c]
+            is_inner = inner[r, c] = (
+                label > 0
+                and labels[r, left] == label
+                and labels[r, right] == label
+                and labels[above, left] == label
+                and labels[above, c] == label
+                and labels[above, right] == label
+                and labels[below, left] == label
+                and labels[below, c] == label
+                and labels[below, right] == label
+            )
+            if label == 0:
+                deviations[r, c] = 0.0
+                continue
+            own = sums[label, int(is_inner)]
+            own[0] += 1.0
+            own[1] += not np.isfinite(deviations[r, c])
+            deviation = min(per_deviation * abs(deviations[r, c] - per_m[r, c]), most)
+            deviations[r, c] = deviation
+            own[2] += deviation * deviation
+            own[3] += deviation > _FAR_DEVIATIONS
 
 
 def remeasured(
@@ -156,39 +183,29 @@ def remeasured(
     config : SegmentationConfig
         Its `large_error_m` is T_l.
     """
-    flat = labels.ravel()
-    order = np.argsort(flat.astype(np.uint16), kind="stable")
     size = len(leaves) + 1
-    ends = np.cumsum(np.bincount(flat, minlength=size))
-    fitted = lattice.image(labels).ravel()
-    x, y, z = grid.points.coordinates_m.reshape(3, -1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # The point and its surface point lie on one ray.
-        per_m = np.abs(fitted - grid.per_m.ravel())
-        residuals_m = np.sqrt(x * x + y * y + z * z) * per_m / fitted
-    # Beyond the reach of a surface that is not fitted anew yet, residuals count as the limit of noise.
-    beyond = ~np.isfinite(residuals_m)
-    residuals_m[beyond] = z[beyond] ** 2 * np.float32(4.0 * config.noise_per_m)
-    per_m[beyond] = 4.0 * config.noise_per_m
-    # What is far off is not the leaf's own, and does not make room for more of its kind.
-    limit = np.float32(np.sqrt(SQUARE_MOST) * config.noise_per_m)
-    places = np.bincount(flat, minlength=size)
-    some = np.maximum(places, 1).astype(np.float64)
-    mean_square, mean, nle, square = (
-        np.asarray(np.bincount(flat, weights=each, minlength=size), dtype=np.float64)
-        for each in (
-            residuals_m * residuals_m,
-            residuals_m,
-            residuals_m > config.large_error_m,
-            np.square(np.minimum(per_m, limit)),
-        )
+    order, bounds = by_label(labels.reshape(-1), size)
+    residuals_m, pixels = np.empty(order.size), np.empty(order.size, dtype=np.intp)
+    sums = np.zeros((size, 4))
+    _measure(
+        order,
+        labels.reshape(-1),
+        lattice.image(labels).reshape(-1),
+        grid.per_m.reshape(-1),
+        grid.distances_m.reshape(-1),
+        # What is far off is not the leaf's own, and does not make room for more of its kind.
+        SQUARE_MOST**0.5 * config.noise_per_m,
+        config.large_error_m,
+        (labels.shape[1], grid.points.image_shape[1], grid.step),
+        residuals_m,
+        pixels,
+        sums,
     )
-    mse, mae, rms = mean_square / some, mean / some, np.sqrt(square / some)
-    residuals = residuals_m[order].astype(np.float64)
-    pixels = grid.points.pixels(order)
+    mae, mse, _, square = (sums / np.maximum(np.diff(bounds), 1)[:, np.newaxis]).T
+    rms_per_m = np.sqrt(square)
     for label, leaf in enumerate(leaves, start=1):
-        own = slice(ends[label - 1], ends[label])
-        leaf.rms_per_m = float(rms[label])
+        own = slice(bounds[label], bounds[label + 1])
+        leaf.rms_per_m = float(rms_per_m[label])
         if leaf.surface is None:
             continue
         values: dict[Metric, float] = {
@@ -196,10 +213,49 @@ def remeasured(
             "mse": float(mse[label]),
             "mae": float(mae[label]),
             "ve": float(max(mse[label] - mae[label] ** 2, 0.0)),
-            "nle": float(nle[label]),
+            "nle": float(sums[label, 2]),
         }
         leaf.node.places = order[own]
-        leaf.node.fit = Fit(leaf.surface, residuals[own], values, "", pixels[own])
+        leaf.node.fit = Fit(leaf.surface, residuals_m[own], values, "", pixels[own])
+
+
+@compiled
+def _measure(
+    order: NDArray[np.intp],
+    labels: NDArray[np.int32],
+    explained: NDArray[np.float32],
+    per_m: NDArray[np.float32],
+    distances_m: NDArray[np.float32],
+    most_per_m: float,
+    large_m: float,
+    widths: tuple[int, int, int],
+    residuals_m: NDArray[np.float64],
+    pixels: NDArray[np.intp],
+    sums: NDArray[np.float64],
+) -> None:
+    """Give residuals in space and pixels in the order of labels; sum them, their squares, and large ones."""
+    grid_width, image_width, step = widths
+    for n in range(order.size):
+        place = order[n]
+        row = place // grid_width
+        pixels[n] = (row * image_width + place - row * grid_width) * step
+        label = labels[place]
+        if label == 0:
+            continue
+        if np.isfinite(explained[place]):
+            beyond_per_m = abs(np.float64(explained[place]) - per_m[place])
+            # The point and its surface point lie on one ray.
+            residual_m = distances_m[place] * beyond_per_m / explained[place]
+        else:
+            # Beyond the reach of a surface not fitted anew yet, residuals count as the limit of noise.
+            beyond_per_m = most_per_m
+            residual_m = most_per_m / np.float64(per_m[place]) ** 2
+        residuals_m[n] = residual_m
+        own = sums[label]
+        own[0] += residual_m
+        own[1] += residual_m * residual_m
+        own[2] += residual_m > large_m
+        own[3] += min(beyond_per_m, most_per_m) ** 2
 
 
 __all__ = ["LiveLeaf", "Misfit", "misfit", "remeasured"]

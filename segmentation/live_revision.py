@@ -16,6 +16,7 @@ from nurbseg.segmentation.inverse_depth import DepthGrid
 from nurbseg.segmentation.lattice import SurfaceLattice
 from nurbseg.segmentation.live_leaf import LiveLeaf, Misfit, misfit
 from nurbseg.segmentation.live_structure import Growth, Revised
+from nurbseg.segmentation.lookup import looked_up
 from nurbseg.segmentation.normals import facet_normals
 from nurbseg.segmentation.pieces import Joints
 from nurbseg.segmentation.registration import PointMap
@@ -84,8 +85,7 @@ class Reviser:
 
     def renumbered(self, labels: NDArray[np.uint16]) -> NDArray[np.uint16]:
         """Return labels from before the last revision as they are now; 0 for those that are gone."""
-        known: NDArray[np.uint16] = self._final[np.minimum(labels, self._final.size - 1)]
-        return known
+        return looked_up(self._final, labels)
 
     def revise(
         self,

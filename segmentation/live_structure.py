@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.live_leaf import LiveLeaf
 from nurbseg.segmentation.segments import Node, StopReason, depth_first
 from nurbseg.segmentation.splitting import Part
@@ -40,18 +41,31 @@ class Revised:
 
     def relabelled(self, labels: NDArray[np.uint16], step: int) -> NDArray[np.uint16]:
         """Return a label image as it is after the revision, (H, W) uint16."""
-        height, width = labels.shape
-        relabelled: NDArray[np.uint16] = self.final[labels]
-        rows, columns = np.nonzero(self.on_grid != self.before)
-        for down in range(step):
-            for across in range(step):
-                r, c = rows * step + down, columns * step + across
-                inside = (r < height) & (c < width)
-                r, c, at = r[inside], c[inside], (rows[inside], columns[inside])
-                # Neighbours across a border keep what they have; what had no label takes this one.
-                own = labels[r, c] == self.before[at]
-                relabelled[r[own], c[own]] = self.final[self.on_grid[at][own]]
+        relabelled = np.empty_like(labels)
+        _relabel(labels, self.before, self.on_grid, self.final, step, relabelled)
         return relabelled
+
+
+@compiled
+def _relabel(
+    labels: NDArray[np.uint16],
+    before: NDArray[np.int32],
+    on_grid: NDArray[np.int32],
+    final: NDArray[np.uint16],
+    step: int,
+    relabelled: NDArray[np.uint16],
+) -> None:
+    """Look up labels from now on; pixels that have the label of their place change with it."""
+    height, width = labels.shape
+    known, number = np.empty(width, dtype=np.int32), np.empty(width, dtype=np.int32)
+    for r in range(height):
+        if r % step == 0:
+            for c in range(width):
+                known[c], number[c] = before[r // step, c // step], on_grid[r // step, c // step]
+        for c in range(width):
+            # Neighbours across a border keep what they have; what had no label takes this one.
+            label = np.int32(labels[r, c])
+            relabelled[r, c] = final[number[c] if label == known[c] else label]
 
 
 class Growth:

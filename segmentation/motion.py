@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.segmentation.compiled import compiled
+
 
 def brightness(color: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
     """Return the gray image on every `step`-th row and column, each the mean around it, (h, w) uint8."""
@@ -62,15 +64,41 @@ def carried(image: NDArray[np.uint16], flow: NDArray[np.float32]) -> NDArray[np.
     (H, W) uint16
         The value that each pixel had, the nearest one; 0 for what comes into view.
     """
+    found = np.empty_like(image)
+    _carry(np.ascontiguousarray(image), np.ascontiguousarray(flow), found)
+    return found
+
+
+@compiled
+def _carry(image: NDArray[np.uint16], flow: NDArray[np.float32], found: NDArray[np.uint16]) -> None:
+    """Take each pixel's value from where the flow, linear between its places, says that it was."""
     height, width = image.shape
     h, w = flow.shape[:2]
-    if (h, w) != (height, width):
-        flow = cv2.resize(flow, (width, height), interpolation=cv2.INTER_LINEAR).astype(np.float32)
-        flow = flow * np.array([width / w, height / h], dtype=np.float32)
-    columns = np.arange(width, dtype=np.float32) + flow[..., 0]
-    rows = np.arange(height, dtype=np.float32)[:, np.newaxis] + flow[..., 1]
-    found = cv2.remap(image, columns, rows, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
-    return np.asarray(found, dtype=np.uint16)
+    across, down = np.float32(width / w), np.float32(height / h)
+    left, share = np.empty(width, dtype=np.int64), np.empty(width, dtype=np.float32)
+    for c in range(width):
+        place = min(max((c + 0.5) * w / width - 0.5, 0.0), w - 1.0)
+        left[c] = min(int(place), max(w - 2, 0))
+        share[c] = place - left[c]
+    beside = min(1, w - 1)
+    along = np.empty((2, w), dtype=np.float32)
+    half = np.float32(0.5)
+    for r in range(height):
+        place = min(max((r + 0.5) * h / height - 0.5, 0.0), h - 1.0)
+        top = min(int(place), max(h - 2, 0))
+        below, part = min(top + 1, h - 1), np.float32(place - top)
+        for c in range(w):
+            along[0, c] = across * (flow[top, c, 0] + part * (flow[below, c, 0] - flow[top, c, 0]))
+            along[1, c] = down * (flow[top, c, 1] + part * (flow[below, c, 1] - flow[top, c, 1]))
+        for c in range(width):
+            n = left[c]
+            u = along[0, n] + share[c] * (along[0, n + beside] - along[0, n])
+            v = along[1, n] + share[c] * (along[1, n + beside] - along[1, n])
+            row, column = r + int(np.floor(v + half)), c + int(np.floor(u + half))
+            if 0 <= row < height and 0 <= column < width:
+                found[r, c] = image[row, column]
+            else:
+                found[r, c] = 0
 
 
 __all__ = ["brightness", "carried", "flow_back", "resized"]

@@ -97,6 +97,8 @@ class SegmentationTree:
         Every two leaves that meet, with what became of them and why.
     level : {"surfaces", "objects"}
         What `labels` tells apart.
+    image : (H, W) uint16, optional
+        The label of every pixel, if it is known already.
     """
 
     segments: tuple[Segment, ...]
@@ -104,6 +106,11 @@ class SegmentationTree:
     objects: tuple[SceneObject, ...] = ()
     contacts: tuple[Contact, ...] = ()
     level: Level = "surfaces"
+    image: NDArray[np.uint16] | None = None
+
+    def __post_init__(self) -> None:
+        if self.image is not None:
+            self.image.flags.writeable = False
 
     @property
     def root(self) -> Segment:
@@ -116,6 +123,8 @@ class SegmentationTree:
 
     def label_image(self) -> NDArray[np.uint16]:
         """Return the label of every pixel, (H, W) uint16; 0 where there is no depth."""
+        if self.image is not None:
+            return self.image
         labels = np.zeros(self.shape[0] * self.shape[1], dtype=np.uint16)
         for label, leaf in enumerate(self.leaves(), start=1):
             labels[leaf.pixels] = label
@@ -173,47 +182,4 @@ def depth_first(root: Node) -> list[Node]:
     return nodes
 
 
-def finished_segments(
-    nodes: list[Node], leaves: list[Node], labels: NDArray[np.uint16]
-) -> tuple[Segment, ...]:
-    """Give every node the pixels of the leaves below it.
-
-    Parameters
-    ----------
-    nodes, leaves : list of Node
-        Depth first.
-    labels : (H * W,) uint16
-        Number of each pixel's leaf; ``len(leaves)`` where there is no point.
-
-    Returns
-    -------
-    tuple of Segment
-        In the order of the nodes.
-    """
-    order = np.argsort(labels, kind="stable")
-    bounds = np.concatenate([[0], np.cumsum(np.bincount(labels, minlength=len(leaves) + 1))])
-    place = {leaf.name: number for number, leaf in enumerate(leaves)}
-    # Leaves come depth first, so those below a node stand side by side in the order of labels.
-    reach: dict[str, tuple[int, int]] = {}
-    for node in reversed(nodes):
-        if node.children:
-            first, second = (reach[child.name] for child in node.children)
-            reach[node.name] = first[0], second[1]
-        else:
-            reach[node.name] = bounds[place[node.name]], bounds[place[node.name] + 1]
-    return tuple(
-        Segment(
-            name=node.name,
-            parent=node.name[:-1] if node.name else None,
-            children=tuple(child.name for child in node.children),  # type: ignore[arg-type]
-            pixels=order[slice(*reach[node.name])],
-            fit=node.fit,
-            ratio=node.ratio,
-            stop=node.stop,
-            cut=node.cut,
-        )
-        for node in nodes
-    )
-
-
-__all__ = ["Node", "Segment", "SegmentationTree", "StopReason", "depth_first", "finished_segments"]
+__all__ = ["Node", "Segment", "SegmentationTree", "StopReason", "depth_first"]

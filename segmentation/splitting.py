@@ -21,12 +21,12 @@ from nurbseg.segmentation.noise import explained_by_noise
 from nurbseg.segmentation.pieces import large_pieces
 from nurbseg.segmentation.registration import PointMap
 from nurbseg.segmentation.scene import Scene, node_normalization, prepare
+from nurbseg.segmentation.segment_pixels import finished_segments
 from nurbseg.segmentation.segments import (
     Node,
     SegmentationTree,
     StopReason,
     depth_first,
-    finished_segments,
 )
 from nurbseg.segmentation.surface import Fit
 
@@ -69,10 +69,10 @@ def segment_nurbseg(cloud: PointMap, config: SegmentationConfig) -> Segmentation
     if config.refine_borders:
         labels = refine_borders(labels, per_m, surfaces, config)
 
-    number = np.where(labels > 0, labels - 1, len(leaves)).astype(np.uint16).ravel()
-    segments = finished_segments(nodes, leaves, number)
+    image = labels.astype(np.uint16)
+    segments = finished_segments(nodes, leaves, image)
     objects, contacts = merge_surfaces(labels, scene.grid, [leaf.name for leaf in leaves], surfaces, config)
-    return SegmentationTree(segments, cloud.valid.shape, objects, contacts, config.level)
+    return SegmentationTree(segments, cloud.valid.shape, objects, contacts, config.level, image)
 
 
 def grow(scene: Scene, config: SegmentationConfig) -> Node:
@@ -162,7 +162,9 @@ def measured(scene: Scene, places: NDArray[np.intp], config: SegmentationConfig)
     """
     if places.size == 0:
         return places, Fit(None, np.zeros(0), {}, "0 points, 1 needed", places), StopReason.NO_POINTS
-    window, mask = scene.grid.points.window_mask(places)
+    rows, columns, window = scene.grid.points.locate(places)
+    mask = np.zeros((window[2] - window[0], window[3] - window[1]), dtype=np.bool_)
+    mask[rows - window[0], columns - window[1]] = True
     fit, residuals_per_m = fit_window(scene.grid, window, mask, config)
     if config.metric in CURVATURE_METRICS:
         fit = replace(fit, values=all_metrics(fit, scene.grid.points.image_shape[1], config))

@@ -18,13 +18,13 @@ from nurbseg.segmentation.features import normalization, normalized, raw_vectors
 from nurbseg.segmentation.grid import PixelGrid, decimated_grid
 from nurbseg.segmentation.metrics import CURVATURE_METRICS, acceptance_ratio
 from nurbseg.segmentation.registration import PointMap
+from nurbseg.segmentation.segment_pixels import finished_segments
 from nurbseg.segmentation.segments import (
     Node,
     Segment,
     SegmentationTree,
     StopReason,
     depth_first,
-    finished_segments,
 )
 from nurbseg.segmentation.settle import Split, settle
 from nurbseg.segmentation.shared import SharedWork
@@ -84,7 +84,8 @@ def segment_stag15(
         splits,
         lambda pixels: normalized(raw_vectors(cloud, pixels), scale),
     )
-    return SegmentationTree(finished_segments(nodes, leaves, labels), cloud.valid.shape)
+    image = ((labels + 1) % (len(leaves) + 1)).astype(np.uint16).reshape(cloud.valid.shape)
+    return SegmentationTree(finished_segments(nodes, leaves, image), cloud.valid.shape, image=image)
 
 
 def grow(

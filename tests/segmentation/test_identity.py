@@ -135,6 +135,6 @@ def test_identities_go_along_with_what_is_known_of_the_motion() -> None:
     labels, cloud = scene((40, 30, 10, 10, 10))
     alone = carry_identities(first, labels, cloud)
     assert alone.of_label[2] != first.of_label[2]
-    followed = carry_identities(first, labels, cloud, carried=first.image(labels))
+    followed = carry_identities(first, labels, cloud, before=labels)
     assert followed.of_label == first.of_label
     assert followed.events == ()
