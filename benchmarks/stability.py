@@ -56,6 +56,8 @@ class Findings:
     live_to_alone: list[float] = field(default_factory=list)
     alone_to_alone: list[float] = field(default_factory=list)
     alone_to_before: list[float] = field(default_factory=list)
+    live_to_truth: list[float] = field(default_factory=list)
+    alone_to_truth: list[float] = field(default_factory=list)
 
 
 def main() -> None:
@@ -174,6 +176,10 @@ def measure(source: FrameSource, motion: Motion, config: SegmentationConfig, cou
                     each.alone_to_alone.append(variation_of_information(other[level], alone[level]))
                     carried = earlier[level].ravel()[pairs[0]], alone[level].ravel()[pairs[1]]
                     each.alone_to_before.append(variation_of_information(*carried))
+                    if frame.labels is not None:
+                        truth = np.where(cloud.valid, frame.labels, 0)
+                        each.live_to_truth.append(variation_of_information(live[level], truth))
+                        each.alone_to_truth.append(variation_of_information(alone[level], truth))
         if frame.labels is not None:
             truth = np.where(cloud.valid, frame.labels, 0)
             for label in np.flatnonzero(np.bincount(truth.ravel()) >= _OBJECT_PIXELS_MIN):
@@ -201,6 +207,10 @@ def report(
             f"     {statistics.mean(each.live_to_alone):6.3f}   {statistics.mean(each.alone_to_alone):6.3f}"
             f"      {statistics.mean(each.alone_to_before):6.3f}"
         )
+    for level, each in found.items():
+        if each.live_to_truth:
+            live, alone = (statistics.mean(values) for values in (each.live_to_truth, each.alone_to_truth))
+            print(f"{level:9} VoI to the ground truth, bits: live {live:.3f}, alone {alone:.3f}")
     print(f"segmented anew: {dict(cold)}; events: {dict(sorted(events.items()))}")
     names = source.label_names if isinstance(source, SyntheticSource) else {}
     for label, counts in sorted(named.items()):
