@@ -32,6 +32,13 @@ class LiveConfig:
         unit="1/s",
         least=0.0,
     )
+    age_max_ms: float = setting(
+        100.0,
+        "age, when its labels are ready, beyond which a live frame is not shown, nor saved for viewing; "
+        "0 shows every one",
+        unit="ms",
+        least=0.0,
+    )
 
     def __post_init__(self) -> None:
         check_settings(self)

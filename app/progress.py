@@ -33,8 +33,8 @@ class Progress:
         self._frames = 0
         self._is_first = True
 
-    def segmented(self, result: FrameResult) -> None:
-        """Say something of a frame, if it is time to, or the first."""
+    def segmented(self, result: FrameResult, *, late: int = 0) -> None:
+        """Say something of a frame, if it is time to, or the first; `late` were too old to be shown."""
         self._frames += 1
         frame = result.frame
         name = f" ({frame.name})" if frame.name else ""
@@ -47,6 +47,7 @@ class Progress:
         elif elapsed_s >= _INTERVAL_S:
             dropped = self._capture.frames.overwritten
             drops = f", {dropped} overwritten by newer ones" if dropped else ""
+            drops += f", {late} too late" if late else ""
             drops += self._recorded()
             _log.info(
                 "%s; %.1f frames/s, %d read%s", line, self._frames / elapsed_s, self._capture.read, drops

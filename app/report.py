@@ -43,12 +43,14 @@ class RunReport:
     ----------
     segmented : int
         Frames segmented so far.
+    late : int
+        Frames of them that were too old to be shown.
     passed_by : int
         Frames taken that were to be recorded only.
     """
 
     def __init__(self, config: AppConfig, source: str, metadata: Mapping[str, str]) -> None:
-        self.segmented = self.passed_by = 0
+        self.segmented = self.late = self.passed_by = 0
         self._config = config
         self._source = source
         self._metadata = metadata
@@ -104,6 +106,7 @@ class RunReport:
             "frames": {
                 "read": read,
                 "segmented": self.segmented,
+                "late": self.late,
                 "recorded_only": self.passed_by,
                 "dropped": {
                     "overwritten_by_a_newer_frame": overwritten,

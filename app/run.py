@@ -14,12 +14,13 @@ from nurbseg.app.capture import CaptureThread
 from nurbseg.app.config import AppConfig
 from nurbseg.app.export import Exporter, ExportError
 from nurbseg.app.interruption import Interruption
+from nurbseg.app.lateness import Lateness
 from nurbseg.app.opening import open_chosen
 from nurbseg.app.progress import Progress
 from nurbseg.app.record import open_recording, tell_recorded
 from nurbseg.app.report import RunReport
 from nurbseg.app.tracking import Segmenter
-from nurbseg.app.view import ViewError, open_view
+from nurbseg.app.view import View, ViewError, open_view
 from nurbseg.app.view_process import ViewProcess
 from nurbseg.app.worker import FrameResult
 from nurbseg.drivers.errors import DriverError
@@ -71,21 +72,20 @@ def run(config: AppConfig, interruption: Interruption, view_process: ViewProcess
             _log.info("source: %s", opened.uri)
             report = RunReport(config, opened.uri, opened.source.metadata)
             _write_report(config, report, None, "still running")
-            consumers: list[Consumer] = []
+            exports: list[Consumer] = []
             if config.export.directory is not None:
                 exporter = Exporter(
                     Path(config.export.directory),
                     metric=config.segmentation.metric,
                     surfaces=config.export.surfaces,
                 )
-                consumers.append(("export", exporter.write))
+                exports.append(("export", exporter.write))
             name = Path(opened.uri).name
             view = stack.enter_context(
                 open_view(
                     config.shown, config.segmentation, opened.source.metadata, name=name, process=view_process
                 )
             )
-            consumers.append(("show", view.show))
             recording = open_recording(config.record, opened.camera, lossless=opened.every_frame)
         except (DriverError, ExportError, ViewError, OSError, ValueError) as err:
             raise SetupError(str(err)) from err
@@ -101,10 +101,11 @@ def run(config: AppConfig, interruption: Interruption, view_process: ViewProcess
                         _pass_by(capture, report, interruption)
                     else:
                         temporal = config.live.follows(every_frame=opened.every_frame)
-                        # Where every frame is wanted, none is hurried.
+                        # Where every frame is wanted, none is hurried, and none too late.
                         target_hz = 0.0 if opened.every_frame else config.live.target_fps
                         segmenter = Segmenter(config.segmentation, temporal=temporal, target_hz=target_hz)
-                        _work(capture, segmenter, consumers, report, interruption)
+                        lateness = Lateness(0.0 if opened.every_frame else config.live.age_max_ms)
+                        _work(capture, segmenter, exports, view, lateness, report, interruption)
                 finally:
                     interruption.hold()
             if recording is not None:
@@ -125,7 +126,9 @@ def run(config: AppConfig, interruption: Interruption, view_process: ViewProcess
 def _work(
     capture: CaptureThread,
     segmenter: Segmenter,
-    consumers: Sequence[Consumer],
+    exports: Sequence[Consumer],
+    view: View,
+    lateness: Lateness,
     report: RunReport,
     interruption: Interruption,
 ) -> None:
@@ -148,12 +151,16 @@ def _work(
             "capture_to_labels": 1e3 * (time.monotonic() - captured.arrived_s),
         }
         result = replace(result, elapsed_ms=MappingProxyType(elapsed_ms))
-        for stage, consume in consumers:
+        shown: list[Consumer] = (
+            [("show", view.show)] if lateness.admits(elapsed_ms["capture_to_labels"]) else []
+        )
+        for stage, consume in (*exports, *shown):
             started_s = time.perf_counter()
             consume(result)
             elapsed_ms[stage] = 1e3 * (time.perf_counter() - started_s)
+        report.late = lateness.held_back
         report.add(elapsed_ms, result.events, result.revision)
-        progress.segmented(result)
+        progress.segmented(result, late=lateness.held_back)
 
 
 def _pass_by(capture: CaptureThread, report: RunReport, interruption: Interruption) -> None:

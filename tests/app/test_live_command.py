@@ -14,6 +14,7 @@ import pytest
 from nurbseg.app.opening import SYNTHETIC, demo_uri
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.scores import rand_index, region_covering
+from tests.fakes.saved_view import read_saved_view
 
 Live = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -119,6 +120,21 @@ def test_a_paced_replay_drops_what_it_cannot_follow_and_says_so(live: Live, tmp_
     assert frames["read"] == 60
     assert frames["segmented"] < 60
     assert frames["segmented"] + frames["dropped"]["overwritten_by_a_newer_frame"] == 60
+
+
+def test_what_is_too_old_is_not_saved_and_counted(live: Live, tmp_path: Path) -> None:
+    words = ("--replay", SMALL.format(40), "--view", "none", "--save", "a.rrd", "--report", "report.json")
+    done = live(*words, "--speed", "1", "--age-max-ms", "0.001", "--export", "out")
+    assert done.returncode == 0, done.stderr
+    frames = json.loads((tmp_path / "report.json").read_text())["frames"]
+    shown = read_saved_view(tmp_path / "a.rrd").frames("tree")
+    assert len(shown) == frames["segmented"] - frames["late"] < frames["segmented"]
+    assert len(list((tmp_path / "out").glob("*_labels.png"))) == frames["segmented"]
+
+    done = live(*words, "--speed", "0", "--age-max-ms", "0.001")
+    assert done.returncode == 0, done.stderr
+    assert json.loads((tmp_path / "report.json").read_text())["frames"]["late"] == 0
+    assert read_saved_view(tmp_path / "a.rrd").frames("tree") == list(range(40))
 
 
 def test_limits_and_loops(live: Live, tmp_path: Path) -> None:
