@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.blas import ssyrk
-from scipy.linalg.lapack import dpstrf, dsyevr, dtrtri
+from scipy.linalg.lapack import dsyevr
 
+from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.config import SplittingPoint
 
 #: A sample is left out where the others explain its affinities but for this (of the 1 to itself, squared).
@@ -29,8 +29,6 @@ class Cut:
     ----------
     side : (N,) bool
         Part of each point.
-    ncut : float
-        Normalized cut of the parts, in [0, 2]; inf where there is no cut.
     landmarks : (M, D) float32
         The sample.
     coefficients : (M,) float32
@@ -42,7 +40,6 @@ class Cut:
     """
 
     side: NDArray[np.bool_]
-    ncut: float
     landmarks: NDArray[np.float32]
     coefficients: NDArray[np.float32]
     affinity_scale: float
@@ -61,12 +58,15 @@ class Cut:
         (N,) bool
             Side of each point.
         """
-        sides = np.empty(vectors.shape[0], dtype=np.bool_)
+        return self._classify(vectors, np.arange(vectors.shape[0]))
+
+    def _classify(self, vectors: NDArray[np.float32], rows: NDArray[np.intp]) -> NDArray[np.bool_]:
+        sides = np.empty(rows.size, dtype=np.bool_)
         # In blocks that stay in the cache: the affinities are read once and thrown away.
         block = max(256, (1 << 18) // max(1, self.landmarks.shape[0]))
-        for start in range(0, vectors.shape[0], block):
+        for start in range(0, rows.size, block):
             part = slice(start, start + block)
-            kernel = affinity(vectors[part], self.landmarks, self.affinity_scale)
+            kernel = _affinity(vectors, rows[part], self.landmarks, self.affinity_scale)
             np.greater(kernel @ self.coefficients, 0, out=sides[part])
         return sides
 
@@ -90,21 +90,38 @@ def affinity(
     (N, M) float32
         In [0, 1], to rounding.
     """
-    n, dimensions = vectors.shape
-    if n == 0 or landmarks.shape[0] == 0:
-        return np.zeros((n, landmarks.shape[0]), dtype=np.float32)
+    return _affinity(vectors, np.arange(vectors.shape[0]), landmarks, scale)
+
+
+def _affinity(
+    vectors: NDArray[np.float32], rows: NDArray[np.intp], landmarks: NDArray[np.float32], scale: float
+) -> NDArray[np.float32]:
+    """Compute the affinities of some rows of the vectors."""
+    if rows.size == 0 or landmarks.shape[0] == 0:
+        return np.zeros((rows.size, landmarks.shape[0]), dtype=np.float32)
     # One matrix product gives the exponent: [f, |f|^2, 1] . [s, -1/2, -|s|^2/2] / scale^2.
-    left = np.empty((n, dimensions + 2), dtype=np.float32)
-    left[:, :dimensions] = vectors
-    np.einsum("ij,ij->i", vectors, vectors, out=left[:, dimensions])
-    left[:, dimensions + 1] = 1.0
-    right = np.empty((dimensions + 2, landmarks.shape[0]), dtype=np.float32)
-    right[:dimensions] = landmarks.T
-    right[dimensions] = -0.5
-    right[dimensions + 1] = -0.5 * np.einsum("ij,ij->i", landmarks, landmarks)
+    left = _with_squares(vectors, rows)
+    right = _with_squares(landmarks, np.arange(landmarks.shape[0]))
+    right[:, -2], right[:, -1] = -0.5, -0.5 * right[:, -2]
     right *= np.float32(1.0 / scale**2)
-    exponent = left @ right
+    exponent = left @ right.T
     return np.asarray(cv2.exp(exponent, dst=exponent), dtype=np.float32)
+
+
+@compiled
+def _with_squares(vectors: NDArray[np.float32], rows: NDArray[np.intp]) -> NDArray[np.float32]:
+    """Take some rows of the vectors, and add to each its squared length and a 1."""
+    dimensions = vectors.shape[1]
+    taken = np.empty((rows.size, dimensions + 2), dtype=np.float32)
+    for n in range(rows.size):
+        vector, target = vectors[rows[n]], taken[n]
+        square = np.float32(0.0)
+        for k in range(dimensions):
+            target[k] = vector[k]
+            square += vector[k] * vector[k]
+        target[dimensions] = square
+        target[dimensions + 1] = np.float32(1.0)
+    return taken
 
 
 def normalized_cut(
@@ -137,8 +154,7 @@ def normalized_cut(
     Returns
     -------
     Cut
-        ``side`` (N,) bool and ``ncut`` in [0, 2]; ``ncut`` is inf and `side` all False where N < 2 or
-        nothing tells the points apart.
+        Its `side` is all False, and it has a reason, where N < 2 or nothing tells the points apart.
 
     Raises
     ------
@@ -204,32 +220,35 @@ def normalized_cuts(
         return
     size = n if points is None else min(n, max(points, samples))
     chosen: NDArray[np.intp] = rng.choice(n, size=(size,), replace=False)
-    landmarks = vectors[chosen[:samples]]
+    sample = chosen[:samples]
+    landmarks = vectors[sample]
     if not np.any(landmarks != landmarks[0]) and not np.any(vectors != landmarks[0]):
         yield _no_cut(vectors, affinity_scale, "all points are equal")
         return
+    if size == n:
+        chosen = np.arange(n)
+    else:
+        sample = np.arange(min(samples, size))
 
     # W = K A^-1 K^T. Samples that the others already explain make A singular and are left out; with
     # A = L L^T of the rest, W = Q Q^T where Q = K L^-T, which is not needed itself.
-    landmarks, L = _independent(landmarks, affinity_scale)
-    K = affinity(vectors[chosen], landmarks, affinity_scale)
-    root = dtrtri(L, lower=1)[0].T
-    total = root.T @ (np.ones(size, dtype=np.float32) @ K).astype(np.float64)
-    b = root @ total
+    independent, inverse = _independent(landmarks, affinity_scale)
+    landmarks = landmarks[independent]
+    K = _affinity(vectors, chosen, landmarks, affinity_scale)
+    total = inverse @ (np.ones(size, dtype=np.float32) @ K).astype(np.float64)
+    b = total @ inverse
     # A degree holds at least the affinity of 1 to the point itself; the approximation may fall below.
     degrees = np.maximum(K @ b.astype(np.float32), np.float32(1.0))
 
     # S and D^-1/2 W D^-1/2 share their eigenvalues. The first eigenvector, of the constant, is known: taking
     # it out leaves the second on top also where the affinities fall apart into components.
-    Kn = K / np.sqrt(degrees)[:, np.newaxis]
-    upper = ssyrk(1.0, Kn.T).astype(np.float64)
-    S = root.T @ (upper + np.triu(upper, 1).T) @ root
-    first = total / np.linalg.norm(total)
-    Sf = S @ first
-    S -= np.outer(first, Sf - first * float(first @ Sf)) + np.outer(Sf, first)
+    by_root = np.float32(1.0) / np.sqrt(degrees)
+    K *= by_root[:, np.newaxis]
+    S = inverse @ (K.T @ K).astype(np.float64) @ inverse.T
+    _take_out(S, total / np.linalg.norm(total))
     last = S.shape[0]
     eigenvalues, eigenvectors, _, _, failed = dsyevr(
-        S, range="I", il=max(1, last - count + 1), iu=last, lower=1
+        S.T, range="I", il=max(1, last - count + 1), iu=last, lower=1, overwrite_a=1
     )
     found = np.flatnonzero(eigenvalues > _LEAST_EIGENVALUE)[::-1]
     if failed or found.size == 0:
@@ -237,43 +256,109 @@ def normalized_cuts(
         return
     for each in found:
         # D^-1/2 times the eigenvector is the relaxed indicator, (K a) / (K b) at any point.
-        vector = eigenvectors[:, each]
-        a = root @ vector
-        indicator = (K @ a.astype(np.float32)).astype(np.float64) / degrees
-        orientation = _orientation(indicator[:samples])
-        a, indicator = orientation * a, orientation * indicator
-        threshold = _threshold(splitting_point, indicator, K, root, degrees)
+        a = eigenvectors[:, each] @ inverse
+        indicator = (K @ a.astype(np.float32)) * by_root
+        orientation = _orientation(indicator[sample])
+        a, indicator = orientation * a, np.float32(orientation) * indicator
+        threshold = _threshold(splitting_point, indicator, K, inverse, degrees)
         coefficients = (a - threshold * b).astype(np.float32)
-        cut = Cut(np.zeros(0, dtype=np.bool_), np.inf, landmarks, coefficients, affinity_scale)
-        if size == n:  # Every affinity is there already.
-            side = np.empty(n, dtype=np.bool_)
-            side[chosen] = K @ coefficients > 0
-        else:
-            side = cut.classify(vectors)
+        side = np.empty(n, dtype=np.bool_)
+        cut = Cut(side, landmarks, coefficients, affinity_scale)
+        side[chosen] = K @ coefficients > 0
+        if size < n:
+            others = np.delete(np.arange(n), chosen)
+            side[others] = cut._classify(vectors, others)
         if side.all() or not side.any():
             yield _no_cut(vectors, affinity_scale, "all points fall on one side")
         else:
-            yield Cut(side, _ncut(side[chosen], K, root, degrees), landmarks, coefficients, affinity_scale)
+            yield cut
+
+
+@compiled
+def _take_out(S: NDArray[np.float64], first: NDArray[np.float64]) -> None:
+    """Take a unit vector out of a symmetric matrix: (1 - f f^T) S (1 - f f^T), in place."""
+    size = first.size
+    Sf = np.zeros(size)
+    for i in range(size):
+        for j in range(size):
+            Sf[i] += S[i, j] * first[j]
+    fSf = 0.0
+    for i in range(size):
+        fSf += first[i] * Sf[i]
+    for i in range(size):
+        for j in range(size):
+            S[i, j] -= first[i] * (Sf[j] - first[j] * fSf) + Sf[i] * first[j]
 
 
 def _no_cut(vectors: NDArray[np.float32], scale: float, reason: str) -> Cut:
     side = np.zeros(vectors.shape[0], dtype=np.bool_)
-    return Cut(side, np.inf, vectors[:1], np.zeros(min(1, len(vectors)), dtype=np.float32), scale, reason)
+    return Cut(side, vectors[:1], np.zeros(min(1, len(vectors)), dtype=np.float32), scale, reason)
 
 
 def _independent(
     landmarks: NDArray[np.float32], scale: float
-) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Leave out samples whose affinities the others explain; return the rest and their Cholesky factor."""
-    s = landmarks.astype(np.float64)
-    norms = np.einsum("ij,ij->i", s, s)
-    distances = np.maximum(norms[:, np.newaxis] + norms - 2.0 * (s @ s.T), 0.0)
-    A = np.exp(-0.5 / scale**2 * distances)
-    factor, pivots, rank, _ = dpstrf(A, tol=_UNEXPLAINED, lower=1)
-    return landmarks[pivots[:rank] - 1], np.tril(factor[:rank, :rank])
+) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Leave out samples whose affinities the others explain.
+
+    Returns the numbers of the rest, and the inverse of the Cholesky factor of their affinities.
+    """
+    exponents = _square_distances(landmarks)
+    exponents *= -0.5 / scale**2
+    return _pivoted_inverse(np.exp(exponents, out=exponents))
 
 
-def _orientation(indicator: NDArray[np.float64]) -> float:
+@compiled
+def _square_distances(points: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Squared distance of every two points."""
+    count, dimensions = points.shape
+    squares = np.zeros((count, count))
+    for k in range(dimensions):
+        along = points[:, k].astype(np.float64)
+        for i in range(count):
+            target, own = squares[i], along[i]
+            for j in range(count):
+                target[j] += (along[j] - own) * (along[j] - own)
+    return squares
+
+
+@compiled
+def _pivoted_inverse(A: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Factorize as L L^T, with pivots, what is not explained yet; return the pivots and the inverse of L."""
+    count = A.shape[0]
+    pivots, unexplained = np.empty(count, dtype=np.intp), np.ones(count)
+    # Row k holds column k of L, for all samples in their own order.
+    columns = np.empty((count, count))
+    rank = 0
+    while rank < count:
+        pivot = np.argmax(unexplained)
+        if unexplained[pivot] <= _UNEXPLAINED:
+            break
+        column = columns[rank]
+        column[:] = A[pivot]
+        for k in range(rank):
+            before, factor = columns[k], columns[k, pivot]
+            for i in range(count):
+                column[i] -= factor * before[i]
+        column /= np.sqrt(unexplained[pivot])
+        for i in range(count):
+            unexplained[i] -= column[i] * column[i]
+        # What is a pivot is explained, for good.
+        unexplained[pivot] = -np.inf
+        pivots[rank] = pivot
+        rank += 1
+    inverse = np.zeros((rank, rank))
+    for i in range(rank):
+        target, pivot = inverse[i], pivots[i]
+        per_diagonal = 1.0 / columns[i, pivot]
+        for k in range(i):
+            source, factor = inverse[k, : k + 1], columns[k, pivot] * per_diagonal
+            for j in range(k + 1):
+                target[j] -= factor * source[j]
+        target[i] = per_diagonal
+    return pivots[:rank].copy(), inverse
+
+
+def _orientation(indicator: NDArray[np.float32]) -> float:
     """Give the eigenvector, known up to its sign, the one that makes the first clear sample positive."""
     size = np.abs(indicator)
     clear = int(np.argmax(size >= 0.5 * size.max()))
@@ -282,16 +367,16 @@ def _orientation(indicator: NDArray[np.float64]) -> float:
 
 def _threshold(
     splitting_point: SplittingPoint,
-    indicator: NDArray[np.float64],
+    indicator: NDArray[np.float32],
     K: NDArray[np.float32],
-    root: NDArray[np.float64],
+    inverse: NDArray[np.float64],
     degrees: NDArray[np.float32],
 ) -> float:
     """Find where the relaxed indicator is cut."""
     if splitting_point == "zero":
         return 0.0
     order = np.argsort(indicator, kind="stable")
-    ascending = indicator[order]
+    ascending = indicator[order].astype(np.float64)
     if splitting_point == "kmeans":
         # In one dimension the best 2-means is a threshold: least scatter = greatest sum of squared sums
         # over counts.
@@ -308,32 +393,16 @@ def _threshold(
     if edges.size == 0:
         return 0.0
     starts = np.concatenate([[0], edges])
-    below = np.cumsum(np.add.reduceat(K[order].astype(np.float64), starts, axis=0) @ root, axis=0)
-    volume = np.cumsum(np.add.reduceat(degrees[order].astype(np.float64), starts))
+    weights = degrees[order].astype(np.float64)
+    sums = np.add.reduceat(np.sqrt(weights)[:, np.newaxis] * K[order], starts, axis=0)
+    below = np.cumsum(sums @ inverse.T, axis=0)
+    volume = np.cumsum(np.add.reduceat(weights, starts))
     total, volume_total = below[-1], volume[-1]
     inside = np.einsum("ij,ij->i", below[:-1], below[:-1])
     outside = np.einsum("ij,ij->i", total - below[:-1], total - below[:-1])
     cost = 2.0 - inside / volume[:-1] - outside / (volume_total - volume[:-1])
     best = int(edges[int(np.argmin(cost))])
     return float(0.5 * (ascending[best - 1] + ascending[best]))
-
-
-def _ncut(
-    side: NDArray[np.bool_],
-    K: NDArray[np.float32],
-    root: NDArray[np.float64],
-    degrees: NDArray[np.float32],
-) -> float:
-    """Ncut of a partition under W = K root (K root)^T: cut(P, R) / vol(P) + cut(P, R) / vol(R)."""
-    if side.all() or not side.any():
-        return float(np.inf)
-    weight = side.astype(np.float32)
-    ones = np.ones(side.size, dtype=np.float32)
-    inside, all_inside = ((each @ K).astype(np.float64) @ root for each in (weight, ones))
-    volume, all_volume = float(weight @ degrees), float(ones @ degrees)
-    outside = all_inside - inside
-    value = 2.0 - float(inside @ inside) / volume - float(outside @ outside) / (all_volume - volume)
-    return float(np.clip(value, 0.0, 2.0))
 
 
 __all__ = ["Cut", "affinity", "normalized_cut", "normalized_cuts"]

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.registration import PointMap
 
@@ -77,6 +78,7 @@ def normalization(
     *,
     color_weight: float = 1.0,
     normal_weight: float = 1.0,
+    rows: NDArray[np.intp] | None = None,
 ) -> Normalization:
     """Measure what makes color and position of these points comparable (eq. 3), and normals where given.
 
@@ -88,34 +90,71 @@ def normalization(
         The paper's lambda.
     color_weight, normal_weight : float
         What color and normals are multiplied by.
+    rows : (M,) intp, optional
+        The rows of `raw` that are measured; all if None.
 
     Returns
     -------
     Normalization
         sigma_c is the mean of the deviations of L, a, b; sigma_g of those of x, y, z.
     """
+    rows = np.arange(raw.shape[0]) if rows is None else rows
+    return Normalization(*_normalization(raw, rows, (color_weight, geometry_weight, normal_weight)))
+
+
+@compiled
+def _normalization(
+    raw: NDArray[np.float32], rows: NDArray[np.intp], weights: tuple[float, float, float]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Mean and factor of every column over some rows."""
     dimensions = raw.shape[1]
-    if raw.shape[0] == 0:
-        zeros = np.zeros(dimensions, dtype=np.float32)
-        return Normalization(zeros, zeros.copy())
-    # Sums as products with ones, about the first point so that single precision does.
-    ones = np.full(raw.shape[0], np.float32(1.0 / raw.shape[0]))
-    mean = raw[0] + (ones @ (raw - raw[0])).astype(np.float64)
-    centered = raw - mean.astype(np.float32)
-    deviation = np.sqrt((ones @ np.square(centered, out=centered)).astype(np.float64))
-    # sigma_c and sigma_g: the mean deviation of each triple.
-    sigma = deviation.reshape(-1, 3).mean(axis=1)
-    # A deviation at the level of float32 rounding is that of a constant: it must not be blown up.
-    size = np.abs(mean).reshape(-1, 3).max(axis=1)
-    rounding = np.array([1e-5 * (1.0 + size[0]), *(1e-6 * size[1:])])
-    weights = np.array([color_weight, geometry_weight, normal_weight])[: sigma.size]
-    factor = np.where(sigma > rounding, weights / np.where(sigma > 0, sigma, 1.0), 0.0)
-    return Normalization(mean.astype(np.float32), np.repeat(factor, 3).astype(np.float32))
+    mean, factor = np.zeros(dimensions, dtype=np.float32), np.zeros(dimensions, dtype=np.float32)
+    if rows.size == 0:
+        return mean, factor
+    sums, squares = np.zeros(dimensions), np.zeros(dimensions)
+    # About the first, so that a spread much smaller than the values is not lost.
+    first = raw[rows[0]].astype(np.float64)
+    for row in rows:
+        for k in range(dimensions):
+            off = raw[row, k] - first[k]
+            sums[k] += off
+            squares[k] += off * off
+    for triple in range(dimensions // 3):
+        sigma, size = 0.0, 0.0
+        for k in range(3 * triple, 3 * triple + 3):
+            offset = sums[k] / rows.size
+            mean[k] = first[k] + offset
+            size = max(size, abs(first[k] + offset))
+            # sigma_c and sigma_g: the mean deviation of each triple.
+            sigma += np.sqrt(max(squares[k] / rows.size - offset * offset, 0.0)) / 3.0
+        # A deviation at the level of float32 rounding is that of a constant: it must not be blown up.
+        rounding = 1e-5 * (1.0 + size) if triple == 0 else 1e-6 * size
+        if sigma > rounding:
+            factor[3 * triple : 3 * triple + 3] = weights[triple] / sigma
+    return mean, factor
 
 
-def normalized(raw: NDArray[np.float32], scale: Normalization) -> NDArray[np.float32]:
-    """Apply a normalization to raw vectors, (N, D) float32 each."""
-    vectors: NDArray[np.float32] = (raw - scale.mean) * scale.factor
+def normalized(
+    raw: NDArray[np.float32], scale: Normalization, rows: NDArray[np.intp] | None = None
+) -> NDArray[np.float32]:
+    """Apply a normalization to raw vectors, (N, D) float32 each, or to some rows of them."""
+    rows = np.arange(raw.shape[0]) if rows is None else rows
+    return _normalized(raw, rows, scale.mean, scale.factor)
+
+
+@compiled
+def _normalized(
+    raw: NDArray[np.float32],
+    rows: NDArray[np.intp],
+    mean: NDArray[np.float32],
+    factor: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """Take some rows, less the mean and times the factor."""
+    vectors = np.empty((rows.size, raw.shape[1]), dtype=np.float32)
+    for n in range(rows.size):
+        row = raw[rows[n]]
+        for k in range(raw.shape[1]):
+            vectors[n, k] = (row[k] - mean[k]) * factor[k]
     return vectors
 
 

@@ -74,30 +74,35 @@ def prepare(cloud: PointMap, config: SegmentationConfig) -> Scene:
     merged = cv2.merge([np.ascontiguousarray(each) for each in planes])
     raw = np.asarray(merged, dtype=np.float32).reshape(-1, len(planes))
     joined = joints(grid.per_m, grid.valid, config.depth_gap_per_m)
-    whole = None if config.normalize_nodes else node_normalization(raw[grid.valid.ravel()], config)
+    whole = None if config.normalize_nodes else node_normalization(raw, np.flatnonzero(grid.valid), config)
     return Scene(grid, joined, raw, whole)
 
 
-def node_normalization(raw: NDArray[np.float32], config: SegmentationConfig) -> Normalization:
+def node_normalization(
+    raw: NDArray[np.float32], places: NDArray[np.intp], config: SegmentationConfig
+) -> Normalization:
     """Measure what makes the vectors of a segment comparable, with the weights that are set.
 
     Parameters
     ----------
     raw : (N, 6 or 9) float32
         Of the scene.
+    places : (M,) intp
+        Of the segment.
     config : SegmentationConfig
         The weights.
 
     Returns
     -------
     Normalization
-        Of these vectors.
+        Of the vectors at these places.
     """
     return normalization(
         raw,
         config.geometry_weight,
         color_weight=config.color_weight,
         normal_weight=config.normal_weight,
+        rows=places,
     )
 
 

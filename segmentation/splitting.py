@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.borders import labels_of_every_pixel, refine_borders
 from nurbseg.segmentation.components import give_away_small_pieces
+from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.curvature import all_metrics
 from nurbseg.segmentation.cut import Cut, normalized_cuts
@@ -162,7 +163,9 @@ def measured(scene: Scene, places: NDArray[np.intp], config: SegmentationConfig)
     """
     if places.size == 0:
         return places, Fit(None, np.zeros(0), {}, "0 points, 1 needed", places), StopReason.NO_POINTS
-    window, mask = scene.grid.points.window_mask(places)
+    rows, columns, window = scene.grid.points.locate(places)
+    mask = np.zeros((window[2] - window[0], window[3] - window[1]), dtype=np.bool_)
+    mask[rows - window[0], columns - window[1]] = True
     fit, residuals_per_m = fit_window(scene.grid, window, mask, config)
     if config.metric in CURVATURE_METRICS:
         fit = replace(fit, values=all_metrics(fit, scene.grid.points.image_shape[1], config))
@@ -196,12 +199,11 @@ def best_split(
     # A large segment is cut at every second place of both directions; those between follow.
     points = scene.grid.points
     drawn = points.every_second(node.places) if node.places.size >= _MANY_PLACES else node.places
-    raw = scene.raw.take(drawn, axis=0)
-    scale = scene.whole or node_normalization(raw, config)
+    scale = scene.whole or node_normalization(scene.raw, drawn, config)
     rng = np.random.default_rng([config.seed, int(f"1{node.name}", 2)])
     node.stop = StopReason.NO_CUT
     for cut in normalized_cuts(
-        normalized(raw, scale),
+        normalized(scene.raw, scale, drawn),
         count=config.cuts,
         samples=config.samples,
         rng=rng,
@@ -233,21 +235,36 @@ def _continued(
     scene: Scene, node: Node, drawn: NDArray[np.intp], cut: Cut, scale: Normalization
 ) -> NDArray[np.bool_]:
     """Continue a cut of every second place to all: where those around agree, and else by its extension."""
-    height, width = scene.grid.points.shape
-    tall, wide = (height + 1) // 2 + 1, (width + 1) // 2 + 1
-    # Bit 0 for the False side and bit 1 for the True one; a cell has those of its corners.
-    corners = np.zeros((tall, wide), dtype=np.uint8)
-    rows, columns = np.divmod(drawn, width)
-    corners[rows // 2, columns // 2] = 1 + cut.side
-    cells = corners.copy()
-    cells[:-1] |= corners[1:]
-    cells[:, :-1] |= cells[:, 1:]
-    rows, columns = np.divmod(node.places, width)
-    found = cells.ravel().take((rows >> 1) * wide + (columns >> 1))
-    sides: NDArray[np.bool_] = found == 2
-    asked = np.flatnonzero((found == 0) | (found == 3))
-    sides[asked] = cut.classify(normalized(scene.raw.take(node.places[asked], axis=0), scale))
+    sides, asked = _neighbors_side(cut.side, drawn, node.places, *scene.grid.points.shape)
+    sides[asked] = cut.classify(normalized(scene.raw, scale, node.places[asked]))
     return sides
+
+
+@compiled
+def _neighbors_side(
+    drawn_side: NDArray[np.bool_],
+    drawn: NDArray[np.intp],
+    places: NDArray[np.intp],
+    height: int,
+    width: int,
+) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+    """Give places the side of the drawn ones around them; also return which are those with none, or both."""
+    # Bit 0 for the False side and bit 1 for the True one, at every second row and column.
+    corners = np.zeros(((height + 1) // 2 + 1, (width + 1) // 2 + 1), dtype=np.uint8)
+    for n in range(drawn.size):
+        row = drawn[n] // width
+        corners[row >> 1, (drawn[n] - row * width) >> 1] = 2 if drawn_side[n] else 1
+    sides, asked = np.empty(places.size, dtype=np.bool_), np.empty(places.size, dtype=np.intp)
+    count = 0
+    for n in range(places.size):
+        row = places[n] // width
+        column = places[n] - row * width
+        a, b = row >> 1, column >> 1
+        around = corners[a, b] | corners[a + 1, b] | corners[a, b + 1] | corners[a + 1, b + 1]
+        sides[n] = around == 2
+        asked[count] = n
+        count += (around == 0) | (around == 3)
+    return sides, asked[:count].copy()
 
 
 def _pieces(

@@ -48,7 +48,6 @@ def test_with_every_point_in_the_sample_the_cut_is_the_exact_one(seed):
     clear = np.abs(exact) > 1e-3 * np.abs(exact).max()
     assert clear.sum() >= 118
     assert same_partition(cut.side[clear], exact[clear] > 0)
-    assert cut.ncut == pytest.approx(ncut_of(dense_affinity(vectors), cut.side), abs=1e-3)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -71,7 +70,6 @@ def test_the_least_ncut_of_all_partitions_is_found_for_ten_points(seed):
             vectors, samples=10, rng=np.random.default_rng(0), splitting_point=splitting_point
         )
         assert same_partition(cut.side, best), splitting_point
-        assert cut.ncut == pytest.approx(ncut_of(W, best), abs=1e-4)
 
 
 def test_two_means_on_the_eigenvector_is_the_best_threshold():
@@ -86,10 +84,12 @@ def test_two_means_on_the_eigenvector_is_the_best_threshold():
 def test_the_least_ncut_threshold_is_no_worse_than_zero():
     for seed in range(5):
         vectors = np.random.default_rng(seed).gamma(1.0, 1.0, (400, 3)).astype(np.float32)
+        W = dense_affinity(vectors)
         cuts = {
-            point: normalized_cut(
-                vectors, samples=80, rng=np.random.default_rng(0), splitting_point=point
-            ).ncut
+            point: ncut_of(
+                W,
+                normalized_cut(vectors, samples=80, rng=np.random.default_rng(0), splitting_point=point).side,
+            )
             for point in ("zero", "ncut")
         }
         assert cuts["ncut"] <= cuts["zero"] + 0.02
@@ -127,7 +127,6 @@ def test_affinities_that_fall_apart_are_cut_between_components():
     vectors[250:] += 40.0
     cut = normalized_cut(vectors, samples=50, rng=rng)
     assert same_partition(cut.side, np.arange(400) < 250)
-    assert cut.ncut == pytest.approx(0.0, abs=1e-3)
 
 
 def test_the_same_generator_state_gives_the_same_cut():
@@ -140,14 +139,12 @@ def test_the_same_generator_state_gives_the_same_cut():
 @pytest.mark.parametrize("n", [0, 1])
 def test_fewer_than_two_points_have_no_cut(n):
     cut = normalized_cut(np.zeros((n, 6), dtype=np.float32), samples=50, rng=np.random.default_rng(0))
-    assert cut.ncut == np.inf
     assert cut.side.shape == (n,)
     assert cut.reason == f"{n} points, 2 needed"
 
 
 def test_equal_points_have_no_cut():
     cut = normalized_cut(np.ones((500, 6), dtype=np.float32), samples=50, rng=np.random.default_rng(0))
-    assert cut.ncut == np.inf
     assert not cut.side.any()
     assert cut.reason == "all points are equal"
 
