@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.inverse_depth import inverse_depth_at
-from nurbseg.segmentation.normals import normals_from_slopes
+from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.rays import Rays
 from nurbseg.segmentation.surface import NurbsSurface
+from nurbseg.segmentation.surface_table import SurfaceTable
 
 #: Surfaces are compared across so many pixels without depth, at most, and by their points and normals so
 #: many pixels inside their border; both in pixels of an image 640 wide.
@@ -86,92 +86,164 @@ def meetings(
         In ascending order of their labels.
     """
     unit = labels.shape[1] / 640.0
-    crossings = _crossings(labels, max(1, round(_REACH_PX * unit)))
-    if crossings.size == 0:
+    crossings = np.empty((5, 2 * labels.size), dtype=np.int32)
+    count = _find_crossings(np.ascontiguousarray(labels), max(1, round(_REACH_PX * unit)), crossings)
+    if count == 0:
         return ()
-    # Points and normals of both surfaces, inside of the border, and their tangent planes at it.
-    inset = max(1.0, _INSET_PX * unit)
-    row, column, down, across, apart = (crossings[:, k].astype(np.float64) for k in range(2, 7))
-    middle = row + 0.5 * apart * down, column + 0.5 * apart * across
-    # Both sides at once: first all places before the borders, then all behind.
-    label = np.concatenate([crossings[:, 0], crossings[:, 1]])
-    v, u = (
-        np.concatenate([place - inset * step, place + (apart + inset) * step])
-        for place, step in ((row, down), (column, across))
-    )
-    per_m, slope_u, slope_v = (evaluate or partial(_evaluated, surfaces))(label, u, v)
-    at_border = per_m + slope_u * (np.tile(middle[1], 2) - u) + slope_v * (np.tile(middle[0], 2) - v)
-    x, y = rays.at(u, v)
-    points = np.stack([x, y, np.ones_like(x)], axis=1) / per_m[:, np.newaxis]
-    normals = normals_from_slopes(slope_u, slope_v, per_m, x, y, rays.focal_px)
-    (point_a, point_b), (normal_a, normal_b), (border_a, border_b) = (
-        np.split(each, 2) for each in (points, normals, at_border)
-    )
-    touching = np.abs(border_a - border_b) < gap_per_m
-    apart_m = point_b - point_a
-    length = np.maximum(np.sqrt(np.einsum("nc,nc->n", apart_m, apart_m)), 1e-9)
-    concavity = -np.einsum("nc,nc->n", normal_b - normal_a, apart_m) / length
-    concavity = np.where(touching, np.nan_to_num(concavity), 0.0)
+    crossings = np.ascontiguousarray(crossings[:, :count])
+    # Both surfaces are looked at inside of the border: first all places before it, then all behind.
+    label, u, v = crossings[:2].ravel(), np.empty((2, count)), np.empty((2, count))
+    _step_inside(crossings, max(1.0, _INSET_PX * unit), u, v)
+    per_m, slope_u, slope_v = (evaluate or SurfaceTable(surfaces).slopes)(label, u.ravel(), v.ravel())
+    x, y = rays.at(u.ravel(), v.ravel())
+    places = np.stack([u.ravel(), v.ravel(), x, y, per_m, slope_u, slope_v]).reshape(7, 2, count)
 
-    first, second = crossings[:, :2].min(axis=1), crossings[:, :2].max(axis=1)
-    pairs, pair = np.unique(first.astype(np.int64) << 32 | second, return_inverse=True)
-    samples = np.bincount(pair)
-    touches = np.bincount(pair, weights=touching)
-    sums = np.bincount(pair, weights=concavity)
-    return tuple(
-        Meeting(int(key >> 32), int(key & 0xFFFFFFFF), int(n), int(t), float(c))
-        for key, n, t, c in zip(pairs, samples, touches, sums, strict=True)
-    )
+    borders = _no_borders(int(label.max()), count)
+    last = _measure(crossings, places, rays.focal_px, gap_per_m, borders)
+    rows = zip(*(each[1 : last + 1].tolist() for each in borders[2:]), strict=True)
+    return tuple(Meeting(*row) for row in sorted(rows))
 
 
-def _crossings(labels: NDArray[np.int32], reach: int) -> NDArray[np.int32]:
+@compiled
+def _find_crossings(labels: NDArray[np.int32], reach: int, found: NDArray[np.int32]) -> int:
     """Find where rows and columns go from one label to another, over `reach` pixels at most.
 
-    Returns (N, 7): label before and after, row and column of the last pixel before, step along rows and
-    columns (1, 0 or 0, 1), and pixels from the one to the other.
+    Writes to a column of `found` for each: label before and after, row and column of the last pixel before,
+    and pixels from the one to the other, along the row if more than 0 and else down the column. Returns
+    how many there are.
     """
-    found = []
-    flat, width = labels.reshape(-1), labels.shape[1]
-    for down, across in ((0, 1), (1, 0)):
-        last = labels.shape[0] - 1 - down, labels.shape[1] - 1 - across
-        differ = labels[: last[0] + 1, : last[1] + 1] != labels[down:, across:]
-        # Ends of segments; those with nothing beyond them are followed until something comes.
-        places = np.flatnonzero(differ)
-        rows, columns = np.divmod(places, differ.shape[1])
-        before = labels[rows, columns]
-        some = before > 0
-        rows, columns, before = rows[some], columns[some], before[some]
-        for apart in range(1, reach + 1):
-            inside = (rows + apart * down < labels.shape[0]) & (columns + apart * across < width)
-            rows, columns, before = rows[inside], columns[inside], before[inside]
-            after = flat[(rows + apart * down) * width + columns + apart * across]
-            crossed = (after > 0) & (after != before)
-            size = int(np.count_nonzero(crossed))
-            parts = np.empty((size, 7), dtype=np.int32)
-            for k, column in enumerate((before, after, rows, columns)):
-                parts[:, k] = column[crossed]
-            parts[:, 4:] = down, across, apart
-            found.append(parts)
-            empty = after == 0
-            rows, columns, before = rows[empty], columns[empty], before[empty]
-    return np.concatenate(found)
+    height, width = labels.shape
+    count = 0
+    for row in range(height):
+        for column in range(width):
+            before = labels[row, column]
+            if before == 0:
+                continue
+            if column + 1 < width and labels[row, column + 1] != before:
+                apart = _pixels_to_next(labels[row, column : column + reach + 1])
+                if apart > 0:
+                    found[0, count], found[1, count] = before, labels[row, column + apart]
+                    found[2, count], found[3, count], found[4, count] = row, column, apart
+                    count += 1
+            if row + 1 < height and labels[row + 1, column] != before:
+                apart = _pixels_to_next(labels[row : row + reach + 1, column])
+                if apart > 0:
+                    found[0, count], found[1, count] = before, labels[row + apart, column]
+                    found[2, count], found[3, count], found[4, count] = row, column, -apart
+                    count += 1
+    return count
 
 
-def _evaluated(
-    surfaces: Sequence[NurbsSurface | None],
-    label: NDArray[np.int32],
-    u: NDArray[np.float64],
-    v: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Evaluate at each place the surface of its label: inverse depth and slopes, NaN without a surface."""
-    results = tuple(np.full(label.size, np.nan) for _ in range(3))
-    for number, surface in enumerate(surfaces, start=1):
-        places = np.flatnonzero(label == number)
-        if surface is None or places.size == 0:
+@compiled
+def _pixels_to_next(labels: NDArray[np.int32]) -> int:
+    """Return how far the first pixel is from another label, over what has none; 0 where it is its own."""
+    for apart in range(1, labels.size):
+        if labels[apart] > 0:
+            return apart if labels[apart] != labels[0] else 0
+    return 0
+
+
+@compiled
+def _step_inside(
+    crossings: NDArray[np.int32], inset: float, u: NDArray[np.float64], v: NDArray[np.float64]
+) -> None:
+    """Say where both surfaces of each crossing are looked at, (2, N) columns u and rows v."""
+    for n in range(crossings.shape[1]):
+        row, column, apart = crossings[2, n], crossings[3, n], crossings[4, n]
+        u[0, n] = u[1, n] = column
+        v[0, n] = v[1, n] = row
+        if apart > 0:
+            u[0, n], u[1, n] = column - inset, column + (apart + inset)
+        else:
+            v[0, n], v[1, n] = row - inset, row + (inset - apart)
+
+
+class _Borders(NamedTuple):
+    """What is measured, by border from number 1 on.
+
+    Parameters
+    ----------
+    newest : (labels + 1,) int32
+        Of each label the newest border with a larger one, 0 for none.
+    older : (N + 1,) int32
+        The one before with the same smaller label, 0 for none.
+    first, second, samples, touching, concavity_sum : (N + 1,)
+        As those of a `Meeting`.
+    """
+
+    newest: NDArray[np.int32]
+    older: NDArray[np.int32]
+    first: NDArray[np.int32]
+    second: NDArray[np.int32]
+    samples: NDArray[np.int32]
+    touching: NDArray[np.int32]
+    concavity_sum: NDArray[np.float64]
+
+
+def _no_borders(label_most: int, count: int) -> _Borders:
+    """Return room for as many borders as there are crossings."""
+    newest = np.zeros(label_most + 1, dtype=np.int32)
+    older, first, second, samples, touching = np.zeros((5, count + 1), dtype=np.int32)
+    return _Borders(newest, older, first, second, samples, touching, np.zeros(count + 1))
+
+
+@compiled
+def _measure(
+    crossings: NDArray[np.int32],
+    places: NDArray[np.float64],
+    focal_px: tuple[float, float],
+    gap_per_m: float,
+    borders: _Borders,
+) -> int:
+    """Add crossings up by border; `places` (7, 2, N) are u, v, rays x, y, inverse depth and its slopes.
+
+    Returns the number of borders.
+    """
+    u, v, ray_x, ray_y, per_m, slope_u, slope_v = places
+    last = 0
+    points, normals, at_border = np.empty((2, 3)), np.empty((2, 3)), np.empty(2)
+    for n in range(crossings.shape[1]):
+        one, other = min(crossings[0, n], crossings[1, n]), max(crossings[0, n], crossings[1, n])
+        border = borders.newest[one]
+        while border > 0 and borders.second[border] != other:
+            border = borders.older[border]
+        if border == 0:
+            last += 1
+            border = last
+            borders.first[border], borders.second[border] = one, other
+            borders.older[border], borders.newest[one] = borders.newest[one], border
+        borders.samples[border] += 1
+
+        # The tangent planes at the middle of what is between the surfaces.
+        apart = crossings[4, n]
+        middle_u = crossings[3, n] + 0.5 * max(apart, 0)
+        middle_v = crossings[2, n] + 0.5 * max(-apart, 0)
+        for side in range(2):
+            at_border[side] = (
+                per_m[side, n]
+                + slope_u[side, n] * (middle_u - u[side, n])
+                + slope_v[side, n] * (middle_v - v[side, n])
+            )
+        if not abs(at_border[0] - at_border[1]) < gap_per_m:
             continue
-        for result, values in zip(results, inverse_depth_at(surface, u[places], v[places]), strict=True):
-            result[places] = values
-    return results  # type: ignore[return-value]
+        borders.touching[border] += 1
+        for side in range(2):
+            x, y, d = ray_x[side, n], ray_y[side, n], per_m[side, n]
+            points[side, 0], points[side, 1], points[side, 2] = x / d, y / d, 1.0 / d
+            # As in `normals_from_slopes`.
+            nx, ny = slope_u[side, n] * focal_px[0], slope_v[side, n] * focal_px[1]
+            nz = d - nx * x - ny * y
+            towards = -1.0 / max(np.sqrt(nx * nx + ny * ny + nz * nz), 1e-12)
+            normals[side, 0], normals[side, 1], normals[side, 2] = nx * towards, ny * towards, nz * towards
+        square, turn = 0.0, 0.0
+        for axis in range(3):
+            apart_m = points[1, axis] - points[0, axis]
+            square += apart_m * apart_m
+            turn -= (normals[1, axis] - normals[0, axis]) * apart_m
+        concavity = turn / max(np.sqrt(square), 1e-9)
+        if np.isfinite(concavity):
+            borders.concavity_sum[border] += concavity
+    return last
 
 
-__all__ = ["Evaluation", "Meeting", "meetings"]
+__all__ = ["Evaluation", "Meeting", "in_contact", "meetings"]

@@ -284,7 +284,7 @@ class LiveTree:
         on_grid = labels[:: grid.step, :: grid.step].astype(np.int32)
         remeasured(self._leaves, on_grid, self._lattice, grid, config)
         segments = finished_segments(nodes, leaf_nodes, labels)
-        objects, contacts = self._objects.merged(self._leaves, labels, on_grid, self._lattice, grid, config)
+        objects, contacts = self._objects.merged(self._leaves, on_grid, self._lattice, grid, config)
         # What has no depth in this frame keeps its label for the next one.
         self._labels = self._reviser.renumbered(before)
         np.copyto(self._labels, labels, where=labels > 0)

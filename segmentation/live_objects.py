@@ -14,7 +14,7 @@ from nurbseg.segmentation.inverse_depth import DepthGrid
 from nurbseg.segmentation.lattice import SurfaceLattice
 from nurbseg.segmentation.live_leaf import LiveLeaf
 from nurbseg.segmentation.merge import Contact, SceneObject, merged_objects
-from nurbseg.segmentation.smooth import is_smooth
+from nurbseg.segmentation.smooth import smooth_borders
 
 #: Share of a frame in what is remembered of a border.
 _NEW_SHARE = 0.2
@@ -59,7 +59,6 @@ class ObjectMemory:
     def merged(
         self,
         leaves: Sequence[LiveLeaf],
-        labels: NDArray[np.uint16],
         on_grid: NDArray[np.int32],
         lattice: SurfaceLattice,
         grid: DepthGrid,
@@ -71,10 +70,8 @@ class ObjectMemory:
         ----------
         leaves : sequence of LiveLeaf
             Of the labels 1, 2, ...
-        labels : (H, W) uint16
-            Labels of every pixel.
         on_grid : (h, w) int32
-            Those on the grid.
+            Labels of the grid's places.
         lattice : SurfaceLattice
             Of their surfaces.
         grid : DepthGrid
@@ -110,7 +107,7 @@ class ObjectMemory:
         known = [self._remembered(each, self._borders[pair]) for pair, each in zip(pairs, found, strict=True)]
         smooth: set[tuple[int, int]] = set()
         if config.merge_smooth:
-            smooth = self._smooth(known, pairs, labels, grid, config)
+            smooth = self._smooth(known, pairs, on_grid, grid, config)
         biased = [
             self._biased(each, self._borders[pair], config) for pair, each in zip(pairs, known, strict=True)
         ]
@@ -163,7 +160,7 @@ class ObjectMemory:
         self,
         known: Sequence[Meeting],
         pairs: Sequence[_Pair],
-        labels: NDArray[np.uint16],
+        on_grid: NDArray[np.int32],
         grid: DepthGrid,
         config: SegmentationConfig,
     ) -> set[tuple[int, int]]:
@@ -174,9 +171,10 @@ class ObjectMemory:
             (n for n, border in enumerate(borders) if border.smooth is not None),
             key=lambda n: borders[n].checked,
         )
-        every = labels.astype(np.int32) if unasked or again else labels
-        for n in [*unasked, *again[:_SMOOTH_AGAIN]]:
-            borders[n].smooth = is_smooth(known[n], every, grid, config)  # type: ignore[arg-type]
+        asked = [*unasked, *again[:_SMOOTH_AGAIN]]
+        answers = smooth_borders([known[n] for n in asked], on_grid, grid, config)
+        for n, answer in zip(asked, answers, strict=True):
+            borders[n].smooth = answer
             borders[n].checked = self._frame
         return {
             (each.first, each.second) for each, border in zip(known, borders, strict=True) if border.smooth

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.contact import Meeting, in_contact, meetings
 from nurbseg.segmentation.inverse_depth import DepthGrid
-from nurbseg.segmentation.smooth import is_smooth
+from nurbseg.segmentation.smooth import smooth_borders
 from nurbseg.segmentation.surface import NurbsSurface
 
 
@@ -99,11 +100,11 @@ def merge_surfaces(
     if not (config.merge_crease or config.merge_smooth):
         return (), ()
     found = meetings(labels, surfaces, grid.rays, gap_per_m=config.depth_gap_per_m)
-    smooth = {
-        (each.first, each.second)
-        for each in found
-        if config.merge_smooth and is_smooth(each, labels, grid, config)
-    }
+    smooth: set[tuple[int, int]] = set()
+    if config.merge_smooth:
+        on_grid = labels[:: grid.step, :: grid.step]
+        answers = smooth_borders(found, on_grid, grid, config)
+        smooth = {(each.first, each.second) for each, yes in zip(found, answers, strict=True) if yes}
     return merged_objects(found, smooth, labels, names, config)
 
 
@@ -134,19 +135,26 @@ def merged_objects(
     objects, contacts
         As those of `merge_surfaces`.
     """
-    group = _merged(found, smooth, len(names), config)
-
-    sizes = np.bincount(group[labels].ravel(), minlength=len(names) + 1)
-    sizes[0] = 0
-    numbers = sorted({int(each) for each in group[1:]}, key=lambda number: (-sizes[number], number))
-    objects = tuple(
-        SceneObject(tuple(name for name, own in zip(names, group[1:], strict=True) if own == number))
-        for number in numbers
-    )
+    group = _merged(found, smooth, len(names), config).tolist()
+    sizes = np.zeros(len(names) + 1, dtype=np.intp)
+    _count(np.ascontiguousarray(labels), sizes)
+    members: dict[int, list[int]] = {}
+    for label in range(1, len(names) + 1):
+        members.setdefault(group[label], []).append(label)
+    # A group has the number of one of its labels.
+    largest = sorted(members, key=lambda number: (-sizes[members[number]].sum(), number))
+    objects = tuple(SceneObject(tuple(names[label - 1] for label in members[number])) for number in largest)
     contacts = tuple(
         _explained(each, (each.first, each.second) in smooth, names, group, config) for each in found
     )
     return objects, contacts
+
+
+@compiled
+def _count(labels: NDArray[np.int32], sizes: NDArray[np.intp]) -> None:
+    """Add up the pixels of each label."""
+    for label in labels.flat:
+        sizes[label] += 1
 
 
 def _merged(
@@ -185,11 +193,11 @@ def _explained(
     meeting: Meeting,
     smooth: bool,
     names: Sequence[str],
-    group: NDArray[np.intp],
+    group: Sequence[int],
     config: SegmentationConfig,
 ) -> Contact:
     """Say in words why two surfaces are, or are not, one object."""
-    merged = bool(group[meeting.first] == group[meeting.second])
+    merged = group[meeting.first] == group[meeting.second]
     touching = in_contact(meeting.samples, meeting.touching)
     concavity = meeting.concavity_sum / meeting.touching if meeting.touching else float("nan")
     if not touching:
