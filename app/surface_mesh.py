@@ -160,7 +160,8 @@ def _mean_residuals(
         of_fit = 0.0
         for place in range(begin, begin + sizes[surface]):
             of_fit += residuals_m[place]
-            v, u = pixels[place] // width, pixels[place] % width
+            v = pixels[place] // width
+            u = pixels[place] - v * width
             row = int(np.floor((v - first[surface, 0]) * per_row + 0.5))
             column = int(np.floor((u - first[surface, 1]) * per_column + 0.5))
             if 0 <= row < rows and 0 <= column < columns:

@@ -1,7 +1,8 @@
 """Measure the live run: rates, latency by stage, drops and memory, with a recording saved and no export.
 
 Each run is the installed command in a process of its own, replaying at the recorded rate. Memory is that of
-the process; its slope is fitted to what the second half of the run resides in.
+the process and those it started, what they share counted once; its slope is fitted to the second half of the
+run.
 
 Examples
 --------
@@ -15,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import statistics
 import subprocess
 import sys
@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 
 COMMAND = Path(sys.executable).with_name("nurbseg-live")
 STAGES = ("wait", "register", "segment", "identify", "capture_to_labels", "show")
@@ -51,7 +52,8 @@ def main() -> None:
         "dropped, %": [100.0 * dropped(each) / max(1, each["frames"]["read"]) for each in reports],
         "segmented anew": [sum(each["segmented_anew"].values()) for each in reports],
         "first labels, s": [each["first_labels_s"] for each in reports],
-        "resident, MB": [each["peak_memory_mb"] for each in reports],
+        "too late, %": [100.0 * each["frames"]["late"] / max(1, each["frames"]["read"]) for each in reports],
+        "resident, MB": [each["resident_mb"] for each in reports],
         "slope, MB/min": [each["slope_mb_per_min"] for each in reports],
         "recording, MB": [each["saved_mb"] for each in reports],
     }
@@ -84,11 +86,11 @@ def one_run(source: str, duration_s: float, options: list[str]) -> dict[str, Any
             if time.monotonic() - started_s > 10.0 * duration_s + 60.0:
                 process.kill()
                 raise SystemExit(f"{source}: did not end in time")
-            megabytes = resident_mb(process.pid)
+            megabytes = resident_mb(process)
             if megabytes:
                 times.append(time.monotonic() - started_s)
                 resident.append(megabytes)
-            time.sleep(0.25)
+            time.sleep(0.5)
         said = "" if process.stderr is None else process.stderr.read()
         if process.returncode:
             raise SystemExit(f"{source}: ended with {process.returncode}:\n{said}")
@@ -99,19 +101,23 @@ def one_run(source: str, duration_s: float, options: list[str]) -> dict[str, Any
         ahead_s = max(0.0, time.monotonic() - started_s - found["seconds"])
         return {
             **found,
+            "resident_mb": max(resident, default=float("nan")),
             "slope_mb_per_min": 60.0 * float(slope),
             "saved_mb": saved.stat().st_size / 1e6,
             "first_labels_s": found["first_result_after_s"] + ahead_s,
         }
 
 
-def resident_mb(pid: int) -> float:
-    """Return the resident size of a process, 0 where that is not known."""
+def resident_mb(command: subprocess.Popen[str]) -> float:
+    """Return what a command and the processes it started reside in, shared pages once; 0 where not known."""
+    total = 0.0
     try:
-        pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    except (OSError, IndexError):
+        process = psutil.Process(command.pid)
+        for each in (process, *process.children(recursive=True)):
+            total += each.memory_full_info().pss / 1e6
+    except psutil.Error:
         return 0.0
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+    return total
 
 
 if __name__ == "__main__":
