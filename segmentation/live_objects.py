@@ -142,8 +142,9 @@ class ObjectMemory:
 
     @staticmethod
     def _remembered(meeting: Meeting, border: _Border) -> Meeting:
-        return replace(
-            meeting,
+        return Meeting(
+            meeting.first,
+            meeting.second,
             samples=round(border.samples),
             touching=round(border.touching),
             concavity_sum=border.concavity_sum,
@@ -154,7 +155,8 @@ class ObjectMemory:
         if border.merged is None:
             return meeting
         bias = _HYSTERESIS * config.concavity_max * meeting.touching
-        return replace(meeting, concavity_sum=meeting.concavity_sum + (-bias if border.merged else bias))
+        biased = meeting.concavity_sum + (-bias if border.merged else bias)
+        return Meeting(meeting.first, meeting.second, meeting.samples, meeting.touching, biased)
 
     def _smooth(
         self,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,14 +136,15 @@ def merged_objects(
     objects, contacts
         As those of `merge_surfaces`.
     """
-    group = _merged(found, smooth, len(names), config).tolist()
-    sizes = np.zeros(len(names) + 1, dtype=np.intp)
-    _count(np.ascontiguousarray(labels), sizes)
+    group = _merged(found, smooth, len(names), config)
+    counts = np.zeros(len(names) + 1, dtype=np.intp)
+    _count(np.ascontiguousarray(labels), counts)
+    sizes = counts.tolist()
     members: dict[int, list[int]] = {}
     for label in range(1, len(names) + 1):
         members.setdefault(group[label], []).append(label)
-    # A group has the number of one of its labels.
-    largest = sorted(members, key=lambda number: (-sizes[members[number]].sum(), number))
+    pixels = {number: sum(sizes[label] for label in members[number]) for number in members}
+    largest = sorted(members, key=lambda number: (-pixels[number], number))
     objects = tuple(SceneObject(tuple(names[label - 1] for label in members[number])) for number in largest)
     contacts = tuple(
         _explained(each, (each.first, each.second) in smooth, names, group, config) for each in found
@@ -151,42 +153,72 @@ def merged_objects(
 
 
 @compiled
-def _count(labels: NDArray[np.int32], sizes: NDArray[np.intp]) -> None:
+def _count(labels: NDArray[np.int32], counts: NDArray[np.intp]) -> None:
     """Add up the pixels of each label."""
     for label in labels.flat:
-        sizes[label] += 1
+        counts[label] += 1
 
 
 def _merged(
     found: Sequence[Meeting], smooth: set[tuple[int, int]], count: int, config: SegmentationConfig
-) -> NDArray[np.intp]:
-    """Merge greedily; returns the number of each label's group, which is the least label in it."""
-    group = np.arange(count + 1)
-    pooled = {
-        (each.first, each.second): (
+) -> list[int]:
+    """Merge greedily; returns the number of each label's group, which is one of the labels in it."""
+    group = list(range(count + 1))
+    pooled = {}
+    for each in found:
+        pair = each.first, each.second
+        is_smooth = pair in smooth
+        pooled[pair] = _Pooled(
             each.samples,
             each.touching,
-            0.0 if (each.first, each.second) in smooth else each.concavity_sum,
-            config.merge_crease or (each.first, each.second) in smooth,
+            0.0 if is_smooth else each.concavity_sum,
+            config.merge_crease or is_smooth,
         )
-        for each in found
-    }
-    while True:
-        candidates = [
-            (concavity / touching, pair)
-            for pair, (samples, touching, concavity, allowed) in pooled.items()
-            if allowed and in_contact(samples, touching) and concavity < config.concavity_max * touching
-        ]
-        if not candidates:
-            return group
-        _, (kept, gone) = min(candidates)
-        group[group == gone] = kept
-        del pooled[kept, gone]
+    mergeable: dict[tuple[int, int], float] = {}
+
+    def judge(pair: tuple[int, int]) -> None:
+        concavity = pooled[pair].concavity()
+        if concavity < config.concavity_max:
+            mergeable[pair] = concavity
+
+    for pair in pooled:
+        judge(pair)
+    while mergeable:
+        _, (kept, gone) = min(zip(mergeable.values(), mergeable, strict=True))
+        group = [kept if each == gone else each for each in group]
+        del pooled[kept, gone], mergeable[kept, gone]
         for pair in [pair for pair in pooled if gone in pair]:
             other = pair[0] if pair[1] == gone else pair[1]
-            joint = min(kept, other), max(kept, other)
-            one, two = pooled.pop(pair), pooled.get(joint, (0, 0, 0.0, False))
-            pooled[joint] = (one[0] + two[0], one[1] + two[1], one[2] + two[2], one[3] or two[3])
+            joint = (kept, other) if kept < other else (other, kept)
+            mergeable.pop(pair, None)
+            mergeable.pop(joint, None)
+            pooled[joint] = pooled.pop(pair) + pooled.get(joint, _Pooled(0, 0, 0.0, False))
+            judge(joint)
+    return group
+
+
+@dataclass(frozen=True, slots=True)
+class _Pooled:
+    """What was measured along all borders of two groups, and whether one of them may be merged."""
+
+    samples: int
+    touching: int
+    concavity_sum: float
+    allowed: bool
+
+    def __add__(self, other: _Pooled) -> _Pooled:
+        return _Pooled(
+            self.samples + other.samples,
+            self.touching + other.touching,
+            self.concavity_sum + other.concavity_sum,
+            self.allowed or other.allowed,
+        )
+
+    def concavity(self) -> float:
+        """Return the mean turn of the normals, infinite where the groups are not to be merged."""
+        if self.allowed and in_contact(self.samples, self.touching):
+            return self.concavity_sum / self.touching
+        return inf
 
 
 def _explained(
