@@ -3,31 +3,30 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
+import statistics
+from collections import deque
 
 from nurbseg.segmentation.live import Budget
 
 _log = logging.getLogger(__name__)
 
-#: What is given up first, and last: budgets, and pixels between the places of the grid beyond the usual.
-_EFFORTS: tuple[tuple[Budget, int], ...] = (
-    (Budget(), 0),
-    (Budget(refits=3), 0),
-    (Budget(refits=2, trials=1, folds=0), 0),
-    (Budget(refits=3, trials=1, folds=0), 1),
-    (Budget(refits=2, trials=1, folds=0), 2),
-    (Budget(refits=1, trials=1, folds=0), 4),
-)
-#: Weight of a frame in the mean time of frames.
-_WEIGHT = 0.2
+#: Pixels between the places of the grid beyond the usual. The budget of revisions is left alone: what is not
+#: revised piles up until a frame has to be segmented anew, which costs more than was saved.
+_COARSER = (0, 1, 2, 4)
+#: Coarsest grid, pixels.
+_DECIMATION_MOST = 8
 #: A frame may take this share of its period; below that share of it, more is tried.
-_FULL, _SPARE = 0.95, 0.6
+_FULL, _SPARE = 0.9, 0.75
+#: Frames of which the median is taken.
+_FRAMES = 15
 #: Frames between two changes: down, and up.
-_DOWN_AFTER, _UP_AFTER = 5, 60
+_DOWN_AFTER, _UP_AFTER = 8, 60
+#: A try to do more has lasted after so many frames.
+_LASTED = 600
 
 
 class Governor:
-    """Chooses the revision budget and the working resolution that hold a rate.
+    """Chooses the working resolution that holds a rate.
 
     Parameters
     ----------
@@ -49,15 +48,15 @@ class Governor:
         self._target_hz = target_hz
         self._period_ms = 1e3 / target_hz
         self._decimation = decimation
-        self._mean_ms: float | None = None
+        self._took_ms: deque[float] = deque(maxlen=_FRAMES)
         self._since = 0
         self._patience = _UP_AFTER
+        self._tried_more = False
 
     @property
     def budget(self) -> Budget:
         """What the next frame may cost."""
-        budget, coarser = _EFFORTS[self.level]
-        return replace(budget, decimation=min(8, self._decimation + coarser))
+        return Budget(decimation=min(_DECIMATION_MOST, self._decimation + _COARSER[self.level]))
 
     def took(self, frame_ms: float, *, cold: bool = False) -> None:
         """Take note of what a frame cost.
@@ -72,30 +71,31 @@ class Governor:
         self._since += 1
         if cold:
             return
-        mean = frame_ms if self._mean_ms is None else self._mean_ms
-        self._mean_ms = mean + _WEIGHT * (frame_ms - mean)
-        if (
-            self._mean_ms > _FULL * self._period_ms
-            and self._since >= _DOWN_AFTER
-            and self.level + 1 < len(_EFFORTS)
-        ):
-            if self._since < _UP_AFTER:
-                # The last try to do more failed soon: the next one waits longer.
+        self._took_ms.append(frame_ms)
+        if len(self._took_ms) < _DOWN_AFTER:
+            return
+        # The median: what a single frame takes longer, as the first one does, is no reason to change.
+        usual_ms = statistics.median(self._took_ms)
+        if usual_ms > _FULL * self._period_ms and self.level + 1 < len(_COARSER):
+            if self._tried_more and self._since < _LASTED:
+                # That failed: the next try waits longer.
                 self._patience = min(2 * self._patience, 20 * _UP_AFTER)
-            self._change(1)
-        elif self._mean_ms < _SPARE * self._period_ms and self._since >= self._patience and self.level > 0:
-            self._change(-1)
+            self._change(1, usual_ms)
+        elif usual_ms < _SPARE * self._period_ms and self._since >= self._patience and self.level > 0:
+            self._change(-1, usual_ms)
+        elif self._tried_more and self._since >= _LASTED:
+            self._patience = _UP_AFTER
 
-    def _change(self, by: int) -> None:
+    def _change(self, by: int, usual_ms: float) -> None:
         self.level += by
-        mean_ms, self._mean_ms, self._since = self._mean_ms or 0.0, None, 0
-        budget = self.budget
+        self._tried_more = by < 0
+        self._since = 0
+        self._took_ms.clear()
+        step = self.budget.decimation
         _log.info(
-            "%s to hold %g frames/s (a frame took %.0f ms): every %s pixel, %d refits and %d trials a frame",
+            "%s to hold %g frames/s (a frame took %.0f ms): every %s pixel",
             "doing less" if by > 0 else "doing more",
             self._target_hz,
-            mean_ms,
-            {1: "", 2: "2nd", 3: "3rd"}.get(budget.decimation or 1, f"{budget.decimation}th"),
-            budget.refits,
-            budget.trials,
+            usual_ms,
+            {1: "", 2: "2nd", 3: "3rd"}.get(step or 1, f"{step}th"),
         )
