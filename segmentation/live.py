@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.follow import grown_labels, kept_labels, moved_surfaces
-from nurbseg.segmentation.inverse_depth import DepthGrid, depth_grid, inverse_depth_image
+from nurbseg.segmentation.grid import decimated_grid
+from nurbseg.segmentation.inverse_depth import DepthGrid, inverse_depth_image
 from nurbseg.segmentation.lattice import SurfaceLattice
 from nurbseg.segmentation.live_borders import settled_borders, spread_to_pixels
 from nurbseg.segmentation.live_leaf import LiveLeaf, Misfit, misfit, remeasured
@@ -17,6 +18,7 @@ from nurbseg.segmentation.live_objects import ObjectMemory
 from nurbseg.segmentation.live_revision import Budget, Reviser
 from nurbseg.segmentation.motion import brightness, carried, flow_back, resized
 from nurbseg.segmentation.pieces import Joints, connected_pieces, joints
+from nurbseg.segmentation.rays import rays_of
 from nurbseg.segmentation.registration import PointMap
 from nurbseg.segmentation.segment_pixels import finished_segments
 from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first
@@ -173,8 +175,9 @@ class LiveTree:
         """Let the tree live on into a frame; None where the frame is not explained."""
         step = budget.decimation or self._config.decimation
         config = self._configs.setdefault(step, replace(self._config, decimation=step))
-        grid = depth_grid(cloud, step)
         per_m = inverse_depth_image(cloud)
+        on_every = np.ascontiguousarray(per_m[::step, ::step])
+        grid = DepthGrid(decimated_grid(cloud, step), on_every, rays_of(cloud))
         gray = brightness(cloud.color, step)
         before = carried(self._labels, flow_back(gray, resized(self._gray, gray.shape)))
         on_grid = np.where(grid.valid, before[::step, ::step], 0).astype(np.int32)

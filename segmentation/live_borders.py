@@ -122,7 +122,8 @@ def _settle(
     """Write down the cheapest label of pixels at borders."""
     height, width = labels.shape
     turns, beside = np.empty(width, dtype=np.bool_), np.empty(width, dtype=np.bool_)
-    candidates, costs, none = np.empty(3, dtype=np.int64), np.empty(3), 1 << 16
+    # By how many of its row and its column are others; a pixel has no vote for itself.
+    votes, none = np.array([0.0, _VOTE, _DIAGONAL_VOTE]), np.int64(1 << 16)
     for r in range(height):
         above, below = max(r - 1, 0), min(r + 2, height)
         # Most pixels have neighbours of their own label only.
@@ -135,54 +136,54 @@ def _settle(
             own = per_m[r, c]
             if not (beside[c] or beside[min(c + 1, width - 1)]) or not own > 0:
                 continue
-            # Its own label, the largest around, and the least; what votes for each is taken off its cost.
-            candidates[0], candidates[1], candidates[2] = labels[r, c], 0, none
             left, right = max(c - 1, 0), min(c + 2, width)
+            before, most, least = np.int64(labels[r, c]), np.int64(0), none
             for y in range(above, below):
                 for x in range(left, right):
-                    near = labels[y, x]
-                    if near > 0:
-                        candidates[1] = max(candidates[1], near)
-                        candidates[2] = min(candidates[2], near)
-            if candidates[1] <= candidates[2]:
+                    near = np.int64(labels[y, x])
+                    most = near if near > most else most
+                    least = near if 0 < near < least else least
+            if most <= least:
                 continue
-            costs[:] = 0.0
+            for_before, for_most, for_least = 0.0, 0.0, 0.0
             for y in range(above, below):
                 for x in range(left, right):
-                    if y == r and x == c:
-                        continue
-                    vote = _VOTE if y == r or x == c else _DIAGONAL_VOTE
-                    if not abs(per_m[y, x] - own) < gap:
-                        vote *= _ACROSS_GAP
-                    for n in range(3):
-                        if labels[y, x] == candidates[n]:
-                            costs[n] -= vote
+                    near, vote = labels[y, x], votes[(y != r) + (x != c)]
+                    vote *= 1.0 if abs(per_m[y, x] - own) < gap else _ACROSS_GAP
+                    for_before += vote if near == before else 0.0
+                    for_most += vote if near == most else 0.0
+                    for_least += vote if near == least else 0.0
+            row, column = r // step, c // step
+            at = (row, column, (r - step * row) / step, (c - step * column) / step)
             cheapest = np.inf
-            for n in range(3):
-                if candidates[n] == 0 or (n > 0 and candidates[n] == candidates[0]):
+            for label, vote in ((before, for_before), (most, for_most), (least, for_least)):
+                if label == 0 or (label == before and cheapest < np.inf):
                     continue
-                residual = per_deviation * (_explained(values, windows, candidates[n], r, c, step) - own)
-                costs[n] += min(residual * residual, square_most)
-                if costs[n] < cheapest:
-                    cheapest = costs[n]
-                    settled[r, c] = candidates[n]
+                residual = per_deviation * (_explained(values, windows, label, at) - own)
+                cost = min(residual * residual, square_most) - vote
+                if cost < cheapest:
+                    cheapest = cost
+                    settled[r, c] = label
 
 
 @compiled
 def _explained(
-    values: NDArray[np.float32], windows: NDArray[np.int32], label: int, row: int, column: int, step: int
+    values: NDArray[np.float32],
+    windows: NDArray[np.int32],
+    label: np.int64,
+    at: tuple[int, int, float, float],
 ) -> float:
-    """Return a surface's inverse depth at a pixel, linear between places; infinite beyond its reach."""
+    """Return a surface's inverse depth at and beyond a place, linear between places; inf out of its reach."""
+    row, column, down, across = at
     top, left, bottom, right, start = windows[label]
-    r, c = row - step * top, column - step * left
-    if not (0 <= r <= step * (bottom - top - 1) and 0 <= c <= step * (right - left - 1)):
-        return np.inf
-    at = start + r // step * (right - left) + c // step
     # Beside the last place of a row or column no other one is asked.
-    across, down = c % step / step, r % step / step
-    beside, under = (1 if across > 0 else 0), (right - left if down > 0 else 0)
-    upper = values[at] + across * (values[at + beside] - values[at])
-    lower = values[at + under] + across * (values[at + under + beside] - values[at + under])
+    under, beside = (1 if down > 0 else 0), (1 if across > 0 else 0)
+    if not (top <= row < bottom - under and left <= column < right - beside):
+        return np.inf
+    n = start + (row - top) * (right - left) + column - left
+    below = n + under * (right - left)
+    upper = values[n] + across * (values[n + beside] - values[n])
+    lower = values[below] + across * (values[below + beside] - values[below])
     return float(upper + down * (lower - upper))
 
 

@@ -34,6 +34,8 @@ _FOLD_NOISE = 0.9
 _FOLD_WORSE, _FOLD_NOISE_SHARE = 1.1, 0.05
 #: Places of the grid along which two leaves that are held against one surface meet.
 _MEETING_LEAST = 4
+#: Places cut in one frame, unless one leaf has more; leaves with as many are cut at a quarter of them.
+_CUT_PLACES, _MANY_PLACES = 2000, 3000
 #: Frames between two looks at one leaf for what its surface does not explain.
 _PATIENCE = 3
 #: Size of a patch that is looked at, without its rim, as a share of the smallest segment.
@@ -57,7 +59,7 @@ class Budget:
     refits : int
         Leaves that are fitted anew, the worst first.
     trials : int
-        Leaves that are tried for a split, the worst first.
+        Leaves that are cut to try a split, the worst first; a large one counts as all.
     folds : int
         Pairs of leaves that are held against one surface for both.
     decimation : int or None
@@ -65,8 +67,8 @@ class Budget:
     """
 
     refits: int = 6
-    trials: int = 1
-    folds: int = 1
+    trials: int = 3
+    folds: int = 2
     decimation: int | None = None
 
 
@@ -228,11 +230,14 @@ class _Revision:
             if not explained and square > _WORSE_FACTOR * leaf.tried + _WORSE_BY:
                 waiting.append((square * float(np.sqrt(m.places[number])), number))
         waiting.sort(reverse=True)
-        self._growth.done.waiting = max(0, len(waiting) - most)
-        if most and waiting:
-            for _, number in waiting[:most]:
-                self._try(number)
-        elif most:
+        cuts = places = 0
+        for rank, (_, number) in enumerate(waiting):
+            if cuts == most or (cuts and places + int(m.places[number]) > _CUT_PLACES):
+                self._growth.done.waiting = len(waiting) - rank
+                break
+            if self._try(number):
+                cuts, places = cuts + 1, places + int(m.places[number])
+        if most and not waiting:
             self._try_unexplained()
 
     def fold(
@@ -246,13 +251,14 @@ class _Revision:
         config, growth = self._config, self._growth
         if not (config.noise_stop and most):
             return
+        neighbors = growth.neighbors(self._scene.joined, _MEETING_LEAST)
         quieter = replace(config, noise_per_m=_FOLD_NOISE * config.noise_per_m)
 
         def pair_of(pair: tuple[int, int]) -> tuple[int, int]:
             one, two = (growth.by_number[n].number for n in pair)
             return (one, two) if one < two else (two, one)
 
-        candidates = [pair for pair in self._neighbors() if pair_of(pair) in together]
+        candidates = [pair for pair in neighbors if pair_of(pair) in together]
         pairs = sorted((asked.get(pair_of(pair), 0), pair) for pair in candidates)
         for _, pair in pairs[:most]:
             asked[pair_of(pair)] = frame
@@ -283,21 +289,8 @@ class _Revision:
         limits = [min(_FOLD_WORSE * own[number] + _FOLD_NOISE_SHARE, _SQUARE_MOST) for number in pair]
         return all(both.square[n] < limit and both.far[n] < _FAR_MOST for n, limit in enumerate(limits, 1))
 
-    def _neighbors(self) -> list[tuple[int, int]]:
-        """Return the leaves that meet without a gap in depth, by their working numbers."""
-        labels, joined = self._growth.labels, self._scene.joined
-        size = int(labels.max()) + 1
-        counts = np.zeros(size * size, dtype=np.int64)
-        for first, second, meet in (
-            (labels[:, :-1], labels[:, 1:], joined.right[:, :-1]),
-            (labels[:-1], labels[1:], joined.down[:-1]),
-        ):
-            meet = meet & (first != second) & (first > 0) & (second > 0)
-            one, two = first[meet].astype(np.int64), second[meet].astype(np.int64)
-            counts += np.bincount(np.minimum(one, two) * size + np.maximum(one, two), minlength=size * size)
-        return [(int(key) // size, int(key) % size) for key in np.flatnonzero(counts >= _MEETING_LEAST)]
-
-    def _try(self, number: int) -> None:
+    def _try(self, number: int) -> bool:
+        """Try a leaf for a split; say whether it was cut for that, which is what takes time."""
         leaf = self._growth.by_number[number]
         node = leaf.node
         node.places = np.flatnonzero(self._growth.labels == number)
@@ -306,11 +299,11 @@ class _Revision:
         _, node.fit, stop = measured(self._scene, node.places, self._config)
         leaf.surface, leaf.age, leaf.level = node.fit.surface, 0, float("nan")
         if stop is not None or node.fit.surface is None or not node.value(self._config) > 0:
-            return
+            return False
         scene = scene_of(self._cloud, self._scene, node.places, self._config)
-        sides, cut = best_split(scene, node, self._config)
+        sides, cut = best_split(scene, node, self._config, thin_from=_MANY_PLACES)
         if cut is None:
-            return
+            return True
         self._growth.done.splits += 1
         node.children = children_of(node, sides)
         node.cut = cut if all(sides) else None
@@ -322,6 +315,7 @@ class _Revision:
         leaf.node, leaf.surface, leaf.tried = parts[0], parts[0].fit.surface, 0.0
         for part in parts[1:]:
             self._growth.labels.ravel()[part.places] = self._growth.adopt(part)
+        return True
 
     def _try_unexplained(self) -> None:
         """Set the largest patch apart that its leaf's surface does not explain but one of its own does."""

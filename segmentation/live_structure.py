@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.live_leaf import LiveLeaf
+from nurbseg.segmentation.pieces import Joints
 from nurbseg.segmentation.segments import Node, StopReason, depth_first
 from nurbseg.segmentation.splitting import Part
 
@@ -109,9 +110,18 @@ class Growth:
 
     def sizes(self) -> NDArray[np.int64]:
         """Return the number of places of each working number, that of 0 being 0."""
-        sizes = np.bincount(self.labels.ravel(), minlength=self._next)
+        sizes = np.zeros(self._next, dtype=np.int64)
+        _count(self.labels, sizes)
         sizes[0] = 0
-        return sizes.astype(np.int64)
+        return sizes
+
+    def neighbors(self, joined: Joints, least: int) -> list[tuple[int, int]]:
+        """Return the leaves that meet along so many places with no gap in depth, the smaller number first."""
+        meetings = np.zeros((self._next, self._next), dtype=np.int64)
+        _count_meetings(self.labels, joined.right, joined.down, meetings)
+        meetings += meetings.T
+        first, second = np.nonzero(np.triu(meetings, 1) >= least)
+        return list(zip(first.tolist(), second.tolist(), strict=True))
 
     def insert(self, host: int, part: Part) -> None:
         """Split a leaf into itself and a part that is no longer its own."""
@@ -184,6 +194,34 @@ class Growth:
                     holder.node = node
                 _rename(node.children, node.name)
                 return
+
+
+@compiled
+def _count(labels: NDArray[np.int32], sizes: NDArray[np.int64]) -> None:
+    """Count the places of each number."""
+    for row in labels:
+        for number in row:
+            sizes[number] += 1
+
+
+@compiled
+def _count_meetings(
+    labels: NDArray[np.int32],
+    right: NDArray[np.bool_],
+    down: NDArray[np.bool_],
+    meetings: NDArray[np.int64],
+) -> None:
+    """Count the joined neighbours of two numbers, the first to the left of the second or above it."""
+    height, width = labels.shape
+    for r in range(height):
+        for c in range(width):
+            number = labels[r, c]
+            if number == 0:
+                continue
+            if right[r, c] and labels[r, c + 1] != number:
+                meetings[number, labels[r, c + 1]] += 1
+            if down[r, c] and labels[r + 1, c] != number:
+                meetings[number, labels[r + 1, c]] += 1
 
 
 def _rename(children: Iterable[Node], above: str) -> None:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.borders import labels_of_every_pixel, refine_borders
-from nurbseg.segmentation.components import give_away_small_pieces
 from nurbseg.segmentation.compiled import compiled
+from nurbseg.segmentation.components import give_away_small_pieces
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.curvature import all_metrics
 from nurbseg.segmentation.cut import Cut, normalized_cuts
@@ -176,7 +176,7 @@ def measured(scene: Scene, places: NDArray[np.intp], config: SegmentationConfig)
 
 
 def best_split(
-    scene: Scene, node: Node, config: SegmentationConfig
+    scene: Scene, node: Node, config: SegmentationConfig, *, thin_from: int = _MANY_PLACES
 ) -> tuple[tuple[list[Part], list[Part]], Cut | None]:
     """Try the cuts of a node in turn; if none is kept the node is told why and there is no cut.
 
@@ -188,6 +188,8 @@ def best_split(
         Gets the ratio of the last split tried and, where none is kept, the reason.
     config : SegmentationConfig
         Thresholds and choices.
+    thin_from : int
+        From so many places on a segment is cut at every second place of both directions.
 
     Returns
     -------
@@ -196,9 +198,9 @@ def best_split(
     cut : Cut or None
         None where no split is kept.
     """
-    # A large segment is cut at every second place of both directions; those between follow.
+    # Of a large segment, the places between those that are cut follow them.
     points = scene.grid.points
-    drawn = points.every_second(node.places) if node.places.size >= _MANY_PLACES else node.places
+    drawn = points.every_second(node.places) if node.places.size >= thin_from else node.places
     scale = scene.whole or node_normalization(scene.raw, drawn, config)
     rng = np.random.default_rng([config.seed, int(f"1{node.name}", 2)])
     node.stop = StopReason.NO_CUT
