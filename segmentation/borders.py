@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
 from typing import NamedTuple
 
 import cv2
@@ -27,10 +26,10 @@ _ACROSS_GAP = 0.25
 _SWEEPS = 6
 #: Pixels judged at once, so that what is found for them stays in the cache.
 _BLOCK = 4096
-_OFFSETS = tuple(pair for pair in product(range(-_REACH, _REACH + 1), repeat=2) if pair != (0, 0))
-_DISTANCES = np.hypot(*np.array(_OFFSETS).T).astype(np.float32)
-#: Labels around a pixel, at most, with its own.
-_LABELS_MOST = len(_OFFSETS) + 1
+#: Pixels within reach along a row or column, and of the square around a pixel with its own.
+_SIDE = 2 * _REACH + 1
+_AROUND = _SIDE * _SIDE
+_DISTANCES = np.hypot(*np.mgrid[-_REACH : _REACH + 1, -_REACH : _REACH + 1]).ravel().astype(np.float32)
 
 
 def labels_of_every_pixel(
@@ -155,9 +154,9 @@ def _cheapest(
     table = SurfaceTable(surfaces)
     padded, depths = np.pad(labels, _REACH), np.pad(per_m, _REACH).ravel()
     flat, width = padded.reshape(-1), padded.shape[1]
-    around = np.array([down * width + across for down, across in _OFFSETS])
     gaps = (config.depth_gap_per_m * np.sqrt(_DISTANCES)).astype(np.float32)
-    votes = (_VOTE / _DISTANCES).astype(np.float32)
+    # A pixel has no vote on itself.
+    votes = np.where(_DISTANCES > 0, _VOTE / np.maximum(_DISTANCES, 1.0), 0.0).astype(np.float32)
     across = np.float32(_ACROSS_GAP) * votes
     per_deviation = np.float32(1.0 / config.noise_per_m)
 
@@ -170,7 +169,7 @@ def _cheapest(
         for block in (slice(n, n + _BLOCK) for n in range(0, pixels.size, _BLOCK)):
             some = pixels[block]
             candidates = _room_for(some.size)
-            count = _find_candidates(flat, depths, some, width, around, gaps, votes, across, candidates)
+            count = _find_candidates(flat, depths, some, width, gaps, votes, across, candidates)
             label, row, column = (
                 each[:count] for each in (candidates.label, candidates.row, candidates.column)
             )
@@ -179,7 +178,7 @@ def _cheapest(
         # Only where a label has changed within reach can another one be the cheapest now. By the third
         # sweep neighbours that only change places are left: one of two at a time.
         reached[:] = False
-        _move(flat, width, pixels, best, around, sweep + 1 if sweep > 0 else -1, reached)
+        _move(flat, width, pixels, best, sweep + 1 if sweep > 0 else -1, reached)
         pixels = np.flatnonzero(reached)
     return np.ascontiguousarray(padded[_REACH:-_REACH, _REACH:-_REACH])
 
@@ -206,7 +205,7 @@ class _Candidates(NamedTuple):
 
 def _room_for(pixels: int) -> _Candidates:
     """Return candidates of so many pixels that are yet to be found."""
-    most = pixels * _LABELS_MOST
+    most = pixels * _AROUND
     label, row, column = np.empty((3, most), dtype=np.int32)
     return _Candidates(np.empty(pixels, dtype=np.intp), label, row, column, np.empty(most, dtype=np.float32))
 
@@ -217,41 +216,39 @@ def _find_candidates(
     per_m: NDArray[np.float32],
     pixels: NDArray[np.intp],
     width: int,
-    around: NDArray[np.intp],
     gaps_per_m: NDArray[np.float32],
     votes: NDArray[np.float32],
     votes_across: NDArray[np.float32],
     found: _Candidates,
 ) -> int:
     """Find the labels around pixels, a pixel's own first, none where there is no other; count them."""
+    near, steps_per_m = np.empty(_AROUND, dtype=np.int32), np.empty(_AROUND, dtype=np.float32)
+    near_votes = np.empty(_AROUND, dtype=np.float32)
     end = 0
     for n in range(pixels.size):
-        pixel = pixels[n]
-        own, own_votes = labels[pixel], np.float32(0.0)
-        first = end
-        end += 1
-        for k in range(around.size):
-            other = pixel + around[k]
-            label = labels[other]
-            if label == 0:
-                continue
-            across_gap = abs(per_m[other] - per_m[pixel]) >= gaps_per_m[k]
-            vote = votes_across[k] if across_gap else votes[k]
-            if label == own:
-                own_votes += vote
-                continue
-            at = first + 1
-            while at < end and found.label[at] != label:
-                at += 1
-            if at == end:
-                found.label[end], found.votes[end] = label, 0.0
-                end += 1
-            found.votes[at] += vote
-        found.label[first], found.votes[first] = own, own_votes
+        pixel, first = pixels[n], end
+        row, column = pixel // width, pixel % width
+        for down in range(_SIDE):
+            start = pixel + (down - _REACH) * width - _REACH
+            for across in range(_SIDE):
+                near[down * _SIDE + across] = labels[start + across]
+                steps_per_m[down * _SIDE + across] = per_m[start + across] - per_m[pixel]
+        for k in range(_AROUND):
+            near_votes[k] = votes_across[k] if abs(steps_per_m[k]) >= gaps_per_m[k] else votes[k]
+        # The pixel's own label first, then the others, the largest first.
+        own = labels[pixel]
+        label, below = own, np.int32(np.iinfo(np.int32).max)
+        while label > 0:
+            total, following = np.float32(0.0), np.int32(0)
+            for k in range(_AROUND):
+                total += near_votes[k] if near[k] == label else np.float32(0.0)
+                following = max(following, near[k] if near[k] < below and near[k] != own else np.int32(0))
+            found.label[end], found.votes[end] = label, total
+            found.row[end], found.column[end] = row - _REACH, column - _REACH
+            end += 1
+            label = below = following
         if end == first + 1:
             end = first
-        for at in range(first, end):
-            found.row[at], found.column[at] = pixel // width - _REACH, pixel % width - _REACH
         found.ends[n] = end
     return end
 
@@ -290,7 +287,6 @@ def _move(
     width: int,
     pixels: NDArray[np.intp],
     best: NDArray[np.int32],
-    around: NDArray[np.intp],
     parity: int,
     reached: NDArray[np.bool_],
 ) -> None:
@@ -303,10 +299,11 @@ def _move(
         if best[n] == labels[pixels[n]]:
             continue
         labels[pixels[n]] = best[n]
-        for k in range(around.size + 1):
-            pixel = pixels[n] + around[k] if k < around.size else pixels[n]
-            wanted = parity < 0 or (pixel // width + pixel % width + parity) % 2 == 0
-            reached[pixel] = wanted and labels[pixel] > 0
+        row, column = pixels[n] // width, pixels[n] % width
+        for r in range(row - _REACH, row + _REACH + 1):
+            for c in range(column - _REACH, column + _REACH + 1):
+                wanted = parity < 0 or (r + c + parity) % 2 == 0
+                reached[r * width + c] = wanted and labels[r * width + c] > 0
 
 
 def _near_borders(labels: NDArray[np.int32]) -> NDArray[np.bool_]:

@@ -16,6 +16,8 @@ _ORDER = CUBIC + 1
 #: Knots count as evenly spaced up to this share of a space.
 _EVEN = 1e-9
 
+_Four = tuple[float, float, float, float]
+
 
 class _Axis(NamedTuple):
     """Knot vectors of all surfaces along one axis: where each begins, and one over the space of even ones."""
@@ -147,108 +149,66 @@ def _divide(nets: _Nets) -> None:
 
 
 @compiled
-def _functions(axis: _Axis, label: int, t: float, values: NDArray[np.float64]) -> int:
-    """Evaluate the four basis functions that are not 0 at t; return the number of the first."""
+def _functions(axis: _Axis, label: int, t: float) -> tuple[int, _Four, _Four]:
+    """Evaluate the basis functions that are not 0 at t: number of the first, values and derivatives."""
     start, count = axis.starts[label], axis.counts[label]
     per_spacing = axis.per_spacing[label]
-    if per_spacing > 0:
-        # The same four polynomials on every span.
-        place = (t - axis.knots[start]) * per_spacing
-        span = min(max(int(np.floor(place)), CUBIC), count - 1)
-        s = place - span
-        r = 1.0 - s
-        values[0] = r * r * r * (1.0 / 6.0)
-        values[1] = 2.0 / 3.0 - s * s * (1.0 - 0.5 * s)
-        values[2] = 2.0 / 3.0 - r * r * (1.0 - 0.5 * r)
-        values[3] = s * s * s * (1.0 / 6.0)
-        return int(span) - CUBIC
-    span = _span(axis, label, t)
-    _cox_de_boor(axis.knots, start + span, CUBIC, t, values)
-    return span - CUBIC
+    if per_spacing == 0:
+        span = _span(axis.knots, start, count, t)
+        values, derivatives = _uneven(axis.knots, start + span, t)
+        return span - CUBIC, values, derivatives
+    # The same four polynomials on every span.
+    place = (t - axis.knots[start]) * per_spacing
+    span = min(max(int(place), CUBIC), count - 1)
+    s = place - span
+    r = 1.0 - s
+    values = (
+        r * r * r * (1.0 / 6.0),
+        2.0 / 3.0 - s * s * (1.0 - 0.5 * s),
+        2.0 / 3.0 - r * r * (1.0 - 0.5 * r),
+        s * s * s * (1.0 / 6.0),
+    )
+    derivatives = (
+        -0.5 * r * r * per_spacing,
+        s * (1.5 * s - 2.0) * per_spacing,
+        -r * (1.5 * r - 2.0) * per_spacing,
+        0.5 * s * s * per_spacing,
+    )
+    return span - CUBIC, values, derivatives
 
 
 @compiled
-def _derivatives(axis: _Axis, label: int, t: float, values: NDArray[np.float64]) -> None:
-    """Evaluate the derivatives of the same four functions."""
-    start, count = axis.starts[label], axis.counts[label]
-    per_spacing = axis.per_spacing[label]
-    if per_spacing > 0:
-        place = (t - axis.knots[start]) * per_spacing
-        s = place - min(max(int(np.floor(place)), CUBIC), count - 1)
-        r = 1.0 - s
-        values[0] = -0.5 * r * r * per_spacing
-        values[1] = s * (1.5 * s - 2.0) * per_spacing
-        values[2] = -r * (1.5 * r - 2.0) * per_spacing
-        values[3] = 0.5 * s * s * per_spacing
-        return
-    span = start + _span(axis, label, t)
-    _cox_de_boor(axis.knots, span, CUBIC - 1, t, values)
-    # Those of degree 2 over the widths of their supports.
-    before = 0.0
-    for n in range(CUBIC):
-        width = axis.knots[span + n + 1] - axis.knots[span + n + 1 - CUBIC]
-        ratio = CUBIC * values[n] / width
-        values[n] = before - ratio
-        before = ratio
-    values[CUBIC] = before
-
-
-@compiled
-def _span(axis: _Axis, label: int, t: float) -> int:
+def _span(knots: NDArray[np.float64], start: int, count: int, t: float) -> int:
     """Return the knot span that holds t; the end spans also hold what lies beyond them."""
-    start, count = axis.starts[label], axis.counts[label]
-    end = axis.knots[start + count]
     span = CUBIC
-    while span < count - 1 and axis.knots[start + span + 1] <= t and axis.knots[start + span + 1] < end:
+    while (
+        span < count - 1 and knots[start + span + 1] <= t and knots[start + span + 1] < knots[start + count]
+    ):
         span += 1
     return span
 
 
 @compiled
-def _cox_de_boor(
-    knots: NDArray[np.float64], span: int, degree: int, t: float, values: NDArray[np.float64]
-) -> None:
-    """Evaluate the basis functions of a degree on a span that is not empty (The NURBS Book, A2.2)."""
-    values[0] = 1.0
-    for p in range(1, degree + 1):
-        saved = 0.0
-        for n in range(p):
-            after, before = knots[span + n + 1] - t, t - knots[span + 1 + n - p]
-            ratio = values[n] / (after + before)
-            values[n] = saved + after * ratio
-            saved = before * ratio
-        values[p] = saved
+def _uneven(knots: NDArray[np.float64], span: int, t: float) -> tuple[_Four, _Four]:
+    """Evaluate the four functions on a span between any knots (The NURBS Book, A2.2 and eq. 2.7)."""
+    after_1, after_2, after_3 = knots[span + 1] - t, knots[span + 2] - t, knots[span + 3] - t
+    before_1, before_2, before_3 = t - knots[span], t - knots[span - 1], t - knots[span - 2]
+    # Of degree 1, of degree 2, and these over the widths of their supports.
+    a = 1.0 / (after_1 + before_1)
+    b, c = after_1 * a / (after_1 + before_2), before_1 * a / (after_2 + before_1)
+    d = after_1 * b / (after_1 + before_3)
+    e = (before_2 * b + after_2 * c) / (after_2 + before_2)
+    f = before_1 * c / (after_3 + before_1)
+    values = after_1 * d, before_3 * d + after_2 * e, before_2 * e + after_3 * f, before_1 * f
+    return values, (-CUBIC * d, CUBIC * (d - e), CUBIC * (e - f), CUBIC * f)
 
 
 @compiled
-def _sum(
-    net: NDArray[np.float64], first: int, row_length: int, Bv: NDArray[np.float64], Bu: NDArray[np.float64]
-) -> float:
-    """Add up the sixteen control values at `first` and beside it, weighted by both bases."""
-    total = 0.0
-    for a in range(_ORDER):
-        at = first + a * row_length
-        along = net[at] * Bu[0] + net[at + 1] * Bu[1] + net[at + 2] * Bu[2] + net[at + 3] * Bu[3]
-        total += Bv[a] * along
-    return total
-
-
-@compiled
-def _line(
-    net: NDArray[np.float64], first: int, length: int, Bv: NDArray[np.float64], line: NDArray[np.float64]
-) -> None:
-    """Add up four rows of control values from `first` on, weighted by a basis."""
-    for n in range(length):
-        at = first + n
-        line[n] = (Bv[0] * net[at] + Bv[1] * net[at + length]) + (
-            Bv[2] * net[at + 2 * length] + Bv[3] * net[at + 3 * length]
-        )
-
-
-@compiled
-def _dot(Bu: NDArray[np.float64], line: NDArray[np.float64], first: int) -> float:
+def _dot(B: _Four, values: NDArray[np.float64], first: int, step: int) -> float:
+    """Add up four values that are a step apart, weighted by a basis."""
     return float(
-        (Bu[0] * line[first] + Bu[1] * line[first + 1]) + (Bu[2] * line[first + 2] + Bu[3] * line[first + 3])
+        (B[0] * values[first] + B[1] * values[first + step])
+        + (B[2] * values[first + 2 * step] + B[3] * values[first + 3 * step])
     )
 
 
@@ -262,8 +222,7 @@ def _evaluate(
     columns: NDArray[np.int32],
     per_m: NDArray[np.float32],
 ) -> None:
-    Bu, Bv = np.empty(_ORDER), np.empty(_ORDER)
-    # Places come row by row: a surface along the last row is kept, a curve over the columns.
+    # Places come row by row: a surface along its last row is kept, a curve over the columns.
     last_row = np.full(u.counts.size, np.iinfo(np.int32).min, dtype=np.int32)
     weights = np.empty((u.counts.size, u.counts.max()))
     depths = np.empty_like(weights)
@@ -275,15 +234,31 @@ def _evaluate(
             continue
         if last_row[label] != rows[n]:
             last_row[label] = rows[n]
-            first = nets.starts[label] + _functions(v, label, rows[n], Bv) * length
-            _line(nets.weights, first, length, Bv, weights[label])
-            if not nets.plain[label]:
-                _line(nets.depths, first, length, Bv, depths[label])
-        column = _functions(u, label, columns[n], Bu)
-        found = _dot(Bu, weights[label], column)
+            row, Bv, _ = _functions(v, label, rows[n])
+            first = nets.starts[label] + row * length
+            for k in range(length):
+                weights[label, k] = _dot(Bv, nets.weights, first + k, length)
+                if not nets.plain[label]:
+                    depths[label, k] = _dot(Bv, nets.depths, first + k, length)
+        column, Bu, _ = _functions(u, label, columns[n])
+        found = _dot(Bu, weights[label], column, 1)
         if not nets.plain[label]:
-            found /= _dot(Bu, depths[label], column)
+            found /= _dot(Bu, depths[label], column, 1)
         per_m[n] = found
+
+
+@compiled
+def _sums(
+    net: NDArray[np.float64], first: int, length: int, Bu: _Four, Du: _Four, Bv: _Four, Dv: _Four
+) -> tuple[float, float, float]:
+    """Add up the sixteen control values at `first` and beside it: a spline and its slopes."""
+    value, along_u, along_v = 0.0, 0.0, 0.0
+    for k in range(_ORDER):
+        across = _dot(Bv, net, first + k, length)
+        value += Bu[k] * across
+        along_u += Du[k] * across
+        along_v += Bu[k] * _dot(Dv, net, first + k, length)
+    return value, along_u, along_v
 
 
 @compiled
@@ -296,25 +271,20 @@ def _evaluate_slopes(
     rows: NDArray[np.float64],
     found: NDArray[np.float64],
 ) -> None:
-    Bu, Bv, Du, Dv = np.empty(_ORDER), np.empty(_ORDER), np.empty(_ORDER), np.empty(_ORDER)
     for n in range(labels.size):
         label = labels[n]
         length = u.counts[label]
         if length == 0:
             found[:, n] = np.nan
             continue
-        column, row = _functions(u, label, columns[n], Bu), _functions(v, label, rows[n], Bv)
-        _derivatives(u, label, columns[n], Du)
-        _derivatives(v, label, rows[n], Dv)
+        column, Bu, Du = _functions(u, label, columns[n])
+        row, Bv, Dv = _functions(v, label, rows[n])
         first = nets.starts[label] + row * length + column
-        per_m = _sum(nets.weights, first, length, Bv, Bu)
-        along_u = _sum(nets.weights, first, length, Bv, Du)
-        along_v = _sum(nets.weights, first, length, Dv, Bu)
+        per_m, along_u, along_v = _sums(nets.weights, first, length, Bu, Du, Bv, Dv)
         if not nets.plain[label]:
-            depth = _sum(nets.depths, first, length, Bv, Bu)
+            depth, depth_u, depth_v = _sums(nets.depths, first, length, Bu, Du, Bv, Dv)
             per_m /= depth
-            along_u = (along_u - per_m * _sum(nets.depths, first, length, Bv, Du)) / depth
-            along_v = (along_v - per_m * _sum(nets.depths, first, length, Dv, Bu)) / depth
+            along_u, along_v = (along_u - per_m * depth_u) / depth, (along_v - per_m * depth_v) / depth
         found[0, n], found[1, n], found[2, n] = per_m, along_u, along_v
 
 
