@@ -230,7 +230,7 @@ def _measure(
         for side in range(2):
             x, y, d = ray_x[side, n], ray_y[side, n], per_m[side, n]
             points[side, 0], points[side, 1], points[side, 2] = x / d, y / d, 1.0 / d
-            # As in `normals_from_slopes`.
+            # As for the normals of facets.
             nx, ny = slope_u[side, n] * focal_px[0], slope_v[side, n] * focal_px[1]
             nz = d - nx * x - ny * y
             towards = -1.0 / max(np.sqrt(nx * nx + ny * ny + nz * nz), 1e-12)

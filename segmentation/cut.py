@@ -12,9 +12,8 @@ from scipy.linalg.lapack import dsyevr
 
 from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.config import SplittingPoint
+from nurbseg.segmentation.landmarks import independent_samples
 
-#: A sample is left out where the others explain its affinities but for this (of the 1 to itself, squared).
-_UNEXPLAINED = 1e-4
 #: A second eigenvalue at rounding level belongs to points that nothing tells apart.
 _LEAST_EIGENVALUE = 1e-6
 #: Thresholds that are tried where the cut is made at the least Ncut.
@@ -232,7 +231,7 @@ def normalized_cuts(
 
     # W = K A^-1 K^T. Samples that the others already explain make A singular and are left out; with
     # A = L L^T of the rest, W = Q Q^T where Q = K L^-T, which is not needed itself.
-    independent, inverse = _independent(landmarks, affinity_scale)
+    independent, inverse = independent_samples(landmarks, affinity_scale)
     landmarks = landmarks[independent]
     K = _affinity(vectors, chosen, landmarks, affinity_scale)
     total = inverse @ (np.ones(size, dtype=np.float32) @ K).astype(np.float64)
@@ -293,69 +292,6 @@ def _take_out(S: NDArray[np.float64], first: NDArray[np.float64]) -> None:
 def _no_cut(vectors: NDArray[np.float32], scale: float, reason: str) -> Cut:
     side = np.zeros(vectors.shape[0], dtype=np.bool_)
     return Cut(side, vectors[:1], np.zeros(min(1, len(vectors)), dtype=np.float32), scale, reason)
-
-
-def _independent(
-    landmarks: NDArray[np.float32], scale: float
-) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Leave out samples whose affinities the others explain.
-
-    Returns the numbers of the rest, and the inverse of the Cholesky factor of their affinities.
-    """
-    exponents = _square_distances(landmarks)
-    exponents *= -0.5 / scale**2
-    return _pivoted_inverse(np.exp(exponents, out=exponents))
-
-
-@compiled
-def _square_distances(points: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Squared distance of every two points."""
-    count, dimensions = points.shape
-    squares = np.zeros((count, count))
-    for k in range(dimensions):
-        along = points[:, k].astype(np.float64)
-        for i in range(count):
-            target, own = squares[i], along[i]
-            for j in range(count):
-                target[j] += (along[j] - own) * (along[j] - own)
-    return squares
-
-
-@compiled
-def _pivoted_inverse(A: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Factorize as L L^T, with pivots, what is not explained yet; return the pivots and the inverse of L."""
-    count = A.shape[0]
-    pivots, unexplained = np.empty(count, dtype=np.intp), np.ones(count)
-    # Row k holds column k of L, for all samples in their own order.
-    columns = np.empty((count, count))
-    rank = 0
-    while rank < count:
-        pivot = np.argmax(unexplained)
-        if unexplained[pivot] <= _UNEXPLAINED:
-            break
-        column = columns[rank]
-        column[:] = A[pivot]
-        for k in range(rank):
-            before, factor = columns[k], columns[k, pivot]
-            for i in range(count):
-                column[i] -= factor * before[i]
-        column /= np.sqrt(unexplained[pivot])
-        for i in range(count):
-            unexplained[i] -= column[i] * column[i]
-        # What is a pivot is explained, for good.
-        unexplained[pivot] = -np.inf
-        pivots[rank] = pivot
-        rank += 1
-    inverse = np.zeros((rank, rank))
-    for i in range(rank):
-        target, pivot = inverse[i], pivots[i]
-        per_diagonal = 1.0 / columns[i, pivot]
-        for k in range(i):
-            source, factor = inverse[k, : k + 1], columns[k, pivot] * per_diagonal
-            for j in range(k + 1):
-                target[j] -= factor * source[j]
-        target[i] = per_diagonal
-    return pivots[:rank].copy(), inverse
 
 
 def _orientation(indicator: NDArray[np.float32]) -> float:

@@ -155,13 +155,25 @@ def decimated_grid(cloud: PointMap, step: int) -> PixelGrid:
     PixelGrid
         Its points and which of them there are.
     """
-    valid = np.ascontiguousarray(cloud.valid[::step, ::step])
-    points = cloud.points_m[::step, ::step]
-    coordinates = np.zeros((3, *valid.shape), dtype=np.float32)
-    for axis in range(3):
-        np.copyto(coordinates[axis], points[..., axis], where=valid)
     height, width = cloud.valid.shape
-    return PixelGrid(step, (height, width), coordinates, valid)
+    return PixelGrid(step, (height, width), *_decimated(cloud.points_m, cloud.valid, step))
+
+
+@compiled
+def _decimated(
+    points_m: NDArray[np.float32], valid: NDArray[np.bool_], step: int
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Take coordinates, 0 where there is no point, and where there is one, from every `step`-th pixel."""
+    height, width = -(-valid.shape[0] // step), -(-valid.shape[1] // step)
+    coordinates_m = np.empty((3, height, width), dtype=np.float32)
+    there = np.empty((height, width), dtype=np.bool_)
+    for row in range(height):
+        for column in range(width):
+            there[row, column] = valid[row * step, column * step]
+            for axis in range(3):
+                coordinate = points_m[row * step, column * step, axis]
+                coordinates_m[axis, row, column] = coordinate if there[row, column] else np.float32(0.0)
+    return coordinates_m, there
 
 
 def full_grid(cloud: PointMap) -> PixelGrid:

@@ -60,8 +60,7 @@ class DepthGrid:
     distances_m: NDArray[np.float32] = field(init=False)
 
     def __post_init__(self) -> None:
-        x, y, z = self.points.coordinates_m
-        object.__setattr__(self, "distances_m", np.sqrt(x * x + y * y + z * z))
+        object.__setattr__(self, "distances_m", _distances(self.points.coordinates_m))
 
     @property
     def step(self) -> int:
@@ -77,6 +76,20 @@ class DepthGrid:
     def unit_px(self) -> float:
         """Pixels of this image for each one of an image 640 wide, in which settings are given."""
         return self.points.image_shape[1] / 640.0
+
+
+@compiled
+def _distances(coordinates_m: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Distance from the camera of each point of a grid."""
+    _, height, width = coordinates_m.shape
+    distances_m = np.empty((height, width), dtype=np.float32)
+    for row in range(height):
+        for column in range(width):
+            square = np.float32(0.0)
+            for axis in range(3):
+                square += coordinates_m[axis, row, column] * coordinates_m[axis, row, column]
+            distances_m[row, column] = np.sqrt(square)
+    return distances_m
 
 
 def depth_grid(cloud: PointMap, step: int) -> DepthGrid:
@@ -95,15 +108,24 @@ def depth_grid(cloud: PointMap, step: int) -> DepthGrid:
         Its points and their inverse depths.
     """
     points = decimated_grid(cloud, step)
-    per_m = inverse_depth_image(cloud)[::step, ::step]
-    return DepthGrid(points, np.ascontiguousarray(per_m), rays_of(cloud))
+    return DepthGrid(points, _inverse_depths(points.coordinates_m[2], points.valid), rays_of(cloud))
 
 
 def inverse_depth_image(cloud: PointMap) -> NDArray[np.float32]:
     """Return one over depth of every pixel, (H, W) float32 in 1/m; 0 where there is no point."""
-    depth_m = cloud.points_m[..., 2]
-    usable = cloud.valid & (depth_m > 0)
-    return np.divide(np.float32(1.0), depth_m, out=np.zeros_like(depth_m), where=usable)
+    return _inverse_depths(cloud.points_m[..., 2], cloud.valid)
+
+
+@compiled
+def _inverse_depths(depth_m: NDArray[np.float32], valid: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """One over depth where there is a point in front of the camera, else 0."""
+    height, width = valid.shape
+    per_m = np.empty((height, width), dtype=np.float32)
+    for y in range(height):
+        for x in range(width):
+            usable = valid[y, x] and depth_m[y, x] > 0
+            per_m[y, x] = np.float32(1.0) / depth_m[y, x] if usable else np.float32(0.0)
+    return per_m
 
 
 def fit_window(
@@ -334,45 +356,6 @@ def inverse_depth_lattice(
         # The rational surfaces of this module: the ray's z is 1.
         return w[0] / depths[0, 0], w[1] / depths[0, 0], w[2] / depths[0, 0]
     z = Bv @ depths @ Bu, Bv @ depths @ Du, Dv @ depths @ Bu
-    return _quotients(w, z)
-
-
-def inverse_depth_image_of(
-    surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64]
-) -> NDArray[np.float32]:
-    """Return a surface's inverse depth where some rows v meet some columns u, (H, W) float32, 1/m."""
-    Bu = basis_matrix(surface.knots_u, surface.degree[0], u).T.astype(np.float32)
-    Bv = basis_matrix(surface.knots_v, surface.degree[1], v).astype(np.float32)
-    depths = surface.control_points_m[..., 2] * surface.weights
-    if np.ptp(depths) <= 1e-12:
-        # The rational surfaces of this module: the ray's z is 1.
-        return np.asarray(Bv @ ((surface.weights / depths[0, 0]).astype(np.float32) @ Bu))
-    w, z = (Bv @ (net.astype(np.float32) @ Bu) for net in (surface.weights, depths))
-    return np.asarray(w / z)
-
-
-def inverse_depth_at(
-    surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return a surface's inverse depth, and its slopes, at scattered pixels; all as the lattice's, (N,)."""
-    Bu, Du = (basis_matrix(surface.knots_u, surface.degree[0], u, order) for order in (0, 1))
-    Bv, Dv = (basis_matrix(surface.knots_v, surface.degree[1], v, order) for order in (0, 1))
-
-    def values(net: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-        along = Bv @ net
-        sums = np.sum(along * Bu, axis=1), np.sum(along * Du, axis=1), np.sum((Dv @ net) * Bu, axis=1)
-        return sums
-
-    w, depths = values(surface.weights), surface.control_points_m[..., 2] * surface.weights
-    if np.ptp(depths) <= 1e-12:
-        per_m, slope_u, slope_v = (each / depths[0, 0] for each in w)
-        return per_m, slope_u, slope_v
-    return _quotients(w, values(depths))
-
-
-def _quotients(
-    w: tuple[NDArray[np.float64], ...], z: tuple[NDArray[np.float64], ...]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     per_m = w[0] / z[0]
     return per_m, (w[1] - per_m * z[1]) / z[0], (w[2] - per_m * z[2]) / z[0]
 
@@ -381,9 +364,7 @@ __all__ = [
     "DepthGrid",
     "depth_grid",
     "fit_window",
-    "inverse_depth_at",
     "inverse_depth_image",
-    "inverse_depth_image_of",
     "inverse_depth_lattice",
     "rational_surface",
     "residuals_of_fit",

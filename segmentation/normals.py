@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from itertools import product
-from typing import TypeVar
-
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.rays import Rays
 
 #: A window needs points on this share of its places to have a plane of its own.
 _FILLED_SHARE = 0.3
 #: A neighbour's plane is preferred where its variance is below this share of the pixel's own.
-_PREFERENCE = 1.0 / 1.5
+_PREFERENCE = np.float32(1.0 / 1.5)
 #: A plane explains a pixel that lies within this many standard deviations of it.
 _OWN_DEVIATIONS = 4.0
 _UNUSABLE = np.float32(1e3)
-_Float = TypeVar("_Float", np.float32, np.float64)
 
 
 def facet_slopes(
@@ -57,110 +53,166 @@ def facet_slopes(
     .. [1] R. M. Haralick and L. Watson, "A facet model for image data", Computer Graphics and Image
        Processing 15(2), 1981.
     """
-    height, width = valid.shape
+    inverse_depth, valid = np.ascontiguousarray(inverse_depth), np.ascontiguousarray(valid)
     if not valid.any():
-        zeros = np.zeros((height, width), dtype=np.float32)
+        zeros = np.zeros(valid.shape, dtype=np.float32)
         return zeros, zeros.copy(), zeros.copy()
-    mask = valid.astype(np.float32)
-    u = np.arange(width, dtype=np.float32)[np.newaxis] - np.float32(width / 2)
-    v = np.arange(height, dtype=np.float32)[:, np.newaxis] - np.float32(height / 2)
-    offset = np.float32(inverse_depth[valid].mean(dtype=np.float64))
-    d = np.where(valid, inverse_depth - offset, np.float32(0.0))
-
-    def total(image: NDArray[np.float32]) -> NDArray[np.float32]:
-        return np.asarray(
-            cv2.boxFilter(image, -1, (window, window), normalize=False, borderType=cv2.BORDER_CONSTANT)
-        )
-
-    # Central moments of place and inverse depth in each window.
-    mu, mv, du, dv = mask * u, mask * v, d * u, d * v
-    n = np.maximum(total(mask), 1.0)
-    mean_u, mean_v, mean_d = total(mu) / n, total(mv) / n, total(d) / n
-    suu = total(mu * u) - n * mean_u * mean_u
-    svv = total(mv * v) - n * mean_v * mean_v
-    suv = total(mu * v) - n * mean_u * mean_v
-    sud = total(du) - n * mean_u * mean_d
-    svd = total(dv) - n * mean_v * mean_d
-    sdd = total(d * d) - n * mean_d * mean_d
-    # A little more variance of place than there is keeps a window of one row or column finite.
-    suu += 1e-2 * n
-    svv += 1e-2 * n
-    determinant = suu * svv - suv * suv
-    slope_u = (svv * sud - suv * svd) / determinant
-    slope_v = (suu * svd - suv * sud) / determinant
-    variance = np.maximum(sdd - slope_u * sud - slope_v * svd, 0.0) / np.maximum(n - 3.0, 1.0)
-    # Where all windows fit within rounding, the fuller one is better.
-    cost = (variance + np.float32((0.3 * noise_per_m) ** 2)) * (0.5 + 0.5 * window**2 / n)
-    cost[n < _FILLED_SHARE * window**2] = _UNUSABLE
-    constant = mean_d - slope_u * mean_u - slope_v * mean_v
-
-    best = cost * np.float32(_PREFERENCE)
-    chosen = [each.astype(np.float32) for each in (constant, slope_u, slope_v)]
-    reach = window // 2
-    far = np.float32((_OWN_DEVIATIONS * noise_per_m) ** 2)
-    for shift_v, shift_u in product((-reach, 0, reach), repeat=2):
-        if shift_u == 0 and shift_v == 0:
-            continue
-        rows, rows_at = _shifted(shift_v, height)
-        columns, columns_at = _shifted(shift_u, width)
-        here, there = (rows, columns), (rows_at, columns_at)
-        planes = [each[there] for each in (constant, slope_u, slope_v)]
-        own = d[here] - planes[0] - planes[1] * u[:, columns] - planes[2] * v[rows]
-        own *= own
-        candidate = np.where(own > far, _UNUSABLE, cost[there])
-        better = candidate < best[here]
-        np.copyto(best[here], candidate, where=better)
-        for target, plane in zip(chosen, planes, strict=True):
-            np.copyto(target[here], plane, where=better)
-    constant_best, u_best, v_best = chosen
-    smoothed = np.where(valid, constant_best + u_best * u + v_best * v + offset, np.float32(0.0))
-    return u_best, v_best, smoothed
+    planes, cost = _window_planes(inverse_depth, valid, window, noise_per_m)
+    chosen = _chosen_planes(inverse_depth, valid, planes, cost, window // 2, _OWN_DEVIATIONS * noise_per_m)
+    smoothed, slope_u, slope_v = chosen
+    return slope_u, slope_v, smoothed
 
 
-def _shifted(shift: int, size: int) -> tuple[slice, slice]:
-    """Places along an axis, and the places `shift` farther on, for those where both are on the image."""
-    return (
-        slice(max(-shift, 0), size - max(shift, 0)),
-        slice(max(shift, 0), size - max(-shift, 0)),
-    )
+@compiled
+def _window_planes(
+    inverse_depth: NDArray[np.float32], valid: NDArray[np.bool_], window: int, noise_per_m: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Fit a plane in the window around each place: (3, h, w) value there and slopes; (h, w) what it costs.
 
-
-def normals_from_slopes(
-    slope_u: NDArray[_Float],
-    slope_v: NDArray[_Float],
-    inverse_depth: NDArray[_Float],
-    ray_x: NDArray[_Float],
-    ray_y: NDArray[_Float],
-    focal_px: tuple[float, float],
-) -> NDArray[_Float]:
-    """Turn slopes of inverse depth into unit normals.
-
-    The plane n . p = 1 is seen as inverse depth n . (ray_x, ray_y, 1), so that n is the slope times the
-    focal length along u and v, and what is left of the inverse depth along z.
-
-    Parameters
-    ----------
-    slope_u, slope_v : (...) floating
-        Change of inverse depth by one pixel, 1/m.
-    inverse_depth : (...) floating
-        One over depth, 1/m.
-    ray_x, ray_y : (...) floating
-        Directions x / z and y / z of the pixels.
-    focal_px : (float, float)
-        Focal lengths along u and v, pixels.
-
-    Returns
-    -------
-    (..., 3) floating
-        Unit vectors towards the camera; 0 where the slopes and inverse depth are 0.
+    Sums over a window are those over the window before it, with what has entered and without what has left.
     """
-    nx, ny = slope_u * focal_px[0], slope_v * focal_px[1]
-    nz = inverse_depth - nx * ray_x - ny * ray_y
-    towards = -1.0 / np.maximum(np.sqrt(nx * nx + ny * ny + nz * nz), 1e-12)
-    normals: NDArray[_Float] = np.empty((*inverse_depth.shape, 3), dtype=inverse_depth.dtype)
-    for axis, along in enumerate((nx, ny, nz)):
-        np.multiply(along, towards, out=normals[..., axis])
-    return normals
+    height, width = valid.shape
+    half = window // 2
+    planes = np.empty((3, height, width), dtype=np.float32)
+    cost = np.empty((height, width), dtype=np.float32)
+    # Sums over the rows of a window, of 1, v, v^2, d, d v, d^2 at each column.
+    below = np.zeros((6, width))
+    sums = np.empty((10, width))
+    least = (0.3 * noise_per_m) ** 2
+    full = float(window * window)
+    offset = _mean(inverse_depth, valid)
+    for entering in range(height + half):
+        if entering < height:
+            _add_row(below, inverse_depth[entering], valid[entering], offset, float(entering), 1.0)
+        if entering >= window:
+            leaving = entering - window
+            _add_row(below, inverse_depth[leaving], valid[leaving], offset, float(leaving), -1.0)
+        y = entering - half
+        if y < 0:
+            continue
+        _add_columns(below, half, sums)
+        for x in range(width):
+            # Central moments of place and inverse depth; places are counted from this one.
+            n = max(sums[0, x], 1.0)
+            mean_u, mean_v, mean_d = sums[6, x] / n - x, sums[1, x] / n - y, sums[3, x] / n
+            # A little more variance of place than there is keeps a window of one row or column finite.
+            suu = sums[7, x] - n * (mean_u + x) * (mean_u + x) + 1e-2 * n
+            svv = sums[2, x] - n * (mean_v + y) * (mean_v + y) + 1e-2 * n
+            suv = sums[8, x] - n * (mean_u + x) * (mean_v + y)
+            sud = sums[9, x] - n * (mean_u + x) * mean_d
+            svd = sums[4, x] - n * (mean_v + y) * mean_d
+            sdd = sums[5, x] - n * mean_d * mean_d
+            per_determinant = 1.0 / (suu * svv - suv * suv)
+            slope_u = (svv * sud - suv * svd) * per_determinant
+            slope_v = (suu * svd - suv * sud) * per_determinant
+            variance = max(sdd - slope_u * sud - slope_v * svd, 0.0) / max(n - 3.0, 1.0)
+            # Where all windows fit within rounding, the fuller one is better.
+            price = (variance + least) * (0.5 + 0.5 * full / n)
+            planes[0, y, x] = mean_d - slope_u * mean_u - slope_v * mean_v + offset
+            planes[1, y, x] = slope_u
+            planes[2, y, x] = slope_v
+            cost[y, x] = price if n >= _FILLED_SHARE * full else _UNUSABLE
+    return planes, cost
+
+
+@compiled
+def _mean(inverse_depth: NDArray[np.float32], valid: NDArray[np.bool_]) -> float:
+    total, count = 0.0, 0
+    for y in range(valid.shape[0]):
+        for x in range(valid.shape[1]):
+            total += np.float64(inverse_depth[y, x]) if valid[y, x] else 0.0
+            count += valid[y, x]
+    return total / max(count, 1)
+
+
+@compiled
+def _add_row(
+    below: NDArray[np.float64],
+    inverse_depth: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    offset: float,
+    v: float,
+    sign: float,
+) -> None:
+    """Add a row of points to the sums at each column, or take it away."""
+    for x in range(valid.size):
+        one = sign if valid[x] else 0.0
+        d = np.float64(inverse_depth[x]) - offset if valid[x] else 0.0
+        below[0, x] += one
+        below[1, x] += one * v
+        below[2, x] += one * v * v
+        below[3, x] += sign * d
+        below[4, x] += sign * d * v
+        below[5, x] += sign * d * d
+
+
+@compiled
+def _add_columns(below: NDArray[np.float64], half: int, sums: NDArray[np.float64]) -> None:
+    """Add up columns in windows: of 1, v, v^2, d, d v, d^2 and, with u, of u, u^2, u v, d u."""
+    width = below.shape[1]
+    n, nv, nvv, nd, ndv, ndd, nu, nuu, nuv, ndu = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for entering in range(width + half):
+        if entering < width:
+            u = float(entering)
+            one, v, d = below[0, entering], below[1, entering], below[3, entering]
+            n, nv, nvv, nd = n + one, nv + v, nvv + below[2, entering], nd + d
+            ndv, ndd = ndv + below[4, entering], ndd + below[5, entering]
+            nu, nuu, nuv, ndu = nu + u * one, nuu + u * u * one, nuv + u * v, ndu + u * d
+        leaving = entering - 2 * half - 1
+        if leaving >= 0:
+            u = float(leaving)
+            one, v, d = below[0, leaving], below[1, leaving], below[3, leaving]
+            n, nv, nvv, nd = n - one, nv - v, nvv - below[2, leaving], nd - d
+            ndv, ndd = ndv - below[4, leaving], ndd - below[5, leaving]
+            nu, nuu, nuv, ndu = nu - u * one, nuu - u * u * one, nuv - u * v, ndu - u * d
+        x = entering - half
+        if x >= 0:
+            sums[0, x], sums[1, x], sums[2, x], sums[3, x], sums[4, x] = n, nv, nvv, nd, ndv
+            sums[5, x], sums[6, x], sums[7, x], sums[8, x], sums[9, x] = ndd, nu, nuu, nuv, ndu
+
+
+@compiled
+def _chosen_planes(
+    inverse_depth: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    planes: NDArray[np.float32],
+    cost: NDArray[np.float32],
+    reach: int,
+    own_per_m: float,
+) -> NDArray[np.float32]:
+    """Give each place the best plane of nine windows that hold it: (3, h, w) value there and slopes."""
+    height, width = valid.shape
+    chosen = planes.copy()
+    best = np.empty(width, dtype=np.float32)
+    far = np.float32(own_per_m)
+    for y in range(height):
+        value, slope_u, slope_v = chosen[0, y], chosen[1, y], chosen[2, y]
+        depth = inverse_depth[y]
+        for x in range(width):
+            best[x] = cost[y, x] * _PREFERENCE
+        for shift_v in (-reach, 0, reach):
+            if not 0 <= y + shift_v < height:
+                continue
+            for shift_u in (-reach, 0, reach):
+                if shift_u == 0 and shift_v == 0:
+                    continue
+                begin, end = max(0, -shift_u), width - max(0, shift_u)
+                there = slice(begin + shift_u, end + shift_u)
+                price = cost[y + shift_v, there]
+                at, along_u = planes[0, y + shift_v, there], planes[1, y + shift_v, there]
+                along_v = planes[2, y + shift_v, there]
+                du, dv = np.float32(shift_u), np.float32(shift_v)
+                for k in range(end - begin):
+                    x = begin + k
+                    plane = at[k] - along_u[k] * du - along_v[k] * dv
+                    better = (price[k] < best[x]) & (abs(depth[x] - plane) <= far)
+                    best[x] = price[k] if better else best[x]
+                    value[x] = plane if better else value[x]
+                    slope_u[x] = along_u[k] if better else slope_u[x]
+                    slope_v[x] = along_v[k] if better else slope_v[x]
+        for x in range(width):
+            value[x] = value[x] if valid[y, x] else np.float32(0.0)
+    return chosen
 
 
 def facet_normals(
@@ -193,22 +245,38 @@ def facet_normals(
         Unit vectors towards the camera; 0 where there is no point.
     """
     height, width = valid.shape
-    if not valid.any():
-        return np.zeros((height, width, 3), dtype=np.float32)
     slope_u, slope_v, smoothed = facet_slopes(inverse_depth, valid, window=window, noise_per_m=noise_per_m)
     columns = np.arange(width, dtype=np.float64) * step
     rows = np.arange(height, dtype=np.float64) * step
-    ray_x, ray_y = rays.lattice(columns, rows)
-    normals = normals_from_slopes(
-        slope_u / np.float32(step),
-        slope_v / np.float32(step),
-        smoothed,
-        ray_x.astype(np.float32),
-        ray_y.astype(np.float32),
-        rays.focal_px,
-    )
-    normals[~valid] = 0.0
+    fx, fy = rays.focal_px
+    return _normals(slope_u, slope_v, smoothed, *rays.lattice(columns, rows), fx / step, fy / step)
+
+
+@compiled
+def _normals(
+    slope_u: NDArray[np.float32],
+    slope_v: NDArray[np.float32],
+    inverse_depth: NDArray[np.float32],
+    ray_x: NDArray[np.float64],
+    ray_y: NDArray[np.float64],
+    fx: float,
+    fy: float,
+) -> NDArray[np.float32]:
+    """Turn slopes of inverse depth into unit normals, where there is an inverse depth.
+
+    The plane n . p = 1 is seen as inverse depth n . (ray_x, ray_y, 1), so that n is the slope times the
+    focal length along u and v, and what is left of the inverse depth along z.
+    """
+    height, width = inverse_depth.shape
+    normals = np.empty((height, width, 3), dtype=np.float32)
+    for y in range(height):
+        for x in range(width):
+            nx, ny = slope_u[y, x] * fx, slope_v[y, x] * fy
+            nz = inverse_depth[y, x] - nx * ray_x[y, x] - ny * ray_y[y, x]
+            towards = -1.0 / max(np.sqrt(nx * nx + ny * ny + nz * nz), 1e-12)
+            towards = towards if inverse_depth[y, x] != 0.0 else 0.0
+            normals[y, x, 0], normals[y, x, 1], normals[y, x, 2] = nx * towards, ny * towards, nz * towards
     return normals
 
 
-__all__ = ["facet_normals", "facet_slopes", "normals_from_slopes"]
+__all__ = ["facet_normals", "facet_slopes"]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.features import Normalization, lab, normalization
 from nurbseg.segmentation.inverse_depth import DepthGrid, depth_grid
@@ -58,8 +58,8 @@ def prepare(cloud: PointMap, config: SegmentationConfig) -> Scene:
         What the tree grows on.
     """
     grid = depth_grid(cloud, config.decimation)
-    color = cloud.color[:: grid.step, :: grid.step].reshape(-1, 3)
-    planes = [*np.moveaxis(lab(color), -1, 0), *grid.points.coordinates_m.reshape(3, -1)]
+    color = lab(cloud.color[:: grid.step, :: grid.step].reshape(-1, 3))
+    points_m, directions = grid.points.coordinates_m.reshape(3, -1), np.zeros((len(color), 0), np.float32)
     if config.normal_weight > 0:
         half = round(0.5 * config.normal_window_px * grid.unit_px / grid.step - 0.5)
         normals = facet_normals(
@@ -70,12 +70,26 @@ def prepare(cloud: PointMap, config: SegmentationConfig) -> Scene:
             window=2 * max(1, half) + 1,
             noise_per_m=config.noise_per_m,
         )
-        planes += [*np.moveaxis(normals.reshape(-1, 3), -1, 0)]
-    merged = cv2.merge([np.ascontiguousarray(each) for each in planes])
-    raw = np.asarray(merged, dtype=np.float32).reshape(-1, len(planes))
+        directions = normals.reshape(-1, 3)
+    raw = _side_by_side(color, points_m, directions)
     joined = joints(grid.per_m, grid.valid, config.depth_gap_per_m)
     whole = None if config.normalize_nodes else node_normalization(raw, np.flatnonzero(grid.valid), config)
     return Scene(grid, joined, raw, whole)
+
+
+@compiled
+def _side_by_side(
+    color: NDArray[np.float32], points_m: NDArray[np.float32], directions: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Put (N, 3) colors, (3, N) points and (N, 3) or (N, 0) directions into one vector for each place."""
+    more = directions.shape[1]
+    raw = np.empty((color.shape[0], 6 + more), dtype=np.float32)
+    for n in range(color.shape[0]):
+        for k in range(3):
+            raw[n, k], raw[n, 3 + k] = color[n, k], points_m[k, n]
+        for k in range(more):
+            raw[n, 6 + k] = directions[n, k]
+    return raw
 
 
 def node_normalization(

@@ -1,0 +1,89 @@
+"""The samples of the Nystrom method: which are independent, and what makes them orthonormal."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.compiled import compiled
+
+#: A sample is left out where the others explain its affinities but for this (of the 1 to itself, squared).
+_UNEXPLAINED = 1e-4
+
+
+def independent_samples(
+    samples: NDArray[np.float32], scale: float
+) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Leave out samples whose affinities the others explain.
+
+    Parameters
+    ----------
+    samples : (N, D) float32
+        Points whose affinities are Gaussian in their distance.
+    scale : float
+        Sigma of the Gaussian, in the unit of the points.
+
+    Returns
+    -------
+    chosen : (M,) intp
+        Numbers of those that are kept, the one that the others before it explain least first.
+    inverse : (M, M) float64
+        Inverse of the lower Cholesky factor of their affinities, in this order.
+    """
+    exponents = _square_distances(samples)
+    exponents *= -0.5 / scale**2
+    return _pivoted_inverse(np.exp(exponents, out=exponents))
+
+
+@compiled
+def _square_distances(points: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Squared distance of every two points."""
+    count, dimensions = points.shape
+    squares = np.zeros((count, count))
+    for k in range(dimensions):
+        along = points[:, k].astype(np.float64)
+        for i in range(count):
+            target, own = squares[i], along[i]
+            for j in range(count):
+                target[j] += (along[j] - own) * (along[j] - own)
+    return squares
+
+
+@compiled
+def _pivoted_inverse(A: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Factorize as L L^T, with pivots, what is not explained yet; return the pivots and the inverse of L."""
+    count = A.shape[0]
+    pivots, unexplained = np.empty(count, dtype=np.intp), np.ones(count)
+    # Row k holds column k of L, for all samples in their own order.
+    columns = np.empty((count, count))
+    rank = 0
+    while rank < count:
+        pivot = np.argmax(unexplained)
+        if unexplained[pivot] <= _UNEXPLAINED:
+            break
+        column = columns[rank]
+        column[:] = A[pivot]
+        for k in range(rank):
+            before, factor = columns[k], columns[k, pivot]
+            for i in range(count):
+                column[i] -= factor * before[i]
+        column /= np.sqrt(unexplained[pivot])
+        for i in range(count):
+            unexplained[i] -= column[i] * column[i]
+        # What is a pivot is explained, for good.
+        unexplained[pivot] = -np.inf
+        pivots[rank] = pivot
+        rank += 1
+    inverse = np.zeros((rank, rank))
+    for i in range(rank):
+        target, pivot = inverse[i], pivots[i]
+        per_diagonal = 1.0 / columns[i, pivot]
+        for k in range(i):
+            source, factor = inverse[k, : k + 1], columns[k, pivot] * per_diagonal
+            for j in range(k + 1):
+                target[j] -= factor * source[j]
+        target[i] = per_diagonal
+    return pivots[:rank].copy(), inverse
+
+
+__all__ = ["independent_samples"]
