@@ -10,9 +10,9 @@ from nurbseg.segmentation.live import Budget
 
 _log = logging.getLogger(__name__)
 
-#: Pixels between the places of the grid beyond the usual. The budget of revisions is left alone: what is not
-#: revised piles up until a frame has to be segmented anew, which costs more than was saved.
-_COARSER = (0, 1, 2, 4)
+#: Pixels between the places of the grid beyond the usual; more saves nothing. The budget of revisions is left
+#: alone: what is not revised piles up until a frame is segmented anew, which costs more than was saved.
+_COARSER = (0, 1, 2)
 #: Coarsest grid, pixels.
 _DECIMATION_MOST = 8
 #: A frame may take this share of its period; below that share of it, more is tried.
