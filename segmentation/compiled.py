@@ -39,8 +39,16 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
         return _compiled(function, cache=False)
 
 
+def inlined(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Compile a step of compiled functions of the same file into each of them.
+
+    A call hands arrays over one by one, which can cost more than a short step itself.
+    """
+    return numba.njit(nogil=True, error_model="numpy", fastmath=_FASTMATH, forceinline=True)(function)
+
+
 def _compiled(function: Callable[_P, _R], *, cache: bool) -> Callable[_P, _R]:
     return numba.njit(cache=cache, nogil=True, error_model="numpy", fastmath=_FASTMATH)(function)
 
 
-__all__ = ["compiled"]
+__all__ = ["compiled", "inlined"]

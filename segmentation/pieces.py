@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.compiled import compiled
-from nurbseg.segmentation.spreading import spread_labels
+from nurbseg.segmentation.spreading import spread_in_place
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,12 +124,15 @@ def connected_pieces(labels: NDArray[np.int32], joined: Joints) -> Pieces:
     Pieces
         All of them, however small.
     """
-    numbers = np.empty(labels.shape, dtype=np.int32)
-    labels_of = np.empty(labels.size + 1, dtype=np.int32)
-    sizes = np.empty(labels.size + 1, dtype=np.intp)
-    count = _connect(
-        np.ascontiguousarray(labels, dtype=np.int32), joined.right, joined.down, numbers, labels_of, sizes
-    )
+    places = np.flatnonzero(labels > 0)
+    return _connected(places, labels.reshape(-1).take(places).astype(np.int32, copy=False), joined)
+
+
+def _connected(places: NDArray[np.intp], labels: NDArray[np.int32], joined: Joints) -> Pieces:
+    """Find the pieces of some flat places, ascending, that have a label."""
+    numbers = np.zeros(joined.right.shape, dtype=np.int32)
+    labels_of, sizes = np.empty(places.size + 1, dtype=np.int32), np.empty(places.size + 1, dtype=np.intp)
+    count = _connect(places, labels, joined.right, joined.down, numbers, labels_of, sizes)
     return Pieces(numbers, labels_of[: count + 1].copy(), sizes[: count + 1].copy())
 
 
@@ -143,6 +146,7 @@ def _root(parents: NDArray[np.int32], number: int) -> int:
 
 @compiled
 def _connect(
+    places: NDArray[np.intp],
     labels: NDArray[np.int32],
     right: NDArray[np.bool_],
     down: NDArray[np.bool_],
@@ -150,38 +154,44 @@ def _connect(
     labels_of: NDArray[np.int32],
     sizes: NDArray[np.intp],
 ) -> int:
-    """Give each piece a number; return how many there are.
+    """Give each place the number of its piece; return how many there are.
 
     A place takes the number of a neighbour before it, and two numbers that meet become one: the larger has
     the smaller for its parent.
     """
-    height, width = labels.shape
-    parents = np.empty(labels.size + 1, dtype=np.int32)
+    width = right.shape[1]
+    number_of, joined_right, joined_down = numbers.reshape(-1), right.reshape(-1), down.reshape(-1)
+    parents = np.empty(places.size + 1, dtype=np.int32)
     parents[0] = labels_of[0] = sizes[0] = 0
     count = 0
-    for row in range(height):
-        for column in range(width):
-            label = labels[row, column]
-            if label == 0:
-                numbers[row, column] = 0
-                continue
+    number, size = 0, 0
+    for n in range(places.size):
+        place, label, before = places[n], labels[n], number
+        # Nothing is joined across the ends of rows; number 0 is of no label.
+        if not (
+            place > 0 and joined_right[place - 1] and places[n - 1] == place - 1 and labels[n - 1] == label
+        ):
             number = 0
-            if column > 0 and right[row, column - 1] and labels[row, column - 1] == label:
-                number = numbers[row, column - 1]
-            if row > 0 and down[row - 1, column] and labels[row - 1, column] == label:
-                above = numbers[row - 1, column]
+        if place >= width and joined_down[place - width]:
+            above = number_of[place - width]
+            if above != number and labels_of[above] == label:
                 if number == 0:
                     number = above
-                elif number != above:
+                else:
                     one, other = _root(parents, number), _root(parents, above)
                     number = min(one, other)
                     parents[max(one, other)] = number
-            if number == 0:
-                count += 1
-                number = count
-                parents[number], labels_of[number], sizes[number] = number, label, 0
-            numbers[row, column] = number
-            sizes[number] += 1
+        if number == 0:
+            count += 1
+            number = count
+            parents[number], labels_of[number], sizes[number] = number, label, 0
+        number_of[place] = number
+        if number != before:
+            sizes[before] += size
+            size = 0
+        size += 1
+    sizes[number] += size
+    sizes[0] = 0
     # Parents come first, so that theirs are final numbers by then.
     last = 0
     for number in range(1, count + 1):
@@ -192,9 +202,8 @@ def _connect(
         else:
             parents[number] = parents[parents[number]]
             sizes[parents[number]] += sizes[number]
-    for row in range(height):
-        for column in range(width):
-            numbers[row, column] = parents[numbers[row, column]]
+    for place in places:
+        number_of[place] = parents[number_of[place]]
     return last
 
 
@@ -233,43 +242,61 @@ def large_pieces(
     width = joined.right.shape[1]
     rows = slice(int(places[0]) // width, int(places[-1]) // width + 1)
     at = places - rows.start * width
-    image = np.zeros((rows.stop - rows.start, width), dtype=np.int32)
-    image.reshape(-1)[at] = labels
-    found = connected_pieces(image, Joints(joined.right[rows], joined.down[rows]))
+    found = _connected(at, labels, Joints(joined.right[rows], joined.down[rows]))
     kept = np.flatnonzero(found.sizes[1:] >= places_min) + 1
     if not kept.size:
         return [], []
-    number = np.zeros(found.sizes.size, dtype=np.int32)
-    number[kept] = np.arange(1, kept.size + 1)
-    pieces = number.take(found.numbers)
-    if kept.size + 1 < number.size:
-        homeless = (image > 0) & (pieces == 0)
-        pieces = spread_labels(pieces, homeless, inverse_depth[rows], gap_per_m)
-    return _by_number(places, pieces.take(at), kept.size), found.labels_of[kept].tolist()
+    if kept.size + 1 < found.sizes.size:
+        number = np.zeros(found.sizes.size, dtype=np.int32)
+        number[kept] = np.arange(1, kept.size + 1)
+        homeless = np.empty_like(at)
+        count = _keep(at, number, found.numbers, homeless)
+        spread_in_place(found.numbers, homeless[:count], inverse_depth[rows], gap_per_m)
+    if kept.size == 1:
+        return [places], found.labels_of[kept].tolist()
+    grouped, ends = np.empty_like(places), np.zeros(kept.size + 2, dtype=np.intp)
+    _group(places, at, found.numbers, grouped, ends)
+    pieces = [grouped[ends[n - 1] : ends[n]] for n in range(1, kept.size + 1)]
+    return pieces, found.labels_of[kept].tolist()
 
 
-def _by_number(places: NDArray[np.intp], numbers: NDArray[np.int32], count: int) -> list[NDArray[np.intp]]:
-    """Return the places of each number from 1 to `count`, in their order."""
-    if count == 1:
-        return [places]
-    grouped, ends = np.empty_like(places), np.zeros(count + 2, dtype=np.intp)
-    _group(places, numbers, grouped, ends)
-    return [grouped[ends[n - 1] : ends[n]] for n in range(1, count + 1)]
+@compiled
+def _keep(
+    places: NDArray[np.intp],
+    number: NDArray[np.int32],
+    numbers: NDArray[np.int32],
+    homeless: NDArray[np.intp],
+) -> int:
+    """Give places the new number of their piece; list those that it has none for, and return how many."""
+    number_of = numbers.reshape(-1)
+    count = 0
+    for place in places:
+        number_of[place] = number[number_of[place]]
+        if number_of[place] == 0:
+            homeless[count] = place
+            count += 1
+    return count
 
 
 @compiled
 def _group(
-    places: NDArray[np.intp], numbers: NDArray[np.int32], grouped: NDArray[np.intp], ends: NDArray[np.intp]
+    places: NDArray[np.intp],
+    at: NDArray[np.intp],
+    numbers: NDArray[np.int32],
+    grouped: NDArray[np.intp],
+    ends: NDArray[np.intp],
 ) -> None:
-    """Sort places by number, from 1 on; `ends`, 0 at first, says where each number's places end."""
-    for number in numbers:
-        ends[number + 1] += 1
+    """Sort places by the number at each, from 1 on; `ends`, 0 at first, tells where each number ends."""
+    number_of = numbers.reshape(-1)
+    for n in range(places.size):
+        ends[number_of[at[n]] + 1] += 1
     for n in range(1, ends.size):
         ends[n] += ends[n - 1]
     # What is the end of the number before grows to that of its own.
     for n in range(places.size):
-        grouped[ends[numbers[n]]] = places[n]
-        ends[numbers[n]] += 1
+        number = number_of[at[n]]
+        grouped[ends[number]] = places[n]
+        ends[number] += 1
 
 
 __all__ = ["Joints", "Pieces", "connected_pieces", "joints", "large_pieces"]

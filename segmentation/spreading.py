@@ -41,11 +41,31 @@ def spread_labels(
     spread = np.array(labels, dtype=np.int32, order="C")
     places = np.flatnonzero(wanted)
     if places.size:
-        spread.reshape(-1)[places] = _OPEN
-        islands = _spread(spread, np.ascontiguousarray(inverse_depth), places, np.float32(gap_per_m))
-        if islands:
-            _take_nearest(spread, places[:islands])
+        spread_in_place(spread, places, inverse_depth, gap_per_m)
     return spread
+
+
+def spread_in_place(
+    labels: NDArray[np.int32],
+    places: NDArray[np.intp],
+    inverse_depth: NDArray[np.float32],
+    gap_per_m: float,
+) -> None:
+    """Give unlabelled places labels, writing to the image itself.
+
+    Parameters
+    ----------
+    labels : (h, w) int32
+        As for `spread_labels`; contiguous.
+    places : (N,) intp
+        Flat places to label; their order is not kept.
+    inverse_depth, gap_per_m
+        As for `spread_labels`.
+    """
+    labels.reshape(-1)[places] = _OPEN
+    islands = _spread(labels, np.ascontiguousarray(inverse_depth), places, np.float32(gap_per_m))
+    if islands:
+        _take_nearest(labels, places[:islands])
 
 
 @compiled
@@ -138,4 +158,4 @@ def _take_nearest(labels: NDArray[np.int32], islands: NDArray[np.intp]) -> None:
         flat[islands[n]] = nearest[n]
 
 
-__all__ = ["spread_labels"]
+__all__ = ["spread_in_place", "spread_labels"]

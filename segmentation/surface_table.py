@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.bspline import CUBIC
-from nurbseg.segmentation.compiled import compiled
+from nurbseg.segmentation.compiled import compiled, inlined
 from nurbseg.segmentation.surface import NurbsSurface
 
 _ORDER = CUBIC + 1
@@ -148,7 +148,7 @@ def _divide(nets: _Nets) -> None:
                 nets.weights[n] /= nets.depths[first]
 
 
-@compiled
+@inlined
 def _functions(axis: _Axis, label: int, t: float) -> tuple[int, _Four, _Four]:
     """Evaluate the basis functions that are not 0 at t: number of the first, values and derivatives."""
     start, count = axis.starts[label], axis.counts[label]
@@ -177,7 +177,7 @@ def _functions(axis: _Axis, label: int, t: float) -> tuple[int, _Four, _Four]:
     return span - CUBIC, values, derivatives
 
 
-@compiled
+@inlined
 def _span(knots: NDArray[np.float64], start: int, count: int, t: float) -> int:
     """Return the knot span that holds t; the end spans also hold what lies beyond them."""
     span = CUBIC
@@ -188,7 +188,7 @@ def _span(knots: NDArray[np.float64], start: int, count: int, t: float) -> int:
     return span
 
 
-@compiled
+@inlined
 def _uneven(knots: NDArray[np.float64], span: int, t: float) -> tuple[_Four, _Four]:
     """Evaluate the four functions on a span between any knots (The NURBS Book, A2.2 and eq. 2.7)."""
     after_1, after_2, after_3 = knots[span + 1] - t, knots[span + 2] - t, knots[span + 3] - t
@@ -203,7 +203,7 @@ def _uneven(knots: NDArray[np.float64], span: int, t: float) -> tuple[_Four, _Fo
     return values, (-CUBIC * d, CUBIC * (d - e), CUBIC * (e - f), CUBIC * f)
 
 
-@compiled
+@inlined
 def _dot(B: _Four, values: NDArray[np.float64], first: int, step: int) -> float:
     """Add up four values that are a step apart, weighted by a basis."""
     return float(
@@ -247,7 +247,7 @@ def _evaluate(
         per_m[n] = found
 
 
-@compiled
+@inlined
 def _sums(
     net: NDArray[np.float64], first: int, length: int, Bu: _Four, Du: _Four, Bv: _Four, Dv: _Four
 ) -> tuple[float, float, float]:
