@@ -12,9 +12,9 @@ from nurbseg.app.view_config import ViewConfig
 from nurbseg.app.view_frame import Moment, TreeNode, ViewFrame
 from nurbseg.app.worker import FrameResult
 from nurbseg.drivers.frame import Calibration
-from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.identity import event_text
+from nurbseg.segmentation.lookup import looked_up
 
 
 def drawn(
@@ -49,11 +49,12 @@ def drawn(
     frame, tree = result.frame, result.tree
     # Meshes go with the tree's own labels; what is seen bears those that last.
     labels = tree.label_image()
-    surfaces, objects = np.empty_like(labels), np.empty_like(labels)
-    _look_up(labels, result.surface_of_leaf, surfaces)
-    _look_up(labels, result.object_of_leaf, objects)
+    surfaces = looked_up(result.surface_of_leaf, labels)
+    objects = looked_up(result.object_of_leaf, labels) if tree.objects else None
     points_m, point_labels = _some_points(
-        result.cloud.points_m, objects if tree.level == "objects" else surfaces, view.points_max
+        result.cloud.points_m,
+        surfaces if objects is None or tree.level == "surfaces" else objects,
+        view.points_max,
     )
     mesh = surface_mesh(tree, labels, view.mesh_step_px * np.sqrt(labels.size / (640 * 480)))
     registered = frame.calibration.is_registered
@@ -65,7 +66,7 @@ def drawn(
         unregistered_color=None if registered else frame.color,
         depth_mm=frame.depth_mm,
         surfaces=surfaces,
-        objects=objects if tree.objects else None,
+        objects=objects,
         truth=frame.labels,
         points_m=points_m,
         point_labels=point_labels,
@@ -109,14 +110,6 @@ def _some_points(
     coarse = labels[::step, ::step]
     shown = coarse > 0
     return points_m[::step, ::step][shown], coarse[shown]
-
-
-@compiled
-def _look_up(labels: NDArray[np.uint16], table: NDArray[np.uint16], found: NDArray[np.uint16]) -> None:
-    """Put into `found` what the table says of each label."""
-    for row in range(labels.shape[0]):
-        for column in range(labels.shape[1]):
-            found[row, column] = table[labels[row, column]]
 
 
 __all__ = ["drawn"]

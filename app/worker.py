@@ -14,6 +14,7 @@ from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.identity import Event, Identities
 from nurbseg.segmentation.live import Revision
+from nurbseg.segmentation.lookup import looked_up
 from nurbseg.segmentation.registration import PointMap, register
 from nurbseg.segmentation.tree import SegmentationTree, segment
 
@@ -63,13 +64,11 @@ class FrameResult:
 
     def surface_image(self) -> NDArray[np.uint16]:
         """Return the label of every pixel's surface, (H, W) uint16; 0 where there is no depth."""
-        image: NDArray[np.uint16] = self.surface_of_leaf[self.tree.label_image()]
-        return image
+        return looked_up(self.surface_of_leaf, self.tree.label_image())
 
     def object_image(self) -> NDArray[np.uint16]:
         """Return the label of every pixel's object, or surface without objects; (H, W) uint16."""
-        image: NDArray[np.uint16] = self.object_of_leaf[self.tree.label_image()]
-        return image
+        return looked_up(self.object_of_leaf, self.tree.label_image())
 
     def labels(self) -> NDArray[np.uint16]:
         """Return the answer at the tree's level, (H, W) uint16: surfaces or objects; 0 for no depth."""
