@@ -13,7 +13,7 @@ from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.noise import SQUARE_MOST
 from nurbseg.segmentation.pieces import connected_pieces, joints
-from nurbseg.segmentation.spreading import spread_labels
+from nurbseg.segmentation.spreading import spread_in_place, spread_labels
 from nurbseg.segmentation.surface import NurbsSurface
 from nurbseg.segmentation.surface_table import SurfaceTable
 
@@ -86,14 +86,17 @@ def _take_over(
 ) -> None:
     """Give pixels the label of their place of the grid, where no gap is in between; open the others."""
     height, width = valid.shape
+    row_labels, row_per_m = np.empty(width, dtype=np.int32), np.empty(width, dtype=np.float32)
     for row in range(height):
-        r = row // step
-        for c in range(on_grid.shape[1]):
-            label, own = on_grid[r, c], grid_per_m[r, c]
-            for column in range(c * step, min((c + 1) * step, width)):
-                known = valid[row, column] and label > 0 and abs(own - per_m[row, column]) < gap_per_m
-                labels[row, column] = label if known else 0
-                open_pixels[row, column] = valid[row, column] and not known
+        if row % step == 0:
+            for column in range(width):
+                row_labels[column] = on_grid[row // step, column // step]
+                row_per_m[column] = grid_per_m[row // step, column // step]
+        for column in range(width):
+            near = abs(row_per_m[column] - per_m[row, column]) < gap_per_m
+            label = row_labels[column] if near & valid[row, column] else np.int32(0)
+            labels[row, column] = label
+            open_pixels[row, column] = valid[row, column] & (label == 0)
 
 
 def refine_borders(
@@ -133,7 +136,10 @@ def refine_borders(
     present = _present(labels, len(surfaces))
     if len(surfaces) < 2 or not present.any():
         return labels
-    refined = _without_severed_pieces(_cheapest(labels, per_m, surfaces, config), per_m, config)
+    refined = _cheapest(labels, per_m, surfaces, config)
+    severed = _severed(refined, per_m, config)
+    if severed.size:
+        spread_in_place(refined, severed, per_m, config.depth_gap_per_m)
     lost = present & ~_present(refined, len(surfaces))
     if lost.any():
         kept = lost[labels]
@@ -161,7 +167,7 @@ def _cheapest(
     per_deviation = np.float32(1.0 / config.noise_per_m)
 
     reached = np.empty(flat.size, dtype=np.bool_)
-    pixels = np.flatnonzero(np.pad(_near_borders(labels), _REACH))
+    pixels = np.flatnonzero(_near_borders(padded))
     for sweep in range(_SWEEPS):
         if pixels.size == 0:
             break
@@ -331,18 +337,15 @@ def _mark(labels: NDArray[np.int32], present: NDArray[np.bool_]) -> None:
         present[label] = True
 
 
-def _without_severed_pieces(
+def _severed(
     labels: NDArray[np.int32], per_m: NDArray[np.float32], config: SegmentationConfig
-) -> NDArray[np.int32]:
-    """Give small pieces to their neighbours where they are not the largest piece of their label."""
+) -> NDArray[np.intp]:
+    """Find the flat pixels of small pieces that are not the largest of their label."""
     found = connected_pieces(labels, joints(per_m, labels > 0, config.depth_gap_per_m))
     unit = labels.size / (640.0 * 480.0)
-    kept = found.large(config.piece_pixels_min * unit, int(labels.max()))
-    if kept[1:].all():
-        return labels
-    severed = (labels > 0) & ~kept[found.numbers]
-    cleaned = np.where(severed, 0, labels)
-    return spread_labels(cleaned, severed, per_m, config.depth_gap_per_m)
+    small = ~found.large(config.piece_pixels_min * unit, int(labels.max()))
+    small[0] = False
+    return np.flatnonzero(small.take(found.numbers)) if small.any() else np.zeros(0, dtype=np.intp)
 
 
 __all__ = ["labels_of_every_pixel", "refine_borders"]
