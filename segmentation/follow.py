@@ -54,11 +54,10 @@ def moved_surfaces(
     # First their mean, then a linear change of those that agree with it.
     count = len(surfaces) + 1
     change = lattice.image(labels)
-    n, total, squares = np.zeros((3, count))
-    _tell_changes(labels, per_m, change, n, total, squares)
-    some = np.maximum(n, 1.0)
-    mean = total / some
-    spread = np.sqrt(np.maximum(squares / some - np.square(mean), 0.0))
+    sums = np.zeros((count, 3))
+    _tell_changes(labels, inner_places(labels), per_m, change, sums)
+    mean, square = np.ascontiguousarray(sums[:, 1:].T) / np.maximum(sums[:, 0], 1.0)
+    spread = np.sqrt(np.maximum(square - np.square(mean), 0.0))
     limit = np.maximum(6.0 * noise_per_m, 2.0 * spread)
     sums = np.zeros((count, 9))
     _sum_moments(labels, change, mean, limit, sums)
@@ -77,12 +76,10 @@ def moved_surfaces(
 
 
 def _moved(surface: NurbsSurface, change: NDArray[np.float64], step: int) -> NurbsSurface:
-    weights = np.empty_like(surface.weights)
-    # Coordinate by coordinate, as surfaces of inverse depth are made.
-    points = np.empty((3, *weights.shape))
+    weights, points = np.empty_like(surface.weights), np.empty_like(surface.control_points_m)
     _move_net(
         surface.weights,
-        np.ascontiguousarray(surface.control_points_m.transpose(2, 0, 1)),
+        surface.control_points_m,
         surface.knots_u,
         surface.knots_v,
         change[0],
@@ -91,7 +88,7 @@ def _moved(surface: NurbsSurface, change: NDArray[np.float64], step: int) -> Nur
         weights,
         points,
     )
-    return replace(surface, control_points_m=points.transpose(1, 2, 0), weights=weights)
+    return replace(surface, control_points_m=points, weights=weights)
 
 
 def kept_labels(
@@ -146,42 +143,55 @@ def grown_labels(
     return grown
 
 
+def inner_places(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Find places with a label whose eight neighbours have the same, (h, w) bool."""
+    inner = np.empty(labels.shape, dtype=np.bool_)
+    _find_inner(labels, inner)
+    return inner
+
+
 @compiled
-def _tell_changes(
-    labels: NDArray[np.int32],
-    per_m: NDArray[np.float32],
-    change: NDArray[np.float32],
-    n: NDArray[np.float64],
-    total: NDArray[np.float64],
-    squares: NDArray[np.float64],
-) -> None:
-    """Turn the surfaces' inverse depths into changes, NaN where a place does not tell; sum by label."""
+def _find_inner(labels: NDArray[np.int32], inner: NDArray[np.bool_]) -> None:
+    """Mark places in columns of three equal labels, between two such columns of the same label."""
     height, width = labels.shape
-    most = np.float32(_MOTION_MOST_PER_M)
+    column = np.empty(width, dtype=np.bool_)
     for r in range(height):
         above, below = max(r - 1, 0), min(r + 1, height - 1)
         for c in range(width):
-            left, right = max(c - 1, 0), min(c + 1, width - 1)
+            column[c] = (labels[above, c] == labels[r, c]) & (labels[below, c] == labels[r, c])
+            inner[r, c] = column[c] & (labels[r, c] > 0)
+        for c in range(1, width):
+            inner[r, c] &= column[c - 1] & (labels[r, c - 1] == labels[r, c])
+        for c in range(width - 1):
+            inner[r, c] &= column[c + 1] & (labels[r, c + 1] == labels[r, c])
+
+
+@compiled
+def _tell_changes(
+    labels: NDArray[np.int32],
+    inner: NDArray[np.bool_],
+    per_m: NDArray[np.float32],
+    change: NDArray[np.float32],
+    sums: NDArray[np.float64],
+) -> None:
+    """Turn surfaces' inverse depths into changes, NaN where a place does not tell; sum 1, c, cc by label."""
+    height, width = labels.shape
+    most = np.float32(_MOTION_MOST_PER_M)
+    for r in range(height):
+        c = 0
+        while c < width:
+            # Places in a row with the same label are summed together.
             label = labels[r, c]
-            moved = per_m[r, c] - change[r, c]
-            if (
-                label > 0
-                and abs(moved) < most
-                and labels[r, left] == label
-                and labels[r, right] == label
-                and labels[above, left] == label
-                and labels[above, c] == label
-                and labels[above, right] == label
-                and labels[below, left] == label
-                and labels[below, c] == label
-                and labels[below, right] == label
-            ):
-                change[r, c] = moved
-                n[label] += 1.0
-                total[label] += moved
-                squares[label] += np.float64(moved) * moved
-            else:
-                change[r, c] = np.nan
+            n, total, squares = 0, 0.0, 0.0
+            while c < width and labels[r, c] == label:
+                moved = per_m[r, c] - change[r, c]
+                tells = inner[r, c] & (abs(moved) < most)
+                change[r, c] = moved if tells else np.float32(np.nan)
+                moved = moved if tells else np.float32(0.0)
+                n, total, squares = n + tells, total + moved, squares + np.float64(moved) * moved
+                c += 1
+            own = sums[label]
+            own[0], own[1], own[2] = own[0] + n, own[1] + total, own[2] + squares
 
 
 @compiled
@@ -195,20 +205,18 @@ def _sum_moments(
     """Sum by label over changes that agree with their mean: 1, x, y, c, xx, yy, xy, xc, yc."""
     height, width = labels.shape
     for r in range(height):
-        for c in range(width):
+        c = 0
+        while c < width:
             label = labels[r, c]
-            beyond = change[r, c] - mean[label]
-            if abs(beyond) < limit[label]:
-                own = sums[label]
-                own[0] += 1.0
-                own[1] += c
-                own[2] += r
-                own[3] += beyond
-                own[4] += c * c
-                own[5] += r * r
-                own[6] += r * c
-                own[7] += c * beyond
-                own[8] += r * beyond
+            n = x = xx = d = xd = 0.0
+            while c < width and labels[r, c] == label:
+                beyond = change[r, c] - mean[label]
+                if abs(beyond) < limit[label]:
+                    n, x, xx, d, xd = n + 1.0, x + c, xx + c * c, d + beyond, xd + c * beyond
+                c += 1
+            own = sums[label]
+            for k, each in enumerate((n, x, r * n, d, xx, r * r * n, r * x, xd, r * d)):
+                own[k] += each
 
 
 @compiled
@@ -231,7 +239,7 @@ def _move_net(
             change = constant + along_u * knots_u[j + 2] + along_v * knots_v[i + 2]
             moved[i, j] = max(weights[i, j] + change, _LEAST_PER_M)
             for axis in range(3):
-                moved_points[axis, i, j] = points[axis, i, j] * weights[i, j] / moved[i, j]
+                moved_points[i, j, axis] = points[i, j, axis] * weights[i, j] / moved[i, j]
 
 
 @compiled
@@ -304,4 +312,4 @@ def _grow(
         waiting = left_over
 
 
-__all__ = ["grown_labels", "kept_labels", "moved_surfaces"]
+__all__ = ["grown_labels", "inner_places", "kept_labels", "moved_surfaces"]

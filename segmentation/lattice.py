@@ -49,7 +49,7 @@ class SurfaceLattice:
             dtype=np.float64,
         ).reshape(-1, 2, 2)
         knots /= step
-        first, spacing = knots[..., 0], knots[..., 1] - knots[..., 0]
+        first, spacing = knots[..., 0].copy(), knots[..., 1] - knots[..., 0]
         start = np.ceil(first + CUBIC * spacing - _ROUNDING)
         stop = np.floor(first + shapes * spacing + _ROUNDING) + 1
         sizes = np.prod(stop - start, axis=1)

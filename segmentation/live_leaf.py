@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.config import Metric, SegmentationConfig
+from nurbseg.segmentation.follow import inner_places
 from nurbseg.segmentation.inverse_depth import DepthGrid
 from nurbseg.segmentation.lattice import SurfaceLattice
 from nurbseg.segmentation.noise import SQUARE_MOST
@@ -109,7 +110,7 @@ def misfit(
         Number of labels.
     """
     size = leaves + 1
-    deviations, inner = lattice.image(labels), np.empty(labels.shape, dtype=np.bool_)
+    deviations, inner = lattice.image(labels), inner_places(labels)
     # Of the rim and of the inner places: how many, not reached, sum of squares, and how many are far.
     sums = np.zeros((size, 2, 4))
     _sum_misfits(labels, grid.per_m, 1.0 / noise_per_m, SQUARE_MOST**0.5, deviations, inner, sums)
@@ -134,25 +135,12 @@ def _sum_misfits(
     """Turn the surfaces' inverse depths into residuals in units of the noise; sum them by label."""
     height, width = labels.shape
     for r in range(height):
-        above, below = max(r - 1, 0), min(r + 1, height - 1)
         for c in range(width):
-            left, right = max(c - 1, 0), min(c + 1, width - 1)
             label = labels[r, c]
-            is_inner = inner[r, c] = (
-                label > 0
-                and labels[r, left] == label
-                and labels[r, right] == label
-                and labels[above, left] == label
-                and labels[above, c] == label
-                and labels[above, right] == label
-                and labels[below, left] == label
-                and labels[below, c] == label
-                and labels[below, right] == label
-            )
             if label == 0:
                 deviations[r, c] = 0.0
                 continue
-            own = sums[label, int(is_inner)]
+            own = sums[label, np.int64(inner[r, c])]
             own[0] += 1.0
             own[1] += not np.isfinite(deviations[r, c])
             deviation = min(per_deviation * abs(deviations[r, c] - per_m[r, c]), most)

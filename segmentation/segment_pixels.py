@@ -33,23 +33,24 @@ def by_label(labels: NDArray[np.integer], count: int) -> tuple[NDArray[np.intp],
 
 @compiled
 def _sort_by_label(labels: NDArray[np.integer], order: NDArray[np.intp], bounds: NDArray[np.int64]) -> None:
-    """Count labels, and put each place where those of its label are; neighbours mostly have the same."""
-    begin = 0
-    for place in range(1, labels.size + 1):
-        if place == labels.size or labels[place] != labels[begin]:
-            bounds[labels[begin] + 1] += place - begin
-            begin = place
+    """Count labels, and put each place where those of its label are, run by run of equal labels."""
+    starts, runs = np.empty(labels.size + 1, dtype=np.int64), 0
+    for place in range(labels.size):
+        if place == 0 or labels[place] != labels[place - 1]:
+            starts[runs] = place
+            runs += 1
+    starts[runs] = labels.size
+    for run in range(runs):
+        bounds[labels[starts[run]] + 1] += starts[run + 1] - starts[run]
     for label in range(1, bounds.size):
         bounds[label] += bounds[label - 1]
     following = bounds.copy()
-    begin = 0
-    for place in range(1, labels.size + 1):
-        if place == labels.size or labels[place] != labels[begin]:
-            at = following[labels[begin]]
-            for n in range(place - begin):
-                order[at + n] = begin + n
-            following[labels[begin]] = at + place - begin
-            begin = place
+    for run in range(runs):
+        place, size = starts[run], starts[run + 1] - starts[run]
+        at = following[labels[place]]
+        for n in range(size):
+            order[at + n] = place + n
+        following[labels[place]] += size
 
 
 def finished_segments(
