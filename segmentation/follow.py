@@ -176,7 +176,6 @@ def _tell_changes(
 ) -> None:
     """Turn surfaces' inverse depths into changes, NaN where a place does not tell; sum 1, c, cc by label."""
     height, width = labels.shape
-    most = np.float32(_MOTION_MOST_PER_M)
     for r in range(height):
         c = 0
         while c < width:
@@ -184,11 +183,12 @@ def _tell_changes(
             label = labels[r, c]
             n, total, squares = 0, 0.0, 0.0
             while c < width and labels[r, c] == label:
-                moved = per_m[r, c] - change[r, c]
-                tells = inner[r, c] & (abs(moved) < most)
-                change[r, c] = moved if tells else np.float32(np.nan)
-                moved = moved if tells else np.float32(0.0)
-                n, total, squares = n + tells, total + moved, squares + np.float64(moved) * moved
+                moved = np.float64(per_m[r, c] - change[r, c])
+                if inner[r, c] and abs(moved) < _MOTION_MOST_PER_M:
+                    n, total, squares = n + 1, total + moved, squares + moved * moved
+                    change[r, c] = moved
+                else:
+                    change[r, c] = np.nan
                 c += 1
             own = sums[label]
             own[0], own[1], own[2] = own[0] + n, own[1] + total, own[2] + squares

@@ -18,7 +18,7 @@ from nurbseg.segmentation.live_objects import ObjectMemory
 from nurbseg.segmentation.live_revision import Budget, Reviser
 from nurbseg.segmentation.motion import brightness, carried, flow_back, resized
 from nurbseg.segmentation.pieces import Joints, connected_pieces, joints
-from nurbseg.segmentation.rays import rays_of
+from nurbseg.segmentation.rays import Rays, rays_of
 from nurbseg.segmentation.registration import PointMap
 from nurbseg.segmentation.segment_pixels import finished_segments
 from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first
@@ -104,6 +104,7 @@ class LiveTree:
         self._objects = ObjectMemory()
         self._reviser = Reviser()
         self._overdue = 0
+        self._rays: Rays | None = None
         self._lattice = SurfaceLattice([], config.decimation)
         self.labels_before = self._labels
 
@@ -168,6 +169,7 @@ class LiveTree:
         self._lattice = SurfaceLattice([leaf.surface for leaf in self._leaves], self._config.decimation)
         self._gray = brightness(cloud.color, self._config.decimation)
         self._objects = ObjectMemory()
+        self._rays = None
         self._overdue = 0
         self.revision = Revision()
 
@@ -177,7 +179,7 @@ class LiveTree:
         config = self._configs.setdefault(step, replace(self._config, decimation=step))
         per_m = inverse_depth_image(cloud)
         on_every = np.ascontiguousarray(per_m[::step, ::step])
-        grid = DepthGrid(decimated_grid(cloud, step), on_every, rays_of(cloud))
+        grid = DepthGrid(decimated_grid(cloud, step), on_every, self._rays_of(cloud))
         gray = brightness(cloud.color, step)
         before = carried(self._labels, flow_back(gray, resized(self._gray, gray.shape)))
         on_grid = np.where(grid.valid, before[::step, ::step], 0).astype(np.int32)
@@ -242,6 +244,15 @@ class LiveTree:
             "", unexplained, done.refits, done.trials, done.splits, done.folds, done.waiting, step
         )
         return self._finished(cloud, grid, labels, before, config)
+
+    def _rays_of(self, cloud: PointMap) -> Rays:
+        """Return the camera's rays; they stay what a frame of which most was seen has told."""
+        if self._rays is None:
+            rays = rays_of(cloud)
+            if np.count_nonzero(cloud.valid) < 0.5 * cloud.valid.size:
+                return rays
+            self._rays = rays
+        return self._rays
 
     def _limits_per_m(self) -> NDArray[np.float32]:
         """Return from which residual on a place is not a leaf's own, by label."""
