@@ -28,22 +28,19 @@ class ViewProcess:
         What goes to and fro: tuples, a word first.
     memory : int
         Descriptor of the memory that frames go through.
-    pid : int
-        Its number.
     """
 
     def __init__(self) -> None:
         self.memory = os.memfd_create("nurbseg-view")
         self.words, theirs = Pipe()
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "nurbseg.app.view_program", str(theirs.fileno()), str(self.memory)],
+            [sys.executable, "-P", "-m", "nurbseg.app.view_program", str(theirs.fileno()), str(self.memory)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             pass_fds=[theirs.fileno(), self.memory],
             # Ctrl-C is for this process, which ends the other in its own time.
             start_new_session=True,
         )
-        self.pid = self._process.pid
         theirs.close()
 
     def end(self) -> str:
