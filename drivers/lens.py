@@ -31,6 +31,11 @@ class Lens:
         self._fold = _fold_radius(k)
         self._tilt: Any = _tilt(k[12], k[13]).tolist() if k[12:].any() else None
 
+    @property
+    def model(self) -> tuple[NDArray[np.float64], float, NDArray[np.float64]]:
+        """The 14 coefficients, the radius at which the model folds over, and the tilt's (3, 3) homography."""
+        return np.array(self._k), self._fold, np.eye(3) if self._tilt is None else np.array(self._tilt)
+
     def bend(self, x: Image, y: Image) -> tuple[Image, Image]:
         """Return where straight image coordinates, x / z and y / z, fall behind the lens.
 

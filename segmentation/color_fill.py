@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.segmentation.compiled import compiled
+
 #: Pixels that a source on another, farther surface counts as being more distant.
 _OTHER_SURFACE_PX = 10_000
 #: Passes in which what was filled serves as a source for what is still empty.
@@ -40,64 +42,102 @@ def fill_colors(
     tolerance_per_m : float
         Difference of inverse depth, 1/m, up to which two points count as being of one depth.
     """
-    wanted = np.flatnonzero(missing)
-    if not wanted.size or not known.any():
+    if not missing.any() or not known.any():
         return
-    flat_color, depth = color.reshape(-1, 3), depth_m.ravel()
     # Beside what hides them, colors are mixed with its own: such pixels lend only where nothing else can.
     beside = cv2.dilate(missing.view(np.uint8), np.ones((5, 5), np.uint8)).view(np.bool_)
-    sources = (known & ~beside).ravel()
+    sources = known & ~beside
+    wanted = np.flatnonzero(missing)
     everything = False
     for _ in range(_PASSES):
-        source = _nearest_in_line(wanted, sources, known.shape, depth, tolerance_per_m)
-        found = source >= 0
-        if not found.any():
+        left = _lend_in_lines(color, sources, wanted, depth_m, tolerance_per_m)
+        if left.size == wanted.size:
             if everything:
                 break
-            sources |= known.ravel()
+            sources |= known
             everything = True
-            continue
-        flat_color[wanted[found]] = flat_color[source[found]]
-        sources[wanted[found]] = True
-        wanted = wanted[~found]
+        wanted = left
         if not wanted.size:
             return
     # Neither row nor column holds anything: what is nearest in depth from there on, or the farthest at all.
-    some = np.flatnonzero(known)
+    flat_color, depth, some = color.reshape(-1, 3), depth_m.ravel(), np.flatnonzero(known)
     some = some[:: max(some.size // _LAST_RESORT, 1)]
     some = some[np.argsort(depth[some])]
     behind = np.searchsorted(depth[some], depth[wanted])
     flat_color[wanted] = flat_color[some[np.minimum(behind, some.size - 1)]]
 
 
-def _nearest_in_line(
-    wanted: NDArray[np.intp],
+@compiled
+def _lend_in_lines(
+    color: NDArray[np.uint8],
     sources: NDArray[np.bool_],
-    shape: tuple[int, ...],
-    depth: NDArray[np.float32],
+    wanted: NDArray[np.intp],
+    depth_m: NDArray[np.float32],
     tolerance_per_m: float,
 ) -> NDArray[np.intp]:
-    """Return the flat index of the best source left, right, above or below each wanted pixel, or -1."""
-    height, width = shape
-    best = np.full(wanted.size, -1, dtype=np.intp)
-    cost = np.full(wanted.size, np.inf)
-    # Columns are searched as the rows of the transposed image, in whose order pixels are numbered then.
-    numbered = sources.reshape(shape)
-    for transposed in (False, True):
-        length = height if transposed else width
-        line = np.flatnonzero(numbered.T if transposed else numbered)
-        if not line.size:
+    """Color wanted pixels, ascending, from the best source left, right, above or below.
+
+    They become sources too. Returns those for which there is none.
+    """
+    height, width = sources.shape
+    # The nearest source in each direction, a flat index or -1, found by sweeping down and up.
+    nearest = np.full((4, wanted.size), -1, dtype=np.intp)
+    column_source = np.full(width, -1, dtype=np.intp)
+    n = 0
+    for row in range(height):
+        row_source = -1
+        begin = row * width
+        if n == wanted.size:
+            break
+        if wanted[n] >= begin + width:
+            for column in range(width):
+                column_source[column] = begin + column if sources[row, column] else column_source[column]
             continue
-        place = (wanted % width) * height + wanted // width if transposed else wanted
-        after = np.searchsorted(line, place)
-        for position in (after - 1, after):
-            candidate = line[np.clip(position, 0, line.size - 1)]
-            same_line = candidate // length == place // length
-            distance = np.abs(candidate - place)
-            flat = (candidate % height) * width + candidate // height if transposed else candidate
-            nearer = 1 / depth[flat] - 1 / depth[wanted]
-            price = distance + np.where(nearer < -tolerance_per_m, _OTHER_SURFACE_PX, 0.0)
-            price[~same_line | (nearer > tolerance_per_m)] = np.inf
-            better = price < cost
-            best[better], cost[better] = flat[better], price[better]
-    return best
+        for column in range(width):
+            if sources[row, column]:
+                row_source = column_source[column] = begin + column
+            if n < wanted.size and wanted[n] == begin + column:
+                nearest[0, n], nearest[2, n] = row_source, column_source[column]
+                n += 1
+    column_source[:] = -1
+    n = wanted.size - 1
+    for row in range(height - 1, -1, -1):
+        row_source = -1
+        begin = row * width
+        if n < 0:
+            break
+        if wanted[n] < begin:
+            for column in range(width):
+                column_source[column] = begin + column if sources[row, column] else column_source[column]
+            continue
+        for column in range(width - 1, -1, -1):
+            if sources[row, column]:
+                row_source = column_source[column] = begin + column
+            if n >= 0 and wanted[n] == begin + column:
+                nearest[1, n], nearest[3, n] = row_source, column_source[column]
+                n -= 1
+    flat_color, source = color.reshape(-1, 3), sources.reshape(-1)
+    left = np.empty(wanted.size, dtype=np.intp)
+    count = 0
+    for n in range(wanted.size):
+        place = wanted[n]
+        best, cost, near = -1, np.inf, 1.0 / depth_m[place // width, place % width]
+        for direction in range(4):
+            candidate = nearest[direction, n]
+            if candidate < 0:
+                continue
+            nearer = 1.0 / depth_m[candidate // width, candidate % width] - near
+            if nearer > tolerance_per_m:
+                continue
+            price = abs(candidate - place) / (1.0 if direction < 2 else width)
+            price += _OTHER_SURFACE_PX if nearer < -tolerance_per_m else 0.0
+            if price < cost:
+                best, cost = candidate, price
+        if best < 0:
+            left[count] = place
+            count += 1
+        else:
+            for channel in range(3):
+                flat_color[place, channel] = flat_color[best, channel]
+            source[place] = True
+    return left[:count].copy()

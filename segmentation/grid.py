@@ -92,16 +92,19 @@ class PixelGrid:
 @compiled
 def _window_mask(places: NDArray[np.intp], width: int) -> tuple[int, int, int, int, NDArray[np.bool_]]:
     """Tight window of at least one flat place, one past the last, and which of its places they are."""
-    top = bottom = places[0] // width
-    left = right = places[0] % width
+    # Successive places are mostly of one row: so few need a division.
+    row = top = bottom = places[0] // width
+    left = right = places[0] - row * width
     for place in places:
-        row = place // width
+        if not row * width <= place < (row + 1) * width:
+            row = place // width
+            top, bottom = min(top, row), max(bottom, row)
         column = place - row * width
-        top, bottom = min(top, row), max(bottom, row)
         left, right = min(left, column), max(right, column)
     mask = np.zeros((bottom + 1 - top, right + 1 - left), dtype=np.bool_)
     for place in places:
-        row = place // width
+        if not row * width <= place < (row + 1) * width:
+            row = place // width
         mask[row - top, place - row * width - left] = True
     return top, left, bottom + 1, right + 1, mask
 

@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.segmentation.color_fill import fill_colors
+from nurbseg.segmentation.compiled import compiled
 
-#: Rows handled at once, so that the intermediate images stay in the processor's cache.
-_BLOCK_ROWS = 32
 #: A point is hidden where another one lands on it in the color image and their parallax differs by more
 #: pixels than this. A surface that both cameras see cannot fold by a whole pixel.
 _HIDING_PARALLAX_PX = 1.0
 #: Points nearer to the color camera than this are no points that a sensor could measure.
-_NEAREST_M = 0.01
-_METRES = np.arange(1 << 16, dtype=np.float32) * np.float32(1e-3)
-_METRES[0] = np.nan
+_NEAREST_M = np.float32(0.01)
+_METRES_PER_MM = np.float32(1e-3)
+#: Coordinates x / z that are outside any image; limited to these, no step of the projection overflows.
+_FAR_ASIDE = np.float32(10.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,100 +135,183 @@ class _Registration:
         self._registered = calibration.is_registered
         rays = calibration.depth.rays()
         self._ray_x, self._ray_y = np.ascontiguousarray(rays[..., 0]), np.ascontiguousarray(rays[..., 1])
-        self._bent = bool(np.isnan(rays).any())
         if self._registered:
             return
-        self._color, self._lens = calibration.color, calibration.color.lens()
-        rotation = calibration.color_from_depth[:3, :3].astype(np.float32)
-        self._translation = calibration.color_from_depth[:3, 3].astype(np.float32)
-        # A point z (x, y, 1) of the depth camera is at z * turned + translation for the color camera.
-        self._turned = tuple(
-            rotation[i, 0] * self._ray_x + rotation[i, 1] * self._ray_y + rotation[i, 2] for i in range(3)
-        )
+        color = calibration.color
+        coefficients, fold, tilt = color.lens().model
+        self._lens = coefficients.astype(np.float32), np.float32(fold**2), tilt.astype(np.float32)
+        self._camera = np.array([color.fx, color.fy, color.cx, color.cy], dtype=np.float32)
+        self._size = color.height, color.width
+        self._color_from_depth = calibration.color_from_depth[:3].astype(np.float32)
         # The z-buffer's cells are as large as a depth pixel: smaller ones would leave gaps to see through.
         depth_focal = min(calibration.depth.fx, abs(calibration.depth.fy))
         color_focal = min(calibration.color.fx, abs(calibration.color.fy))
         self._cells_per_px = min(1.0, depth_focal / color_focal)
         height, width = calibration.color.height, calibration.color.width
         self._cells = (int(height * self._cells_per_px) + 1, int(width * self._cells_per_px) + 1)
-        parallax_px_m = self._cells_per_px * color_focal * float(np.linalg.norm(self._translation))
+        baseline_m = float(np.linalg.norm(calibration.color_from_depth[:3, 3]))
+        parallax_px_m = self._cells_per_px * color_focal * baseline_m
         self._hiding_per_m = _HIDING_PARALLAX_PX / parallax_px_m if parallax_px_m > 0 else np.inf
 
     def register(self, frame: RGBDFrame) -> PointMap:
-        z = np.take(_METRES, frame.depth_mm)
-        x, y = self._ray_x * z, self._ray_y * z
-        if self._bent:
-            z[np.isnan(x)] = np.nan
-        points = np.asarray(cv2.merge([x, y, z]), dtype=np.float32)
-        valid = np.isfinite(z)
+        points = _back_projected(np.ascontiguousarray(frame.depth_mm), self._ray_x, self._ray_y)
         if self._registered:
-            return PointMap(points, frame.color, valid)
-        u, v, nearness, cell = self._project(z)
-        colored = self._seen(nearness, cell)
-        sampled = cv2.remap(frame.color, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        color = np.asarray(cv2.copyTo(sampled, valid.view(np.uint8)), dtype=np.uint8)
-        fill_colors(color, colored, valid & ~colored, z, min(self._hiding_per_m, 0.05))
+            return PointMap(points, frame.color, np.isfinite(points[..., 2]))
+        u, v, nearness, cell, buffer = _projected(
+            *(points, self._color_from_depth, *self._lens, self._camera),
+            *(*self._size, np.float32(self._cells_per_px), *self._cells),
+        )
+        if np.isfinite(self._hiding_per_m):
+            # Closing shuts the gaps of a surface that the color camera sees stretched. A color is sampled
+            # between pixels: so what stands beside a point's own cell, before it, would be mixed in.
+            image, around = buffer[1:].reshape(self._cells), np.ones((3, 3), np.uint8)
+            closed = cv2.morphologyEx(image, cv2.MORPH_CLOSE, around)
+            cv2.dilate(closed, around, dst=image)
+        color = np.asarray(cv2.remap(frame.color, u, v, cv2.INTER_LINEAR), dtype=np.uint8)
+        colored, missing = _seen(points, nearness, cell, buffer, np.float32(self._hiding_per_m), color)
+        fill_colors(color, colored, missing, points[..., 2], min(self._hiding_per_m, 0.05))
         return PointMap(points, color, colored)
 
-    def _project(
-        self, z: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.intp]]:
-        """Project every point into the color image.
 
-        Returns
-        -------
-        u, v : (H, W) float32
-            Place in the color image, pixels; anywhere outside it where there is no point.
-        nearness : (H, W) float32
-            Inverse depth in the color camera's frame, 1/m; 0 where the point is not inside the image.
-        cell : (H, W) intp
-            Cell of the z-buffer, from 1; 0 where the point is not inside the image.
-        """
-        u, v, nearness = (np.empty_like(z) for _ in range(3))
-        cell = np.empty(z.shape, dtype=np.intp)
-        color, (tx, ty, tz), scale = self._color, self._translation, np.float32(self._cells_per_px)
-        for start in range(0, len(z), _BLOCK_ROWS):
-            rows = slice(start, start + _BLOCK_ROWS)
-            depth = z[rows] * self._turned[2][rows]
-            depth += tz
-            before = depth > _NEAREST_M
-            depth[~before] = 1
-            inverse = np.reciprocal(depth, out=depth)
-            x, y = z[rows] * self._turned[0][rows], z[rows] * self._turned[1][rows]
-            for place, offset in ((x, tx), (y, ty)):
-                place += offset
-                place *= inverse
-            # What is far aside is outside in any case; so no later step can overflow.
-            x, y = self._lens.bend(np.clip(x, -10, 10, out=x), np.clip(y, -10, 10, out=y))
-            np.add(x * color.fx, color.cx, out=u[rows])
-            np.add(y * color.fy, color.cy, out=v[rows])
+@compiled
+def _back_projected(
+    depth_mm: NDArray[np.uint16], ray_x: NDArray[np.float32], ray_y: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Points on their rays, (H, W, 3); NaN where there is no depth or no ray."""
+    height, width = depth_mm.shape
+    points_m = np.empty((height, width, 3), dtype=np.float32)
+    for row in range(height):
+        for column in range(width):
+            x, y = ray_x[row, column], ray_y[row, column]
+            known = depth_mm[row, column] != 0 and not np.isnan(x)
+            z = np.float32(depth_mm[row, column]) * _METRES_PER_MM if known else np.float32(np.nan)
+            points_m[row, column, 0] = x * z
+            points_m[row, column, 1] = y * z
+            points_m[row, column, 2] = z
+    return points_m
+
+
+@compiled
+def _projected(
+    points_m: NDArray[np.float32],
+    color_from_depth: NDArray[np.float32],
+    lens: NDArray[np.float32],
+    fold_square: np.float32,
+    tilt: NDArray[np.float32],
+    camera: NDArray[np.float32],
+    color_height: int,
+    color_width: int,
+    cells_per_px: np.float32,
+    cells_high: int,
+    cells_wide: int,
+) -> tuple[
+    NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.int32], NDArray[np.float32]
+]:
+    """Project every point into the color image.
+
+    Returns its place there, limited to the image, pixels; its inverse depth in the color camera's frame, 1/m,
+    and its cell of the z-buffer, from 1, both 0 where the point is not inside the image; and the z-buffer.
+    """
+    height, width, _ = points_m.shape
+    shape = (height, width)
+    u, v = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
+    nearness, cell = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.int32)
+    buffer = np.zeros(1 + cells_high * cells_wide, dtype=np.float32)
+    fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
+    zero, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+    right, bottom = np.float32(color_width - 1), np.float32(color_height - 1)
+    is_bent = np.any(lens != 0.0)
+    to = color_from_depth
+    # On one row: coordinates in the color camera's frame, and then in its image; and inverse depth.
+    along_x, along_y = np.empty(width, dtype=np.float32), np.empty(width, dtype=np.float32)
+    inverse = np.empty(width, dtype=np.float32)
+    for row in range(height):
+        points = points_m[row]
+        for n in range(width):
+            x, y, z = points[n, 0], points[n, 1], points[n, 2]
+            depth = to[2, 0] * x + to[2, 1] * y + to[2, 2] * z + to[2, 3]
+            # Not so either where there is no point.
+            near = one / depth if depth > _NEAREST_M else np.float32(0.0)
+            at_x = (to[0, 0] * x + to[0, 1] * y + to[0, 2] * z + to[0, 3]) * near
+            at_y = (to[1, 0] * x + to[1, 1] * y + to[1, 2] * z + to[1, 3]) * near
+            inverse[n] = near
+            along_x[n] = _limited(at_x, -_FAR_ASIDE, _FAR_ASIDE)
+            along_y[n] = _limited(at_y, -_FAR_ASIDE, _FAR_ASIDE)
+        if is_bent:
+            _bend_row(along_x, along_y, lens, fold_square, tilt)
+        for n in range(width):
+            at_u, at_v = along_x[n] * fx + cx, along_y[n] * fy + cy
             # Pixel centres are at integers, so that the image begins half a pixel before its first one.
-            column, row = u[rows] + np.float32(0.5), v[rows] + np.float32(0.5)
-            inside = (column >= 0) & (column < color.width) & (row >= 0) & (row < color.height) & before
-            np.multiply(inverse, inside, out=nearness[rows])
-            if scale != 1:
-                column *= scale
-                row *= scale
-            # NaN, where there is no point, must not be cast.
-            outside = ~inside
-            column[outside], row[outside] = 0, 0
-            number = row.astype(np.int32)
-            number *= self._cells[1]
-            number += column.astype(np.int32)
-            number += 1
-            np.multiply(number, inside, out=cell[rows])
-        return u, v, nearness, cell
+            inside = (at_u >= -half) & (at_u < right + half) & (at_v >= -half) & (at_v < bottom + half)
+            u[row, n], v[row, n] = _limited(at_u, zero, right), _limited(at_v, zero, bottom)
+            nearness[row, n] = inverse[n] if inside else zero
+        for n in range(width):
+            along_x[n], along_y[n] = along_x[n] * fx + cx + half, along_y[n] * fy + cy + half
+        for n in range(width):
+            if nearness[row, n] > 0:
+                number = 1 + np.int32(along_y[n] * cells_per_px) * cells_wide
+                number += np.int32(along_x[n] * cells_per_px)
+                buffer[number] = max(buffer[number], nearness[row, n])
+                cell[row, n] = number
+            else:
+                cell[row, n] = 0
+    return u, v, nearness, cell, buffer
 
-    def _seen(self, nearness: NDArray[np.float32], cell: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Return where a point is inside the color image and no other point stands before it."""
-        inside = cell > 0
-        if not np.isfinite(self._hiding_per_m):
-            return inside
-        buffer = np.zeros(1 + self._cells[0] * self._cells[1], dtype=np.float32)
-        np.maximum.at(buffer, cell.ravel(), nearness.ravel())
-        # Closing shuts the gaps of a surface that the color camera sees stretched. A color is sampled
-        # between pixels: so what stands beside a point's own cell, before it, would be mixed in.
-        image, around = buffer[1:].reshape(self._cells), np.ones((3, 3), np.uint8)
-        closed = cv2.morphologyEx(image, cv2.MORPH_CLOSE, around)
-        buffer[1:] = cv2.dilate(closed, around).ravel()
-        return inside & (np.take(buffer, cell) - nearness <= self._hiding_per_m)
+
+@compiled
+def _limited(x: np.float32, least: np.float32, most: np.float32) -> np.float32:
+    x = x if x > least else least
+    return x if x < most else most
+
+
+@compiled
+def _bend_row(
+    along_x: NDArray[np.float32],
+    along_y: NDArray[np.float32],
+    k: NDArray[np.float32],
+    fold_square: np.float32,
+    tilt: NDArray[np.float32],
+) -> None:
+    """Bend a row of places, in place, as `Lens.bend` does whole images."""
+    one, two = np.float32(1.0), np.float32(2.0)
+    k1, k2, p1, p2, k3, k4, k5, k6 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7]
+    s1, s2, s3, s4 = k[8], k[9], k[10], k[11]
+    for n in range(along_x.size):
+        x, y = along_x[n], along_y[n]
+        r2 = x * x + y * y
+        radial = (one + r2 * (k1 + r2 * (k2 + r2 * k3))) / (one + r2 * (k4 + r2 * (k5 + r2 * k6)))
+        # Beyond the fold the model would bring points back into the image: they are sent far outside.
+        radial = _FAR_ASIDE if r2 > fold_square else radial
+        radial += two * (p1 * y + p2 * x)
+        along_x[n] = x * radial + r2 * (p2 + s1 + r2 * s2)
+        along_y[n] = y * radial + r2 * (p1 + s3 + r2 * s4)
+    if k[12] == 0 and k[13] == 0:
+        return
+    for n in range(along_x.size):
+        x, y = along_x[n], along_y[n]
+        w = tilt[2, 0] * x + tilt[2, 1] * y + tilt[2, 2]
+        along_x[n] = (tilt[0, 0] * x + tilt[0, 1] * y + tilt[0, 2]) / w
+        along_y[n] = (tilt[1, 0] * x + tilt[1, 1] * y + tilt[1, 2]) / w
+
+
+@compiled
+def _seen(
+    points_m: NDArray[np.float32],
+    nearness: NDArray[np.float32],
+    cell: NDArray[np.int32],
+    buffer: NDArray[np.float32],
+    hiding_per_m: np.float32,
+    color: NDArray[np.uint8],
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Tell points that the color camera sees from others, and make color black where there is no point."""
+    height, width = cell.shape
+    seen, missing = np.empty((height, width), dtype=np.bool_), np.empty((height, width), dtype=np.bool_)
+    for row in range(height):
+        for column in range(width):
+            number = cell[row, column]
+            valid = not np.isnan(points_m[row, column, 2])
+            seen[row, column] = number > 0 and buffer[number] - nearness[row, column] <= hiding_per_m
+            missing[row, column] = valid and not seen[row, column]
+            if not valid:
+                color[row, column, 0] = color[row, column, 1] = color[row, column, 2] = 0
+    return seen, missing

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.bspline import CUBIC, basis_matrix, pixel_basis, pixel_knots
-from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.config import Metric, SegmentationConfig
+from nurbseg.segmentation.distances import spline_distances
 from nurbseg.segmentation.grid import PixelGrid, full_grid
 from nurbseg.segmentation.leastsquares import LinAlgError, fit_control_points
 from nurbseg.segmentation.metrics import residual_metrics
@@ -304,10 +304,7 @@ def fit_on_grid(grid: PixelGrid, places: NDArray[np.intp], config: SegmentationC
     except LinAlgError as error:
         return Fit(None, np.zeros(0), {}, f"no least-squares solution: {error}", grid.pixels(places))
     rows, columns = pixel_basis(bottom - top, counts[1]), pixel_basis(right - left, counts[0])
-    residuals = _distances(
-        *(grid.coordinates_m, np.ascontiguousarray(mask), top, left, control),
-        *(rows.starts, rows.values, columns.starts, columns.values),
-    )
+    residuals = spline_distances(control, grid.coordinates_m, mask, (top, left), rows, columns)
     surface = NurbsSurface(
         degree=(CUBIC, CUBIC),
         knots_u=_full_image_knots(right - left, counts[0], left, grid.step),
@@ -317,48 +314,6 @@ def fit_on_grid(grid: PixelGrid, places: NDArray[np.intp], config: SegmentationC
         window=grid.full_window((top, left, bottom, right)),
     )
     return Fit(surface, residuals, residual_metrics(residuals, config), "", grid.pixels(places))
-
-
-@compiled
-def _distances(
-    points_m: NDArray[np.float32],
-    mask: NDArray[np.bool_],
-    top: int,
-    left: int,
-    control_m: NDArray[np.float64],
-    starts_v: NDArray[np.intp],
-    values_v: NDArray[np.float64],
-    starts_u: NDArray[np.intp],
-    values_u: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Distance of each marked point of a window to a spline at its own parameters, in the order of pixels."""
-    height, width = mask.shape
-    count = 0
-    for y in range(height):
-        for x in range(width):
-            count += mask[y, x]
-    distances, squares = np.empty(count), np.empty(width)
-    net, weights = np.empty(control_m.shape[2]), np.ascontiguousarray(values_u.T)
-    n = 0
-    for y in range(height):
-        squares[:] = 0.0
-        first = starts_v[y]
-        for c in range(3):
-            for k in range(net.size):
-                net[k] = 0.0
-                for i in range(4):
-                    net[k] += values_v[y, i] * control_m[c, first + i, k]
-            along = points_m[c, top + y, left : left + width]
-            for x in range(width):
-                start, off = starts_u[x], -np.float64(along[x])
-                for j in range(4):
-                    off += weights[j, x] * net[start + j]
-                squares[x] += off * off
-        for x in range(width):
-            if mask[y, x]:
-                distances[n] = np.sqrt(squares[x])
-                n += 1
-    return distances
 
 
 def control_point_count(extent: int, image_extent: int, config: SegmentationConfig) -> int:

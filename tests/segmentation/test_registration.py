@@ -6,6 +6,7 @@ from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.lens import Lens
 from nurbseg.drivers.synthetic import SyntheticOptions, SyntheticSource
 from nurbseg.drivers.synthetic_render import Renderer
+from nurbseg.segmentation import registration
 from nurbseg.segmentation.registration import PointMap, register
 
 BENT = (0.09, -0.2, 0.001, -0.002, 0.05)
@@ -228,6 +229,19 @@ def test_what_the_synthetic_color_camera_sees_is_what_is_colored(sensor):
     assert (cloud.colored == truth).mean() > 0.99
     labels = seen.objects[rows, columns]
     assert (labels == frame.labels)[cloud.colored].mean() > 0.995
+
+
+@pytest.mark.parametrize("count", [0, 5, 8, 12, 14])
+def test_points_are_projected_through_every_kind_of_lens(count):
+    rng = np.random.default_rng(count)
+    scale = np.array([0.1, 0.1, 0.002, 0.002, 0.03, 0.02, 0.02, 0.01, 0.002, 0.002, 0.002, 0.002, 0.02, 0.02])
+    lens = Lens((rng.uniform(-1, 1, 14) * scale)[:count])
+    coefficients, fold, tilt = lens.model
+    x, y = rng.uniform(-1.5, 1.5, (2, 300)).astype(np.float32)
+    expected = np.stack(lens.bend(x.astype(float), y.astype(float)))
+    model = coefficients.astype(np.float32), np.float32(fold**2), tilt.astype(np.float32)
+    registration._bend_row(x, y, *model)
+    np.testing.assert_allclose(np.stack([x, y]), expected, rtol=2e-5, atol=2e-6)
 
 
 @pytest.mark.parametrize("count", [4, 5, 8, 12, 14])
