@@ -1,9 +1,16 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from nurbseg.segmentation.borders import labels_of_every_pixel, refine_borders
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.inverse_depth import depth_grid, fit_window, inverse_depth_image
+from nurbseg.segmentation.inverse_depth import (
+    depth_grid,
+    fit_window,
+    inverse_depth_image,
+    inverse_depth_lattice,
+)
 
 CONFIG = SegmentationConfig()
 
@@ -33,6 +40,58 @@ def test_ragged_borders_return_to_where_the_surfaces_meet(cloud_of, box_on_table
     assert (ragged != truth).mean() > 0.01
     assert (refined != truth).mean() < 0.25 * (ragged != truth).mean()
     assert ((refined > 0) == (truth > 0)).all()
+
+
+def swept(labels, per_m, explained, config, sweeps=6):
+    """Labels moved to the cheapest around them, one pixel after the other, as plainly as can be."""
+    labels, (height, width) = labels.copy(), labels.shape
+
+    def around(r, c):
+        for other in ((a, b) for a in range(r - 2, r + 3) for b in range(c - 2, c + 3)):
+            if 0 <= other[0] < height and 0 <= other[1] < width and labels[other] > 0:
+                yield other
+
+    pixels = list(zip(*np.nonzero(labels), strict=True))
+    for sweep in range(sweeps):
+        best = {}
+        for r, c in pixels if sweep < 2 else [each for each in pixels if (sum(each) + sweep) % 2 == 0]:
+            cost = {}
+            for label in {labels[other] for other in around(r, c)}:
+                cost[label] = min(((explained[label - 1][r, c] - per_m[r, c]) / config.noise_per_m) ** 2, 16)
+            for other in around(r, c):
+                apart = np.hypot(other[0] - r, other[1] - c)
+                if apart > 0:
+                    is_gap = abs(per_m[other] - per_m[r, c]) >= config.depth_gap_per_m * np.sqrt(apart)
+                    cost[labels[other]] -= (0.25 if is_gap else 1.0) * 0.7 / apart
+            cheapest = min(cost, key=lambda label: (cost[label], label))
+            if cheapest != labels[r, c]:
+                best[r, c] = cheapest
+        for place, label in best.items():
+            labels[place] = label
+        pixels = sorted({other for place in best for other in around(*place)})
+    return labels
+
+
+def test_sweeps_are_those_over_one_pixel_after_the_other(cloud_of, box_on_table):
+    depth, truth = box_on_table(noise_per_m=2e-3)
+    surfaces = fitted(cloud_of(depth), truth)
+    per_m = inverse_depth_image(cloud_of(depth))
+    rows, columns = np.mgrid[: truth.shape[0], : truth.shape[1]]
+    explained = [inverse_depth_lattice(each, columns[0] * 1.0, rows[:, 0] * 1.0)[0] for each in surfaces]
+    shift = np.random.default_rng(1).integers(-2, 3, (2, *truth.shape))
+    ragged = truth[
+        np.clip(rows + shift[0], 0, truth.shape[0] - 1), np.clip(columns + shift[1], 0, truth.shape[1] - 1)
+    ].astype(np.int32)
+    # Two parts of the box; no piece is too small.
+    config = replace(CONFIG, piece_pixels_min=1)
+    for top, left in ((70, 90), (110, 170)):
+        window = slice(top, top + 60), slice(left, left + 80)
+        labels = np.zeros_like(ragged)
+        labels[window] = ragged[window]
+        refined = refine_borders(labels, per_m, surfaces, config)
+        expected = swept(labels[window], per_m[window], [each[window] for each in explained], config)
+        assert (refined[window] == expected).all()
+        assert (refined != labels).any()
 
 
 def test_right_borders_stay(cloud_of, box_on_table):
