@@ -198,10 +198,12 @@ class Growth:
 
 @compiled
 def _count(labels: NDArray[np.int32], sizes: NDArray[np.int64]) -> None:
-    """Count the places of each number."""
-    for row in labels:
-        for number in row:
-            sizes[number] += 1
+    """Count the places of each number, run by run."""
+    flat, begin = labels.reshape(-1), 0
+    for place in range(1, flat.size + 1):
+        if place == flat.size or flat[place] != flat[begin]:
+            sizes[flat[begin]] += place - begin
+            begin = place
 
 
 @compiled
