@@ -163,9 +163,7 @@ def measured(scene: Scene, places: NDArray[np.intp], config: SegmentationConfig)
     """
     if places.size == 0:
         return places, Fit(None, np.zeros(0), {}, "0 points, 1 needed", places), StopReason.NO_POINTS
-    rows, columns, window = scene.grid.points.locate(places)
-    mask = np.zeros((window[2] - window[0], window[3] - window[1]), dtype=np.bool_)
-    mask[rows - window[0], columns - window[1]] = True
+    window, mask = scene.grid.points.window_mask(places)
     fit, residuals_per_m = fit_window(scene.grid, window, mask, config)
     if config.metric in CURVATURE_METRICS:
         fit = replace(fit, values=all_metrics(fit, scene.grid.points.image_shape[1], config))
