@@ -134,10 +134,11 @@ def _fit(
     # Row n of the band: entries of the normal matrix for n and itself, n + 1, ...
     band = np.zeros((size, reach + 1))
     right = np.zeros((count, size))
-    centers = _means(images, mask, top, left)
+    centers = _some_values(images, mask, top, left)
     _add_points(
         images, mask, top, left, starts_v, values_v, step_v, starts_u, values_u, step_u, centers, band, right
     )
+    _center(band, right, centers)
     held = np.empty((nv, nu))
     for a in range(nv):
         for b in range(nu):
@@ -160,21 +161,37 @@ def _fit(
 
 
 @compiled
-def _means(images: NDArray[np.float32], mask: NDArray[np.bool_], top: int, left: int) -> NDArray[np.float64]:
-    """Mean of each image over the marked pixels of a window."""
-    height, width = mask.shape
-    sums = np.zeros(images.shape[0])
-    points = 0
-    for y in range(height):
-        for x in range(width):
-            points += mask[y, x]
-        for c in range(images.shape[0]):
-            row = images[c, top + y, left : left + width]
-            total = 0.0
-            for x in range(width):
-                total += np.float64(row[x]) if mask[y, x] else 0.0
-            sums[c] += total
-    return sums / points
+def _some_values(
+    images: NDArray[np.float32], mask: NDArray[np.bool_], top: int, left: int
+) -> NDArray[np.float64]:
+    """Value of each image at the first marked pixel, about which sums lose little to rounding."""
+    for y in range(mask.shape[0]):
+        for x in range(mask.shape[1]):
+            if mask[y, x]:
+                return images[:, top + y, left + x].astype(np.float64)
+    return np.zeros(images.shape[0])
+
+
+@compiled
+def _center(band: NDArray[np.float64], right: NDArray[np.float64], centers: NDArray[np.float64]) -> None:
+    """Turn right sides about some values into those about the mean of each image, and say the means.
+
+    The functions sum to 1: so a row of the normal matrix sums to that of its function over the points, and
+    a right side to that of its image.
+    """
+    size, width = band.shape
+    ones = np.zeros(size)
+    for n in range(size):
+        ones[n] += band[n, 0]
+        for k in range(1, min(width, size - n)):
+            ones[n] += band[n, k]
+            ones[n + k] += band[n, k]
+    points = ones.sum()
+    for c in range(right.shape[0]):
+        offset = right[c].sum() / points
+        centers[c] += offset
+        for n in range(size):
+            right[c, n] -= offset * ones[n]
 
 
 @compiled
