@@ -322,8 +322,9 @@ def _held_together(name: str, parts: list[Part], cuts_above: int) -> Node:
     if len(parts) == 1:
         places, fit, stop = parts[0]
         return Node(name, places, fit, stop=stop, cuts_above=cuts_above)
-    places = np.sort(np.concatenate([part[0] for part in parts]))
-    pixels = np.sort(np.concatenate([part[1].pixels for part in parts]))
+    # Each part ascends: the stable sort merges them.
+    places = np.sort(np.concatenate([part[0] for part in parts]), kind="stable")
+    pixels = np.sort(np.concatenate([part[1].pixels for part in parts]), kind="stable")
     fit = Fit(None, np.zeros(0), {}, f"{len(parts)} pieces that are not connected", pixels)
     node = Node(name, places, fit, cuts_above=cuts_above)
     first, rest = _largest_and_rest(parts)
