@@ -70,7 +70,7 @@ def drawn(root: Box) -> str:
         deepest = max(deepest, depth)
         share = f"{100 * box.samples / root.samples:.1f} %"
         color = COLORS[sum(map(ord, box.name)) % len(COLORS)]
-        name = box.name if len(box.name) * LETTER < width else box.name[: int(width / LETTER) - 1]
+        name = box.name if len(box.name) * LETTER < width else box.name[: max(0, int(width / LETTER) - 1)]
         at = f'x="{left:.1f}" y="{depth * ROW}"'
         label = f'<text x="{left + 3:.1f}" y="{depth * ROW + 12}">{escape(name)}</text>'
         boxes.append(
