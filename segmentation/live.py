@@ -116,7 +116,7 @@ class LiveTree:
         cloud : PointMap
             The frame.
         budget : Budget, optional
-            How much may be revised.
+            How much may be revised; on its grid a frame is segmented anew as well.
 
         Returns
         -------
@@ -124,16 +124,24 @@ class LiveTree:
             As that of a frame alone; a part that is split off or gone changes the names of those below
             the same split.
         """
+        budget = budget or Budget()
+        config = self._config_on(budget.decimation or self._config.decimation)
         reason = self._no_continuation(cloud)
         if not reason:
-            tree = self._followed(cloud, budget or Budget())
+            tree = self._followed(cloud, config, budget)
             if tree is not None:
                 return tree
             reason = self.revision.cold
-        tree = segment_nurbseg(cloud, self._config)
-        self._take_over(tree, cloud)
-        self.revision = replace(self.revision, cold=reason, step=self._config.decimation)
+        tree = segment_nurbseg(cloud, config)
+        self._take_over(tree, cloud, config.decimation)
+        self.revision = replace(self.revision, cold=reason, step=config.decimation)
         return tree
+
+    def _config_on(self, step: int) -> SegmentationConfig:
+        """Return the configuration on a grid of so many pixels."""
+        if step not in self._configs:
+            self._configs[step] = replace(self._config, decimation=step)
+        return self._configs[step]
 
     def _no_continuation(self, cloud: PointMap) -> str:
         if not self._leaves:
@@ -144,8 +152,8 @@ class LiveTree:
             return "more to revise than the budget allows"
         return ""
 
-    def _take_over(self, tree: SegmentationTree, cloud: PointMap) -> None:
-        """Begin to live with a tree that was grown for this frame alone."""
+    def _take_over(self, tree: SegmentationTree, cloud: PointMap, step: int) -> None:
+        """Begin to live with a tree that was grown for this frame alone, on a grid of so many pixels."""
         nodes = {
             each.name: Node(
                 each.name,
@@ -166,17 +174,18 @@ class LiveTree:
         self._leaves = [self._reviser.leaf(nodes[leaf.name]) for leaf in tree.leaves()]
         self.labels_before = np.zeros(tree.shape, dtype=np.uint16)
         self._labels = tree.label_image().copy()
-        self._lattice = SurfaceLattice([leaf.surface for leaf in self._leaves], self._config.decimation)
-        self._gray = brightness(cloud.color, self._config.decimation)
+        self._lattice = SurfaceLattice([leaf.surface for leaf in self._leaves], step)
+        self._gray = brightness(cloud.color, step)
         self._objects = ObjectMemory()
         self._rays = None
         self._overdue = 0
         self.revision = Revision()
 
-    def _followed(self, cloud: PointMap, budget: Budget) -> SegmentationTree | None:
+    def _followed(
+        self, cloud: PointMap, config: SegmentationConfig, budget: Budget
+    ) -> SegmentationTree | None:
         """Let the tree live on into a frame; None where the frame is not explained."""
-        step = budget.decimation or self._config.decimation
-        config = self._configs.setdefault(step, replace(self._config, decimation=step))
+        step = config.decimation
         per_m = inverse_depth_image(cloud)
         on_every = np.ascontiguousarray(per_m[::step, ::step])
         grid = DepthGrid(decimated_grid(cloud, step), on_every, self._rays_of(cloud))

@@ -161,6 +161,20 @@ def test_another_scene_is_segmented_anew(tree: LiveTree) -> None:
     assert tree.revision.cold == ""
 
 
+@pytest.mark.parametrize("step", [1, 3])
+def test_a_frame_is_segmented_anew_on_the_grid_of_the_budget(tree: LiveTree, step: int) -> None:
+    other = scene((10, 10, 120, 90), noise=5, wall_m=3.0)
+    found = tree.segment(other, Budget(decimation=step))
+    assert (tree.revision.cold, tree.revision.step) == ("another scene", step)
+    alone = segment(other, replace(CONFIG, decimation=step))
+    assert np.array_equal(found.label_image(), alone.label_image())
+    # The tree lives on from there, on that grid and on another one.
+    for following in (step, 2):
+        again = tree.segment(other, Budget(decimation=following))
+        assert (tree.revision.cold, tree.revision.step) == ("", following)
+        assert np.mean(again.label_image() == found.label_image()) > 0.98
+
+
 def test_images_of_another_size_are_segmented_anew(tree: LiveTree) -> None:
     whole = scene(BOX)
     part = PointMap(
