@@ -77,8 +77,8 @@ class Limited(FrameSource):
     frames : int or None
         Number of frames; damaged ones do not count, nor those of the delay.
     duration_s : float or None
-        Time from the first frame, seconds: by the frames' own clock, and for a live source by the
-        computer's as well, so that a silent camera ends too.
+        Time from the first frame, seconds: by the frames' own clock, and for a live source from the first
+        read by the computer's as well, so that a silent camera ends too.
     delay_s : float
         Time at the beginning that both do not count, seconds.
     clock : callable
@@ -103,14 +103,16 @@ class Limited(FrameSource):
         self._duration_s = duration_s
         self._delay_ns = round(delay_s * 1e9)
         self._clock = clock
-        self._opened_s = clock()
+        self._began_s: float | None = None
         self._last_ns: int | None = None
         self._elapsed_ns = 0
 
     def _read(self, timeout_s: float) -> RGBDFrame:
         if self._frames_left is not None and self._frames_left <= 0:
             raise EndOfRecordingError("all the frames that were asked for are read")
-        if self.live and self._is_over(self._clock() - self._opened_s):
+        if self._began_s is None:
+            self._began_s = self._clock()
+        if self.live and self._is_over(self._clock() - self._began_s):
             raise EndOfRecordingError("the time that was asked for is over")
         frame = self._source.read(timeout_s)
         if self._last_ns is not None:
