@@ -74,8 +74,13 @@ def main(words: Sequence[str] | None = None) -> int:
 def _run(arguments: Arguments, interruption: Interruption) -> int:
     # Late, so that --help need not wait for numpy and OpenCV; what shows imports Rerun in the meantime.
     from nurbseg.app.view_process import begin_view
+    from nurbseg.app.viewer_process import ViewError
 
-    process = begin_view(arguments.config.shown)
+    try:
+        process = begin_view(arguments.config.shown)
+    except ViewError as err:
+        _log.error("%s", err, exc_info=arguments.verbosity > 0)
+        return NOT_STARTED
     with process or nullcontext():
         return _run_with(arguments, interruption, process)
 

@@ -47,10 +47,13 @@ class RunReport:
         Frames of them that were too old to be shown.
     passed_by : int
         Frames taken that were to be recorded only.
+    view_peak_mb : float
+        Largest resident size of the process that shows and saves, 10^6 bytes.
     """
 
     def __init__(self, config: AppConfig, source: str, metadata: Mapping[str, str]) -> None:
         self.segmented = self.late = self.passed_by = 0
+        self.view_peak_mb = 0.0
         self._config = config
         self._source = source
         self._metadata = metadata
@@ -126,7 +129,10 @@ class RunReport:
             "latency_ms": {stage: _percentiles(values) for stage, values in self._stages_ms.items()},
             "events": dict(sorted(self._events.items())),
             "segmented_anew": dict(sorted(self._anew.items())),
-            "peak_memory_mb": round(peak_memory_mb(), 1),
+            "peak_memory_mb": {
+                "segmentation": round(peak_memory_mb(), 1),
+                "view": round(self.view_peak_mb, 1),
+            },
             "configuration": asdict(self._config),
             "versions": versions(),
         }

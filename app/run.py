@@ -16,6 +16,7 @@ from nurbseg.app.config import AppConfig
 from nurbseg.app.export import Exporter, ExportError
 from nurbseg.app.interruption import Interruption
 from nurbseg.app.lateness import Lateness
+from nurbseg.app.loading import Loading
 from nurbseg.app.opening import open_chosen
 from nurbseg.app.progress import Progress
 from nurbseg.app.record import open_recording, tell_recorded
@@ -69,6 +70,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ViewProcess
         If the run was interrupted.
     """
     with ExitStack() as stack:
+        loading = _begin_loading(config)
         try:
             opened = open_chosen(config)
             stack.enter_context(opened.source)
@@ -98,19 +100,22 @@ def run(config: AppConfig, interruption: Interruption, view_process: ViewProcess
         capture = CaptureThread(opened.source, lossless=opened.every_frame, recording=recording)
         ended = "the source ended"
         try:
-            with recording or nullcontext(), capture:
-                try:
-                    if config.record.only:
-                        _pass_by(capture, report, interruption)
-                    else:
-                        temporal = config.live.follows(every_frame=opened.every_frame)
-                        # Where every frame is wanted, none is hurried, and none too late.
-                        target_hz = 0.0 if opened.every_frame else config.live.target_fps
-                        segmenter = Segmenter(config.segmentation, temporal=temporal, target_hz=target_hz)
-                        lateness = Lateness(0.0 if opened.every_frame else config.live.age_max_ms)
-                        _work(capture, segmenter, exports, view, lateness, report, interruption)
-                finally:
-                    interruption.hold()
+            with recording or nullcontext():
+                if loading is not None:
+                    loading.wait()
+                with capture:
+                    try:
+                        if config.record.only:
+                            _pass_by(capture, report, interruption)
+                        else:
+                            temporal = config.live.follows(every_frame=opened.every_frame)
+                            # Where every frame is wanted, none is hurried, and none too late.
+                            target_hz = 0.0 if opened.every_frame else config.live.target_fps
+                            segmenter = Segmenter(config.segmentation, temporal=temporal, target_hz=target_hz)
+                            lateness = Lateness(0.0 if opened.every_frame else config.live.age_max_ms)
+                            _work(capture, segmenter, exports, view, lateness, report, interruption)
+                    finally:
+                        interruption.hold()
             if recording is not None:
                 tell_recorded(recording)
             if report.segmented + report.passed_by == 0:
@@ -119,11 +124,20 @@ def run(config: AppConfig, interruption: Interruption, view_process: ViewProcess
             ended = "interrupted" if interruption.signal_number else f"{type(err).__name__}: {err}"
             raise
         finally:
+            report.view_peak_mb = view.peak_memory_mb()
             _write_report(config, report, capture, ended)
         if view.serving:
             _log.info("all frames are shown; Ctrl-C ends the serving")
             interruption.wait()
         return report
+
+
+def _begin_loading(config: AppConfig) -> Loading | None:
+    """Begin to load what a run needs; None where nothing is segmented, or no frame waits for it in vain."""
+    source = config.source
+    if config.record.only or (source.speed == 0 and (source.replay is not None or source.synthetic)):
+        return None
+    return Loading(config.segmentation, temporal=config.live.follows(every_frame=False))
 
 
 def _work(

@@ -27,6 +27,10 @@ class View(Protocol):
         """Whether a web page is served, which ends with this view."""
         ...
 
+    def peak_memory_mb(self) -> float:
+        """Return the largest resident size of what shows and saves for this program, 10^6 bytes."""
+        ...
+
     def show(self, result: FrameResult) -> None:
         """Take a frame's result; never waits for a viewer."""
         ...
@@ -59,6 +63,10 @@ class NullView:
 
     def __init__(self, how_to_look: str = "") -> None:
         self.how_to_look = how_to_look
+
+    def peak_memory_mb(self) -> float:
+        """Return 0."""
+        return 0.0
 
     def show(self, result: FrameResult) -> None:
         """Do nothing."""

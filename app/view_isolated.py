@@ -145,6 +145,10 @@ class IsolatedView:
         """Frames that were not shown live because the viewer was slow, frozen or absent."""
         return self._outbox.dropped + self._dropped_there
 
+    def peak_memory_mb(self) -> float:
+        """Return the largest resident size that the process has had, 10^6 bytes; 0 where it is not known."""
+        return self._process.peak_memory_mb()
+
     def wait_connected(self, timeout_s: float) -> bool:
         """Wait until a viewer takes frames; return whether one does, within `timeout_s` seconds."""
         with self._changed:

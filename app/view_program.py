@@ -67,6 +67,8 @@ def _follow(view: RerunView, slots: SharedSlots, words: Connection[Any, Any], te
                 return float(rest[0])
         except ViewError as err:
             teller.tell("failed", str(err))
+        except Exception as err:
+            teller.tell("failed", f"a frame cannot be shown ({type(err).__name__}): {err}")
 
 
 def main() -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import socket
 import subprocess
@@ -76,32 +77,53 @@ def _start(config: ViewConfig, port: int, words: list[str], *, detached: bool) -
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            # Out of the terminal's process group: Ctrl-C is meant for us.
-            start_new_session=True,
+            # Out of this process's group, with which the terminal's signals go, and in which it is ended.
+            start_new_session=detached,
         )
     except OSError as err:
         raise ViewError(f"{command[0]}: cannot be started: {err}") from err
 
 
 def free_port(bind: str) -> int:
-    """Return a TCP port that nothing listens on."""
-    family = socket.AF_INET6 if ":" in bind else socket.AF_INET
-    with socket.socket(family) as probe:
-        probe.bind((bind, 0))
-        port: int = probe.getsockname()[1]
-        return port
+    """Return a TCP port that nothing listens on.
+
+    Raises
+    ------
+    ViewError
+        If nothing can listen on that address.
+    """
+    try:
+        return _bound(bind, 0)
+    except OSError as err:
+        raise ViewError(f"bind {bind}: nothing can listen there: {err.strerror}") from err
 
 
 def is_taken(bind: str, port: int) -> bool:
-    """Whether something listens on a port already, so that nothing else can."""
+    """Whether something listens on a port already, so that nothing else can.
+
+    Raises
+    ------
+    ViewError
+        If nothing can listen on that port for another reason.
+    """
+    try:
+        _bound(bind, port)
+    except OSError as err:
+        if err.errno == errno.EADDRINUSE:
+            return True
+        raise ViewError(f"bind {bind}, port {port}: nothing can listen there: {err.strerror}") from err
+    return False
+
+
+def _bound(bind: str, port: int) -> int:
+    """Take a port for a moment; return its number."""
     family = socket.AF_INET6 if ":" in bind else socket.AF_INET
     with socket.socket(family) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((bind, port))
-        except OSError:
-            return True
-    return False
+        if port:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        probe.bind((bind, port))
+        number: int = probe.getsockname()[1]
+        return number
 
 
 def listens(host: str, port: int) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 import psutil
 import pytest
 
-from nurbseg.app import view_isolated
+from nurbseg.app import view_isolated, view_process
 from nurbseg.app.view import ViewError, open_view
 from nurbseg.app.view_config import ViewConfig
 from nurbseg.app.view_isolated import IsolatedView
@@ -129,6 +129,48 @@ def test_a_process_begun_for_nothing_is_ended() -> None:
     process.close()
     assert own_children() == []
     assert begin_view(ViewConfig(mode="none")) is None
+
+
+def test_a_process_that_cannot_be_started_is_named_and_leaves_nothing_open(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(view_process.sys, "executable", "/nowhere/python")
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    with pytest.raises(ViewError, match=r"cannot be started: .*/nowhere/python"):
+        begin_view(ViewConfig(mode="none", save="never.rrd"))
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
+
+
+def test_a_killed_process_takes_the_page_that_it_serves_with_it(result: FrameResult) -> None:
+    view = open_view(ViewConfig(mode="serve", port=0, web_port=0), CONFIG)
+    (program,) = own_children()
+    (server,) = program.children()
+    program.kill()
+    with pytest.raises(ViewError, match="ended by signal 9"):
+        view.close()
+    server.wait(5.0)
+
+
+def test_an_address_of_another_computer_is_named() -> None:
+    with pytest.raises(ViewError, match=r"bind 192\.0\.2\.1.*: nothing can listen there"):
+        open_view(ViewConfig(mode="serve", bind="192.0.2.1"), CONFIG)
+    assert own_children() == []
+
+
+def test_a_frame_that_cannot_be_shown_is_told_with_its_cause(tmp_path: Path, result: FrameResult) -> None:
+    path = tmp_path / "a.rrd"
+    view, _ = opened(path)
+    # The process has never been told of the cameras.
+    view._known = result.frame.calibration
+    with pytest.raises(ViewError, match=r"a frame cannot be shown \(ValueError\): calibration"), view:
+        view.show(result)
+    assert own_children() == []
+
+
+def test_the_memory_of_the_process_is_known(tmp_path: Path, result: FrameResult) -> None:
+    with opened(tmp_path / "a.rrd")[0] as view:
+        view.show(result)
+        assert view.peak_memory_mb() > 20.0
 
 
 def test_slots_hold_what_was_put_into_them_whatever_their_size() -> None:
