@@ -21,6 +21,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +79,7 @@ def one_run(source: str, duration_s: float, options: list[str]) -> dict[str, Any
         saved, report = Path(folder) / "run.rrd", Path(folder) / "report.json"
         words = [str(COMMAND), "--replay", source, "--speed", "1", "--loop", "--duration", str(duration_s)]
         words += ["--view", "none", "--save", str(saved), "--report", str(report), *options]
-        started_s = time.monotonic()
+        started_s, started_at = time.monotonic(), time.time()
         process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
         times: list[float] = []
         resident: list[float] = []
@@ -98,7 +99,7 @@ def one_run(source: str, duration_s: float, options: list[str]) -> dict[str, Any
         half = len(times) // 2
         slope = np.polyfit(times[half:], resident[half:], 1)[0] if len(times) - half > 2 else float("nan")
         # The report counts from the start of the run; Python and its packages start before that.
-        ahead_s = max(0.0, time.monotonic() - started_s - found["seconds"])
+        ahead_s = datetime.fromisoformat(found["began"]).timestamp() - started_at
         return {
             **found,
             "resident_mb": max(resident, default=float("nan")),
