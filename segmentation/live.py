@@ -240,7 +240,7 @@ class LiveTree:
             config,
         )
         self._leaves = done.leaves
-        labels = done.relabelled(labels, step)
+        labels = done.relabelled(labels, per_m, step)
         missed = (labels == 0) & (per_m > 0)
         if missed.any():
             labels = spread_labels(labels.astype(np.int32), missed, per_m, config.depth_gap_per_m).astype(

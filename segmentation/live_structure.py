@@ -40,16 +40,34 @@ class Revised:
     folds: int = 0
     waiting: int = 0
 
-    def relabelled(self, labels: NDArray[np.uint16], step: int) -> NDArray[np.uint16]:
-        """Return a label image as it is after the revision, (H, W) uint16."""
+    def relabelled(
+        self, labels: NDArray[np.uint16], per_m: NDArray[np.float32], step: int
+    ) -> NDArray[np.uint16]:
+        """Return a label image as it is after the revision.
+
+        Parameters
+        ----------
+        labels : (H, W) uint16
+            Labels before it.
+        per_m : (H, W) float32
+            Inverse depth, 1/m; 0 where there is no point, and so no label.
+        step : int
+            Pixels from one place of the grid to the next.
+
+        Returns
+        -------
+        (H, W) uint16
+            Labels from now on.
+        """
         relabelled = np.empty_like(labels)
-        _relabel(labels, self.before, self.on_grid, self.final, step, relabelled)
+        _relabel(labels, per_m, self.before, self.on_grid, self.final, step, relabelled)
         return relabelled
 
 
 @compiled
 def _relabel(
     labels: NDArray[np.uint16],
+    per_m: NDArray[np.float32],
     before: NDArray[np.int32],
     on_grid: NDArray[np.int32],
     final: NDArray[np.uint16],
@@ -66,7 +84,8 @@ def _relabel(
         for c in range(width):
             # Neighbours across a border keep what they have; what had no label takes this one.
             label = np.int32(labels[r, c])
-            relabelled[r, c] = final[number[c] if label == known[c] else label]
+            now = final[number[c] if label == known[c] else label]
+            relabelled[r, c] = now if per_m[r, c] > 0 else 0
 
 
 class Growth:
