@@ -248,7 +248,8 @@ def facet_normals(
     slope_u, slope_v, smoothed = facet_slopes(inverse_depth, valid, window=window, noise_per_m=noise_per_m)
     columns = np.arange(width, dtype=np.float64) * step
     rows = np.arange(height, dtype=np.float64) * step
-    fx, fy = rays.focal_px
+    # Along an image one pixel wide or high nothing tells the focal length, nor how a surface slopes.
+    fx, fy = (focal if np.isfinite(focal) else 0.0 for focal in rays.focal_px)
     return _normals(slope_u, slope_v, smoothed, *rays.lattice(columns, rows), fx / step, fy / step)
 
 

@@ -74,3 +74,13 @@ def test_single_points_and_none_are_no_trouble():
     per_m[40, 50], valid[40, 50] = 1.0, True
     for image in facet_slopes(per_m, valid, window=9, noise_per_m=3e-3):
         assert np.isfinite(image).all()
+
+
+@pytest.mark.parametrize("shape", [(1, 40), (40, 1)])
+def test_an_image_one_pixel_wide_has_normals_too(cloud_of, shape):
+    depth = np.ones(shape)
+    depth.flat[5:9] = np.nan
+    cloud = cloud_of(depth)
+    grid = depth_grid(cloud, 1)
+    found = facet_normals(grid.per_m, grid.valid, grid.rays, step=1, window=9, noise_per_m=3e-3)
+    assert_allclose(np.linalg.norm(found, axis=-1), cloud.valid, atol=1e-6)
