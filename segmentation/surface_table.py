@@ -234,13 +234,13 @@ def _evaluate(
             continue
         if last_row[label] != rows[n]:
             last_row[label] = rows[n]
-            row, Bv, _ = _functions(v, label, rows[n])
+            row, Bv, _ = _functions(v, label, float(rows[n]))
             first = nets.starts[label] + row * length
             for k in range(length):
                 weights[label, k] = _dot(Bv, nets.weights, first + k, length)
                 if not nets.plain[label]:
                     depths[label, k] = _dot(Bv, nets.depths, first + k, length)
-        column, Bu, _ = _functions(u, label, columns[n])
+        column, Bu, _ = _functions(u, label, float(columns[n]))
         found = _dot(Bu, weights[label], column, 1)
         if not nets.plain[label]:
             found /= _dot(Bu, depths[label], column, 1)
