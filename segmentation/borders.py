@@ -180,7 +180,7 @@ def _cheapest(
                 each[:count] for each in (candidates.label, candidates.row, candidates.column)
             )
             explained = table.inverse_depths(label, row, column)
-            _choose(flat, depths, some, candidates, explained, per_deviation, best[block])
+            _choose(flat, depths, some, candidates, explained, per_deviation, SQUARE_MOST, best[block])
         # Only where a label has changed within reach can another one be the cheapest now. By the third
         # sweep neighbours that only change places are left: one of two at a time.
         reached[:] = False
@@ -267,6 +267,7 @@ def _choose(
     candidates: _Candidates,
     explained_per_m: NDArray[np.float32],
     per_deviation: np.float32,
+    square_most: float,
     best: NDArray[np.int32],
 ) -> None:
     """Find the cheapest candidate of each pixel, the one of the smallest label among several."""
@@ -276,7 +277,7 @@ def _choose(
         least = np.float32(np.inf)
         for at in range(first, candidates.ends[n]):
             residual = (explained_per_m[at] - per_m[pixels[n]]) * per_deviation
-            cost = np.float32(SQUARE_MOST)
+            cost = np.float32(square_most)
             # False for what has no surface.
             if residual * residual < cost:
                 cost = residual * residual

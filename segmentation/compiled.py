@@ -19,8 +19,8 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
     The code is kept beside the source file, or in the user's cache directory where that cannot be written, so
     that only the first call on a computer waits for the compiler. What is kept is held against the source
-    file of the function alone: a compiled function calls compiled functions of its own file only. Indices are
-    not checked.
+    file of the function alone: a compiled function calls compiled functions, and reads constants, of its own
+    file only; others are handed to it. Indices are not checked.
 
     Parameters
     ----------
