@@ -16,7 +16,7 @@ def modules():
         yield importlib.import_module(f"{package.__name__}.{info.name}")
 
 
-@pytest.mark.parametrize("module", modules(), ids=lambda module: module.__name__.rsplit(".", 1)[-1])
+@pytest.mark.parametrize("module", list(modules()), ids=lambda module: module.__name__.rsplit(".", 1)[-1])
 def test_compiled_functions_take_nothing_from_other_files(module):
     """What is kept of them is not compiled anew when another file changes."""
     tree = ast.parse(inspect.getsource(module))
