@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.surface_samples import Lattices, evaluate_vertices
-from nurbseg.segmentation.compiled import compiled
+from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.segments import SegmentationTree
 
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.compiled import compiled
+from nurbseg.drivers.compiled import compiled
 
 #: Pixels that a source on another, farther surface counts as being more distant.
 _OTHER_SURFACE_PX = 10_000

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.compiled import compiled
+from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.rays import Rays
 from nurbseg.segmentation.surface import NurbsSurface
 from nurbseg.segmentation.surface_table import SurfaceTable

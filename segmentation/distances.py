@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.bspline import SpanBasis
-from nurbseg.segmentation.compiled import compiled
 
 
 def spline_distances(

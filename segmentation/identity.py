@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from nurbseg.segmentation.compiled import compiled
+from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.features import lab
 from nurbseg.segmentation.lookup import labels_present, looked_up, read_only
 from nurbseg.segmentation.registration import PointMap

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.bspline import CUBIC, SpanBasis, basis_matrix
-from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.grid import PixelGrid, Window, decimated_grid
 from nurbseg.segmentation.knot_lattice import lattice_basis

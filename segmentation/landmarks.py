@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.compiled import compiled
+from nurbseg.drivers.compiled import compiled
 
 #: A sample is left out where the others explain its affinities but for this (of the 1 to itself, squared).
 _UNEXPLAINED = 1e-4

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.bspline import CUBIC
-from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.surface import NurbsSurface
 
 #: Part of a place by which a knot on the grid may be off it.

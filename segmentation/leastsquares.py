@@ -6,8 +6,8 @@ import numpy as np
 from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 
+from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.bspline import SpanBasis, pixel_basis
-from nurbseg.segmentation.compiled import compiled
 
 #: Added to the diagonal of the normal matrix, as a share of its largest entry. It decides only what the
 #: data leave open: in the limit the solution is the one of least norm.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.compiled import compiled
+from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.follow import inner_places
 from nurbseg.segmentation.inverse_depth import DepthGrid

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.compiled import compiled
+from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.live_leaf import LiveLeaf
 from nurbseg.segmentation.pieces import Joints
 from nurbseg.segmentation.segments import Node, StopReason, depth_first

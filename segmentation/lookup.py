@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.compiled import compiled
+from nurbseg.drivers.compiled import compiled
 
 
 def looked_up(table: NDArray[np.uint16], labels: NDArray[np.uint16]) -> NDArray[np.uint16]:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.compiled import compiled
+from nurbseg.drivers.compiled import compiled
 
 
 def brightness(color: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.bspline import CUBIC, basis_matrix
-from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.registration import PointMap
 
 #: Rays of a lens without distortion differ from linear ones by the rounding of single precision.

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.borders import labels_of_every_pixel, refine_borders
-from nurbseg.segmentation.compiled import compiled
 from nurbseg.segmentation.components import give_away_small_pieces
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.curvature import all_metrics

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.compiled import compiled
+from nurbseg.drivers.compiled import compiled
 
 #: Marks of places to label, in an image of labels: those that wait, and those that are next.
 _OPEN, _NEXT = -1, -2

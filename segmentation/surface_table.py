@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.compiled import compiled, inlined
 from nurbseg.segmentation.bspline import CUBIC
-from nurbseg.segmentation.compiled import compiled, inlined
 from nurbseg.segmentation.surface import NurbsSurface
 
 _ORDER = CUBIC + 1

@@ -11,7 +11,7 @@ import pytest
 from nurbseg.app.compilation import told_compilation
 
 _MODULE = """
-from nurbseg.segmentation.compiled import compiled
+from nurbseg.drivers.compiled import compiled
 
 @compiled
 def total(count):

@@ -5,18 +5,20 @@ import pkgutil
 
 import pytest
 
-import nurbseg.segmentation as package
+import nurbseg.drivers
+import nurbseg.segmentation
 
 #: The degree of a cubic does not change.
 LASTING = {"CUBIC"}
 
 
 def modules():
-    for info in pkgutil.iter_modules(package.__path__):
-        yield importlib.import_module(f"{package.__name__}.{info.name}")
+    for package in (nurbseg.drivers, nurbseg.segmentation):
+        for info in pkgutil.iter_modules(package.__path__):
+            yield importlib.import_module(f"{package.__name__}.{info.name}")
 
 
-@pytest.mark.parametrize("module", list(modules()), ids=lambda module: module.__name__.rsplit(".", 1)[-1])
+@pytest.mark.parametrize("module", list(modules()), ids=lambda module: module.__name__.removeprefix("nurbseg."))
 def test_compiled_functions_take_nothing_from_other_files(module):
     """What is kept of them is not compiled anew when another file changes."""
     tree = ast.parse(inspect.getsource(module))
