@@ -6,10 +6,13 @@ of the projector, ragged and missing edges, surfaces seen too obliquely, and lim
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.compiled import compiled, inlined
 from nurbseg.drivers.frame import Intrinsics
 
 #: Step of inverse depth, 1/m: depth comes in steps of about 2.85e-3 z^2 metres.
@@ -27,9 +30,14 @@ _EDGE_LOSS = 0.25
 _GRAZING = 0.035
 #: Rows and columns by which the bank of noise is larger than the image.
 _BANK_MARGIN = 61
+#: Numbers in the precision of the images: a plain one would draw all that it meets into double precision.
+_ZERO, _HALF, _ONE, _STEP = (np.float32(n) for n in (0, 0.5, 1, DISPARITY_STEP_PER_M))
+_EDGE = np.float32(_EDGE_PER_M)
+_NEAREST, _FARTHEST = (np.float32(each) for each in RANGE_M)
 
 
-def axial_noise_m(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
+@compiled
+def axial_noise_m(depth_m: Any) -> Any:
     """Return the standard deviation of depth at a distance, metres.
 
     References
@@ -37,20 +45,20 @@ def axial_noise_m(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
     .. [1] C. V. Nguyen, S. Izadi and D. Lovell, "Modeling Kinect sensor noise for improved 3D
        reconstruction and tracking", 3DIMPVT 2012.
     """
-    return np.asarray(0.0012 + 0.0019 * (depth_m - 0.4) ** 2, dtype=np.float32)
+    beyond = depth_m - np.float32(0.4)
+    return np.float32(0.0012) + np.float32(0.0019) * (beyond * beyond)
 
 
-def quantised(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return depth at the nearest step of disparity, metres; inf stays.
+@compiled
+def quantised(depth_m: Any) -> Any:
+    """Return depth at the nearest step of disparity, metres; infinity stays.
 
     References
     ----------
     .. [1] K. Khoshelham and S. O. Elberink, "Accuracy and resolution of Kinect depth data for indoor
        mapping applications", Sensors 12(2), 2012.
     """
-    steps = np.rint(1 / (depth_m * np.float32(DISPARITY_STEP_PER_M)))
-    with np.errstate(divide="ignore"):
-        return np.asarray(1 / (steps * np.float32(DISPARITY_STEP_PER_M)), dtype=np.float32)
+    return _ONE / (np.rint(_ONE / (depth_m * _STEP)) * _STEP)
 
 
 def projector_shadow(depth_m: NDArray[np.float32], camera: Intrinsics) -> NDArray[np.bool_]:
@@ -66,11 +74,9 @@ def projector_shadow(depth_m: NDArray[np.float32], camera: Intrinsics) -> NDArra
     camera : Intrinsics
         The depth camera.
     """
-    # Place of each point in the projector's image, pixels: the projector is the camera moved along x.
-    columns = np.arange(depth_m.shape[1], dtype=np.float32)
-    place = columns - np.float32(camera.fx * PROJECTOR_OFFSET_M) / depth_m
-    reached = np.minimum.accumulate(place[:, ::-1], axis=1)[:, ::-1]
-    return np.asarray(place > reached + 0.5)
+    dark = np.empty(depth_m.shape, dtype=np.uint8)
+    _shadow(np.float32(1) / depth_m, np.float32(camera.fx * PROJECTOR_OFFSET_M), dark)
+    return dark.view(np.bool_)
 
 
 class SensorModel:
@@ -92,10 +98,8 @@ class SensorModel:
         # Drawing normal numbers takes longer than all else: a bank, cut at a random place for each frame.
         self._axial = rng.standard_normal(bank, dtype=np.float32)
         jitter = np.rint(_EDGE_JITTER_PX * rng.standard_normal((2, *bank), dtype=np.float32))
-        down, right = np.clip(jitter, -2, 2).astype(np.intp)
-        self._jitter = down * width + right
+        self._jitter = np.clip(jitter, -2, 2).astype(np.int8)
         self._lost = rng.random(bank, dtype=np.float32) < _EDGE_LOSS
-        self._places = np.arange(height * width).reshape(height, width)
 
     def measure(self, depth_m: NDArray[np.float32], index: int) -> NDArray[np.uint16]:
         """Return what the sensor would deliver, millimetres, 0 where it measures nothing.
@@ -107,23 +111,85 @@ class SensorModel:
         index : int
             Number of the frame.
         """
-        rng = np.random.default_rng((self._seed, 2, index))
-        height, width = depth_m.shape
-        cuts = [
-            (slice(r, r + height), slice(c, c + width)) for r, c in rng.integers(0, _BANK_MARGIN + 1, (3, 2))
-        ]
-        inverse, around = 1 / depth_m, np.ones((3, 3), np.uint8)
-        spread = cv2.dilate(inverse, around) - cv2.erode(inverse, around)
-        edge = spread > _EDGE_PER_M
-        edge[:2], edge[-2:], edge[:, :2], edge[:, -2:] = False, False, False, False
-        moved = np.take(depth_m, self._places + self._jitter[cuts[1]] * edge)
-        known = np.isfinite(moved)
-        moved = np.where(known, moved, np.float32(RANGE_M[1]))
-        noisy = quantised(moved + axial_noise_m(moved) * self._axial[cuts[0]])
-        dark = projector_shadow(depth_m, self._camera)
+        cuts = np.random.default_rng((self._seed, 2, index)).integers(0, _BANK_MARGIN + 1, (3, 2))
+        inverse, around = np.float32(1) / depth_m, np.ones((3, 3), np.uint8)
+        highest: Any = cv2.dilate(inverse, around)
+        lowest: Any = cv2.erode(inverse, around)
         # Single dark pixels are bridged by the sensor's correlation window, larger ones are widened by it.
-        dark = cv2.medianBlur(dark.view(np.uint8), 3).view(np.bool_)
-        grazing = spread > _GRAZING * 640 / width * inverse
-        lost = dark | (grazing & self._lost[cuts[2]])
-        lost |= ~known | (noisy < RANGE_M[0]) | (noisy > RANGE_M[1])
-        return np.asarray(np.where(lost, 0, np.rint(noisy * 1000)), dtype=np.uint16)
+        dark: Any = cv2.medianBlur(projector_shadow(depth_m, self._camera).view(np.uint8), 3)
+        depth_mm = np.empty(depth_m.shape, dtype=np.uint16)
+        grazing = np.float32(_GRAZING * 640 / depth_m.shape[1])
+        banks = self._axial, self._jitter, self._lost
+        _measure(depth_m, inverse, highest, lowest, dark, *banks, cuts, grazing, depth_mm)
+        return depth_mm
+
+
+@compiled
+def _shadow(inverse: NDArray[np.float32], baseline_px_m: Any, dark: NDArray[np.uint8]) -> None:
+    """Go through each row from its right end, up to where the projector's rays are taken."""
+    for row in range(inverse.shape[0]):
+        reached = np.float32(np.inf)
+        for column in range(inverse.shape[1] - 1, -1, -1):
+            # Place in the projector's image, pixels: the projector is the camera moved along x.
+            place = np.float32(column) - baseline_px_m * inverse[row, column]
+            reached = min(reached, place)
+            dark[row, column] = place > reached + _HALF
+
+
+@compiled
+def _measure(
+    depth_m: NDArray[np.float32],
+    inverse: NDArray[np.float32],
+    highest: NDArray[np.float32],
+    lowest: NDArray[np.float32],
+    dark: NDArray[np.uint8],
+    axial: NDArray[np.float32],
+    jitter: NDArray[np.int8],
+    lost: NDArray[np.bool_],
+    cuts: NDArray[np.int64],
+    grazing: Any,
+    depth_mm: NDArray[np.uint16],
+) -> None:
+    """Measure every pixel; `cuts` is where the image lies in the three banks of noise."""
+    height, width = depth_m.shape
+    moved = np.empty(width, dtype=np.float32)
+    for row in range(height):
+        moved[:] = depth_m[row]
+        if 2 <= row < height - 2:
+            down, right = jitter[:, row + cuts[1, 0], cuts[1, 1] : cuts[1, 1] + width]
+            for column in range(2, width - 2):
+                if highest[row, column] - lowest[row, column] > _EDGE:
+                    moved[column] = depth_m[row + down[column], column + right[column]]
+        axial_part = axial[row + cuts[0, 0], cuts[0, 1] : cuts[0, 1] + width]
+        lost_part = lost[row + cuts[2, 0], cuts[2, 1] : cuts[2, 1] + width]
+        _measure_row(
+            moved,
+            inverse[row],
+            highest[row],
+            lowest[row],
+            dark[row],
+            axial_part,
+            lost_part,
+            grazing,
+            depth_mm[row],
+        )
+
+
+@inlined
+def _measure_row(
+    depth_m: Any,
+    inverse: Any,
+    highest: Any,
+    lowest: Any,
+    dark: Any,
+    axial: Any,
+    lost: Any,
+    grazing: Any,
+    depth_mm: Any,
+) -> None:
+    for n in range(depth_m.size):
+        noisy = quantised(depth_m[n] + axial_noise_m(depth_m[n]) * axial[n])
+        seen = (dark[n] == 0) & ((highest[n] - lowest[n] <= grazing * inverse[n]) | (not lost[n]))
+        # Where there is nothing, noise makes an infinity or no number at all, which is in no range.
+        seen &= (noisy >= _NEAREST) & (noisy <= _FARTHEST)
+        depth_mm[n] = np.uint16(np.rint(noisy * np.float32(1000))) if seen else np.uint16(0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import Any
 
@@ -9,129 +10,221 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.synthetic_scene import Scene, SceneObject
-from nurbseg.drivers.synthetic_shapes import Components, Rectangle
+from nurbseg.drivers.compiled import compiled, inlined
+from nurbseg.drivers.synthetic_scene import Scene
+from nurbseg.drivers.synthetic_shapes import Rectangle
 
 #: Direction to the lamp, from left, in front and above.
 _LAMP = np.array([-0.45, -0.5, 0.95]) / np.linalg.norm([-0.45, -0.5, 0.95])
 _LAMP_COLOR = np.array([1.06, 1.0, 0.92], dtype=np.float32)
 _SKY_COLOR = np.array([0.93, 0.98, 1.08], dtype=np.float32)
-_LAMP_SHARE, _SKY_SHARE = 0.66, 0.52
+_LAMP_SHARE, _SKY_SHARE = np.float32(0.66), np.float32(0.52)
 #: Directions to the parts of the lamp, whose breadth softens the shadows.
 _LAMP_PARTS = 14
 _SHADOW_SIZE = (112, 176)
+#: Distance from the ball's center, in its radii, from which on its shadow counts for nothing.
+_SHADOW_REACH = np.float32(7)
+#: Where there is nothing to see.
+_BACKGROUND = (52, 54, 58)
+#: Numbers in the precision of the images: a plain one would draw all that it meets into double precision.
+_ZERO, _HALF, _ONE, _TWO, _THREE = (np.float32(n) for n in (0, 0.5, 1, 2, 3))
 
 
-def shaded(
-    each: SceneObject, pose: NDArray[np.float64], point: Components, face: NDArray[np.uint8], eye: Components
-) -> NDArray[np.uint8]:
-    """Return the color of points on an object: paint, lamp, sky and a highlight."""
-    normal, s, t = each.shape.surface(point, face)
-    rotation = pose[:3, :3].astype(np.float32)
-    lamp = (rotation.T @ _LAMP).astype(np.float32)
-    up = rotation[2]
-    facing = np.clip(normal[0] * lamp[0] + normal[1] * lamp[1] + normal[2] * lamp[2], 0, 1)
-    upward = normal[0] * up[0] + normal[1] * up[1] + normal[2] * up[2]
-    # Near the table less of the sky is seen.
-    height = up[0] * point[0] + up[1] * point[1] + up[2] * point[2] + np.float32(pose[2, 3])
-    open_sky = 0.55 + 0.45 * np.clip(height / np.float32(0.05), 0, 1)
-    sky = _SKY_SHARE * (0.75 + 0.25 * upward) * open_sky
-    light = np.stack([sky * _SKY_COLOR[c] + _LAMP_SHARE * facing * _LAMP_COLOR[c] for c in range(3)], axis=-1)
-    painted: Any = _sampled(each.texture, s, t) * light
-    if each.shininess:
-        view = [eye[i] - point[i] for i in range(3)]
-        length = np.sqrt(view[0] ** 2 + view[1] ** 2 + view[2] ** 2)
-        half = [view[i] / length + lamp[i] for i in range(3)]
-        length = np.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
-        glance = np.clip((normal[0] * half[0] + normal[1] * half[1] + normal[2] * half[2]) / length, 0, 1)
-        for _ in range(5):
-            glance = glance * glance
-        painted += (190 * each.shininess * glance * (facing > 0))[..., None]
-    return _to_bytes(painted)
+class Light:
+    """The scene's paints under the lamp and the sky.
 
-
-def _sampled(texture: NDArray[np.uint8], s: Any, t: Any) -> NDArray[np.uint8]:
-    shape = np.broadcast_shapes(np.shape(s), np.shape(t))
-    columns = np.broadcast_to(np.asarray(s * (texture.shape[1] - 1), dtype=np.float32), shape)
-    rows = np.broadcast_to(np.asarray(t * (texture.shape[0] - 1), dtype=np.float32), shape)
-    return np.asarray(
-        cv2.remap(texture, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), dtype=np.uint8
-    )
-
-
-def _to_bytes(image: Any) -> NDArray[np.uint8]:
-    return np.asarray(np.clip(image, 0, 255), dtype=np.uint8)
-
-
-class Grounds:
-    """The scene's flat grounds under the lamp, with the shadows of what stands there.
-
-    What stands still is baked into the paint; the ball's shadow moves over it.
+    Parameters
+    ----------
+    scene : Scene
+        What there is to see.
     """
 
     def __init__(self, scene: Scene) -> None:
-        self._paint: dict[int, NDArray[np.uint8]] = {}
-        still = [n for n, each in enumerate(scene.objects) if not isinstance(each.shape, Rectangle)]
-        still.remove(scene.ball)
-        for number, each in enumerate(scene.objects):
-            if not isinstance(each.shape, Rectangle):
-                continue
-            pose = each.world_from_object
-            low, high = each.shape.corners_m.min(axis=0), each.shape.corners_m.max(axis=0)
-            grid = np.meshgrid(
-                np.linspace(low[0], high[0], _SHADOW_SIZE[1]), np.linspace(high[1], low[1], _SHADOW_SIZE[0])
-            )
-            lit = _lamp_share(scene, still, pose, grid)
-            facing = max(float(pose[:3, 2] @ _LAMP), 0.0)
-            height, width = each.texture.shape[:2]
-            soft = cv2.resize(lit, (width, height), interpolation=cv2.INTER_LINEAR)
-            lit = np.asarray(soft, dtype=np.float32)
-            # Under and beside things the sky is shut out too: a broad, weak copy of their shadows.
-            open_sky = 0.72 + 0.28 * cv2.GaussianBlur(lit, (0, 0), width / 45)
-            light = (
-                _SKY_SHARE * open_sky[..., None] * _SKY_COLOR
-                + _LAMP_SHARE * facing * lit[..., None] * _LAMP_COLOR
-            )
-            self._paint[number] = _to_bytes(each.texture * light)
+        self._scene = scene
+        grounds = _lit_grounds(scene.seed)
+        paints = [grounds.get(n, each.texture) for n, each in enumerate(scene.objects)]
+        rows, columns = (np.array([each.shape[axis] for each in paints]) for axis in (0, 1))
+        ends = np.cumsum(columns)
+        # All paints side by side in one image, from which one call takes what a camera sees.
+        self._paint = np.zeros((rows.max(), ends[-1], 3), dtype=np.uint8)
+        for each, end in zip(paints, ends, strict=True):
+            self._paint[: each.shape[0], end - each.shape[1] : end] = each
+        #: First column and row of each object's paint, and by how many it goes on from there, (S, 4) float32.
+        self.paints = np.stack([ends - columns, 0 * rows, columns - 1, rows - 1], axis=1).astype(np.float32)
+        self._is_lit = np.array([n in grounds for n in range(len(paints))])
+        self._shininess = np.array([each.shininess for each in scene.objects], dtype=np.float32)
 
-    def painted(
-        self, number: int, each: SceneObject, point: Components, ball: NDArray[np.float64]
+    def image(
+        self,
+        world_from_camera: NDArray[np.float64],
+        tick: float,
+        points: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+        objects: NDArray[np.uint8],
+        normals: NDArray[np.float32],
+        places: NDArray[np.float32],
     ) -> NDArray[np.uint8]:
-        """Return the color of points on a flat ground."""
-        _, s, t = each.shape.surface(point, np.uint8(0))
-        painted = _sampled(self._paint[number], s, t)
-        # The ball's shadow: how far the line to the lamp passes by its centre, in radii.
-        center = np.linalg.inv(each.world_from_object) @ ball[:, 3]
-        lamp = each.world_from_object[:3, :3].T @ _LAMP
-        offset = [np.float32(center[i]) - point[i] for i in range(3)]
-        return painted if abs(center[2]) > 0.3 else _under_ball(painted, offset, lamp, float(ball[2, 3]))
+        """Return what a camera sees in color, (H, W, 3) uint8 RGB.
+
+        Parameters
+        ----------
+        world_from_camera : (4, 4) float64
+            Where the camera is.
+        tick : float
+            The moment.
+        points : three of (H, W) float32
+            What each pixel shows: x / z, y / z and z in the camera's frame.
+        objects : (H, W) uint8
+            Number of the visible object + 1, 0 where there is none.
+        normals : (3, H, W) float32
+            In the camera's frame.
+        places : (2, H, W) float32
+            Column and row in the paint.
+        """
+        image = np.empty((*objects.shape, 3), dtype=np.uint8)
+        cv2.remap(self._paint, places[0], places[1], cv2.INTER_LINEAR, dst=image)
+        # All in the camera's frame, in which the eye is the origin.
+        lamp, up = (world_from_camera[:3, :3].T @ each for each in (_LAMP, np.array([0.0, 0.0, 1.0])))
+        ball = np.linalg.inv(world_from_camera) @ self._scene.world_from_object(self._scene.ball, tick)[:, 3]
+        vectors = np.stack([lamp, up, ball[:3]]).astype(np.float32)
+        height, radius = (np.float32(each) for each in (world_from_camera[2, 3], self._scene.ball_radius_m))
+        _light(self._is_lit, self._shininess, vectors, height, radius, *points, objects, normals, image)
+        return image
 
 
-def _under_ball(
-    painted: NDArray[np.uint8], offset: list[Any], lamp: NDArray[np.float64], radius_m: float
-) -> NDArray[np.uint8]:
-    # Every eighth pixel tells where the shadow can be.
-    x, y, z = (np.broadcast_to(each, painted.shape[:2]) for each in offset)
-    near = np.abs(x[::8, ::8]) + np.abs(y[::8, ::8]) < 9 * radius_m
-    rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
-    if not rows.size:
-        return painted
-    part = tuple(slice(max(8 * (n[0] - 1), 0), 8 * (n[-1] + 2)) for n in (rows, columns))
-    x, y, z = x[part], y[part], z[part]
-    along = x * np.float32(lamp[0]) + y * np.float32(lamp[1]) + z * np.float32(lamp[2])
-    beside = np.sqrt(np.maximum(x * x + y * y + z * z - along * along, 0)) / np.float32(radius_m)
-    softness = 0.12 + 0.12 * np.maximum(along, 0) / np.float32(radius_m)
-    lit = np.clip((beside - 1) / (2 * softness) + 0.5, 0, 1)
-    lit = 0.45 + 0.55 * lit * lit * (3 - 2 * lit)
-    below = np.clip(np.hypot(x, y) / np.float32(1.3 * radius_m), 0, 1)
-    painted[part] = (painted[part] * (lit * (0.7 + 0.3 * below))[..., None]).astype(np.uint8)
-    return painted
+@compiled
+def _light(
+    is_lit: NDArray[np.bool_],
+    shininess: NDArray[np.float32],
+    vectors: NDArray[np.float32],
+    camera_height: Any,
+    ball_radius: Any,
+    x: NDArray[np.float32],
+    y: NDArray[np.float32],
+    z: NDArray[np.float32],
+    objects: NDArray[np.uint8],
+    normals: NDArray[np.float32],
+    image: NDArray[np.uint8],
+) -> None:
+    """Turn paint to color; `vectors` are the directions to the lamp and up, and the ball's center."""
+    for row in range(objects.shape[0]):
+        first = 0
+        while first < objects.shape[1]:
+            shown = objects[row, first]
+            end = first + 1
+            while end < objects.shape[1] and objects[row, end] == shown:
+                end += 1
+            part = slice(first, end)
+            first = end
+            pixels = image[row, part]
+            shape = x[row, part], y[row, part], z[row, part], normals[:, row, part]
+            if shown == 0:
+                pixels[:, 0], pixels[:, 1], pixels[:, 2] = _BACKGROUND
+            elif is_lit[np.int64(shown) - 1]:
+                _shadow_row(*shape, vectors[0], vectors[2], ball_radius, pixels)
+            else:
+                shine = np.float32(190) * shininess[np.int64(shown) - 1]
+                _light_row(*shape, vectors[0], vectors[1], camera_height, shine, pixels)
+
+
+@inlined
+def _shadow_row(x: Any, y: Any, z: Any, normals: Any, lamp: Any, ball: Any, radius: Any, pixels: Any) -> None:
+    """Take from a ground what light the ball shuts out."""
+    reach = _SHADOW_REACH * radius
+    for n in range(z.size):
+        bx, by, bz = ball[0] - z[n] * x[n], ball[1] - z[n] * y[n], ball[2] - z[n]
+        square = bx * bx + by * by + bz * bz
+        if square > reach * reach:
+            continue
+        above = bx * normals[0, n] + by * normals[1, n] + bz * normals[2, n]
+        along = bx * lamp[0] + by * lamp[1] + bz * lamp[2]
+        share = _beside_ball(square, above, along, radius)
+        for channel in range(3):
+            pixels[n, channel] = np.uint8(np.float32(pixels[n, channel]) * share)
+
+
+@inlined
+def _light_row(
+    x: Any, y: Any, z: Any, normals: Any, lamp: Any, up: Any, camera_height: Any, shine: Any, pixels: Any
+) -> None:
+    for n in range(z.size):
+        px, py, pz = z[n] * x[n], z[n] * y[n], z[n]
+        nx, ny, nz = normals[0, n], normals[1, n], normals[2, n]
+        # Near the table less of the sky is seen.
+        height = up[0] * px + up[1] * py + up[2] * pz + camera_height
+        open_sky = np.float32(0.55) + np.float32(0.45) * _clipped(height / np.float32(0.05))
+        upward = nx * up[0] + ny * up[1] + nz * up[2]
+        sky = _SKY_SHARE * (np.float32(0.75) + np.float32(0.25) * upward) * open_sky
+        facing = _clipped(nx * lamp[0] + ny * lamp[1] + nz * lamp[2])
+        sun = _LAMP_SHARE * facing
+        glance = shine * _highlight(px, py, pz, nx, ny, nz, lamp) if facing > _ZERO else _ZERO
+        for channel in range(3):
+            light = sky * _SKY_COLOR[channel] + sun * _LAMP_COLOR[channel]
+            color = np.float32(pixels[n, channel]) * light + glance
+            pixels[n, channel] = np.uint8(min(color, np.float32(255)))
+
+
+@inlined
+def _beside_ball(square: Any, above: Any, along: Any, radius: Any) -> Any:
+    """Return what share of its light the ball leaves to a point of a ground.
+
+    The ball's center is as far as the root of `square`, so high over the ground and so far towards the lamp.
+    """
+    # How far the line to the lamp passes by its center, in radii.
+    beside = math.sqrt(max(square - along * along, _ZERO)) / radius
+    softness = np.float32(0.12) + np.float32(0.12) * max(along, _ZERO) / radius
+    lit = _clipped((beside - _ONE) / (_TWO * softness) + _HALF)
+    lit = np.float32(0.45) + np.float32(0.55) * lit * lit * (_THREE - _TWO * lit)
+    below = _clipped(math.sqrt(max(square - above * above, _ZERO)) / (np.float32(1.3) * radius))
+    return lit * (np.float32(0.7) + np.float32(0.3) * below)
+
+
+@inlined
+def _highlight(px: Any, py: Any, pz: Any, nx: Any, ny: Any, nz: Any, lamp: Any) -> Any:
+    """Return how strongly the lamp is mirrored towards the eye."""
+    scale = -_ONE / math.sqrt(px * px + py * py + pz * pz)
+    hx, hy, hz = px * scale + lamp[0], py * scale + lamp[1], pz * scale + lamp[2]
+    glance = _clipped((nx * hx + ny * hy + nz * hz) / math.sqrt(hx * hx + hy * hy + hz * hz))
+    for _ in range(5):
+        glance *= glance
+    return glance
+
+
+@inlined
+def _clipped(value: Any) -> Any:
+    return min(max(value, _ZERO), _ONE)
 
 
 @lru_cache(maxsize=2)
-def grounds_of(seed: int) -> Grounds:
-    """Return the lit grounds of the scene of a seed, which take a moment to compute."""
-    return Grounds(Scene(seed))
+def _lit_grounds(seed: int) -> dict[int, NDArray[np.uint8]]:
+    """Return the paint of the flat grounds of the scene of a seed, by object, with the light baked into it.
+
+    With it are the shadows of what stands still; the ball's moves over it.
+    """
+    scene = Scene(seed)
+    still = [n for n, each in enumerate(scene.objects) if not isinstance(each.shape, Rectangle)]
+    still.remove(scene.ball)
+    grounds = {}
+    for number, each in enumerate(scene.objects):
+        if not isinstance(each.shape, Rectangle):
+            continue
+        pose = each.world_from_object
+        low, high = each.shape.corners_m.min(axis=0), each.shape.corners_m.max(axis=0)
+        grid = np.meshgrid(
+            np.linspace(low[0], high[0], _SHADOW_SIZE[1]), np.linspace(high[1], low[1], _SHADOW_SIZE[0])
+        )
+        lit = _lamp_share(scene, still, pose, grid)
+        facing = max(float(pose[:3, 2] @ _LAMP), 0.0)
+        height, width = each.texture.shape[:2]
+        soft = cv2.resize(lit, (width, height), interpolation=cv2.INTER_LINEAR)
+        lit = np.asarray(soft, dtype=np.float32)
+        # Under and beside things the sky is shut out too: a broad, weak copy of their shadows.
+        open_sky = 0.72 + 0.28 * cv2.GaussianBlur(lit, (0, 0), width / 45)
+        light = (
+            _SKY_SHARE * open_sky[..., None] * _SKY_COLOR
+            + _LAMP_SHARE * np.float32(facing) * lit[..., None] * _LAMP_COLOR
+        )
+        grounds[number] = np.asarray(np.clip(each.texture * light, 0, 255), dtype=np.uint8)
+    return grounds
 
 
 def _lamp_share(
@@ -152,16 +245,9 @@ def _lamp_share(
         for number in casting:
             each = scene.objects[number]
             inverse = np.linalg.inv(each.world_from_object)
-            origin = (inverse @ world)[:3].astype(np.float32)
+            origins = (inverse @ world)[:3].T.astype(np.float32)
             direction = (inverse[:3, :3] @ towards).astype(np.float32)
-            # Rays that pass the object at a distance need no test.
-            center = each.shape.corners_m.mean(axis=0)
-            reach = float(np.linalg.norm(each.shape.corners_m - center, axis=1).max())
-            gap = np.cross((origin.T - center), direction / np.linalg.norm(direction))
-            close = np.flatnonzero((gap**2).sum(axis=1) < reach**2)
-            if close.size:
-                x, y, z = (origin[i, close] for i in range(3))
-                t, _ = each.shape.hit((x, y, z), (direction[0], direction[1], direction[2]))
-                free[close] &= ~np.isfinite(t)
+            multiples, _ = each.shape.hit(origins, np.broadcast_to(direction, origins.shape))
+            free &= np.isinf(multiples)
         lit += free
     return np.asarray((lit / _LAMP_PARTS).reshape(grid[0].shape), dtype=np.float32)

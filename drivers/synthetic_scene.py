@@ -88,6 +88,7 @@ class Scene:
         self.objects = _objects(rng, 0.0 if seed == 0 else 1.0)
         self.names = tuple(each.name for each in self.objects)
         self.ball = self.names.index(_BALL_NAME)
+        self.ball_radius_m = _BALL_RADIUS_M
         self._screen = self.objects[self.names.index(_SCREEN_NAME)]
         self._hidden_step_m = self._step_that_hides(hidden_ticks) if hidden_ticks else 0.0
 

@@ -33,7 +33,8 @@ def test_a_wall_is_measured_with_the_noise_and_the_steps_of_its_distance(depth_m
 
 def test_quantised_depth_is_within_half_a_step():
     depth = np.linspace(0.4, 6, 500, dtype=np.float32)
-    assert (np.abs(quantised(depth) - depth) <= 0.52 * DISPARITY_STEP_PER_M * depth**2 + 1e-6).all()
+    steps = np.array([quantised(each) for each in depth])
+    assert (np.abs(steps - depth) <= 0.52 * DISPARITY_STEP_PER_M * depth**2 + 1e-6).all()
 
 
 def test_the_projector_leaves_a_shadow_of_the_parallax_at_a_boards_left_side_only():

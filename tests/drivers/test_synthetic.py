@@ -95,7 +95,7 @@ def test_depth_and_labels_agree_with_casting_each_ray_on_its_own():
             for number, each in enumerate(source._scene.objects):
                 inverse = np.linalg.inv(poses.world_from_object[number + 1]) @ poses.world_from_depth
                 origin, direction = inverse[:3, 3], inverse[:3, :3] @ ray
-                t, _ = each.shape.hit(tuple(origin[:, None]), tuple(direction[:, None]))
+                t, _ = each.shape.hit(*(a[None].astype(np.float32) for a in (origin, direction)))
                 if t[0] < best:
                     best, label = t[0], number + 1
             assert frame.depth_mm[row, col] == pytest.approx(best * 1000, abs=0.51)
