@@ -18,7 +18,9 @@ def modules():
             yield importlib.import_module(f"{package.__name__}.{info.name}")
 
 
-@pytest.mark.parametrize("module", list(modules()), ids=lambda module: module.__name__.removeprefix("nurbseg."))
+@pytest.mark.parametrize(
+    "module", list(modules()), ids=lambda module: module.__name__.removeprefix("nurbseg.")
+)
 def test_compiled_functions_take_nothing_from_other_files(module):
     """What is kept of them is not compiled anew when another file changes."""
     tree = ast.parse(inspect.getsource(module))
