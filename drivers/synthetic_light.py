@@ -116,7 +116,8 @@ def _light(
             part = slice(first, end)
             first = end
             pixels = image[row, part]
-            shape = x[row, part], y[row, part], z[row, part], normals[:, row, part]
+            normal = normals[0, row, part], normals[1, row, part], normals[2, row, part]
+            shape = x[row, part], y[row, part], z[row, part], *normal
             if shown == 0:
                 pixels[:, 0], pixels[:, 1], pixels[:, 2] = _BACKGROUND
             elif is_lit[np.int64(shown) - 1]:
@@ -127,7 +128,9 @@ def _light(
 
 
 @inlined
-def _shadow_row(x: Any, y: Any, z: Any, normals: Any, lamp: Any, ball: Any, radius: Any, pixels: Any) -> None:
+def _shadow_row(
+    x: Any, y: Any, z: Any, nx: Any, ny: Any, nz: Any, lamp: Any, ball: Any, radius: Any, pixels: Any
+) -> None:
     """Take from a ground what light the ball shuts out."""
     reach = _SHADOW_REACH * radius
     for n in range(z.size):
@@ -135,7 +138,7 @@ def _shadow_row(x: Any, y: Any, z: Any, normals: Any, lamp: Any, ball: Any, radi
         square = bx * bx + by * by + bz * bz
         if square > reach * reach:
             continue
-        above = bx * normals[0, n] + by * normals[1, n] + bz * normals[2, n]
+        above = bx * nx[n] + by * ny[n] + bz * nz[n]
         along = bx * lamp[0] + by * lamp[1] + bz * lamp[2]
         share = _beside_ball(square, above, along, radius)
         for channel in range(3):
@@ -144,19 +147,29 @@ def _shadow_row(x: Any, y: Any, z: Any, normals: Any, lamp: Any, ball: Any, radi
 
 @inlined
 def _light_row(
-    x: Any, y: Any, z: Any, normals: Any, lamp: Any, up: Any, camera_height: Any, shine: Any, pixels: Any
+    x: Any,
+    y: Any,
+    z: Any,
+    nx: Any,
+    ny: Any,
+    nz: Any,
+    lamp: Any,
+    up: Any,
+    camera_height: Any,
+    shine: Any,
+    pixels: Any,
 ) -> None:
     for n in range(z.size):
         px, py, pz = z[n] * x[n], z[n] * y[n], z[n]
-        nx, ny, nz = normals[0, n], normals[1, n], normals[2, n]
+        normal = nx[n], ny[n], nz[n]
         # Near the table less of the sky is seen.
         height = up[0] * px + up[1] * py + up[2] * pz + camera_height
         open_sky = np.float32(0.55) + np.float32(0.45) * _clipped(height / np.float32(0.05))
-        upward = nx * up[0] + ny * up[1] + nz * up[2]
+        upward = normal[0] * up[0] + normal[1] * up[1] + normal[2] * up[2]
         sky = _SKY_SHARE * (np.float32(0.75) + np.float32(0.25) * upward) * open_sky
-        facing = _clipped(nx * lamp[0] + ny * lamp[1] + nz * lamp[2])
+        facing = _clipped(normal[0] * lamp[0] + normal[1] * lamp[1] + normal[2] * lamp[2])
         sun = _LAMP_SHARE * facing
-        glance = shine * _highlight(px, py, pz, nx, ny, nz, lamp) if facing > _ZERO else _ZERO
+        glance = shine * _highlight(px, py, pz, *normal, lamp) if facing > _ZERO else _ZERO
         for channel in range(3):
             light = sky * _SKY_COLOR[channel] + sun * _LAMP_COLOR[channel]
             color = np.float32(pixels[n, channel]) * light + glance

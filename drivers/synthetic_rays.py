@@ -131,9 +131,11 @@ def surfaces_seen(
                 end += 1
             part = slice(first, end)
             first = end
-            found = normals[:, row, part], places[:, row, part]
+            normal = normals[0, row, part], normals[1, row, part], normals[2, row, part]
+            found = *normal, places[0, row, part], places[1, row, part]
             if shown == 0:
-                found[0][:], found[1][:] = _ZERO, _ZERO
+                for each in found:
+                    each[:] = _ZERO
                 continue
             number = np.int64(shown) - 1
             kind = kinds[number]
@@ -164,8 +166,11 @@ def _surfaces_in_row(
     y: Any,
     depth: Any,
     faces: Any,
-    normals: Any,
-    places: Any,
+    normal_x: Any,
+    normal_y: Any,
+    normal_z: Any,
+    columns: Any,
+    rows: Any,
 ) -> None:
     for n in range(depth.size):
         t = depth[n]
@@ -174,11 +179,11 @@ def _surfaces_in_row(
         py = m[1, 0] * u + m[1, 1] * v + m[1, 2] * t + m[1, 3]
         pz = m[2, 0] * u + m[2, 1] * v + m[2, 2] * t + m[2, 3]
         nx, ny, nz, across, down = _surface(kind, size, px, py, pz, faces[n])
-        normals[0, n] = m[0, 0] * nx + m[1, 0] * ny + m[2, 0] * nz
-        normals[1, n] = m[0, 1] * nx + m[1, 1] * ny + m[2, 1] * nz
-        normals[2, n] = m[0, 2] * nx + m[1, 2] * ny + m[2, 2] * nz
-        places[0, n] = paint[0] + paint[2] * min(max(across, _ZERO), _ONE)
-        places[1, n] = paint[1] + paint[3] * min(max(down, _ZERO), _ONE)
+        normal_x[n] = m[0, 0] * nx + m[1, 0] * ny + m[2, 0] * nz
+        normal_y[n] = m[0, 1] * nx + m[1, 1] * ny + m[2, 1] * nz
+        normal_z[n] = m[0, 2] * nx + m[1, 2] * ny + m[2, 2] * nz
+        columns[n] = paint[0] + paint[2] * min(max(across, _ZERO), _ONE)
+        rows[n] = paint[1] + paint[3] * min(max(down, _ZERO), _ONE)
 
 
 @compiled
