@@ -6,7 +6,7 @@ import gc
 import logging
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -71,6 +71,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ViewProcess
     """
     with ExitStack() as stack:
         loading = _begin_loading(config)
+        report: RunReport | None = None
         try:
             opened = open_chosen(config)
             stack.enter_context(opened.source)
@@ -92,7 +93,12 @@ def run(config: AppConfig, interruption: Interruption, view_process: ViewProcess
                 )
             )
             recording = open_recording(config.record, opened.camera, lossless=opened.every_frame)
-        except (DriverError, ExportError, ViewError, OSError, ValueError) as err:
+        except (DriverError, ExportError, ViewError, OSError, ValueError, KeyboardInterrupt) as err:
+            if report is not None:
+                with suppress(ExportError):
+                    _write_report(config, report, None, _reason(err, interruption))
+            if isinstance(err, KeyboardInterrupt):
+                raise
             raise SetupError(str(err)) from err
         if view.how_to_look:
             _log.info("to look: %s", view.how_to_look)
@@ -121,7 +127,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ViewProcess
             if report.segmented + report.passed_by == 0:
                 raise NoFramesError(f"{opened.uri}: no frame could be read ({capture.damaged} damaged)")
         except BaseException as err:
-            ended = "interrupted" if interruption.signal_number else f"{type(err).__name__}: {err}"
+            ended = _reason(err, interruption)
             raise
         finally:
             report.view_peak_mb = view.peak_memory_mb()
@@ -130,6 +136,11 @@ def run(config: AppConfig, interruption: Interruption, view_process: ViewProcess
             _log.info("all frames are shown; Ctrl-C ends the serving")
             interruption.wait()
         return report
+
+
+def _reason(err: BaseException, interruption: Interruption) -> str:
+    """Return why a run ended that did not end by itself."""
+    return "interrupted" if interruption.signal_number else f"{type(err).__name__}: {err}"
 
 
 def _begin_loading(config: AppConfig) -> Loading | None:

@@ -19,7 +19,7 @@ from nurbseg.app.view_drawing import drawn
 from nurbseg.app.view_frame import Moment
 from nurbseg.app.view_memory import SLOTS, SharedSlots
 from nurbseg.app.view_process import ViewProcess
-from nurbseg.app.viewer_process import ViewError
+from nurbseg.app.viewer_process import FILE_CLOSE_S, FILE_PATIENCE_S, ViewError
 from nurbseg.app.worker import FrameResult
 from nurbseg.drivers.frame import Calibration
 from nurbseg.segmentation.config import SegmentationConfig
@@ -30,10 +30,8 @@ _WAITING = 2
 _OPEN_S = 60.0
 #: Longest wait for room; the process itself says after 10 s that its file is stuck.
 _STUCK_S = 15.0
-#: What closing may take: for the file to be whole, and for the rest.
-FILE_CLOSE_S, _REST_S = 1.2, 0.7
-#: How long a file is waited for where nobody waits for the program's end.
-_FILE_PATIENCE_S = 15.0
+#: What closing may take besides the file.
+_REST_S = 0.7
 #: Time between two looks whether it is over, seconds.
 _LOOK_S = 0.5
 #: Frames over which the rate is taken.
@@ -228,7 +226,7 @@ class IsolatedView:
         exc: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        self.close(file_limit_s=_FILE_PATIENCE_S if exc_type is None else FILE_CLOSE_S)
+        self.close(file_limit_s=FILE_PATIENCE_S if exc_type is None else FILE_CLOSE_S)
 
     def _rate_hz(self) -> float:
         if len(self._shown_s) < 2:

@@ -92,11 +92,11 @@ class ViewerSink:
         try:
             while not self._stopping.is_set() and not self._outbox.finished:
                 if listens(*self._address):
-                    self._serve()
+                    if self._serve():
+                        continue
                 elif not self._may_come():
                     return
-                else:
-                    self._stopping.wait(_RETRY_S)
+                self._stopping.wait(_RETRY_S)
         except Exception:
             logger.exception("nothing more is shown in the viewer at %s", self._url)
 
@@ -111,15 +111,15 @@ class ViewerSink:
             logger.warning("no viewer listens at %s; it is shown to as soon as one does", self._url)
         return not self._outbox.closed
 
-    def _serve(self) -> None:
-        """Feed one viewer until it is gone or we stop."""
+    def _serve(self) -> bool:
+        """Feed one viewer until it is gone or we stop; return whether it took anything."""
         stream = self._opening.stream()
         taken = False
         try:
             stream.set_sinks(rr.GrpcSink(self._url))
             self._opening.send(stream)
-            taken = self._taken(stream)
-            if taken:
+            taken = connected = self._taken(stream)
+            if connected:
                 logger.info("showing in the viewer at %s", self._url)
                 self._connections += 1
                 self._connected.set()
@@ -128,8 +128,10 @@ class ViewerSink:
                 for item in self._outbox.take(timeout_s=1.0):
                     writer.write(item)
                 taken = self._taken(stream)
-            if not taken and not self._stopping.is_set():
+            # One that ends, or begins, may listen for a moment without taking anything.
+            if connected and not taken and not self._stopping.is_set():
                 logger.warning("the viewer at %s is gone; if it comes back it is shown to again", self._url)
+            return connected
         finally:
             if not taken:
                 cut_connections(*self._address)

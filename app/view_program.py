@@ -17,8 +17,8 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from nurbseg.app.view_memory import SharedSlots
-from nurbseg.app.view_rerun import FILE_PATIENCE_S, RerunView
-from nurbseg.app.viewer_process import ViewError
+from nurbseg.app.view_rerun import RerunView
+from nurbseg.app.viewer_process import FILE_PATIENCE_S, ViewError
 
 #: Time between two looks what became of the viewer, seconds.
 _LOOK_S = 0.1
@@ -83,7 +83,7 @@ def main() -> int:
         _, config, segmentation, properties, name, level = words.recv()
     except (EOFError, OSError):
         return 0
-    logging.basicConfig(level=logging.WARNING, handlers=[teller])
+    logging.getLogger().addHandler(teller)
     logging.getLogger("nurbseg").setLevel(level)
     try:
         view = RerunView(config, segmentation, properties, name)

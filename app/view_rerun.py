@@ -27,6 +27,7 @@ from nurbseg.app.view_file import FileSink
 from nurbseg.app.view_live import ViewerSink
 from nurbseg.app.view_stream import LogLine, Opening
 from nurbseg.app.viewer_process import (
+    FILE_CLOSE_S,
     ViewError,
     chosen_mode,
     free_port,
@@ -38,10 +39,8 @@ from nurbseg.app.viewer_process import (
 
 logger = logging.getLogger(__name__)
 
-#: What closing may take: for the file to be whole, then for the viewer to take the last frame.
-_FILE_CLOSE_S, _VIEWER_CLOSE_S = 1.2, 0.3
-#: How long a file is waited for where nobody waits for the program's end.
-FILE_PATIENCE_S = 15.0
+#: What closing may take, after the file is whole, for the viewer to take the last frame.
+_VIEWER_CLOSE_S = 0.3
 
 _LEVELS = {
     logging.CRITICAL: "CRITICAL",
@@ -155,7 +154,7 @@ class RerunView:
         for sink in self._sinks:
             sink.put_line(line)
 
-    def close(self, *, file_limit_s: float = _FILE_CLOSE_S) -> None:
+    def close(self, *, file_limit_s: float = FILE_CLOSE_S) -> None:
         """End within 2 s: the file is whole and can be read; a viewer's window stays.
 
         Parameters
@@ -209,9 +208,13 @@ class RerunView:
                 raise ViewError(f"port {port} is taken by something that is no viewer; name another port")
             process = self._process = start_viewer(self._config, port)
 
+        said = False
+
         def starting() -> bool:
+            nonlocal said
             code = process.poll() if process is not None else None
-            if code is not None:
+            if code is not None and not said:
+                said = True
                 logger.warning(
                     "the viewer ended at once (code %d); run 'rerun' to see why, or use --view serve", code
                 )
@@ -239,4 +242,4 @@ def _host_of(bind: str) -> str:
     return {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(bind, bind)
 
 
-__all__ = ["FILE_PATIENCE_S", "RerunView"]
+__all__ = ["RerunView"]

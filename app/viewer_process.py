@@ -12,6 +12,8 @@ from pathlib import Path
 
 from nurbseg.app.view_config import ViewConfig, ViewMode
 
+#: Longest wait for a file to be whole, seconds: where somebody waits for the end, and where nobody does.
+FILE_CLOSE_S, FILE_PATIENCE_S = 1.2, 15.0
 #: Longest wait for a peer's TCP handshake.
 PROBE_TIMEOUT_S = 0.5
 
@@ -163,6 +165,8 @@ def cut_connections(host: str, port: int) -> int:
 
 
 __all__ = [
+    "FILE_CLOSE_S",
+    "FILE_PATIENCE_S",
     "ViewError",
     "chosen_mode",
     "cut_connections",

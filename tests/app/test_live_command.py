@@ -222,6 +222,13 @@ def test_what_cannot_begin_ends_with_2_and_a_plain_message(
     assert "Traceback" not in done.stderr
 
 
+def test_the_report_of_a_run_that_cannot_begin_says_why(live: Live, tmp_path: Path) -> None:
+    done = live("--replay", SMALL.format(1), *FAST, "--save", str(tmp_path), "--report", "report.json")
+    assert done.returncode == 2, done.stderr
+    ended = json.loads((tmp_path / "report.json").read_text())["ended"]
+    assert ended.startswith(f"ViewError: {tmp_path}: cannot be created: ")
+
+
 def test_an_unknown_key_ends_with_2_and_its_nearest_neighbour(live: Live, tmp_path: Path) -> None:
     (tmp_path / "run.toml").write_text("[segmentation]\nmetrik = 'mse'\n")
     done = live("--config", "run.toml")

@@ -187,8 +187,25 @@ def test_an_absent_viewer_does_no_harm_and_is_named_once(
     wait_until(lambda: "no viewer listens" in caplog.text, "the absence is said")
     time.sleep(1.2)
     close_in_time(view)
-    assert caplog.text.count("no viewer listens") == 1
+    (said,) = [record for record in caplog.records if "no viewer listens" in record.getMessage()]
+    assert (said.name, said.levelname) == ("nurbseg.app.view_live", "WARNING")
+    assert said.getMessage().startswith(f"no viewer listens at rerun+http://{LOCAL}:{port}/proxy;")
     assert_file_is_whole(path)
+
+
+def test_a_viewer_that_ends_at_once_is_told_of_once(
+    result: FrameResult, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    # Without a display the viewer cannot open its window.
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    view = open_view(ViewConfig(mode="spawn", port=free_port(LOCAL)), CONFIG)
+    view.show(result)
+    wait_until(lambda: "the viewer ended at once (code 1)" in caplog.text, "the viewer's end is said")
+    time.sleep(1.2)
+    close_in_time(view)
+    assert caplog.text.count("the viewer ended at once") == 1
+    assert own_children() == []
 
 
 def test_a_viewer_that_comes_late_is_shown_to(result: FrameResult) -> None:
