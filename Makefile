@@ -66,12 +66,16 @@ $(VENV)/test-dependencies.stamp: $(VENV)/bin/pip pyproject.toml
 	$(BIN)/pip install --quiet --no-build-isolation '.[dev]'
 	touch $@
 
+compiled = $(BIN)/nurbseg-live --quiet --replay 'synthetic:?$(1)' --speed 0 --temporal on --view none --save $(VENV)/first.rrd
+
 # ... and the project itself, when one of its files does. It is a plain install: what is tested is what is shipped.
 define install
 rm -rf build
 $(BIN)/pip install --quiet --no-build-isolation --no-deps --force-reinstall .
-# The inner loops are compiled now, so that no run waits for that.
-$(BIN)/nurbseg-live --quiet --replay 'synthetic:?frames=4' --speed 0 --temporal on --view none --save $(VENV)/first.rrd
+# The inner loops are compiled now, so that no run waits for that: first those of a tree that is grown, lives on and is
+# revised as things come and go, then those of two cameras with bent lenses.
+$(call compiled,frames=12&hide=3)
+$(call compiled,width=320&height=240&frames=2&offset=1&distortion=1)
 touch $@
 endef
 
