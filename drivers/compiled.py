@@ -10,7 +10,8 @@ import numba
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
-#: What the compiler may reorder: sums, and products within them; not what a NaN or an infinity means.
+#: What the compiler may reorder: sums, and products within them. Comparisons know a NaN and an infinity, but
+#: `isfinite` of a sum does not: it looks at the number less itself, which is then 0.
 _FASTMATH = {"reassoc", "contract", "nsz"}
 
 

@@ -241,7 +241,7 @@ def _measure(
             square += apart_m * apart_m
             turn -= (normals[1, axis] - normals[0, axis]) * apart_m
         concavity = turn / max(np.sqrt(square), 1e-9)
-        if np.isfinite(concavity):
+        if abs(concavity) < np.inf:
             borders.concavity_sum[border] += concavity
     return last
 

@@ -146,18 +146,23 @@ def _fit(
     if smoothness > 0.0:
         _add_bends(band, smoothness, nv, step_v, nu, step_u)
         _add_bends(band, smoothness, nu, step_u, nv, step_v)
-    largest = band[:, 0].max()
+    largest = 0.0
+    for n in range(size):
+        largest = max(largest, band[n, 0])
     for n in range(size):
         band[n, 0] += _RIDGE_SHARE * largest
     control = np.empty((count, nv, nu))
-    if not _factorize(band):
+    solved = _factorize(band)
+    if not solved:
         return False, control, held
     for c in range(count):
         _substitute(band, right[c])
         for a in range(nv):
             for b in range(nu):
-                control[c, a, b] = right[c, a * step_v + b * step_u] + centers[c]
-    return bool(np.isfinite(control).all()), control, held
+                value = right[c, a * step_v + b * step_u] + centers[c]
+                control[c, a, b] = value
+                solved &= abs(value) < np.inf
+    return solved, control, held
 
 
 @compiled

@@ -142,7 +142,7 @@ def _sum_misfits(
                 continue
             own = sums[label, np.int64(inner[r, c])]
             own[0] += 1.0
-            own[1] += not np.isfinite(deviations[r, c])
+            own[1] += not deviations[r, c] < np.inf
             deviation = min(per_deviation * abs(deviations[r, c] - per_m[r, c]), most)
             deviations[r, c] = deviation
             own[2] += deviation * deviation
@@ -230,7 +230,7 @@ def _measure(
         label = labels[place]
         if label == 0:
             continue
-        if np.isfinite(explained[place]):
+        if explained[place] < np.inf:
             beyond_per_m = abs(np.float64(explained[place]) - per_m[place])
             # The point and its surface point lie on one ray.
             residual_m = distances_m[place] * beyond_per_m / explained[place]

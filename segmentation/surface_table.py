@@ -224,7 +224,10 @@ def _evaluate(
 ) -> None:
     # Places come row by row: a surface along its last row is kept, a curve over the columns.
     last_row = np.full(u.counts.size, np.iinfo(np.int32).min, dtype=np.int32)
-    weights = np.empty((u.counts.size, u.counts.max()))
+    longest = 0
+    for count in u.counts:
+        longest = max(longest, count)
+    weights = np.empty((u.counts.size, longest))
     depths = np.empty_like(weights)
     for n in range(labels.size):
         label = labels[n]
