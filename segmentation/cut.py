@@ -246,10 +246,11 @@ def normalized_cuts(
     S = inverse @ (K.T @ K).astype(np.float64) @ inverse.T
     _take_out(S, total / np.linalg.norm(total))
     last = S.shape[0]
-    eigenvalues, eigenvectors, _, _, failed = dsyevr(
+    # Where many eigenvalues are equal fewer are known than there is room for.
+    eigenvalues, eigenvectors, known, _, failed = dsyevr(
         S.T, range="I", il=max(1, last - count + 1), iu=last, lower=1, overwrite_a=1
     )
-    found = np.flatnonzero(eigenvalues > _LEAST_EIGENVALUE)[::-1]
+    found = np.flatnonzero(eigenvalues[:known] > _LEAST_EIGENVALUE)[::-1]
     if failed or found.size == 0:
         yield _no_cut(vectors, affinity_scale, "the affinities tell no points apart")
         return

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from nurbseg.segmentation.cut import affinity, normalized_cut
+from nurbseg.segmentation.cut import affinity, normalized_cut, normalized_cuts
 
 
 def dense_affinity(vectors: NDArray[np.float32], scale: float = 1.0) -> NDArray[np.float64]:
@@ -160,3 +160,12 @@ def test_vectors_that_are_not_finite_are_refused():
     vectors[3, 2] = np.nan
     with pytest.raises(ValueError, match="finite"):
         normalized_cut(vectors, samples=5, rng=np.random.default_rng(0))
+
+
+def test_points_that_are_all_far_apart_have_cuts_or_a_reason():
+    # Then the matrix is nearly the identity, and LAPACK finds fewer eigenvalues than it was asked for.
+    rng = np.random.default_rng(0)
+    vectors = (rng.normal(size=(200, 6)) * 20).astype(np.float32)
+    for cut in normalized_cuts(vectors, count=3, samples=30, rng=rng, affinity_scale=0.7):
+        assert cut.side.shape == (200,)
+        assert cut.reason or (cut.side.any() and not cut.side.all())
