@@ -61,8 +61,9 @@ def _pivoted_inverse(A: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[
         pivot = np.argmax(unexplained)
         if unexplained[pivot] <= _UNEXPLAINED:
             break
-        column = columns[rank]
-        column[:] = A[pivot]
+        column, affinities = columns[rank], A[pivot]
+        for i in range(count):
+            column[i] = affinities[i]
         for k in range(rank):
             before, factor = columns[k], columns[k, pivot]
             for i in range(count):
