@@ -318,20 +318,20 @@ def children_of(node: Node, sides: tuple[list[Part], list[Part]]) -> tuple[Node,
 
 
 def _held_together(name: str, parts: list[Part], cuts_above: int) -> Node:
-    """Make one node of some parts that are not connected."""
-    if len(parts) == 1:
-        places, fit, stop = parts[0]
-        return Node(name, places, fit, stop=stop, cuts_above=cuts_above)
-    # Each part ascends: the stable sort merges them.
-    places = np.sort(np.concatenate([part[0] for part in parts]), kind="stable")
-    pixels = np.sort(np.concatenate([part[1].pixels for part in parts]), kind="stable")
-    fit = Fit(None, np.zeros(0), {}, f"{len(parts)} pieces that are not connected", pixels)
-    node = Node(name, places, fit, cuts_above=cuts_above)
-    first, rest = _largest_and_rest(parts)
-    node.children = (
-        _held_together(f"{name}0", first, cuts_above),
-        _held_together(f"{name}1", rest, cuts_above),
-    )
+    """Make one node of some parts that are not connected: the largest, a node of the others, and so on."""
+    parts = sorted(parts, key=lambda part: -part[0].size)
+    places, fit, stop = parts[-1]
+    node = Node(f"{name}{'1' * (len(parts) - 1)}", places, fit, stop=stop, cuts_above=cuts_above)
+    for largest in range(len(parts) - 2, -1, -1):
+        inner, together = f"{name}{'1' * largest}", parts[largest:]
+        # Each part ascends: the stable sort merges them.
+        places = np.sort(np.concatenate([part[0] for part in together]), kind="stable")
+        pixels = np.sort(np.concatenate([part[1].pixels for part in together]), kind="stable")
+        fit = Fit(None, np.zeros(0), {}, f"{len(together)} pieces that are not connected", pixels)
+        own = Node(f"{inner}0", *parts[largest][:2], stop=parts[largest][2], cuts_above=cuts_above)
+        rest = node
+        node = Node(inner, places, fit, cuts_above=cuts_above)
+        node.children = (own, rest)
     return node
 
 

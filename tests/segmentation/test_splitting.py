@@ -12,6 +12,14 @@ from nurbseg.segmentation.scores import object_iou, rand_index, region_covering,
 from nurbseg.segmentation.surface import evaluate
 from nurbseg.segmentation.tree import StopReason, segment
 
+MANY_PIECES = SegmentationConfig(
+    method="nurbseg",
+    decimation=1,
+    piece_pixels_min=1,
+    refine_borders=False,
+    merge_crease=False,
+    merge_smooth=False,
+)
 CONFIG = SegmentationConfig(method="nurbseg")
 DATA = os.environ.get("NURBSEG_DATA", "")
 
@@ -142,6 +150,14 @@ def test_things_apart_in_depth_are_parted_without_a_cut(cloud_of):
     assert tree.root.cut is None
     assert "not connected" in tree.root.fit.reason
     assert len(tree.objects) == 2
+
+
+def test_a_thousand_things_apart_in_depth_are_as_many_leaves(cloud_of):
+    rows, columns = np.indices((140, 130)) // 4
+    tree = segment(cloud_of(np.where((rows + columns) % 2 == 0, 1.0, 2.0)), MANY_PIECES)
+    assert len(tree.leaves()) == 35 * 33
+    assert tree.label_image().max() == 35 * 33
+    assert {leaf.pixels.size for leaf in tree.leaves()} == {8, 16}
 
 
 @pytest.mark.skipif(not (Path(DATA) / "mosd_learn").is_dir(), reason="needs mosd_learn in NURBSEG_DATA")
