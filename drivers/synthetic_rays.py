@@ -17,9 +17,7 @@ RECTANGLE, BOX, ELLIPSOID, CYLINDER, BOWL, CUSHION = range(6)
 #: Numbers in the precision of the rays: a plain one would draw all that it meets into double precision.
 _ZERO, _HALF, _ONE, _TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
 _NEVER, _NEAREST, _TINY = np.float32(np.inf), np.float32(1e-4), np.float32(1e-9)
-_TURN, _PER_TURN = np.float32(2 * np.pi), np.float32(1 / (2 * np.pi))
-#: Of the sine, in powers of the square.
-_SERIES = tuple(np.float32(each) for each in (-1 / 6, 1 / 120, -1 / 5040, 1 / 362880))
+_PER_TURN = np.float32(1 / (2 * np.pi))
 #: Steps along a ray through the slab that holds a cushion.
 _STEPS = 10
 #: Halvings until the cushion is all but straight between the ends, and these with the steps of regula falsi.
@@ -143,35 +141,23 @@ def surfaces_seen(
             pixels = x[row, part], y[row, part], depth[row, part], faces[row, part]
             # A loop for each kind, in which the others are left out.
             if kind == RECTANGLE:
-                _surfaces_in_row(RECTANGLE, *shape, *pixels, *found)
+                _surfaces_in_row(RECTANGLE, shape, pixels, found)
             elif kind == BOX:
-                _surfaces_in_row(BOX, *shape, *pixels, *found)
+                _surfaces_in_row(BOX, shape, pixels, found)
             elif kind == ELLIPSOID:
-                _surfaces_in_row(ELLIPSOID, *shape, *pixels, *found)
+                _surfaces_in_row(ELLIPSOID, shape, pixels, found)
             elif kind == CYLINDER:
-                _surfaces_in_row(CYLINDER, *shape, *pixels, *found)
+                _surfaces_in_row(CYLINDER, shape, pixels, found)
             elif kind == BOWL:
-                _surfaces_in_row(BOWL, *shape, *pixels, *found)
+                _surfaces_in_row(BOWL, shape, pixels, found)
             else:
-                _surfaces_in_row(CUSHION, *shape, *pixels, *found)
+                _surfaces_in_row(CUSHION, shape, pixels, found)
 
 
 @inlined
-def _surfaces_in_row(
-    kind: int,
-    size: Any,
-    m: Any,
-    paint: Any,
-    x: Any,
-    y: Any,
-    depth: Any,
-    faces: Any,
-    normal_x: Any,
-    normal_y: Any,
-    normal_z: Any,
-    columns: Any,
-    rows: Any,
-) -> None:
+def _surfaces_in_row(kind: int, shape: Any, pixels: Any, found: Any) -> None:
+    (size, m, paint), (x, y, depth, faces) = shape, pixels
+    normal_x, normal_y, normal_z, columns, rows = found
     for n in range(depth.size):
         t = depth[n]
         u, v = t * x[n], t * y[n]
@@ -218,10 +204,11 @@ def surface_of_each(
 def _meet(kind: int, size: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: Any) -> Any:
     """Return the multiple of the direction at which a ray meets a shape, infinity if not, and the face."""
     if kind == RECTANGLE:
-        t = _meet_rectangle(size, ox, oy, oz, dx, dy, dz)
-        face = 0
+        t, face = -oz / _not_zero(dz), 0
+        t = t if (abs(ox + t * dx) <= size[0]) & (abs(oy + t * dy) <= size[1]) else _NEVER
     elif kind == BOX:
-        t, face = _meet_box(size[0], size[1], size[2], ox, oy, oz, dx, dy, dz)
+        t, leave, face = _box_span(size[0], size[1], size[2], ox, oy, oz, dx, dy, dz)
+        t = t if t <= leave else _NEVER
     elif kind == ELLIPSOID:
         a, b, c = size[0], size[1], size[2]
         t, _, meets = _sphere_roots(ox / a, oy / b, oz / c, dx / a, dy / b, dz / c)
@@ -234,19 +221,6 @@ def _meet(kind: int, size: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz:
         t = _meet_cushion(size, ox, oy, oz, dx, dy, dz)
         face = 0
     return t if t > _NEAREST else _NEVER, face
-
-
-@inlined
-def _meet_rectangle(size: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: Any) -> Any:
-    t = -oz / _not_zero(dz)
-    inside = (abs(ox + t * dx) <= size[0]) & (abs(oy + t * dy) <= size[1])
-    return t if inside else _NEVER
-
-
-@inlined
-def _meet_box(a: Any, b: Any, c: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: Any) -> Any:
-    enter, leave, face = _box_span(a, b, c, ox, oy, oz, dx, dy, dz)
-    return enter if enter <= leave else _NEVER, face
 
 
 @inlined
@@ -332,7 +306,7 @@ def _meet_cushion(size: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: An
         high = low + step
         below = _over(size, ox + high * dx, oy + high * dy, oz + high * dz)
         if above >= _ZERO and below < _ZERO:
-            t = _crossing(size, ox, oy, oz, dx, dy, dz, low, high, above, below)
+            t = _crossing(size, (ox, oy, oz, dx, dy, dz), low, high, above, below)
             inside = (abs(ox + t * dx) < size[0]) & (abs(oy + t * dy) < size[1])
             return t if inside else _NEVER
         low, above = high, below
@@ -340,20 +314,9 @@ def _meet_cushion(size: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: An
 
 
 @inlined
-def _crossing(
-    size: Any,
-    ox: Any,
-    oy: Any,
-    oz: Any,
-    dx: Any,
-    dy: Any,
-    dz: Any,
-    low: Any,
-    high: Any,
-    above: Any,
-    below: Any,
-) -> Any:
+def _crossing(size: Any, ray: Any, low: Any, high: Any, above: Any, below: Any) -> Any:
     """Return where a ray crosses a cushion between two places, of which the first is above it."""
+    ox, oy, oz, dx, dy, dz = ray
     t = low
     for n in range(_REFINEMENTS):
         t = low + (high - low) * (_HALF if n < _HALVINGS else above / _not_zero(above - below))
@@ -375,20 +338,7 @@ def _over(size: Any, x: Any, y: Any, z: Any) -> Any:
 def _cushion_height(size: Any, x: Any, y: Any) -> Any:
     x, y = x / size[0], y / size[1]
     rim = max(_ONE - x * x, _ZERO) * max(_ONE - y * y, _ZERO)
-    return size[2] * rim * (_ONE + _WAVE * _sine(size[3] * (x + _SLANT * y) + _SHIFT))
-
-
-@inlined
-def _sine(angle: Any) -> Any:
-    """Return the sine to within 4e-6, by Taylor's series: calls of the library take longer."""
-    angle -= _TURN * np.rint(angle * _PER_TURN)
-    # Over a quarter of a turn it is the sine of what is missing to a half.
-    angle = max(min(angle, _HALF * _TURN - angle), -_HALF * _TURN - angle)
-    square = angle * angle
-    series = _ONE + square * (
-        _SERIES[0] + square * (_SERIES[1] + square * (_SERIES[2] + square * _SERIES[3]))
-    )
-    return angle * series
+    return size[2] * rim * (_ONE + _WAVE * math.sin(size[3] * (x + _SLANT * y) + _SHIFT))
 
 
 @inlined
