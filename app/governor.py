@@ -16,7 +16,7 @@ _COARSER = (0, 1, 2)
 #: Coarsest grid, pixels.
 _DECIMATION_MOST = 8
 #: A frame may take this share of its period; below that share of it, more is tried.
-_FULL, _SPARE = 0.9, 0.75
+_FULL, _SPARE = 0.8, 0.65
 #: Frames of which the median is taken.
 _FRAMES = 15
 #: Frames between two changes: down, and up.
