@@ -32,7 +32,7 @@ from nurbseg.segmentation.segments import (
 from nurbseg.segmentation.surface import Fit
 
 #: From so many places on, a segment is cut at a quarter of them.
-_MANY_PLACES = 12_000
+_MANY_PLACES = 6_000
 
 
 def segment_nurbseg(cloud: PointMap, config: SegmentationConfig) -> SegmentationTree:
