@@ -87,10 +87,11 @@ def run(config: AppConfig, interruption: Interruption, view_process: ViewProcess
                 )
                 exports.append(("export", exporter.write))
             name = Path(opened.uri).name
+            shown = config.shown
+            if shown.save_index == "auto":
+                shown = replace(shown, save_index="on" if opened.every_frame else "off")
             view = stack.enter_context(
-                open_view(
-                    config.shown, config.segmentation, opened.source.metadata, name=name, process=view_process
-                )
+                open_view(shown, config.segmentation, opened.source.metadata, name=name, process=view_process)
             )
             recording = open_recording(config.record, opened.camera, lossless=opened.every_frame)
         except (DriverError, ExportError, ViewError, OSError, ValueError, KeyboardInterrupt) as err:

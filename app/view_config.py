@@ -10,6 +10,7 @@ from urllib.parse import urlsplit
 from nurbseg.drivers.settings import check_settings, setting
 
 ViewMode = Literal["auto", "spawn", "connect", "serve", "none"]
+SaveIndex = Literal["auto", "on", "off"]
 
 #: Rerun's usual ports, for its viewers and for its web page.
 DEFAULT_PORT, DEFAULT_WEB_PORT = 9876, 9090
@@ -36,6 +37,11 @@ class ViewConfig:
         None, f"viewer to connect to: HOST, HOST:{DEFAULT_PORT} or rerun+http://HOST:PORT/proxy", unit="URL"
     )
     save: str | None = setting(None, "save everything shown as a Rerun recording (.rrd)", unit="FILE")
+    save_index: SaveIndex = setting(
+        "auto",
+        "end the recording with an index, for which memory grows by 50 MB a minute; auto: not in live runs",
+        choices=get_args(SaveIndex),
+    )
     bind: str = setting("127.0.0.1", "address that a spawned viewer or the web page listens on", unit="IP")
     port: int = setting(DEFAULT_PORT, "port of the viewer, 0 for any free one", least=0, most=65535)
     web_port: int = setting(DEFAULT_WEB_PORT, "port of the web page, 0 for any free one", least=0, most=65535)
@@ -101,4 +107,12 @@ def viewer_address(url: str) -> tuple[str, int]:
     return host, port or DEFAULT_PORT
 
 
-__all__ = ["DEFAULT_PORT", "DEFAULT_WEB_PORT", "ViewConfig", "ViewMode", "bracketed", "viewer_address"]
+__all__ = [
+    "DEFAULT_PORT",
+    "DEFAULT_WEB_PORT",
+    "SaveIndex",
+    "ViewConfig",
+    "ViewMode",
+    "bracketed",
+    "viewer_address",
+]

@@ -31,6 +31,8 @@ class FileSink:
         The .rrd file; overwritten.
     opening : Opening
         What it begins with.
+    index : bool
+        Whether it ends with an index; what Rerun keeps for that grows with each frame.
 
     Raises
     ------
@@ -38,7 +40,7 @@ class FileSink:
         If the file cannot be created.
     """
 
-    def __init__(self, path: Path, opening: Opening) -> None:
+    def __init__(self, path: Path, opening: Opening, *, index: bool = True) -> None:
         self._path = path
         self._outbox: Outbox[Item] = Outbox(_FRAMES, lossless=True)
         self._error: BaseException | None = None
@@ -47,7 +49,7 @@ class FileSink:
             # A full disk would leave Rerun stuck for good, in a flush as well as in ending the stream.
             self._file = PipedFile(path)
             with self._file as pipe:
-                self._stream.set_sinks(rr.FileSink(pipe))
+                self._stream.set_sinks(rr.FileSink(pipe, write_footer=index))
         except (RuntimeError, OSError) as err:
             raise ViewError(f"{path}: cannot be created: {err}") from err
         self._thread = threading.Thread(target=self._run, args=(opening,), name=f"view-file-{path.name}")

@@ -7,6 +7,7 @@ when the other process is gone: then with what it got until then.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import logging
 import os
 import pickle
@@ -22,6 +23,8 @@ from nurbseg.app.viewer_process import FILE_PATIENCE_S, ViewError
 
 #: Time between two looks what became of the viewer, seconds.
 _LOOK_S = 0.1
+#: Of glibc's `mallopt`: how many heaps there are at most.
+_M_ARENA_MAX = -8
 
 
 class _Teller(logging.Handler):
@@ -71,11 +74,18 @@ def _follow(view: RerunView, slots: SharedSlots, words: Connection[Any, Any], te
             teller.tell("failed", f"a frame cannot be shown ({type(err).__name__}): {err}")
 
 
+def _share_one_heap() -> None:
+    """Let all threads take memory from one heap: arrays pass between them, and each heap would grow."""
+    with contextlib.suppress(OSError, AttributeError):  # Another C library has no such heaps.
+        ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
+
+
 def main() -> int:
     """Talk over the connection, and read the memory, whose descriptors are the two arguments."""
     for number in (signal.SIGINT, signal.SIGTERM):
         # The other process ends this one. Not ignored, which a viewer that is started would inherit.
         signal.signal(number, lambda *_: None)
+    _share_one_heap()
     words: Connection[Any, Any] = Connection(int(sys.argv[1]))
     slots = SharedSlots(int(sys.argv[2]))
     teller = _Teller(words)

@@ -16,8 +16,12 @@ from nurbseg.app.view_frame import Moment, ViewFrame
 from nurbseg.drivers.frame import Calibration
 from nurbseg.segmentation.config import SegmentationConfig
 
-# Rerun's own words on a lost viewer go to stderr, once for each entity; ours are enough.
-os.environ.setdefault("RUST_LOG", "warn,re_grpc_client=off,re_sdk::recording_stream=off,re_quota_channel=off")
+# Rerun's own words on a lost viewer go to stderr, once for each entity; ours are enough. Files have no index
+# on purpose.
+os.environ.setdefault(
+    "RUST_LOG",
+    "warn,re_grpc_client=off,re_sdk::recording_stream=off,re_quota_channel=off,re_log_encoding::rrd::file_sink=error",
+)
 
 import rerun as rr
 
@@ -107,7 +111,7 @@ class RerunView:
         )
         try:
             if config.save is not None:
-                self._files.append(FileSink(Path(config.save), opening))
+                self._files.append(FileSink(Path(config.save), opening, index=config.save_index != "off"))
             self._open_viewer(opening)
         except BaseException:
             self.close()

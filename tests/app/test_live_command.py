@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from nurbseg.app.opening import SYNTHETIC, demo_uri
+from nurbseg.app.viewer_process import viewer_executable
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.scores import rand_index, region_covering
 from tests.fakes.saved_view import read_saved_view
@@ -127,7 +128,7 @@ def test_what_is_too_old_is_not_saved_and_counted(live: Live, tmp_path: Path) ->
     done = live(*words, "--speed", "1", "--age-max-ms", "0.001", "--export", "out")
     assert done.returncode == 0, done.stderr
     frames = json.loads((tmp_path / "report.json").read_text())["frames"]
-    shown = read_saved_view(tmp_path / "a.rrd").frames("tree")
+    shown = read_saved_view(tmp_path / "a.rrd", indexed=False).frames("tree")
     assert len(shown) == frames["segmented"] - frames["late"] < frames["segmented"]
     assert len(list((tmp_path / "out").glob("*_labels.png"))) == frames["segmented"]
 
@@ -266,3 +267,23 @@ def test_quiet_says_nothing_and_verbose_every_frame(live: Live) -> None:
     assert (quiet.returncode, quiet.stderr) == (0, "")
     verbose = live("--replay", SMALL.format(3), *FAST, "--verbose")
     assert all(f"(synthetic-{index:06d})" in verbose.stderr for index in range(3))
+
+
+@pytest.mark.parametrize(
+    ("words", "has_index"),
+    [(["--speed", "0"], True), (["--speed", "1"], False), (["--speed", "1", "--save-index", "on"], True)],
+)
+def test_a_live_run_saves_without_an_index(
+    live: Live, tmp_path: Path, words: list[str], has_index: bool
+) -> None:
+    path = tmp_path / "saved.rrd"
+    source = "synthetic:?width=160&height=120&frames=3"
+    done = live("--replay", source, "--view", "none", "--save", str(path), *words)
+    assert done.returncode == 0, done.stderr
+    assert "footer" not in done.stderr
+    verified = subprocess.run(
+        [viewer_executable(), "rrd", "verify", path], capture_output=True, text=True, timeout=60
+    )
+    assert (verified.returncode == 0) == has_index, verified.stderr
+    assert has_index or "Missing RRD footer" in verified.stderr
+    assert read_saved_view(path, indexed=has_index).frames("world/camera/image/depth")

@@ -385,11 +385,11 @@ def test_both_processes_killed_leave_what_was_saved_until_then(tmp_path: Path) -
             os.kill(number, signal.SIGKILL)
         process.wait(timeout=60.0)
         saver.wait(timeout=60.0)
-    assert read_saved_view(path, ended=False).frames("world/camera/image/depth") == [0]
+    assert read_saved_view(path, indexed=False).frames("world/camera/image/depth") == [0]
 
 
 def _holds_a_frame(path: Path) -> bool:
     try:
-        return bool(read_saved_view(path, ended=False).frames("world/camera/image/depth"))
+        return bool(read_saved_view(path, indexed=False).frames("world/camera/image/depth"))
     except RuntimeError:
         return False  # caught in the middle of a write

@@ -127,7 +127,7 @@ def test_a_viewer_gets_frames_and_log_on_its_own_connection(tmp_path: Path, resu
         close_in_time(view)
         viewer.send_signal(signal.SIGINT)
         viewer.wait(60.0)
-    saved = read_saved_view(received, ended=False)
+    saved = read_saved_view(received, indexed=False)
     frames = saved.frames("world/camera/image/depth")
     assert frames[-1] == 4
     assert len(frames) + view.dropped == 5
@@ -236,7 +236,7 @@ def test_a_killed_viewer_is_noticed_once_and_shown_to_when_it_comes_back(
         viewer.wait(60.0)
     assert caplog.text.count("is gone") == 1
     assert_file_is_whole(path, 51)
-    again = read_saved_view(received, ended=False)
+    again = read_saved_view(received, indexed=False)
     # The new viewer knows nothing of the old one: it gets the beginning too, and the newest frames only.
     assert again.static["world/camera"]["Pinhole:resolution"] == [[160, 120]]
     assert again.frames("world/camera/image/depth")[-1] == 50

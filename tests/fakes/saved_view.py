@@ -24,11 +24,11 @@ class SavedView:
         return sorted({frame for values in self.by_frame[path].values() for frame in values})
 
 
-def read_saved_view(path: Path, *, ended: bool = True) -> SavedView:
-    """Read a recording; one whose writer did not end it is read as far as it goes."""
+def read_saved_view(path: Path, *, indexed: bool = True) -> SavedView:
+    """Read a recording; one whose writer did not end it has no index, and is read as far as it goes."""
     saved = SavedView()
     with warnings.catch_warnings():
-        if not ended:
+        if not indexed:
             warnings.filterwarnings("ignore", message="RRD file has no footer")
         reader = RrdReader(str(path))
     for chunk in reader.stream():
