@@ -145,8 +145,8 @@ def test_the_count_begins_after_the_delay(virtual_cameras, tmp_path, suffix):
     assert done.returncode == 0, done.stderr
     document = json.loads(report.read_text())
     assert document["recording"]["frames"] == 30
-    # A second of 30 frames passes by before; a busy computer reads a few of them less.
-    assert document["frames"]["read"] >= 50
+    # Frames that a busy computer misses passed by as well.
+    assert document["frames"]["read"] + document["frames"]["camera"]["missed"] >= 59
     assert document["frames"]["segmented"] == 0
     # OpenNI2's recorder begins and ends in its own time.
     tolerance = 0 if suffix == ".mcap" else 10
