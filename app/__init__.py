@@ -6,10 +6,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from nurbseg.app.capture import Captured, CaptureThread, LatestSlot
-    from nurbseg.app.config import AppConfig
-    from nurbseg.app.view import View, open_view
-    from nurbseg.app.worker import FrameResult, process_frame
+    from nurbseg.app.command.config import AppConfig
+    from nurbseg.app.live.capture import Captured, CaptureThread, LatestSlot
+    from nurbseg.app.live.worker import FrameResult, process_frame
+    from nurbseg.app.view.view import View, open_view
 
 __all__ = [
     "AppConfig",
@@ -23,14 +23,14 @@ __all__ = [
 ]
 
 _MODULES = {
-    "AppConfig": "config",
-    "CaptureThread": "capture",
-    "Captured": "capture",
-    "FrameResult": "worker",
-    "LatestSlot": "capture",
-    "View": "view",
-    "open_view": "view",
-    "process_frame": "worker",
+    "AppConfig": "command.config",
+    "CaptureThread": "live.capture",
+    "Captured": "live.capture",
+    "FrameResult": "live.worker",
+    "LatestSlot": "live.capture",
+    "View": "view.view",
+    "open_view": "view.view",
+    "process_frame": "live.worker",
 }
 
 

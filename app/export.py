@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.atomic_file import write_atomically
-from nurbseg.app.worker import FrameResult
+from nurbseg.app.live.worker import FrameResult
 from nurbseg.segmentation.config import Metric
-from nurbseg.segmentation.tree import Segment, SegmentationTree
+from nurbseg.segmentation.stag15 import Segment, SegmentationTree
 
 
 class ExportError(Exception):

@@ -29,9 +29,14 @@ from nurbseg.app.evaluation.statistics import bootstrap_gain, bootstrap_mean
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.registry import SourceOptions, open_source
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.registration import PointMap, register
-from nurbseg.segmentation.scores import object_iou, rand_index, region_covering, variation_of_information
-from nurbseg.segmentation.tree import segment
+from nurbseg.segmentation.points.registration import PointMap, register
+from nurbseg.segmentation.scoring.scores import (
+    object_iou,
+    rand_index,
+    region_covering,
+    variation_of_information,
+)
+from nurbseg.segmentation.stag15 import segment
 
 SCORES = (
     ("RI", rand_index),

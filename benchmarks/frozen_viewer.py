@@ -21,11 +21,11 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
-from nurbseg.app.view import open_view
-from nurbseg.app.view_config import ViewConfig
-from nurbseg.app.view_isolated import IsolatedView
-from nurbseg.app.viewer_process import free_port, listens, start_viewer
-from nurbseg.app.worker import process_frame
+from nurbseg.app.live.worker import process_frame
+from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.view.isolated import IsolatedView
+from nurbseg.app.view.view import open_view
+from nurbseg.app.view.viewer import free_port, listens, start_viewer
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig

@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.bspline import averaged_knots, basis_matrix
-from nurbseg.segmentation.components import give_away_small_pieces
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.registration import PointMap
+from nurbseg.segmentation.cut.components import give_away_small_pieces
+from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.segmentation.surfaces.bspline import averaged_knots, basis_matrix
 
 
 def vectors(cloud: PointMap, config: SegmentationConfig) -> NDArray[np.float64]:

@@ -15,8 +15,8 @@ from time import perf_counter
 import cv2
 import numpy as np
 
-from nurbseg.drivers.synthetic import SyntheticOptions, SyntheticSource
-from nurbseg.segmentation.registration import register
+from nurbseg.drivers.synthetic.source import SyntheticOptions, SyntheticSource
+from nurbseg.segmentation.points.registration import register
 
 CASES = {
     "VGA, registered already": SyntheticOptions(frames=1),

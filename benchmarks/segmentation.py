@@ -30,10 +30,11 @@ from skimage.segmentation import felzenszwalb
 
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.registry import SourceOptions, open_source
-from nurbseg.segmentation import splitting, tree
+from nurbseg.segmentation import stag15 as tree
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.registration import PointMap, register
-from nurbseg.segmentation.surface import fit_surface
+from nurbseg.segmentation.extended import splitting
+from nurbseg.segmentation.points.registration import PointMap, register
+from nurbseg.segmentation.surfaces.surface import fit_surface
 
 DEMO = Path(__file__).parent.parent / "recordings" / "demo.mcap"
 #: For each method the module that grows the tree, and the stage that the time of its functions belongs to.

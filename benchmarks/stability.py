@@ -26,16 +26,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from nurbseg.app.tracking import Segmenter
+from nurbseg.app.live.tracking import Segmenter
 from nurbseg.drivers.errors import EndOfRecordingError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.registry import SourceOptions, open_source
 from nurbseg.drivers.source import FrameSource
-from nurbseg.drivers.synthetic import SyntheticSource
+from nurbseg.drivers.synthetic.source import SyntheticSource
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.registration import PointMap
-from nurbseg.segmentation.scores import variation_of_information
-from nurbseg.segmentation.tree import SegmentationTree, segment
+from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.segmentation.scoring.scores import variation_of_information
+from nurbseg.segmentation.stag15 import SegmentationTree, segment
 
 #: Depth at which a carried pixel is seen again agrees within this share.
 _DEPTH_SHARE = 0.02

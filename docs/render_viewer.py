@@ -15,8 +15,8 @@ from pathlib import Path
 import cv2
 from rerun.experimental import ViewerClient
 
-from nurbseg.app.view_config import ViewConfig
-from nurbseg.app.viewer_process import free_port, listens, start_viewer
+from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.view.viewer import free_port, listens, start_viewer
 
 _HOST = "127.0.0.1"
 #: Rows of the menu bar at the top, which says more of this computer than of the recording.

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
         RecordingFormatError,
     )
     from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
-    from nurbseg.drivers.recording_reader import RecordingReader
-    from nurbseg.drivers.recording_writer import RecordingWriter
+    from nurbseg.drivers.mcap.reader import RecordingReader
+    from nurbseg.drivers.mcap.writer import RecordingWriter
     from nurbseg.drivers.registry import SourceOptions, open_source
     from nurbseg.drivers.source import FrameSource, Paced
 
@@ -37,8 +37,8 @@ _MODULES = {
         "RecordingFormatError",
     ),
     "frame": ("Calibration", "Intrinsics", "RGBDFrame"),
-    "recording_reader": ("RecordingReader",),
-    "recording_writer": ("RecordingWriter",),
+    "mcap.reader": ("RecordingReader",),
+    "mcap.writer": ("RecordingWriter",),
     "registry": ("SourceOptions", "open_source"),
     "source": ("FrameSource", "Paced"),
 }

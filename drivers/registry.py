@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 from nurbseg.drivers.errors import DeviceNotFoundError, RecordingFormatError
 
 if TYPE_CHECKING:
-    from nurbseg.drivers.camera_file import CameraFile
+    from nurbseg.drivers.calibration.cameras import CameraFile
     from nurbseg.drivers.frame import Calibration
     from nurbseg.drivers.openni2.options import DeviceOptions
     from nurbseg.drivers.source import FrameSource
 
 #: URI schemes and the modules whose ``open_uri(rest, options)`` opens them.
-SCHEMES = {"openni2": "nurbseg.drivers.openni2", "synthetic": "nurbseg.drivers.synthetic"}
+SCHEMES = {"openni2": "nurbseg.drivers.openni2", "synthetic": "nurbseg.drivers.synthetic.source"}
 
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
 _ONI_MAGIC = b"NI10"
@@ -47,7 +47,7 @@ class SourceOptions:
         Largest difference between the stamps of a depth image and its color image, seconds.
     calibration : Calibration, CameraFile or None
         Counts before `intrinsics`, and both before what a recording brings. What a file says
-        (`nurbseg.drivers.calibration.read_camera_file`) may leave the images' sizes open. A camera is
+        (`nurbseg.drivers.calibration.file.read_camera_file`) may leave the images' sizes open. A camera is
         told by ``device.calibration``.
     device : DeviceOptions or None
         Settings of a camera; None leaves them as they are.
@@ -74,7 +74,7 @@ class SourceOptions:
 
     def given_cameras(self) -> CameraFile | None:
         """Return the cameras that the user gives, as if a file said so; None where the user gives none."""
-        from nurbseg.drivers.camera_file import CameraFile
+        from nurbseg.drivers.calibration.cameras import CameraFile
 
         if isinstance(self.calibration, CameraFile):
             return self.calibration
@@ -128,24 +128,24 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
     except OSError as err:
         raise RecordingFormatError(f"{path}: cannot be read ({err.strerror})") from err
     if head.startswith(_MCAP_MAGIC):
-        return _open_with("nurbseg.drivers.recording_reader", "open_path", path, options)
+        return _open_with("nurbseg.drivers.mcap.reader", "open_path", path, options)
     if head.startswith(_ONI_MAGIC):
-        return _open_with("nurbseg.drivers.openni2.playback", "open_path", path, options)
+        return _open_with("nurbseg.drivers.openni2.oni.playback", "open_path", path, options)
     if _is_pcd(head):
-        return _open_with("nurbseg.drivers.pcd", "open_path", path, options)
+        return _open_with("nurbseg.drivers.datasets.pcd", "open_path", path, options)
     hdf5 = any(head[offset:].startswith(_HDF5_MAGIC) for offset in _HDF5_OFFSETS)
     if hdf5 or head.startswith(_MATLAB5_MAGIC):
-        return _open_with("nurbseg.drivers.nyu", "open_path", path, options)
+        return _open_with("nurbseg.drivers.datasets.nyu", "open_path", path, options)
     if not head:
         raise RecordingFormatError(f"{path}: the file is empty; expected {_FORMATS}")
     raise RecordingFormatError(f"{path}: not a recording of a known form; expected {_FORMATS}")
 
 
 def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
-    from nurbseg.drivers.folders import FolderSource
-    from nurbseg.drivers.pairs import find_pairs
-    from nurbseg.drivers.scenes import ScenesSource, scene_folders
-    from nurbseg.drivers.tum import TumSource, is_tum
+    from nurbseg.drivers.datasets.folders import FolderSource
+    from nurbseg.drivers.datasets.pairs import find_pairs
+    from nurbseg.drivers.datasets.scenes import ScenesSource, scene_folders
+    from nurbseg.drivers.datasets.tum import TumSource, is_tum
 
     if is_tum(path):
         return TumSource(path, options)
@@ -155,9 +155,9 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
     if scene_folders(path):
         return ScenesSource(path, options)
     if any(path.glob("*.pcd")):
-        return _open_with("nurbseg.drivers.pcd", "open_path", path, options)
+        return _open_with("nurbseg.drivers.datasets.pcd", "open_path", path, options)
     if any(path.glob("nyu_v2_*.mat")):
-        return _open_with("nurbseg.drivers.nyu", "open_path", path, options)
+        return _open_with("nurbseg.drivers.datasets.nyu", "open_path", path, options)
     recordings = sorted([*path.glob("*.mcap"), *path.glob("*.oni")])
     if len(recordings) == 1:
         # A bag of ROS 2 is a folder with one MCAP file.

@@ -8,8 +8,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from nurbseg.drivers.recording_writer import RecordingWriter
-from nurbseg.drivers.synthetic import SyntheticOptions, SyntheticSource
+from nurbseg.drivers.mcap.writer import RecordingWriter
+from nurbseg.drivers.synthetic.source import SyntheticOptions, SyntheticSource
 
 #: One turn of the scene, so that a loop has no jump; as large as 5 MB of lossless depth allow.
 DEMO = SyntheticOptions(frames=48, width=400, height=300, fps=12.0, seed=0)

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nurbseg.segmentation.config import SegmentationConfig
-    from nurbseg.segmentation.curvature import all_metrics, principal_curvatures
-    from nurbseg.segmentation.cut import Cut, normalized_cut
-    from nurbseg.segmentation.registration import PointMap, register
-    from nurbseg.segmentation.surface import Fit, NurbsSurface, evaluate, fit_surface, normals
-    from nurbseg.segmentation.tree import Segment, SegmentationTree, StopReason, segment
+    from nurbseg.segmentation.cut.ncut import Cut, normalized_cut
+    from nurbseg.segmentation.points.registration import PointMap, register
+    from nurbseg.segmentation.stag15 import Segment, SegmentationTree, StopReason, segment
+    from nurbseg.segmentation.surfaces.curvature import all_metrics, principal_curvatures
+    from nurbseg.segmentation.surfaces.surface import Fit, NurbsSurface, evaluate, fit_surface, normals
 
 __all__ = [
     "Cut",
@@ -34,21 +34,21 @@ __all__ = [
 
 _MODULES = {
     "SegmentationConfig": "config",
-    "all_metrics": "curvature",
-    "principal_curvatures": "curvature",
-    "Cut": "cut",
-    "normalized_cut": "cut",
-    "PointMap": "registration",
-    "register": "registration",
-    "Fit": "surface",
-    "NurbsSurface": "surface",
-    "evaluate": "surface",
-    "fit_surface": "surface",
-    "normals": "surface",
-    "Segment": "tree",
-    "SegmentationTree": "tree",
-    "StopReason": "tree",
-    "segment": "tree",
+    "all_metrics": "surfaces.curvature",
+    "principal_curvatures": "surfaces.curvature",
+    "Cut": "cut.ncut",
+    "normalized_cut": "cut.ncut",
+    "PointMap": "points.registration",
+    "register": "points.registration",
+    "Fit": "surfaces.surface",
+    "NurbsSurface": "surfaces.surface",
+    "evaluate": "surfaces.surface",
+    "fit_surface": "surfaces.surface",
+    "normals": "surfaces.surface",
+    "Segment": "stag15",
+    "SegmentationTree": "stag15",
+    "StopReason": "stag15",
+    "segment": "stag15",
 }
 
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from nurbseg.segmentation.config import Level, SegmentationConfig
 
 if TYPE_CHECKING:
-    from nurbseg.segmentation.cut import Cut
-    from nurbseg.segmentation.merge import Contact, SceneObject
-    from nurbseg.segmentation.surface import Fit
+    from nurbseg.segmentation.cut.ncut import Cut
+    from nurbseg.segmentation.extended.merge import Contact, SceneObject
+    from nurbseg.segmentation.surfaces.surface import Fit
 
 
 class StopReason(StrEnum):

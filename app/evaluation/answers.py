@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.evaluation.methods import CLUSTERS, labels_on_disk, rival
+from nurbseg.app.evaluation.methods.flat import best_lambda
+from nurbseg.app.evaluation.methods.methods import CLUSTERS, labels_on_disk, rival
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, TREE_METHODS, Variant
-from nurbseg.segmentation.flat import best_lambda
-from nurbseg.segmentation.registration import PointMap
+from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.shared import SharedWork
-from nurbseg.segmentation.tree import SegmentationTree, segment
+from nurbseg.segmentation.stag15 import SegmentationTree, segment
 
 
 class Answers:

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.boundaries import boundary_scores
-from nurbseg.segmentation.scores import Contingency
+from nurbseg.segmentation.scoring.boundaries import boundary_scores
+from nurbseg.segmentation.scoring.scores import Contingency
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,8 +23,8 @@ from nurbseg.app.evaluation.variants import LABELS_PREFIX, Variant
 from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.registry import SourceOptions, open_source
-from nurbseg.segmentation.registration import PointMap, register
-from nurbseg.segmentation.tree import SegmentationTree
+from nurbseg.segmentation.points.registration import PointMap, register
+from nurbseg.segmentation.stag15 import SegmentationTree
 
 #: More frames than any source has: what passing over all of them is asked with.
 _ALL = 10**9

@@ -15,8 +15,8 @@ from nurbseg.app.evaluation.statistics import Estimate, bootstrap_gain
 from nurbseg.app.evaluation.study import FrameRef, Study, frame_refs, read_frame, workers
 from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.segmentation.config import Metric, SegmentationConfig, SplittingPoint
-from nurbseg.segmentation.registration import PointMap, register
-from nurbseg.segmentation.tree import segment
+from nurbseg.segmentation.points.registration import PointMap, register
+from nurbseg.segmentation.stag15 import segment
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -37,12 +37,12 @@ def open_uri(rest: str, options: SourceOptions) -> FrameSource:
         If it is a recording, and damaged.
     """
     # Imported here: who only asks for the options needs neither numpy nor the library.
-    from nurbseg.drivers.openni2.isolated import IsolatedCamera
+    from nurbseg.drivers.openni2.isolated.source import IsolatedCamera
     from nurbseg.drivers.openni2.reopening import Reopening
     from nurbseg.drivers.reconnect import Reconnecting
 
     if rest.lower().endswith(".oni"):
-        from nurbseg.drivers.openni2.playback import open_path
+        from nurbseg.drivers.openni2.oni.playback import open_path
 
         return open_path(Path(rest), options)
     settings = options.device or DeviceOptions()

@@ -16,7 +16,7 @@ from nurbseg.drivers.openni2.options import DeviceOptions, parse_mode
 from nurbseg.drivers.openni2.stream import Stream
 
 if TYPE_CHECKING:
-    from nurbseg.drivers.camera_file import CameraFile
+    from nurbseg.drivers.calibration.cameras import CameraFile
 
 logger = logging.getLogger(__name__)
 
@@ -148,7 +148,7 @@ def calibrate(
     """
     given = None
     if options.calibration is not None:
-        from nurbseg.drivers.calibration import read_camera_file
+        from nurbseg.drivers.calibration.file import read_camera_file
 
         cameras = read_camera_file(Path(options.calibration))
     if cameras is not None:

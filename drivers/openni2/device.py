@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
-from nurbseg.drivers.openni2.calibration_note import calibration_note
 from nurbseg.drivers.openni2.capi import DeviceState, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate, configure, set_modes
-from nurbseg.drivers.openni2.oni_player import COLOR_IMAGE, DEPTH_IMAGE
+from nurbseg.drivers.openni2.oni.calibration_note import calibration_note
+from nurbseg.drivers.openni2.oni.player import COLOR_IMAGE, DEPTH_IMAGE
+from nurbseg.drivers.openni2.oni.recorder import OniRecorder
 from nurbseg.drivers.openni2.opened import OpenedDevice, describe, open_camera
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.openni2.pairing import Pairing
-from nurbseg.drivers.openni2.recorder import OniRecorder
 from nurbseg.drivers.openni2.stream import Image, Stream, find_any, wait_for_any
 from nurbseg.drivers.source import FrameSource
 

@@ -65,7 +65,7 @@ class DeviceOptions:
     silence_limit_s : float
         A camera that delivers nothing for this long while it is read is taken for lost, seconds.
     calibration : str or None
-        File with the camera's calibration, in a form that `nurbseg.drivers.calibration` reads; without
+        File with the camera's calibration, in a form that `nurbseg.drivers.calibration.file` reads; without
         it, what the camera reports and nominal values.
     reconnect : bool
         Whether to wait for a lost camera and go on when it is back.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from nurbseg.drivers.errors import DeviceNotFoundError, DriverError
-from nurbseg.drivers.openni2.isolated import IsolatedCamera
+from nurbseg.drivers.openni2.isolated.source import IsolatedCamera
 
 
 class Reopening:

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from fair_clock import FairClock
 
-from nurbseg.app.worker import FrameResult, process_frame
+from nurbseg.app.live.worker import FrameResult, process_frame
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
 

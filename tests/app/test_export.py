@@ -10,10 +10,10 @@ import pytest
 
 from nurbseg.app.atomic_file import write_atomically
 from nurbseg.app.export import Exporter, ExportError, surfaces_npz, tree_document
-from nurbseg.app.worker import FrameResult, process_frame
+from nurbseg.app.live.worker import FrameResult, process_frame
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.surface import NurbsSurface, evaluate
-from nurbseg.segmentation.tree import SegmentationTree
+from nurbseg.segmentation.stag15 import SegmentationTree
+from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate
 
 
 @pytest.fixture(scope="module", params=["surfaces", "objects"])

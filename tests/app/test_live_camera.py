@@ -19,7 +19,7 @@ from nurbseg.drivers.registry import open_source
 
 __all__ = ["openni2_redist", "virtual_cameras"]
 
-LIVE = [sys.executable, "-m", "nurbseg.app.cli", "--view", "none"]
+LIVE = [sys.executable, "-m", "nurbseg.app.command.cli", "--view", "none"]
 #: Fast settings: what is tested here is not the segmentation.
 FAST = ["--splits-max", "1", "--decimation", "8"]
 
@@ -184,7 +184,7 @@ def test_a_disk_that_fills_up_ends_a_recording_with_a_readable_file(virtual_came
         "from nurbseg.app import record\n"
         "left = itertools.chain([10**12] * 16, itertools.repeat(10**6))\n"
         "record.open_recording.__kwdefaults__['free_bytes'] = lambda path: next(left)\n"
-        "from nurbseg.app.cli import main\n"
+        "from nurbseg.app.command.cli import main\n"
         "sys.exit(main(sys.argv[1:]))\n"
     )
     words = ["--device", "any", "--view", "none", "--record", str(path), "--record-only"]

@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
-from nurbseg.app.opening import SYNTHETIC, demo_uri
-from nurbseg.app.viewer_process import viewer_executable
+from nurbseg.app.live.opening import SYNTHETIC, demo_uri
+from nurbseg.app.view.viewer import viewer_executable
 from nurbseg.drivers.registry import open_source
-from nurbseg.segmentation.scores import rand_index, region_covering
+from nurbseg.segmentation.scoring.scores import rand_index, region_covering
 from tests.fakes.saved_view import read_saved_view
 
 Live = Callable[..., subprocess.CompletedProcess[str]]

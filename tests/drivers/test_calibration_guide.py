@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from nurbseg.drivers.calibration import read_calibration
+from nurbseg.drivers.calibration.file import read_calibration
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
-from nurbseg.drivers.recording_writer import RecordingWriter
+from nurbseg.drivers.mcap.writer import RecordingWriter
 
 GUIDE = Path(__file__).parents[2] / "docs/calibration.md"
 INFRARED = Intrinsics(640, 480, 580.0, 582.0, 325.0, 236.0, np.array([-0.08, 0.1, 0.001, -0.001]))

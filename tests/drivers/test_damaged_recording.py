@@ -11,7 +11,7 @@ from mcap.stream_reader import StreamReader
 from recorded_scene import APART, scenes, write_mcap
 
 from nurbseg.drivers import DriverError, FrameFormatError, RecordingFormatError, RGBDFrame, open_source
-from nurbseg.drivers import recording_names as names
+from nurbseg.drivers.mcap import names
 
 FRAMES = 40
 LOGGER = "nurbseg.drivers"

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from nurbseg.drivers.registry import open_source
-from nurbseg.drivers.synthetic import SyntheticOptions, SyntheticSource
+from nurbseg.drivers.synthetic.source import SyntheticOptions, SyntheticSource
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 DEMO = RECORDINGS / "demo.mcap"

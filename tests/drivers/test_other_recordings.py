@@ -18,8 +18,8 @@ from nurbseg.drivers import (
     SourceOptions,
     open_source,
 )
-from nurbseg.drivers import ros_messages as ros
 from nurbseg.drivers.frame import Intrinsics
+from nurbseg.drivers.mcap import messages as ros
 
 
 class Bag:

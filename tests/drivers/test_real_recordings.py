@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from nurbseg.drivers import SourceOptions, open_source
-from nurbseg.drivers.pcd_file import read_pcd
+from nurbseg.drivers.datasets.pcd_file import read_pcd
 
 Data = Callable[[str], Path]
 PRIMESENSE = (525.0, 525.0, 319.5, 239.5)

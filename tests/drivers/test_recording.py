@@ -23,8 +23,8 @@ from nurbseg.drivers import (
     SourceOptions,
     open_source,
 )
-from nurbseg.drivers import recording_names as names
-from nurbseg.drivers.recording_writer import ColorFormat, RecordingWriter
+from nurbseg.drivers.mcap import names
+from nurbseg.drivers.mcap.writer import ColorFormat, RecordingWriter
 
 RERUN = [sys.executable, "-m", "rerun"]
 
@@ -175,7 +175,7 @@ from pathlib import Path
 sys.path.insert(0, sys.argv[2])
 import numpy as np
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
-from nurbseg.drivers.recording_writer import RecordingWriter
+from nurbseg.drivers.mcap.writer import RecordingWriter
 camera = Calibration.registered(Intrinsics(640, 480, 525, 525, 319.5, 239.5))
 writer = RecordingWriter(Path(sys.argv[1]), camera)
 color = np.zeros((480, 640, 3), np.uint8)

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.calibration import write_calibration
+from nurbseg.drivers.calibration.file import write_calibration
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
-from nurbseg.drivers.recording_writer import ColorFormat, RecordingWriter
+from nurbseg.drivers.mcap.writer import ColorFormat, RecordingWriter
 
 WIDTH, HEIGHT = 64, 48
 CAMERA = Intrinsics(WIDTH, HEIGHT, 52.5, 52.5, 31.5, 23.5)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.registration import PointMap
+from nurbseg.segmentation.points.registration import PointMap
 
 CloudOf = Callable[..., PointMap]
 

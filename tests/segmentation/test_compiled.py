@@ -16,8 +16,8 @@ LASTING = {"CUBIC"}
 
 def modules():
     for package in (nurbseg.drivers, nurbseg.segmentation):
-        for info in pkgutil.iter_modules(package.__path__):
-            yield importlib.import_module(f"{package.__name__}.{info.name}")
+        for info in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            yield importlib.import_module(info.name)
 
 
 def compiled_in(module):

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from nurbseg.segmentation.config import Metric, SegmentationConfig
-from nurbseg.segmentation.registration import PointMap
+from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.shared import SharedWork
-from nurbseg.segmentation.tree import SegmentationTree, segment
+from nurbseg.segmentation.stag15 import SegmentationTree, segment
 
 
 @pytest.fixture(scope="module")

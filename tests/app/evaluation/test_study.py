@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
-from nurbseg.app.evaluate import main
-from nurbseg.app.evaluation.methods import labels_on_disk
+from nurbseg.app.evaluation.cli import main
+from nurbseg.app.evaluation.methods.methods import labels_on_disk
 from nurbseg.app.evaluation.store import StudyStore
-from nurbseg.drivers.synthetic import SyntheticSource
+from nurbseg.drivers.synthetic.source import SyntheticSource
 
 METHODS = "stag15,pz14,fh04,kmeans"
 
@@ -28,7 +28,7 @@ def evaluate(frames: Path, out: Path, *more: str) -> str:
 def test_a_killed_run_goes_on_where_it_was_and_gives_the_same_tables(frames: Path, tmp_path: Path) -> None:
     whole = evaluate(frames, tmp_path / "whole")
     out = tmp_path / "killed"
-    command = [sys.executable, "-m", "nurbseg.app.evaluate", "run", str(frames), "--methods", METHODS]
+    command = [sys.executable, "-m", "nurbseg.app.evaluation.cli", "run", str(frames), "--methods", METHODS]
     command += ["--metrics", "mse,nlc", "--thresholds", "1,0.9", "--out", str(out), "--no-report"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     limit = time.monotonic() + 60

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from nurbseg.app.config_file import read_config
-from nurbseg.app.evaluate import main
+from nurbseg.app.command.config_file import read_config
+from nurbseg.app.evaluation.cli import main
 
 
 def test_tuning_writes_settings_that_the_live_command_reads(

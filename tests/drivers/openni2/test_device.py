@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from virtual_camera import color_image, depth_image, dump_frames, frame_number
 
-from nurbseg.drivers.calibration import write_calibration
+from nurbseg.drivers.calibration.file import write_calibration
 from nurbseg.drivers.errors import DeviceNotFoundError, DriverError
 from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.drivers.openni2.device import DeviceSource

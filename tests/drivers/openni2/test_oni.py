@@ -13,7 +13,7 @@ import pytest
 from own_children import own_children
 from virtual_camera import color_image, depth_image, frame_number
 
-from nurbseg.drivers.calibration import write_calibration
+from nurbseg.drivers.calibration.file import write_calibration
 from nurbseg.drivers.errors import (
     BackendMissingError,
     DriverError,
@@ -22,11 +22,12 @@ from nurbseg.drivers.errors import (
     RecordingFormatError,
 )
 from nurbseg.drivers.frame import Calibration, Intrinsics
-from nurbseg.drivers.openni2 import open_uri, player_process
+from nurbseg.drivers.openni2 import open_uri
 from nurbseg.drivers.openni2.device import DeviceSource
-from nurbseg.drivers.openni2.oni_file import read_structure
+from nurbseg.drivers.openni2.oni import player_process
+from nurbseg.drivers.openni2.oni.file import read_structure
+from nurbseg.drivers.openni2.oni.playback import OniSource
 from nurbseg.drivers.openni2.options import DeviceOptions
-from nurbseg.drivers.openni2.playback import OniSource
 from nurbseg.drivers.registry import SourceOptions, open_source
 
 

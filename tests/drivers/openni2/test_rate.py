@@ -9,7 +9,7 @@ from busy_computer import skip_if_busy
 from virtual_camera import frame_number
 
 from nurbseg.drivers.openni2.device import DeviceSource
-from nurbseg.drivers.openni2.isolated import IsolatedCamera
+from nurbseg.drivers.openni2.isolated.source import IsolatedCamera
 from nurbseg.drivers.openni2.options import DeviceOptions
 
 

@@ -15,7 +15,7 @@ from virtual_camera import color_image, depth_image, frame_number, native_thread
 from nurbseg.drivers.errors import DeviceLostError, DeviceNotFoundError, DriverError, FrameTimeoutError
 from nurbseg.drivers.openni2 import open_uri
 from nurbseg.drivers.openni2.device import DeviceSource
-from nurbseg.drivers.openni2.isolated import IsolatedCamera
+from nurbseg.drivers.openni2.isolated.source import IsolatedCamera
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.reconnect import Reconnecting
 from nurbseg.drivers.registry import SourceOptions

@@ -1,0 +1,1 @@
+"""The command nurbseg-live: flags, configuration file, exit codes."""

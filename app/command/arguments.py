@@ -1,0 +1,200 @@
+"""The command line of nurbseg-live: every setting is a flag, and flags override the configuration file."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import Field, dataclass, replace
+from pathlib import Path
+from typing import Any, NoReturn
+
+from nurbseg.app.command.config import SOURCE_KINDS, AppConfig, sections
+from nurbseg.app.command.config_file import ConfigError, describe, read_config
+from nurbseg.app.command.values import ValueKind, value_kinds
+from nurbseg.drivers.settings import described_fields
+
+_DESCRIPTION = """\
+Segment the frames of a depth camera or a recording, and show and save the result.
+Where no source is named, a camera is tried first and then the demo recording."""
+
+_EPILOG = """\
+exit codes: 0 done, 1 failed while running, 2 usage, configuration or no source, 130 interrupted
+example: nurbseg-live --replay my_folder --intrinsics 525,525,319.5,239.5 --speed 0 --export out"""
+
+#: What the help says above each section's flags.
+_TITLES = {
+    "source": "source",
+    "camera": "camera (--calibration also for --replay)",
+    "segmentation": "segmentation (the paper's symbols in the text)",
+    "live": "from frame to frame",
+    "view": "view",
+    "export": "files out",
+    "record": "recording",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Arguments:
+    """What the command line asks for.
+
+    Parameters
+    ----------
+    config : AppConfig
+        The defaults, overridden by the configuration file, overridden by the flags.
+    print_config : bool
+        Whether to print the configuration instead of running.
+    verbosity : int
+        -1 for warnings only, 0 for progress, 1 for every frame.
+    """
+
+    config: AppConfig
+    print_config: bool
+    verbosity: int
+
+
+class _Version(argparse.Action):
+    """Prints the version; looks it up only when asked, because that takes a while."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            sys.stdout.write(f"nurbseg-live {version('nurbseg')}\n")
+        except PackageNotFoundError:
+            parser.exit(1, "nurbseg-live: run from a folder, not installed as a package\n")
+        parser.exit()
+
+
+def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
+    """Read the command line.
+
+    Parameters
+    ----------
+    words : sequence of str, optional
+        The arguments; the process's own by default.
+
+    Raises
+    ------
+    SystemExit
+        With code 2 and a message on stderr if an argument or the configuration file is wrong; with
+        code 0 after ``--help`` and ``--version``.
+    """
+    parser = _parser()
+    given = vars(parser.parse_args(words))
+    path = given.pop("config")
+    print_config = given.pop("print_config")
+    verbosity = given.pop("verbosity")
+    try:
+        config = read_config(path) if path is not None else AppConfig()
+        config = _overridden(config, given)
+    except ConfigError as err:
+        parser.error(str(err))
+    if config.export.surfaces and config.export.directory is None:
+        parser.error("--export-surfaces: expected a folder too (--export DIR)")
+    if config.record.only and (config.export.directory is not None or config.view.save is not None):
+        parser.error("--record-only: nothing is segmented, so that --export and --save have nothing to write")
+    return Arguments(config, print_config, verbosity)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="nurbseg-live",
+        usage="%(prog)s [--device NAME | --replay PATH | --synthetic] [options]",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and end")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="read settings from a TOML file")
+    parser.add_argument(
+        "--print-config",
+        action="store_true",
+        help="write the settings, all flags applied, as a TOML file to stdout and end",
+    )
+    loudness = parser.add_mutually_exclusive_group()
+    loudness.add_argument(
+        "--quiet", dest="verbosity", action="store_const", const=-1, default=0, help="say only what is wrong"
+    )
+    loudness.add_argument(
+        "--verbose", dest="verbosity", action="store_const", const=1, help="say something of every frame"
+    )
+    for name, section in sections().items():
+        group = parser.add_argument_group(_TITLES.get(name, name))
+        one_of = group.add_mutually_exclusive_group() if name == "source" else group
+        kinds = value_kinds(section)
+        for each in described_fields(section):
+            target = one_of if name == "source" and each.name in SOURCE_KINDS else group
+            _add_flag(target, f"{name}.{each.name}", each, kinds[each.name])
+    return parser
+
+
+def _add_flag(group: Any, key: str, each: Field[Any], kind: ValueKind) -> None:
+    metadata = each.metadata
+    text = describe(metadata).replace("%", "%%")
+    options: dict[str, Any] = {"dest": key, "default": argparse.SUPPRESS}
+    if kind.kind is bool:
+        # A source is named or not; every other switch can be turned off again.
+        is_source = each.name in SOURCE_KINDS
+        switch = "store_true" if is_source else argparse.BooleanOptionalAction
+        text += "" if is_source else f" (default: {'on' if each.default else 'off'})"
+        group.add_argument(*flags(each), action=switch, help=text, **options)
+        return
+    if each.default not in (None, ""):
+        text += f" (default: {each.default})"
+    if metadata["choices"]:
+        options |= {"choices": metadata["choices"], "metavar": "NAME"}
+    else:
+        options |= {"type": _reader(kind), "metavar": _metavar(each, kind)}
+    group.add_argument(*flags(each), help=text, **options)
+
+
+def flags(each: Field[Any]) -> list[str]:
+    """Return the names of a setting's flag, the usual one first."""
+    names = [each.metadata["flag"] or each.name.replace("_", "-")]
+    if each.metadata["symbol"]:
+        names.append(each.metadata["symbol"])
+    return [f"--{name}" for name in names]
+
+
+def _metavar(each: Field[Any], kind: ValueKind) -> str:
+    unit = str(each.metadata["unit"])
+    if unit and unit.upper() == unit:
+        return unit
+    return {"px": "PIXELS", "s": "SECONDS", "m": "METRES"}.get(unit, "N" if kind.kind is int else "X")
+
+
+def _reader(kind: ValueKind) -> Callable[[str], Any]:
+    def read(text: str) -> Any:
+        try:
+            return kind.from_text(text)
+        except ValueError as err:
+            raise argparse.ArgumentTypeError(str(err)) from err
+
+    return read
+
+
+def _overridden(config: AppConfig, given: dict[str, Any]) -> AppConfig:
+    """Return the configuration with the flags that were given."""
+    if any(f"source.{kind}" in given for kind in SOURCE_KINDS):
+        # A source named by a flag takes the place of another that the file names.
+        given = {"source.device": None, "source.replay": None, "source.synthetic": False} | given
+    for name, section in sections().items():
+        values = {key.partition(".")[2]: value for key, value in given.items() if key.startswith(f"{name}.")}
+        if not values:
+            continue
+        try:
+            config = replace(config, **{name: replace(getattr(config, name), **values)})
+        except ValueError as err:
+            raise ConfigError(_as_flag(section, str(err))) from err
+    return config
+
+
+def _as_flag(section: type[Any], message: str) -> str:
+    """Return a message about a field as one about its flag."""
+    field_name, colon, rest = message.partition(":")
+    for each in described_fields(section):
+        if each.name == field_name:
+            return f"argument {'/'.join(flags(each))}{colon}{rest}"
+    return message

@@ -1,0 +1,135 @@
+"""The command nurbseg-live: flags, configuration, one run, an exit code."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+from collections.abc import Sequence
+from contextlib import nullcontext
+from typing import TYPE_CHECKING, NoReturn
+
+from nurbseg.app.command.arguments import Arguments, parse_arguments
+from nurbseg.app.command.interruption import Interruption
+from nurbseg.app.command.threads import one_thread_for_products
+
+if TYPE_CHECKING:
+    from nurbseg.app.view.process import ViewProcess
+
+_log = logging.getLogger("nurbseg.live")
+
+DONE, FAILED, NOT_STARTED = 0, 1, 2
+
+
+def command() -> NoReturn:
+    """Run the command with the process's arguments, and end the process with its exit code."""
+    code = main()
+    # All that is to be closed is closed. Foreign threads that are stuck, as Rerun's are on a full disk,
+    # would keep the process from ending for good.
+    logging.shutdown()
+    sys.stdout.flush()
+    os._exit(code)
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code.
+
+    Parameters
+    ----------
+    words : sequence of str, optional
+        The arguments; the process's own by default.
+
+    Returns
+    -------
+    int
+        0 done, 1 failed while running, 2 no source or wrong configuration, 130 interrupted.
+
+    Raises
+    ------
+    SystemExit
+        With code 2 if an argument is wrong, with code 0 after ``--help`` and ``--version``.
+    """
+    one_thread_for_products()
+    arguments = parse_arguments(words)
+    if arguments.print_config:
+        from nurbseg.app.command.config_file import format_config
+
+        sys.stdout.write(format_config(arguments.config))
+        return DONE
+    _begin_logging(arguments.verbosity)
+    with Interruption() as interruption:
+        try:
+            return _run(arguments, interruption)
+        except KeyboardInterrupt:
+            pass
+        except Exception:
+            # Foreign code sometimes turns the interruption into an error of its own.
+            if interruption.signal_number is None:
+                _log.exception("unexpected failure")
+                return FAILED
+        _log.info("interrupted")
+        return interruption.exit_code
+
+
+def _run(arguments: Arguments, interruption: Interruption) -> int:
+    # Late, so that --help need not wait for numpy and OpenCV; what shows imports Rerun in the meantime.
+    from nurbseg.app.view.process import begin_view
+    from nurbseg.app.view.viewer import ViewError
+
+    try:
+        process = begin_view(arguments.config.shown)
+    except ViewError as err:
+        _log.error("%s", err, exc_info=arguments.verbosity > 0)
+        return NOT_STARTED
+    with process or nullcontext():
+        return _run_with(arguments, interruption, process)
+
+
+def _run_with(arguments: Arguments, interruption: Interruption, process: ViewProcess | None) -> int:
+    from nurbseg.app.command.compilation import told_compilation
+    from nurbseg.app.export import ExportError
+    from nurbseg.app.live.run import SetupError, run
+    from nurbseg.app.view.viewer import ViewError
+    from nurbseg.drivers.errors import DriverError
+
+    config = arguments.config
+    try:
+        with told_compilation():
+            report = run(config, interruption, process)
+    except SetupError as err:
+        _log.error("%s", err, exc_info=arguments.verbosity > 0)
+        return NOT_STARTED
+    except (DriverError, ExportError, ViewError) as err:
+        _log.error("%s", err, exc_info=arguments.verbosity > 0)
+        interruption.check()
+        return FAILED
+    _log.info("done: %d frames segmented, %.2f frames/s", report.segmented, report.frames_per_s)
+    for what, where in (
+        ("results", config.export.directory),
+        ("recording to look at", config.view.save),
+        ("report", config.export.report),
+    ):
+        if where is not None:
+            _log.info("%s: %s", what, where)
+    return DONE
+
+
+class _Format(logging.Formatter):
+    """Progress as plain lines; what is wrong with a word before it."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        level = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
+        return f"nurbseg-live: {level}{super().format(record)}"
+
+
+def _begin_logging(verbosity: int) -> None:
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(_Format())
+    logging.basicConfig(level=logging.WARNING, handlers=[handler], force=True)
+    levels = {-1: logging.WARNING, 0: logging.INFO, 1: logging.DEBUG}
+    logging.getLogger("nurbseg").setLevel(levels[verbosity])
+    logging.captureWarnings(True)
+
+
+if __name__ == "__main__":
+    command()

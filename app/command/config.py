@@ -1,0 +1,132 @@
+"""The configuration of a run: one frozen value made of sections, each a dataclass that describes itself.
+
+A section's fields are its keys in the configuration file and its flags on the command line. A new
+setting is one new field; a new section is one new dataclass and one new field of `AppConfig`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from nurbseg.app.live.config import LiveConfig
+from nurbseg.app.recording.config import RecordConfig
+from nurbseg.app.view.config import ViewConfig
+from nurbseg.drivers.openni2.options import DeviceOptions
+from nurbseg.drivers.settings import check_settings, setting
+from nurbseg.segmentation.config import SegmentationConfig
+
+
+@dataclass(frozen=True, slots=True)
+class SourceConfig:
+    """Where frames come from, and which of them are taken.
+
+    Raises
+    ------
+    ValueError
+        If more than one source is named, or a value is out of its bounds.
+    """
+
+    device: str | None = setting(
+        None, "camera to open: xtion, kinect, orbbec, any, an OpenNI2 URI or a serial number", unit="NAME"
+    )
+    replay: str | None = setting(None, "recording or folder of images to replay", unit="PATH")
+    synthetic: bool = setting(False, "the rendered scene, which needs neither camera nor file")
+    fallback: str | None = setting(None, "what to replay where no camera is found", unit="PATH")
+    speed: float = setting(
+        1.0, "rate of a replay: 1 as recorded, 0 as fast as possible with every frame segmented", least=0.0
+    )
+    loop: bool = setting(False, "start a replay again at its end")
+    start: int = setting(0, "frames of a replay to pass over at its beginning", least=0)
+    frames: int | None = setting(None, "stop after this many frames", least=1)
+    duration_s: float | None = setting(
+        None, "stop after this long, by the frames' own clock", unit="s", above=0.0, flag="duration"
+    )
+    intrinsics: tuple[float, float, float, float] | None = setting(
+        None,
+        "focal lengths and principal point, in pixels, of images without calibration",
+        unit="FX,FY,CX,CY",
+    )
+    depth_scale: float | None = setting(
+        None, "depth units per metre of images that do not say it", unit="1/m", above=0.0
+    )
+    association_limit_s: float = setting(
+        0.02, "largest difference in time between a depth image and its color image", unit="s", above=0.0
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if len(self.named) > 1:
+            raise ValueError(f"{', '.join(self.named)}: name one source, not {len(self.named)}")
+        if self.intrinsics is not None:
+            if not all(math.isfinite(value) for value in self.intrinsics):
+                raise ValueError(f"intrinsics: expected finite numbers, got {self.intrinsics}")
+            if self.intrinsics[0] <= 0 or self.intrinsics[1] == 0:
+                raise ValueError(f"intrinsics: expected focal lengths in pixels, got {self.intrinsics[:2]}")
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Which of the three kinds of source the user named."""
+        return tuple(name for name in SOURCE_KINDS if getattr(self, name))
+
+
+#: The fields of `SourceConfig` of which one at most is given; the last one given wins.
+SOURCE_KINDS = ("device", "replay", "synthetic")
+
+
+@dataclass(frozen=True, slots=True)
+class ExportConfig:
+    """What is written of each frame's result, and of the run."""
+
+    directory: str | None = setting(
+        None, "folder for each frame's labels (PNG) and tree (JSON)", unit="DIR", flag="export"
+    )
+    surfaces: bool = setting(False, "export the fitted surfaces too (NPZ)", flag="export-surfaces")
+    report: str | None = setting(
+        None, "file for the run's figures: frames, drops, rate, latency, memory (JSON)", unit="FILE"
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@dataclass(frozen=True, slots=True)
+class AppConfig:
+    """Everything that a run is told.
+
+    Parameters
+    ----------
+    source : SourceConfig
+        Where frames come from.
+    camera : DeviceOptions
+        Settings of the camera, where the source is one.
+    segmentation : SegmentationConfig
+        How a frame is segmented.
+    live : LiveConfig
+        What is carried from frame to frame.
+    view : ViewConfig
+        How results are shown and saved for viewing.
+    export : ExportConfig
+        What is written of them.
+    record : RecordConfig
+        How the frames themselves are recorded.
+    """
+
+    source: SourceConfig = field(default_factory=SourceConfig)
+    camera: DeviceOptions = field(default_factory=DeviceOptions)
+    segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
+    live: LiveConfig = field(default_factory=LiveConfig)
+    view: ViewConfig = field(default_factory=ViewConfig)
+    export: ExportConfig = field(default_factory=ExportConfig)
+    record: RecordConfig = field(default_factory=RecordConfig)
+
+    @property
+    def shown(self) -> ViewConfig:
+        """What is shown and saved for viewing: nothing where frames are only recorded."""
+        return ViewConfig(mode="none") if self.record.only else self.view
+
+
+def sections() -> dict[str, type[Any]]:
+    """Return the sections of `AppConfig` by name, in their order."""
+    return {each.name: each.default_factory for each in fields(AppConfig)}  # type: ignore[misc]

@@ -1,0 +1,130 @@
+"""The configuration file: TOML with a table for each section, read strictly and written with comments."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from nurbseg.app.command.config import AppConfig, sections
+from nurbseg.app.command.values import value_kinds
+from nurbseg.drivers.settings import described_fields
+
+_HEAD = """\
+# Configuration of nurbseg-live: `nurbseg-live --config FILE` reads it, flags come after it.
+# A key behind "#" is not set; take the "#" away to set it.
+"""
+
+
+class ConfigError(ValueError):
+    """A configuration cannot be used; the message names the file, the key and what is expected."""
+
+
+def read_config(path: Path) -> AppConfig:
+    """Read a configuration file.
+
+    Parameters
+    ----------
+    path : Path
+        TOML, with any part of the sections and keys of `AppConfig`.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, or a section, key or value is none of ours.
+    """
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as err:
+        raise ConfigError(f"{path}: cannot be read: {err.strerror}") from err
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as err:
+        raise ConfigError(f"{path}: is not TOML: {err}") from err
+    known = sections()
+    values: dict[str, Any] = {}
+    for name, table in tables.items():
+        if name not in known or not isinstance(table, dict):
+            raise ConfigError(f"{path}: unknown {_unknown(name, table)}")
+        values[name] = _read_section(path, name, known[name], table)
+    return AppConfig(**values)
+
+
+def _read_section(path: Path, name: str, section: type[Any], table: dict[str, Any]) -> Any:
+    kinds = value_kinds(section)
+    values = {}
+    for key, value in table.items():
+        if key not in kinds:
+            raise ConfigError(f"{path}: unknown key {name}.{key}{_nearest(f'{name}.{key}')}")
+        try:
+            values[key] = kinds[key].from_toml(value)
+        except ValueError as err:
+            raise ConfigError(f"{path}: {name}.{key}: {err}") from err
+    try:
+        return section(**values)
+    except ValueError as err:
+        raise ConfigError(f"{path}: {name}.{err}") from err
+
+
+def _unknown(name: str, table: object) -> str:
+    if isinstance(table, dict):
+        return f"section [{name}]: expected one of {', '.join(f'[{each}]' for each in sections())}"
+    return f"key {name}: keys stand in a section{_nearest(name)}"
+
+
+def _nearest(key: str) -> str:
+    """Return " (did you mean ...?)" with the valid key that a wrong one resembles most, or nothing."""
+    valid: dict[str, str] = {}
+    for name, section in sections().items():
+        for each in described_fields(section):
+            full = f"{name}.{each.name}"
+            # A key may be right and in the wrong section, or be called as the literature does.
+            for spelling in (full, each.name, each.metadata["symbol"], each.metadata["flag"]):
+                valid.setdefault(spelling, full)
+    valid.pop("", None)
+    bare = key.rpartition(".")[2]
+    if bare in valid:
+        return f" (did you mean {valid[bare]}?)"
+    for wanted in (bare, key):
+        close = difflib.get_close_matches(wanted, valid, n=1, cutoff=0.7)
+        if close:
+            return f" (did you mean {valid[close[0]]}?)"
+    return ""
+
+
+def format_config(config: AppConfig) -> str:
+    """Return a configuration as a complete TOML file; reading it gives the same configuration."""
+    lines = [_HEAD]
+    for name, section in sections().items():
+        lines.append(f"[{name}]")
+        values = getattr(config, name)
+        for each in described_fields(section):
+            value = getattr(values, each.name)
+            lines.append(f"# {describe(each.metadata)}")
+            lines.append(f"#{each.name} =" if value is None else f"{each.name} = {_toml(value)}")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def describe(metadata: Any) -> str:
+    """Return what a setting means, with its unit and bounds, in one line."""
+    bounds = [
+        f"{word} {metadata[key]:g}"
+        for key, word in (("above", "more than"), ("least", "at least"), ("most", "at most"))
+        if metadata[key] is not None
+    ]
+    unit = [metadata["unit"]] if metadata["unit"] and metadata["unit"].upper() != metadata["unit"] else []
+    choices = [" | ".join(metadata["choices"])] if metadata["choices"] else []
+    notes = ", ".join(unit + bounds + choices)
+    return f"{metadata['text']} [{notes}]" if notes else str(metadata["text"])
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        # JSON's escapes are TOML's, except that TOML wants DEL escaped as well.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, tuple):
+        return f"[{', '.join(_toml(each) for each in value)}]"
+    return repr(value)

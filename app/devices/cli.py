@@ -1,0 +1,261 @@
+"""The command nurbseg-devices: which cameras are there, why one is not, and a Kinect's motor."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+READY, NOT_READY = 0, 1
+
+#: OpenNI2 must be done with its cameras within this time, seconds.
+_TIME_LIMIT_S = 60.0
+
+_DESCRIPTION = """\
+List the depth cameras on this computer, find out why one does not work, and
+move a Kinect's motor. Without a command, the cameras are listed."""
+
+_EPILOG = """\
+exit codes: 0 a camera is ready (list, doctor) or it was done; 1 not; 2 usage
+example: nurbseg-devices doctor --device kinect"""
+
+_LED_COLORS = ("off", "green", "red", "yellow", "blink-green", "blink-red-yellow")
+_TILT_MAX_DEG = 31.0
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code.
+
+    Parameters
+    ----------
+    words : sequence of str, optional
+        The arguments; the process's own by default.
+
+    Raises
+    ------
+    SystemExit
+        With code 2 if an argument is wrong, with code 0 after ``--help``.
+    """
+    from nurbseg.drivers.errors import DeviceNotFoundError, DriverError
+
+    arguments = _parser().parse_args(words)
+    run: Callable[[argparse.Namespace], int] = arguments.run
+    try:
+        code = run(arguments)
+        sys.stdout.flush()
+        return code
+    except BrokenPipeError:
+        # Whoever read it has enough, as `head` has; the flush at the end would say so once more.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return NOT_READY
+    except DriverError as err:
+        print(f"nurbseg-devices: error: {err}", file=sys.stderr)
+        if isinstance(err, DeviceNotFoundError):
+            print("To find out why: nurbseg-devices doctor", file=sys.stderr)
+        return NOT_READY
+    except KeyboardInterrupt:
+        return 130
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="nurbseg-devices",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.set_defaults(run=_list, json=False)
+    parser.add_argument("--json", action="store_true", help="write the list as JSON")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
+
+    command = commands.add_parser("list", help="list the cameras that OpenNI2 finds (the default)")
+    command.set_defaults(run=_list)
+    command.add_argument("--json", action="store_true", help="write the list as JSON")
+
+    command = commands.add_parser("doctor", help="find out why a camera does not work, and what to do")
+    command.set_defaults(run=_doctor)
+    _add_device(command, "which camera should work: xtion, kinect, orbbec, any, a URI or a serial number")
+    command.add_argument("--json", action="store_true", help="write the findings as JSON")
+
+    command = commands.add_parser("calibration", help="write what a camera reports of its lenses to a file")
+    command.set_defaults(run=_calibration)
+    command.add_argument(
+        "file", type=_toml_path, metavar="FILE.toml", help="file to write, for --calibration"
+    )
+    _add_device(command, "which camera: xtion, kinect, orbbec, any, a URI or a serial number")
+    command.add_argument("--serial", default="", help="the camera with this serial number")
+    command.add_argument("--force", action="store_true", help="replace the file where it exists")
+
+    command = commands.add_parser("tilt", help="turn a Kinect v1's head")
+    command.set_defaults(run=_tilt)
+    command.add_argument(
+        "angle_deg",
+        type=_angle,
+        metavar="DEG",
+        help=f"angle above the horizon, degrees, -{_TILT_MAX_DEG:g} to {_TILT_MAX_DEG:g}",
+    )
+    _add_number(command)
+
+    command = commands.add_parser("led", help="set a Kinect v1's light")
+    command.set_defaults(run=_led)
+    command.add_argument("color", choices=_LED_COLORS, metavar="COLOR", help=", ".join(_LED_COLORS))
+    _add_number(command)
+
+    command = commands.add_parser("accelerometer", help="read a Kinect v1's accelerometer and tilt")
+    command.set_defaults(run=_accelerometer)
+    command.add_argument("--json", action="store_true", help="write the values as JSON")
+    _add_number(command)
+    return parser
+
+
+def _add_device(command: argparse.ArgumentParser, text: str) -> None:
+    command.add_argument("--device", default="any", metavar="NAME", help=f"{text} (default: any)")
+
+
+def _add_number(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--number", type=int, default=0, metavar="N", help="which Kinect, from 0 (default: 0)"
+    )
+
+
+def _angle(text: str) -> float:
+    try:
+        angle_deg = float(text)
+    except ValueError:
+        angle_deg = float("nan")
+    if not -_TILT_MAX_DEG <= angle_deg <= _TILT_MAX_DEG:
+        raise argparse.ArgumentTypeError(
+            f"expected degrees from -{_TILT_MAX_DEG:g} to {_TILT_MAX_DEG:g}, got {text!r}"
+        )
+    return angle_deg
+
+
+def _toml_path(text: str) -> Path:
+    if not text.lower().endswith(".toml"):
+        raise argparse.ArgumentTypeError(f"expected a file name that ends in .toml, got {text!r}")
+    return Path(text)
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    from nurbseg.app.devices import report as device_report
+    from nurbseg.drivers.doctor.camera_list import list_cameras
+
+    with _time_limit():
+        cameras = list_cameras()
+    as_words = device_report.cameras_as_json if arguments.json else device_report.cameras_as_text
+    print(as_words(cameras))
+    return READY if any(not camera.error for camera in cameras) else NOT_READY
+
+
+def _doctor(arguments: argparse.Namespace) -> int:
+    from nurbseg.app.devices import report as device_report
+    from nurbseg.app.devices.probe import probe
+    from nurbseg.drivers.doctor.diagnosis import describe, diagnose, is_ready
+
+    system = describe(probe=probe(arguments.device))
+    findings = diagnose(system, arguments.device)
+    as_words = device_report.findings_as_json if arguments.json else device_report.findings_as_text
+    print(as_words(findings, system))
+    return READY if is_ready(findings) else NOT_READY
+
+
+def _calibration(arguments: argparse.Namespace) -> int:
+    from nurbseg.drivers.calibration.file import write_calibration
+    from nurbseg.drivers.errors import DriverError
+    from nurbseg.drivers.openni2.device import DeviceSource
+    from nurbseg.drivers.openni2.options import DeviceOptions
+
+    path: Path = arguments.file
+    if path.exists() and not arguments.force:
+        raise DriverError(f"{path}: exists already; --force replaces it")
+    # Without the camera's own registration, with which its frames have one camera only.
+    options = DeviceOptions(serial=arguments.serial, registration="software")
+    with _quiet(), _time_limit(), DeviceSource(arguments.device.removeprefix("openni2:"), options) as source:
+        calibration, name = source.calibration, source.metadata["device"]
+    try:
+        write_calibration(path, calibration)
+    except OSError as err:
+        raise DriverError(f"{path}: cannot be written: {err.strerror}") from err
+    print(
+        f"Written to {path}, for {name}:\n"
+        f"  depth camera   {calibration.depth.width}x{calibration.depth.height}, focal length "
+        f"{calibration.depth.fx:.1f} pixels, from the field of view it reports\n"
+        f"  color camera   {calibration.color.width}x{calibration.color.height}, focal length "
+        f"{calibration.color.fx:.1f} pixels, nominal\n"
+        f"  offset         {-1e3 * calibration.color_from_depth[0, 3]:.0f} mm to the right, nominal\n"
+        f"Use it with: nurbseg-live --calibration {path}\n"
+        "docs/calibration.md says how to measure the nominal values."
+    )
+    return READY
+
+
+@contextmanager
+def _time_limit() -> Iterator[None]:
+    """End the program if a driver hangs, which nothing else can make it return from."""
+    timer = threading.Timer(_TIME_LIMIT_S, _give_up)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+def _give_up() -> None:
+    print(
+        f"nurbseg-devices: error: OpenNI2, or one of its drivers, did not answer within {_TIME_LIMIT_S:g} s\n"
+        "To find out why: nurbseg-devices doctor",
+        file=sys.stderr,
+        flush=True,
+    )
+    os._exit(NOT_READY)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep warnings about the very values that are being asked for from being printed."""
+    logger = logging.getLogger("nurbseg")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
+
+
+def _tilt(arguments: argparse.Namespace) -> int:
+    from nurbseg.drivers.doctor.kinect_motor import KinectMotor
+
+    with KinectMotor(number=arguments.number) as motor:
+        motor.tilt(arguments.angle_deg)
+    print(f"turning to {arguments.angle_deg:g} degrees")
+    return READY
+
+
+def _led(arguments: argparse.Namespace) -> int:
+    from nurbseg.drivers.doctor.kinect_motor import KinectMotor
+
+    with KinectMotor(number=arguments.number) as motor:
+        motor.led(arguments.color)
+    print(f"light: {arguments.color}")
+    return READY
+
+
+def _accelerometer(arguments: argparse.Namespace) -> int:
+    from nurbseg.app.devices import report as device_report
+    from nurbseg.drivers.doctor.kinect_motor import KinectMotor
+
+    with KinectMotor(number=arguments.number) as motor:
+        state = motor.state()
+    print(device_report.motor_as_json(state) if arguments.json else device_report.motor_as_text(state))
+    return READY
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,60 @@
+"""Asks OpenNI2 for its cameras from another process, because its drivers may crash or hang."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+
+from nurbseg.drivers.doctor.finding import Probe
+from nurbseg.drivers.doctor.usb_ids import WANTED
+
+#: A camera that does not answer lets its driver wait for some seconds.
+_TIME_LIMIT_S = 20.0
+
+
+def probe(wanted: str = "any", *, time_limit_s: float = _TIME_LIMIT_S) -> Probe:
+    """Return which cameras OpenNI2 lists and opens.
+
+    Parameters
+    ----------
+    wanted : str
+        What `--device` was given: a kind of camera, or the URI or serial number of one.
+    time_limit_s : float
+        After so many seconds the answer is that there was none.
+    """
+    command = [sys.executable, "-m", "nurbseg.app.devices.cli", "list", "--json"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=time_limit_s, check=False)
+    except subprocess.TimeoutExpired:
+        return Probe(error=f"OpenNI2, or one of its drivers, did not answer within {time_limit_s:g} s.")
+    if done.returncode < 0:
+        name = signal.Signals(-done.returncode).name
+        return Probe(error=f"OpenNI2, or one of its drivers, crashed ({name}).")
+    try:
+        # Drivers sometimes print something of their own first.
+        cameras = json.loads(done.stdout[done.stdout.index("{") :])["cameras"]
+    except ValueError:
+        words = done.stderr.strip().splitlines()
+        return Probe(
+            error=words[-1].removeprefix("nurbseg-devices: error: ") if words else "It gave no answer."
+        )
+    matching = [camera for camera in cameras if _is_meant(camera, wanted.removeprefix("openni2:"))]
+    return Probe(
+        cameras=tuple(_name(camera) for camera in matching if not camera["error"]),
+        refused=tuple((_name(camera), camera["error"]) for camera in matching if camera["error"]),
+    )
+
+
+def _is_meant(camera: dict[str, str], word: str) -> bool:
+    if word.lower() in ("", "any"):
+        return True
+    if word.lower() in WANTED:
+        return camera["family"] in WANTED[word.lower()]
+    return word in (camera["uri"], camera["serial"], f"port:{camera['usb_port']}")
+
+
+def _name(camera: dict[str, str]) -> str:
+    serial = f", serial {camera['serial']}" if camera["serial"] else ""
+    return f"{camera['name']} ({camera['usb_id']}{serial})"

@@ -1,0 +1,163 @@
+"""What nurbseg-devices says, as text of at most 80 columns or as JSON."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+
+from nurbseg.drivers.doctor.camera_list import Camera
+from nurbseg.drivers.doctor.finding import Finding, System
+from nurbseg.drivers.doctor.kinect_motor import MotorState
+from nurbseg.drivers.doctor.usb import SPEED_TEXT
+from nurbseg.drivers.openni2.stream import VideoMode
+
+WIDTH = 80
+_LABEL_WIDTH = 18
+_FORMATS = {"DEPTH_1_MM": "1 mm", "DEPTH_100_UM": "100 um", "RGB888": "RGB"}
+_MARKS = {"ok": "ok", "error": "ERROR", "warning": "warning", "note": "note"}
+
+
+def cameras_as_text(cameras: Sequence[Camera]) -> str:
+    """Return the cameras as a table for each."""
+    if not cameras:
+        return "OpenNI2 finds no camera. To find out why: nurbseg-devices doctor"
+    count = "1 camera" if len(cameras) == 1 else f"{len(cameras)} cameras"
+    version = next((camera.openni2_version for camera in cameras if camera.openni2_version), "")
+    blocks = [f"{count}, through OpenNI2 {version}".rstrip()]
+    for number, camera in enumerate(cameras, start=1):
+        port = f"{camera.usb_port}, {SPEED_TEXT[camera.usb_speed]}" if camera.usb_port else "unknown"
+        rows = [
+            ("status", f"cannot be used: {camera.error}" if camera.error else "ready"),
+            ("ids", camera.usb_id),
+            ("serial", camera.serial or "unknown"),
+            ("USB port", port),
+            ("OpenNI2 URI", camera.uri),
+            ("driver", camera.driver_version or "unknown version"),
+        ]
+        if camera.depth_modes or camera.color_modes:
+            rows += [
+                ("depth", _modes_as_text(camera.depth_modes)),
+                ("color", _modes_as_text(camera.color_modes)),
+                ("registration", "in the camera" if camera.registration else "in software only"),
+                ("sync", "yes" if camera.sync else "no"),
+            ]
+        blocks.append("\n".join([f"{number}. {camera.name}", *(_row(label, text) for label, text in rows)]))
+    return "\n\n".join(blocks)
+
+
+def cameras_as_json(cameras: Sequence[Camera]) -> str:
+    """Return the cameras as JSON; the keys are those of `Camera`, described in docs/cameras.md."""
+    described = []
+    for camera in cameras:
+        each = asdict(camera)
+        for key in ("depth_modes", "color_modes"):
+            each[key] = [
+                {
+                    "width": mode.width,
+                    "height": mode.height,
+                    "fps": mode.fps,
+                    "pixel_format": mode.pixel_format.name,
+                }
+                for mode in getattr(camera, key)
+            ]
+        described.append(each)
+    return json.dumps({"cameras": described}, indent=2)
+
+
+def findings_as_text(findings: Iterable[Finding], system: System) -> str:
+    """Return what the doctor found, with what to do, and what it looked at."""
+    blocks = []
+    for finding in findings:
+        lines = _wrapped(finding.title, f"{_MARKS[finding.severity]:<9}", 9)
+        lines += _wrapped(finding.reason, " " * 9, 9) if finding.reason else []
+        # Commands stay whole, so that they can be copied.
+        lines += [f"{'':9}{number}. {step}" for number, step in enumerate(finding.steps, start=1)]
+        blocks.append("\n".join(lines))
+    ready = any(finding.severity == "ok" for finding in findings)
+    result = "Result: a camera is ready to use." if ready else "Result: no camera is ready to use."
+    return "\n\n".join([*blocks, _looked_at(system), result])
+
+
+def findings_as_json(findings: Iterable[Finding], system: System) -> str:
+    """Return the findings as JSON, described in docs/cameras.md."""
+    found = [asdict(finding) for finding in findings]
+    installation = system.host.installation
+    document = {
+        "ready": any(each["severity"] == "ok" for each in found),
+        "findings": found,
+        "usb_devices": [
+            {"ids": part.device.ids, "name": part.model.name, "port": part.device.port}
+            for part in system.parts
+        ],
+        "openni2": {
+            "library": installation.library,
+            "drivers_folder": installation.drivers_folder,
+            "drivers": list(installation.drivers),
+        },
+    }
+    return json.dumps(document, indent=2)
+
+
+def motor_as_text(state: MotorState) -> str:
+    """Return what a Kinect's accelerometer and motor say."""
+    si, g = state.acceleration_m_s2, state.acceleration_g
+    tilt = "unknown while it moves" if state.tilt_deg is None else f"{state.tilt_deg:g} degrees"
+    lines = [f"{axis}  {a:8.3f} m/s^2  {b:7.3f} g" for axis, a, b in zip("xyz", si, g, strict=True)]
+    return "\n".join([*lines, f"tilt   {tilt}", f"motor  {state.movement}"])
+
+
+def motor_as_json(state: MotorState) -> str:
+    """Return the same as JSON."""
+    return json.dumps({**asdict(state), "acceleration_g": state.acceleration_g}, indent=2)
+
+
+def _looked_at(system: System) -> str:
+    installation = system.host.installation
+    count = "1 device" if len(system.usb.devices) == 1 else f"{len(system.usb.devices)} devices"
+    parts = ", ".join(str(part) for part in system.parts) or "no depth camera"
+    drivers = ", ".join(name.removeprefix("lib").split(".so")[0] for name in installation.drivers) or "none"
+    rows = (
+        ("USB", f"{count}: {parts}"),
+        ("OpenNI2", installation.library or "not found"),
+        (
+            "its drivers",
+            f"{drivers}" + (f" in {installation.drivers_folder}" if installation.library else ""),
+        ),
+    )
+    return "\n".join(["Looked at", *(_row(label, text) for label, text in rows)])
+
+
+def _modes_as_text(modes: Sequence[VideoMode]) -> str:
+    """Return modes grouped by size and rate: "640x480 at 30, 25 (1 mm, 100 um); ..."."""
+    by_formats: dict[tuple[int, int, tuple[str, ...]], list[int]] = {}
+    for width, height, fps in dict.fromkeys((mode.width, mode.height, mode.fps) for mode in modes):
+        formats = tuple(
+            dict.fromkeys(
+                _FORMATS.get(mode.pixel_format.name, mode.pixel_format.name)
+                for mode in modes
+                if (mode.width, mode.height, mode.fps) == (width, height, fps)
+            )
+        )
+        by_formats.setdefault((width, height, formats), []).append(fps)
+    texts = [
+        f"{width}x{height} at {', '.join(str(fps) for fps in rates)} ({', '.join(formats)})"
+        for (width, height, formats), rates in by_formats.items()
+    ]
+    return "; ".join(texts) or "none"
+
+
+def _row(label: str, text: str) -> str:
+    return "\n".join(_wrapped(text, f"   {label:<{_LABEL_WIDTH - 3}}", _LABEL_WIDTH))
+
+
+def _wrapped(text: str, first: str, indent: int) -> list[str]:
+    return textwrap.wrap(
+        text,
+        WIDTH,
+        initial_indent=first,
+        subsequent_indent=" " * indent,
+        break_long_words=False,
+        break_on_hyphens=False,
+    ) or [first]

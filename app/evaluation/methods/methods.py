@@ -1,0 +1,124 @@
+"""The methods that can be compared, behind one interface: ``method(cloud, rng) -> labels``.
+
+To add one, write a function of that form and name it in `METHODS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.app.evaluation.methods import pcl, rivals
+from nurbseg.app.evaluation.methods.flat import best_lambda
+from nurbseg.app.evaluation.variants import LABELS_PREFIX, TREE_METHODS, Variant
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.points.registration import PointMap
+
+#: Segments that methods which must be told a number are told.
+CLUSTERS = 8
+
+
+class LabelMethod(Protocol):
+    """Segments one frame.
+
+    Takes a `PointMap` and a random generator, which is its only source of randomness, and returns
+    (H, W) labels; 0 and pixels without a point do not count.
+    """
+
+    def __call__(self, cloud: PointMap, rng: np.random.Generator) -> NDArray[np.integer]:
+        """Return the labels of a frame."""
+
+
+def _dmzc12(
+    cloud: PointMap, rng: np.random.Generator, config: SegmentationConfig | None = None
+) -> NDArray[np.integer]:
+    seed = int(rng.integers(2**31))
+    return best_lambda(cloud, config or SegmentationConfig(), clusters=CLUSTERS, seed=seed)[1]
+
+
+def _kmeans(cloud: PointMap, rng: np.random.Generator) -> NDArray[np.integer]:
+    return rivals.kmeans(cloud, rng, clusters=CLUSTERS)
+
+
+#: Rivals by name; the tree methods, which share work between their settings, are not among them.
+METHODS: Mapping[str, LabelMethod] = {
+    "dmzc12": _dmzc12,
+    "fh04": rivals.fh04_color,
+    "fh04-depth": rivals.fh04_color_depth,
+    "slic-ncut": rivals.slic_ncut,
+    "kmeans": _kmeans,
+    "lccp": pcl.lccp,
+    "pcl-organized": pcl.organized,
+}
+
+
+def check_method(name: str) -> None:
+    """Make sure that a method is known and can run here.
+
+    Raises
+    ------
+    ValueError
+        If there is no such method, or the folder of its label images is not there.
+    nurbseg.drivers.errors.BackendMissingError
+        If what it needs is not installed; the message says what that is.
+    """
+    if name.startswith(LABELS_PREFIX):
+        folder = Path(name.removeprefix(LABELS_PREFIX))
+        if not folder.is_dir():
+            raise ValueError(f"--labels {folder}: no such folder")
+    elif name not in METHODS and name not in TREE_METHODS:
+        known = ", ".join((*TREE_METHODS, *METHODS))
+        raise ValueError(f"methods: expected some of {known}, got {name!r}")
+    elif name in ("lccp", "pcl-organized"):
+        pcl.program()
+
+
+def labels_on_disk(folder: Path, frame_name: str, index: int) -> NDArray[np.integer]:
+    """Read what another program found in a frame.
+
+    ``NAME_labels.png``, ``NAME_label.png``, ``NAME.png`` and ``NNNNNN_labels.png`` (the frame's number)
+    are looked for in this order.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the label images are.
+    frame_name : str
+        The frame's name; may be empty.
+    index : int
+        Its number.
+
+    Returns
+    -------
+    (H, W) integer
+        Labels as they are.
+
+    Raises
+    ------
+    ValueError
+        If none is there, or it is not an image of one channel.
+    """
+    names = [f"{index:06d}_labels.png", f"{index:06d}.png"]
+    if frame_name:
+        names = [f"{frame_name}_labels.png", f"{frame_name}_label.png", f"{frame_name}.png", *names]
+    for name in names:
+        path = folder / name
+        if path.exists():
+            image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+            if image is None or image.ndim != 2:
+                raise ValueError(f"{path}: expected a label image of one channel")
+            return np.asarray(image, dtype=np.int64)
+    raise ValueError(f"{folder}: no labels of frame {frame_name or index}; expected {names[0]}")
+
+
+def rival(variant: Variant) -> Callable[[PointMap, np.random.Generator], NDArray[np.integer]]:
+    """Return the function of a variant that is not one of the tree methods."""
+    if variant.method == "dmzc12":
+        return partial(_dmzc12, config=variant.config)
+    return METHODS[variant.method]

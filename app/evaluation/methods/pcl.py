@@ -1,0 +1,112 @@
+"""Two geometric rivals from the Point Cloud Library, through a small program built on request.
+
+Needs Debian's libpcl-dev, cmake and a C++ compiler; nothing else of the project does.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import subprocess
+import tempfile
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.errors import BackendMissingError
+from nurbseg.segmentation.points.registration import PointMap
+
+_BUILD_TIMEOUT_S = 900.0
+_RUN_TIMEOUT_S = 120.0
+_SOURCES = ("CMakeLists.txt", "pcl_rivals.cpp")
+
+
+@cache
+def program() -> Path:
+    """Return the program, building it where this version of its source has not been built yet.
+
+    Raises
+    ------
+    BackendMissingError
+        If PCL, cmake or a compiler is missing, or the build fails; says what to install.
+    """
+    needed = "install them: apt-get install libpcl-dev cmake g++"
+    if shutil.which("cmake") is None or shutil.which("c++") is None:
+        raise BackendMissingError(f"lccp, pcl-organized: cmake and a C++ compiler are needed; {needed}")
+    sources = resources.files("nurbseg.app.evaluation.methods").joinpath("pcl_program")
+    content = {name: sources.joinpath(name).read_bytes() for name in _SOURCES}
+    digest = hashlib.sha256(b"".join(content.values())).hexdigest()[:16]
+    cache_home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    folder = cache_home / "nurbseg" / f"pcl-{digest}"
+    built = folder / "pcl_rivals"
+    if built.exists():
+        return built
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder.parent) as name:
+        work = Path(name)
+        for source, text in content.items():
+            (work / source).write_bytes(text)
+        for command in (
+            ["cmake", "-S", ".", "-B", ".", "-DCMAKE_BUILD_TYPE=Release"],
+            ["cmake", "--build", "."],
+        ):
+            try:
+                done = subprocess.run(
+                    command, cwd=work, capture_output=True, text=True, timeout=_BUILD_TIMEOUT_S, check=False
+                )
+            except subprocess.TimeoutExpired as err:
+                raise BackendMissingError(
+                    f"lccp, pcl-organized: the build took over {err.timeout:.0f} s"
+                ) from err
+            if done.returncode != 0:
+                reason = (done.stderr or done.stdout).strip().splitlines()
+                raise BackendMissingError(
+                    f"lccp, pcl-organized: cannot build against PCL ({' '.join(reason[:1])}); {needed}"
+                )
+        folder.mkdir(exist_ok=True)
+        (work / "pcl_rivals").replace(built)
+    return built
+
+
+def _run(method: str, cloud: PointMap) -> NDArray[np.uint16]:
+    height, width = cloud.valid.shape
+    with tempfile.TemporaryDirectory() as name:
+        points, colors, labels = (Path(name) / each for each in ("points.f32", "colors.u8", "labels.u16"))
+        cloud.points_m.tofile(points)
+        cloud.color.tofile(colors)
+        command = [program(), method, str(width), str(height), points, colors, labels]
+        done = subprocess.run(
+            [str(word) for word in command],
+            capture_output=True,
+            text=True,
+            timeout=_RUN_TIMEOUT_S,
+            check=False,
+        )
+        if done.returncode != 0:
+            raise RuntimeError(f"{method}: exit code {done.returncode}: {done.stderr.strip()}")
+        return np.fromfile(labels, np.uint16).reshape(height, width)
+
+
+def lccp(cloud: PointMap, rng: np.random.Generator) -> NDArray[np.integer]:
+    """Locally convex connected patches [1]_ over supervoxels, by PCL.
+
+    References
+    ----------
+    .. [1] S. Stein et al., "Object partitioning using local convexity", CVPR 2014.
+    """
+    return _run("lccp", cloud)
+
+
+def organized(cloud: PointMap, rng: np.random.Generator) -> NDArray[np.integer]:
+    """Planes of the organized cloud, then Euclidean clusters of what is left, by PCL [1]_.
+
+    References
+    ----------
+    .. [1] A. Trevor et al., "Efficient organized point cloud segmentation with connected components",
+       SPME 2013.
+    """
+    return _run("organized", cloud)

@@ -1,0 +1,91 @@
+"""Methods of other people, called through their kept libraries, as functions ``(cloud, rng) -> labels``."""
+
+from __future__ import annotations
+
+import warnings
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.cut.features import features
+from nurbseg.segmentation.points.registration import PointMap
+
+Labels = NDArray[np.integer]
+
+
+def _filled_depth(cloud: PointMap) -> NDArray[np.float32]:
+    """Give each pixel without depth that of its nearest neighbour with one, metres."""
+    depth_m = np.where(cloud.valid, cloud.points_m[:, :, 2], 0.0).astype(np.float32)
+    missing = (~cloud.valid).astype(np.uint8)
+    if missing.all():
+        return depth_m
+    _, nearest = cv2.distanceTransformWithLabels(missing, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
+    by_label = np.zeros(int(nearest.max()) + 1, np.float32)
+    by_label[nearest[cloud.valid]] = depth_m[cloud.valid]
+    return np.asarray(by_label[nearest], dtype=np.float32)
+
+
+def _as_unit_range(image: NDArray[np.floating]) -> NDArray[np.float64]:
+    low, high = np.percentile(image, (1, 99))
+    return np.asarray(np.clip((image - low) / max(high - low, 1e-9), 0.0, 1.0), dtype=np.float64)
+
+
+def fh04_color(cloud: PointMap, rng: np.random.Generator) -> Labels:
+    """Graph-based segmentation of the color image [1]_, by scikit-image.
+
+    Scale 1000, sigma 0.8 and a smallest region of 750 pixels at 640x480, in proportion elsewhere.
+
+    References
+    ----------
+    .. [1] P. Felzenszwalb, D. Huttenlocher, "Efficient graph-based image segmentation", IJCV 59(2), 2004.
+    """
+    from skimage.segmentation import felzenszwalb
+
+    smallest = max(1, round(750 * cloud.valid.size / (640 * 480)))
+    return np.asarray(felzenszwalb(cloud.color, scale=1000, sigma=0.8, min_size=smallest)) + 1
+
+
+def fh04_color_depth(cloud: PointMap, rng: np.random.Generator) -> Labels:
+    """Graph-based segmentation of color and depth together, by scikit-image.
+
+    Depth is a fourth channel with the weight of the three color channels together, holes filled from
+    the nearest pixel.
+    """
+    from skimage.segmentation import felzenszwalb
+
+    smallest = max(1, round(750 * cloud.valid.size / (640 * 480)))
+    depth = 3.0 * _as_unit_range(_filled_depth(cloud))
+    image = np.dstack([cloud.color / 255.0, depth])
+    with warnings.catch_warnings():
+        # It warns of four channels although the channel axis is given.
+        warnings.filterwarnings("ignore", "Got image with third dimension", RuntimeWarning)
+        found = felzenszwalb(image, scale=1000, sigma=0.8, min_size=smallest, channel_axis=2)
+    return np.asarray(found) + 1
+
+
+def slic_ncut(cloud: PointMap, rng: np.random.Generator) -> Labels:
+    """Superpixels (SLIC) joined by recursive normalized cuts of their color graph, by scikit-image."""
+    from skimage import graph
+    from skimage.segmentation import slic
+
+    superpixels = slic(cloud.color, n_segments=400, compactness=30, start_label=1)
+    adjacency = graph.rag_mean_color(cloud.color, superpixels, mode="similarity")
+    return np.asarray(graph.cut_normalized(superpixels, adjacency, rng=rng)) + 1
+
+
+def kmeans(cloud: PointMap, rng: np.random.Generator, *, clusters: int = 8) -> Labels:
+    """2-means' flat sibling: k-means of the 6-D vectors of color and position (eq. 3), by scikit-learn."""
+    from sklearn.cluster import MiniBatchKMeans
+
+    vectors = features(cloud, SegmentationConfig())
+    labels = np.zeros(cloud.valid.shape, np.int32)
+    if len(vectors) < clusters:
+        labels[cloud.valid] = 1
+        return labels
+    model = MiniBatchKMeans(
+        n_clusters=clusters, n_init=3, batch_size=4096, random_state=int(rng.integers(2**31))
+    )
+    labels[cloud.valid] = model.fit_predict(vectors) + 1
+    return labels

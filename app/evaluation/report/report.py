@@ -1,0 +1,227 @@
+"""The report of a study: one HTML file that needs nothing else, and its pictures as PNG beside it."""
+
+from __future__ import annotations
+
+import base64
+import importlib.metadata
+import json
+import platform
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.app.evaluation.answers import Answers
+from nurbseg.app.evaluation.report import pictures
+from nurbseg.app.evaluation.report.tables import all_tables
+from nurbseg.app.evaluation.results import StudyResults
+from nurbseg.app.evaluation.store import StudyStore
+from nurbseg.app.evaluation.study import FrameRef, Study, label_path, read_frame, tree_path
+from nurbseg.app.evaluation.variants import TREE_METHODS, Variant
+from nurbseg.app.view.drawing.palette import STOP_COLORS
+from nurbseg.segmentation.points.registration import register
+from nurbseg.segmentation.stag15 import Segment, SegmentationTree
+
+_TILE_PX = 214
+#: Frames whose trees and fits are drawn: the worst and the best ones.
+_TREES = 3
+#: Residual at the red end of the error pictures.
+_ERROR_M = 0.05
+
+
+def versions() -> str:
+    """Return the versions that a result depends on, as one line."""
+    names = ("nurbseg", "numpy", "scipy", "opencv-python-headless", "scikit-image", "scikit-learn")
+    found = []
+    for name in names:
+        try:
+            found.append(f"{name} {importlib.metadata.version(name)}")
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return f"Python {platform.python_version()}, {', '.join(found)}"
+
+
+def write_report(
+    study: Study,
+    store: StudyStore,
+    results: StudyResults,
+    seconds: Mapping[str, float],
+    *,
+    title: str,
+    command: str,
+    date: str,
+    frames_shown: int = 200,
+) -> Path:
+    """Write ``report.html`` and ``pictures/*.png`` into the study's folder.
+
+    Parameters
+    ----------
+    study : Study
+        What was done.
+    store : StudyStore
+        Where label images and trees are kept.
+    results : StudyResults
+        Scores.
+    seconds : mapping of str to float
+        Time per frame by variant; may be empty.
+    title, command, date : str
+        What the report says of itself.
+    frames_shown : int
+        Frames of which there are pictures, the worst ones.
+
+    Returns
+    -------
+    Path
+        The HTML file.
+    """
+    import jinja2
+
+    folder = store.folder / "pictures"
+    folder.mkdir(exist_ok=True)
+    shown = pictures.leaders(results)
+    best = max(shown, key=lambda each: results.estimate(each, "gtrc").mean)
+    plots = []
+    for caption, name, image in (
+        ("Scores against T", "threshold.png", pictures.threshold_plot(results)),
+        ("Covering by category", "category.png", pictures.category_plot(results)),
+        ("Covering against time", "time.png", pictures.time_plot(results, seconds)),
+    ):
+        if image is not None:
+            (folder / name).write_bytes(image)
+            plots.append((caption, _base64(image)))
+    trees_of = next((each for each in shown if each.method in TREE_METHODS), None)
+    template = jinja2.Environment(autoescape=True).from_string(
+        resources.files("nurbseg.app.evaluation.report")
+        .joinpath("report.html.j2")
+        .read_text(encoding="utf-8")
+    )
+    html = template.render(
+        title=title,
+        command=command,
+        date=date,
+        versions=versions(),
+        frames=len(results.frames),
+        variants=len(results.variants),
+        skipped=len(results.skipped),
+        skipped_frames=results.skipped,
+        tables=all_tables(results, seconds),
+        plots=plots,
+        leader=best.name,
+        pictures=[
+            _frame_pictures(study, store, frame, shown, folder)
+            for frame in results.worst_frames(best)[:frames_shown]
+        ],
+        trees=[] if trees_of is None else _tree_pictures(study, store, results, trees_of, folder),
+        stops=[(stop.value, pictures.stop_color(stop)) for stop in STOP_COLORS],
+    )
+    path = store.folder / "report.html"
+    path.write_text(html, encoding="utf-8")
+    return path
+
+
+def _frame_pictures(
+    study: Study,
+    store: StudyStore,
+    frame: Mapping[str, Any],
+    variants: Sequence[Variant],
+    folder: Path,
+) -> dict[str, Any]:
+    """Show color, depth, ground truth and each method's result of a frame side by side."""
+    read = read_frame(FrameRef(frame["uri"], frame["index"], frame["key"]), study.options)
+    cloud = register(read)
+    truth = read.labels
+    if truth is None:
+        raise ValueError(f"{frame['uri']}: frame {frame['name']} has no ground truth any more")
+    tiles: list[tuple[str, NDArray[np.uint8]]] = [
+        ("color", cloud.color),
+        ("depth", pictures.depth_colors(read.depth_mm)),
+        ("ground truth", pictures.label_colors(truth)),
+    ]
+    for variant in variants:
+        labels = cv2.imread(str(store.folder / label_path(frame["key"], variant)), cv2.IMREAD_UNCHANGED)
+        if labels is None:
+            continue
+        score = frame["results"][variant.key]
+        caption = f"{variant.name}: GTRC {score['gtrc']:.3f}, VoI {score['voi']:.2f}"
+        counted = np.where(cloud.valid, labels, 0)
+        tiles.append((caption, pictures.label_colors(counted, np.where(cloud.valid, truth, 0))))
+    (folder / f"{frame['key']}-{frame['name']}.png").write_bytes(pictures.strip_png(tiles))
+    return {
+        "name": frame["name"],
+        "category": frame["category"],
+        "tiles": [
+            (caption, _base64(pictures.jpeg(pictures.tile(image, _TILE_PX)))) for caption, image in tiles
+        ],
+    }
+
+
+def _tree_pictures(
+    study: Study, store: StudyStore, results: StudyResults, variant: Variant, folder: Path
+) -> list[tuple[str, str]]:
+    """Draw the trees and the fitting errors of the worst and the best frames of a variant."""
+    order = results.worst_frames(variant)
+    drawn = []
+    for frame in dict.fromkeys(each["key"] for each in (*order[:_TREES], *order[-_TREES:])):
+        about = next(each for each in order if each["key"] == frame)
+        path = store.folder / tree_path(frame, variant)
+        if not path.exists():
+            continue
+        segments = json.loads(path.read_text(encoding="utf-8"))["segments"]
+        image = pictures.tree_plot(segments)
+        (folder / f"{frame}-{about['name']}-tree.png").write_bytes(image)
+        drawn.append((f"{about['name']}: tree of {variant.name}", _base64(image)))
+        errors = pictures.strip_png(_error_tiles(study, about, variant), 420)
+        (folder / f"{frame}-{about['name']}-errors.png").write_bytes(errors)
+        drawn.append((f"{about['name']}: fitting error, blue 0 to red {_ERROR_M} m", _base64(errors)))
+    return drawn
+
+
+def _error_tiles(
+    study: Study, frame: Mapping[str, Any], variant: Variant
+) -> list[tuple[str, NDArray[np.uint8]]]:
+    """Show where surfaces do not fit: of the whole cloud, of its two parts, and of the leaves (figure 2)."""
+    cloud = register(read_frame(FrameRef(frame["uri"], frame["index"], frame["key"]), study.options))
+    _, tree = Answers(cloud, frame["name"], frame["index"], study.seed).of(variant)
+    tiles = [("color", cloud.color)]
+    if tree is None:
+        return tiles
+    first = _fitted(tree, [tree.root])
+    levels = (
+        ("one surface" if len(first) == 1 else "first surfaces", first),
+        ("after the first split", _fitted(tree, [each for each in tree.segments if each.depth == 1])),
+        ("leaves", _fitted(tree, tree.leaves())),
+    )
+    for caption, segments in levels:
+        residual_m = np.full(cloud.valid.size, np.nan)
+        for each in segments:
+            residual_m[each.fit.pixels] = each.fit.residuals_m
+        image = _spread(residual_m.reshape(cloud.valid.shape), variant.config.decimation)
+        tiles.append((caption, pictures.error_colors(image, _ERROR_M)))
+    return tiles
+
+
+def _fitted(tree: SegmentationTree, segments: Sequence[Segment]) -> list[Segment]:
+    """Put the nearest parts that have a surface in place of segments that have none."""
+    by_name = {each.name: each for each in tree.segments}
+    found, open_ = [], list(segments)
+    while open_:
+        each = open_.pop()
+        if each.fit.surface is not None:
+            found.append(each)
+        else:
+            open_ += [by_name[name] for name in each.children]
+    return found
+
+
+def _spread(image: NDArray[np.float64], step: int) -> NDArray[np.float64]:
+    """Fill the pixels between those of a decimated grid with the value to their upper left."""
+    height, width = image.shape
+    return image[::step, ::step].repeat(step, axis=0).repeat(step, axis=1)[:height, :width]
+
+
+def _base64(content: bytes) -> str:
+    return base64.b64encode(content).decode()

@@ -1,0 +1,1 @@
+"""The live loop: from a source to a frame's result."""

@@ -1,0 +1,75 @@
+"""What the log says while a run goes on: one calm line every few seconds."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+
+from nurbseg.app.live.capture import CaptureThread
+from nurbseg.app.live.worker import FrameResult
+
+_log = logging.getLogger(__name__)
+
+#: Time between two lines, seconds.
+_INTERVAL_S = 5.0
+
+
+class Progress:
+    """Tells how a run goes.
+
+    Parameters
+    ----------
+    capture : CaptureThread
+        Whose counts are told.
+    clock : callable
+        Monotonic seconds.
+    """
+
+    def __init__(self, capture: CaptureThread, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._capture = capture
+        self._clock = clock
+        self._told_s = clock()
+        self._frames = 0
+        self._is_first = True
+
+    def segmented(self, result: FrameResult, *, late: int = 0) -> None:
+        """Say something of a frame, if it is time to, or the first; `late` were too old to be shown."""
+        self._frames += 1
+        frame = result.frame
+        name = f" ({frame.name})" if frame.name else ""
+        took_ms = sum(result.elapsed_ms.get(stage, 0.0) for stage in ("register", "segment"))
+        line = f"frame {frame.index}{name}: {len(result.tree.leaves())} segments in {took_ms:.0f} ms"
+        _log.debug(line)
+        elapsed_s = self._clock() - self._told_s
+        if self._is_first:
+            _log.info(line)
+        elif elapsed_s >= _INTERVAL_S:
+            dropped = self._capture.frames.overwritten
+            drops = f", {dropped} overwritten by newer ones" if dropped else ""
+            drops += f", {late} too late" if late else ""
+            drops += self._recorded()
+            _log.info(
+                "%s; %.1f frames/s, %d read%s", line, self._frames / elapsed_s, self._capture.read, drops
+            )
+        else:
+            return
+        self._is_first, self._frames, self._told_s = False, 0, self._clock()
+
+    def recorded(self) -> None:
+        """Say how the recording goes, if it is time to."""
+        if self._clock() - self._told_s >= _INTERVAL_S:
+            _log.info("%d read%s", self._capture.read, self._recorded())
+            self._told_s = self._clock()
+
+    def _recorded(self) -> str:
+        recording = self._capture.recording
+        if recording is None:
+            return ""
+        return f", {recording.frames} recorded" + (f", {recording.lost} lost" if recording.lost else "")
+
+    def waiting(self) -> None:
+        """Say that no frame comes, if that lasts."""
+        if self._clock() - self._told_s >= _INTERVAL_S:
+            _log.info("waiting for a frame")
+            self._told_s = self._clock()

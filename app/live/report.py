@@ -1,0 +1,173 @@
+"""The figures of a run: what was read, what became of it, and how long that took."""
+
+from __future__ import annotations
+
+import json
+import platform
+import resource
+import sys
+import time
+from array import array
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nurbseg.app.atomic_file import write_atomically
+from nurbseg.app.command.config import AppConfig
+from nurbseg.app.live.capture import CaptureThread
+from nurbseg.segmentation.live.identity import Event
+from nurbseg.segmentation.live.tree import Revision
+
+_PACKAGES = ("nurbseg", "numpy", "scipy", "opencv-python-headless", "rerun-sdk", "mcap")
+
+
+class RunReport:
+    """Gathers a run's figures, and writes them as JSON.
+
+    Parameters
+    ----------
+    config : AppConfig
+        What the run was told.
+    source : str
+        What frames come from, as a person names it.
+    metadata : mapping of str to str
+        What is known of the source; read when the figures are written.
+
+    Attributes
+    ----------
+    segmented : int
+        Frames segmented so far.
+    late : int
+        Frames of them that were too old to be shown.
+    passed_by : int
+        Frames taken that were to be recorded only.
+    view_peak_mb : float
+        Largest resident size of the process that shows and saves, 10^6 bytes.
+    """
+
+    def __init__(self, config: AppConfig, source: str, metadata: Mapping[str, str]) -> None:
+        self.segmented = self.late = self.passed_by = 0
+        self.view_peak_mb = 0.0
+        self._config = config
+        self._source = source
+        self._metadata = metadata
+        self._began = datetime.now(UTC)
+        self._began_s = time.monotonic()
+        self._first_s: float | None = None
+        self._last_s = self._began_s
+        self._stages_ms: dict[str, array[float]] = {}
+        self._events: Counter[str] = Counter()
+        self._anew: Counter[str] = Counter()
+
+    def add(
+        self, elapsed_ms: Mapping[str, float], events: Sequence[Event] = (), revision: Revision | None = None
+    ) -> None:
+        """Count a frame that was segmented, with each stage's time in milliseconds, and what happened."""
+        self._events.update(each.kind for each in events)
+        if revision is not None and revision.cold:
+            self._anew[revision.cold] += 1
+        self._last_s = time.monotonic()
+        if self._first_s is None:
+            self._first_s = self._last_s
+        self.segmented += 1
+        for stage, value in elapsed_ms.items():
+            self._stages_ms.setdefault(stage, array("d")).append(value)
+
+    @property
+    def frames_per_s(self) -> float:
+        """Frames segmented per second, between the first and the last of them; 0 before there are two."""
+        if self._first_s is None or self.segmented < 2:
+            return 0.0
+        return (self.segmented - 1) / max(self._last_s - self._first_s, 1e-9)
+
+    def document(self, capture: CaptureThread | None, ended: str) -> dict[str, Any]:
+        """Return all the figures.
+
+        Parameters
+        ----------
+        capture : CaptureThread or None
+            Which read the frames; None where it did not come to that.
+        ended : str
+            Why the run ended.
+        """
+        read = 0 if capture is None else capture.read
+        overwritten = 0 if capture is None else capture.frames.overwritten
+        withheld = 0 if capture is None else capture.withheld
+        recording = None if capture is None else capture.recording
+        damaged = 0 if capture is None else capture.damaged
+        return {
+            "ended": ended,
+            "began": self._began.isoformat(timespec="milliseconds"),
+            "seconds": round(time.monotonic() - self._began_s, 3),
+            "source": {"opened": self._source, **self._metadata},
+            "frames": {
+                "read": read,
+                "segmented": self.segmented,
+                "late": self.late,
+                "recorded_only": self.passed_by,
+                "dropped": {
+                    "overwritten_by_a_newer_frame": overwritten,
+                    "withheld_for_the_recording": withheld,
+                    "damaged": damaged,
+                    "without_a_partner": int(self._metadata.get("dropped", 0)),
+                    "unfinished_at_the_end": read - self.segmented - self.passed_by - overwritten - withheld,
+                },
+                "camera": {} if capture is None else dict(capture.losses),
+                "damaged_frames": [] if capture is None else capture.damaged_frames,
+            },
+            "recording": None if recording is None else recording.figures(),
+            "frames_per_s": round(self.frames_per_s, 3),
+            "first_result_after_s": None
+            if self._first_s is None
+            else round(self._first_s - self._began_s, 3),
+            "latency_ms": {stage: _percentiles(values) for stage, values in self._stages_ms.items()},
+            "events": dict(sorted(self._events.items())),
+            "segmented_anew": dict(sorted(self._anew.items())),
+            "peak_memory_mb": {
+                "segmentation": round(peak_memory_mb(), 1),
+                "view": round(self.view_peak_mb, 1),
+            },
+            "configuration": asdict(self._config),
+            "versions": versions(),
+        }
+
+    def write(self, path: Path, capture: CaptureThread | None, ended: str) -> None:
+        """Write the figures as a JSON file, whole or not at all.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written.
+        """
+        content = json.dumps(self.document(capture, ended), indent=2) + "\n"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, content.encode())
+
+
+def _percentiles(values: array[float]) -> dict[str, float]:
+    p50, p95 = np.percentile(np.asarray(values), [50, 95])
+    return {"p50": round(float(p50), 3), "p95": round(float(p95), 3), "max": round(max(values), 3)}
+
+
+def peak_memory_mb() -> float:
+    """Return the largest resident size that this process had, in units of 10^6 bytes."""
+    # Linux counts in KiB; macOS in bytes.
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what the figures depend on."""
+    found = {"python": platform.python_version(), "platform": platform.platform()}
+    for package in _PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed as a package"
+    return found

@@ -1,0 +1,108 @@
+"""Frame after frame: what is known of the last one is carried into the next."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.app.live.rate_controller import Governor
+from nurbseg.app.live.worker import FrameResult, process_frame
+from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.labels.lookup import looked_up
+from nurbseg.segmentation.live.identity import Identities, carry_identities
+from nurbseg.segmentation.live.tree import Budget, LiveTree, lives
+from nurbseg.segmentation.points.registration import register
+from nurbseg.segmentation.stag15 import SegmentationTree
+
+
+class Segmenter:
+    """Segments frame after frame.
+
+    Parameters
+    ----------
+    config : SegmentationConfig
+        How to segment.
+    temporal : bool
+        Whether a frame continues the one before: segments keep their identities and, with the default
+        method, the tree of a frame is that of the one before, revised.
+    target_hz : float
+        Frames per second to hold by doing less for each; 0 for doing the usual.
+    """
+
+    def __init__(self, config: SegmentationConfig, *, temporal: bool, target_hz: float = 0.0) -> None:
+        self.config = config
+        self._governor = Governor(target_hz, config.decimation) if target_hz > 0 else None
+        self._temporal = temporal
+        self._live = LiveTree(config) if temporal and lives(config) else None
+        self._surfaces: Identities | None = None
+        self._objects: Identities | None = None
+        self._object_of_label = np.zeros(1, dtype=np.uint16)
+
+    def process(self, frame: RGBDFrame) -> FrameResult:
+        """Register and segment a frame.
+
+        Parameters
+        ----------
+        frame : RGBDFrame
+            Depth and color.
+
+        Returns
+        -------
+        FrameResult
+            With the stages of `process_frame` and, where frames continue each other, ``identify``.
+        """
+        if not self._temporal:
+            return process_frame(frame, self.config)
+        if self._live is None:
+            result = process_frame(frame, self.config)
+            return self._identified(result, None)
+        started_s = time.perf_counter()
+        cloud = register(frame)
+        registered_s = time.perf_counter()
+        budget = Budget() if self._governor is None else self._governor.budget
+        tree = self._live.segment(cloud, budget)
+        elapsed_ms = {
+            "register": 1e3 * (registered_s - started_s),
+            "segment": 1e3 * (time.perf_counter() - registered_s),
+        }
+        result = FrameResult(frame, cloud, tree, elapsed_ms, revision=self._live.revision)
+        cold = bool(self._live.revision.cold)
+        result = self._identified(result, None if cold else self._live.labels_before)
+        if self._governor is not None:
+            self._governor.took(sum(result.elapsed_ms.values()), cold=cold)
+        return result
+
+    def _identified(self, result: FrameResult, before: NDArray[np.uint16] | None) -> FrameResult:
+        """Give the segments of a frame the identities of those that they continue.
+
+        `before` holds the labels of the leaves of the last frame where these are now, if that is known.
+        """
+        started_s = time.perf_counter()
+        tree = result.tree
+        labels = tree.label_image()
+        self._surfaces = carry_identities(self._surfaces, labels, result.cloud, before=before)
+        object_of_label = _object_of_label(tree)
+        if tree.objects:
+            objects = None if before is None else looked_up(self._object_of_label, before)
+            self._objects = carry_identities(
+                self._objects, looked_up(object_of_label, labels), result.cloud, before=objects
+            )
+        self._object_of_label = object_of_label
+        elapsed_ms = {**result.elapsed_ms, "identify": 1e3 * (time.perf_counter() - started_s)}
+        return replace(
+            result,
+            elapsed_ms=MappingProxyType(elapsed_ms),
+            surface_identities=self._surfaces,
+            object_identities=self._objects if tree.objects else None,
+        )
+
+
+def _object_of_label(tree: SegmentationTree) -> NDArray[np.uint16]:
+    """Return the number of the object of each leaf, by the leaf's label; 0 where there are no objects."""
+    number = {name: n for n, each in enumerate(tree.objects, start=1) for name in each.leaves}
+    return np.array([0, *(number.get(leaf.name, 0) for leaf in tree.leaves())], dtype=np.uint16)

@@ -1,0 +1,96 @@
+"""Loads the compiled loops of a run, while its source and its view are being opened."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+
+import numpy as np
+
+from nurbseg.app.live.tracking import Segmenter
+from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.view.drawing.drawing import drawn
+from nurbseg.app.view.drawing.frame import Moment
+from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.segmentation.config import SegmentationConfig
+
+_log = logging.getLogger(__name__)
+
+#: Size of the frames, pixels, and how many: one that is segmented alone, and two that continue it.
+_WIDTH, _HEIGHT, _FRAMES = 160, 120, 3
+#: Longest wait, seconds: loading takes half a second, compiling for the first time half a minute.
+_WAIT_S = 120.0
+#: Time between two moments at which a signal can end the wait, seconds.
+_LOOK_S = 0.1
+
+
+class Loading:
+    """Segments a few small made-up frames on a thread, by which most of the loops of a run are loaded.
+
+    Without it the first frame of a camera would do so, and those that come in that half second be lost.
+
+    Parameters
+    ----------
+    config : SegmentationConfig
+        Of the run.
+    temporal : bool
+        Whether its frames continue each other.
+    """
+
+    def __init__(self, config: SegmentationConfig, *, temporal: bool) -> None:
+        self._config = config
+        self._temporal = temporal
+        # A daemon: a run that cannot begin does not wait for it.
+        self._thread = threading.Thread(target=self._run, name="loading", daemon=True)
+        self._thread.start()
+
+    def wait(self) -> None:
+        """Wait until everything is loaded, two minutes at most; what is not yet then is loaded later."""
+        deadline_s = time.monotonic() + _WAIT_S
+        while self._thread.is_alive() and time.monotonic() < deadline_s:
+            self._thread.join(_LOOK_S)
+
+    def _run(self) -> None:
+        try:
+            segmenter = Segmenter(self._config, temporal=self._temporal)
+            for index in range(_FRAMES if self._temporal else 1):
+                result = segmenter.process(_frame(index))
+                drawn(
+                    result,
+                    ViewConfig(),
+                    self._config.metric,
+                    moment=Moment(index, None, False),
+                    elapsed_ms={},
+                    rate_hz=0.0,
+                    known=None,
+                )
+        except Exception:
+            # What is wrong is wrong with the run's own frames too, which tell it better.
+            _log.debug("loading the compiled loops ahead failed", exc_info=True)
+
+
+def _frame(index: int) -> RGBDFrame:
+    """Return a frame of folded walls and a cone that moves, with noise and holes: something for each step."""
+    rows, columns = np.mgrid[:_HEIGHT, :_WIDTH]
+    x, y = columns / _WIDTH - 0.5, rows / _HEIGHT - 0.6
+    from_tip = np.hypot(x - 0.2 - 0.02 * index, y)
+    cone = from_tip < 0.15
+    depth_mm = 1500.0 + 900.0 * np.abs(x) + 500.0 * np.abs(y)
+    depth_mm[cone] = 1000.0 + 2000.0 * from_tip[cone]
+    depth_mm += (7 * rows + 13 * columns) % 5
+    depth_mm[(31 * rows + 17 * columns) % 97 == 0] = 0.0
+    depth_mm[:, :4] = 0.0
+    color = np.stack([60 + 120 * (x > 0), 60 + 120 * (y > 0), np.full_like(rows, 128)], axis=-1)
+    color[cone] = (210, 120, 40)
+    camera = Intrinsics(_WIDTH, _HEIGHT, 131.0, 131.0, 79.5, 59.5)
+    return RGBDFrame(
+        index=index,
+        timestamp_ns=index * 33_333_333,
+        depth_mm=depth_mm.astype(np.uint16),
+        color=color.astype(np.uint8),
+        calibration=Calibration.registered(camera),
+    )
+
+
+__all__ = ["Loading"]

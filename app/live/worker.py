@@ -1,0 +1,126 @@
+"""What is done with one frame, in the method's order."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.labels.lookup import looked_up
+from nurbseg.segmentation.live.identity import Event, Identities
+from nurbseg.segmentation.live.tree import Revision
+from nurbseg.segmentation.points.registration import PointMap, register
+from nurbseg.segmentation.stag15 import SegmentationTree, segment
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameResult:
+    """A frame and what came of it.
+
+    Parameters
+    ----------
+    frame : RGBDFrame
+        As it was captured.
+    cloud : PointMap
+        Its points with their colors.
+    tree : SegmentationTree
+        Its segments.
+    elapsed_ms : mapping of str to float
+        Time that each stage took, milliseconds.
+    surface_identities, object_identities : Identities or None
+        Of the tree's leaves and objects, by their labels, where frames continue each other. Then labels are
+        identities: a segment keeps its own from frame to frame.
+    revision : Revision or None
+        What was done to the live tree for this frame; None where the frame was segmented for itself.
+    """
+
+    frame: RGBDFrame
+    cloud: PointMap
+    tree: SegmentationTree
+    elapsed_ms: Mapping[str, float]
+    surface_identities: Identities | None = None
+    object_identities: Identities | None = None
+    revision: Revision | None = None
+
+    @property
+    def surface_of_leaf(self) -> NDArray[np.uint16]:
+        """Label of the surface by the leaf's place in the tree plus one; 0 for 0."""
+        return np.array([0, *self.surface_labels], dtype=np.uint16)
+
+    @property
+    def object_of_leaf(self) -> NDArray[np.uint16]:
+        """Label of the object, or surface without objects, by the leaf's place plus one; 0 for 0."""
+        if not self.tree.objects:
+            return self.surface_of_leaf
+        numbered = zip(self.object_labels, self.tree.objects, strict=True)
+        label = {name: label for label, each in numbered for name in each.leaves}
+        return np.array([0, *(label[leaf.name] for leaf in self.tree.leaves())], dtype=np.uint16)
+
+    def surface_image(self) -> NDArray[np.uint16]:
+        """Return the label of every pixel's surface, (H, W) uint16; 0 where there is no depth."""
+        return looked_up(self.surface_of_leaf, self.tree.label_image())
+
+    def object_image(self) -> NDArray[np.uint16]:
+        """Return the label of every pixel's object, or surface without objects; (H, W) uint16."""
+        return looked_up(self.object_of_leaf, self.tree.label_image())
+
+    def labels(self) -> NDArray[np.uint16]:
+        """Return the answer at the tree's level, (H, W) uint16: surfaces or objects; 0 for no depth."""
+        return self.object_image() if self.tree.level == "objects" else self.surface_image()
+
+    @property
+    def surface_labels(self) -> tuple[int, ...]:
+        """Label of each leaf of the tree, in their order."""
+        return _each_identified(len(self.tree.leaves()), self.surface_identities)
+
+    @property
+    def object_labels(self) -> tuple[int, ...]:
+        """Label of each object, in their order."""
+        return _each_identified(len(self.tree.objects), self.object_identities)
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What happened to the segments, at the tree's level, since the frame before."""
+        by_object = self.tree.objects and self.tree.level == "objects"
+        identities = self.object_identities if by_object else self.surface_identities
+        return () if identities is None else identities.events
+
+
+def _each_identified(count: int, identities: Identities | None) -> tuple[int, ...]:
+    if identities is None:
+        return tuple(range(1, count + 1))
+    # A leaf may have lost its last pixel to its neighbours: then it has no identity, and its label is 0.
+    return tuple(identities.of_label.get(label, 0) for label in range(1, count + 1))
+
+
+def process_frame(frame: RGBDFrame, config: SegmentationConfig) -> FrameResult:
+    """Register and segment one frame.
+
+    Parameters
+    ----------
+    frame : RGBDFrame
+        Depth and color.
+    config : SegmentationConfig
+        How to segment.
+
+    Returns
+    -------
+    FrameResult
+        With the stages ``register`` and ``segment``.
+    """
+    started_s = time.perf_counter()
+    cloud = register(frame)
+    registered_s = time.perf_counter()
+    tree = segment(cloud, config)
+    segmented_s = time.perf_counter()
+    elapsed_ms = {
+        "register": 1e3 * (registered_s - started_s),
+        "segment": 1e3 * (segmented_s - registered_s),
+    }
+    return FrameResult(frame, cloud, tree, MappingProxyType(elapsed_ms))

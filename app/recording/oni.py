@@ -1,0 +1,151 @@
+"""Recording by OpenNI2's own recorder, which takes the images from the driver and not from us."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from nurbseg.app.recording.config import RecordConfig
+from nurbseg.app.recording.disk_space import free_space, shortage
+from nurbseg.drivers.errors import DriverError
+from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.drivers.reconnect import Reconnecting, Recordable
+
+_log = logging.getLogger(__name__)
+
+
+class OniRecording:
+    """Starts and stops the recorder of a camera, on the thread that reads the camera.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    camera : Recordable
+        Records to it.
+    config : RecordConfig
+        From when on, whether color is packed with loss, and how much space must stay free.
+    free_bytes : callable
+        Returns the space that is left where `path` is, bytes.
+
+    Attributes
+    ----------
+    frames, lost : int
+        Frames read while the recorder was at work, give or take those on their way as it began; and
+        none lost, because the recorder does not depend on us.
+    failure : str
+        Why the recording ended before the run did; empty where it did not.
+
+    Raises
+    ------
+    DriverError
+        If it begins at once and cannot.
+    """
+
+    #: The recorder has a thread and a processor core of its own, and does not fall behind us.
+    behind = False
+
+    def __init__(
+        self,
+        path: Path,
+        camera: Recordable,
+        config: RecordConfig,
+        *,
+        free_bytes: Callable[[Path], int] = free_space,
+    ) -> None:
+        self.path = path
+        self.frames = self.lost = 0
+        self.failure = ""
+        self._camera = camera
+        self._lossy = config.color == "jpeg95"
+        self._delay_ns = round(config.delay_s * 1e9)
+        self._space_min_mb = config.space_min_mb
+        self._free_bytes = free_bytes
+        self._first_ns: int | None = None
+        self._is_recording = False
+        if not self._delay_ns:
+            self._start()
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more is written."""
+        return bool(self.failure)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files; more than one where the camera was away in between."""
+        later = self._camera.recorded_files[1:] if isinstance(self._camera, Reconnecting) else ()
+        return (self.path, *later)
+
+    def _start(self) -> None:
+        self._camera.start_recording(self.path, lossy=self._lossy)
+        self._is_recording = True
+
+    def put(self, frame: RGBDFrame) -> None:
+        """Begin when it is time, and end when the disk is nearly full; for the thread that reads."""
+        if self._first_ns is None:
+            self._first_ns = frame.timestamp_ns
+        # Once it is recording, the camera's clock has begun anew.
+        if self.failure or (not self._is_recording and frame.timestamp_ns - self._first_ns < self._delay_ns):
+            return
+        try:
+            if not self._is_recording:
+                self._start()
+            missing = shortage(self.path, self._space_min_mb, self._free_bytes)
+            if missing:
+                self._is_recording = False
+                self._camera.stop_recording()
+                self._fail(missing)
+                return
+            if isinstance(self._camera, Reconnecting) and self._camera.recording_failure:
+                self._is_recording = False
+                self._fail(self._camera.recording_failure)
+                return
+        except DriverError as err:
+            self._fail(str(err))
+            return
+        self.frames += 1
+
+    def _fail(self, reason: str) -> None:
+        self.failure = f"{self.path}: recording stopped: {reason}"
+        _log.error("%s", self.failure)
+
+    def finish(self) -> None:
+        """Finish the file, as no frame follows; for the thread that reads, and safe to call twice."""
+        if not self._is_recording:
+            return
+        self._is_recording = False
+        try:
+            self._camera.stop_recording()
+        except DriverError as err:
+            self._fail(str(err))
+
+    def close(self) -> None:
+        """Finish the file, for when nobody reads the camera any more; safe to call twice."""
+        self.finish()
+
+    def figures(self) -> dict[str, Any]:
+        """Return what the run's report says of the recording."""
+        files = self.files
+        return {
+            "file": str(self.path),
+            "files": [str(file) for file in files],
+            "frames": self.frames,
+            "lost": self.lost,
+            "megabytes": round(sum(file.stat().st_size for file in files if file.exists()) / 1e6, 1),
+            "failure": self.failure,
+        }
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()

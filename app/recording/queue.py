@@ -1,0 +1,235 @@
+"""Recording by ourselves: a queue and a thread of its own between the camera and the file."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Protocol, Self
+
+from nurbseg.app.recording.config import RecordConfig
+from nurbseg.app.recording.disk_space import free_space, shortage
+from nurbseg.drivers.errors import DriverError
+from nurbseg.drivers.frame import RGBDFrame
+
+_log = logging.getLogger(__name__)
+
+#: What may wait to be written: about five seconds of VGA frames at 30 Hz.
+_QUEUE_BYTES_MAX: Final = 240_000_000
+#: Share of that from which on the live path gives way.
+_BEHIND_SHARE: Final = 0.4
+_WAIT_S: Final = 0.5
+#: How long writing what waits may take at the end, seconds: of a run that ended, and of one interrupted.
+_DRAIN_S, _INTERRUPTED_DRAIN_S = 60.0, 1.2
+#: Longest wait for the one frame that is being written.
+_LAST_FRAME_S = 10.0
+
+
+class FrameWriter(Protocol):
+    """What frames are written with."""
+
+    def write(self, frame: RGBDFrame) -> None:
+        """Add one frame."""
+        ...
+
+    def close(self) -> None:
+        """Finish the file."""
+        ...
+
+
+class QueuedRecording:
+    """Takes frames from the thread that captures them and writes them on a thread of its own.
+
+    A frame that finds the queue full is lost and counted; before that, from `behind` on, the capture
+    thread keeps frames from being segmented, which leaves the processor to the recording. When the disk
+    is nearly full, or a write fails, the file is closed, to be read up to there, and `failure` says why.
+
+    Parameters
+    ----------
+    path : Path
+        The file, which must not exist.
+    writer : FrameWriter
+        Open; closed by this one.
+    config : RecordConfig
+        From when on, and how much space must stay free.
+    lossless : bool
+        Whether `put` waits for room: for a source that waits too.
+    free_bytes : callable
+        Returns the space that is left where `path` is, bytes.
+
+    Attributes
+    ----------
+    frames, lost : int
+        Frames in the file, and frames that were to be in it and are not.
+    failure : str
+        Why the recording ended before the run did; empty where it did not.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        writer: FrameWriter,
+        config: RecordConfig,
+        *,
+        lossless: bool = False,
+        free_bytes: Callable[[Path], int] = free_space,
+    ) -> None:
+        self.path = path
+        self.frames = self.lost = 0
+        self.failure = ""
+        self._writer = writer
+        self._lossless = lossless
+        self._delay_ns = round(config.delay_s * 1e9)
+        self._space_min_mb = config.space_min_mb
+        self._free_bytes = free_bytes
+        self._first_ns: int | None = None
+        self._changed = threading.Condition()
+        self._queue: deque[RGBDFrame] = deque()
+        self._queued_bytes = 0
+        self._in_hand = 0
+        self._finishing = False
+        self._thread = threading.Thread(target=self._run, name="recording")
+        self._thread.start()
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The file."""
+        return (self.path,)
+
+    @property
+    def behind(self) -> bool:
+        """Whether so much waits to be written that nothing else should use the processor.
+
+        Never for a lossless recording: its source waits instead.
+        """
+        with self._changed:
+            return not self._lossless and self._queued_bytes > _BEHIND_SHARE * _QUEUE_BYTES_MAX
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more is written."""
+        with self._changed:
+            return bool(self.failure) or self._finishing
+
+    def put(self, frame: RGBDFrame) -> None:
+        """Have a frame written; never waits, unless the recording is lossless and the queue full.
+
+        Parameters
+        ----------
+        frame : RGBDFrame
+            Those of the first `delay_s` seconds, by their own clock, are passed over.
+        """
+        if self._first_ns is None:
+            self._first_ns = frame.timestamp_ns
+        if frame.timestamp_ns - self._first_ns < self._delay_ns:
+            return
+        size = frame.depth_mm.nbytes + frame.color.nbytes
+        with self._changed:
+            if self._lossless:
+                while not (self._has_room(size) or self.failure or self._finishing):
+                    self._changed.wait(_WAIT_S)
+            if self.failure or self._finishing or not self._has_room(size):
+                self.lost += 1
+                return
+            self._queue.append(frame)
+            self._queued_bytes += size
+            self._changed.notify_all()
+
+    def _has_room(self, size: int) -> bool:
+        return not self._queue or self._queued_bytes + size <= _QUEUE_BYTES_MAX
+
+    def _run(self) -> None:
+        try:
+            try:
+                while (frame := self._next()) is not None:
+                    self._in_hand = 1
+                    self._check_space()
+                    self._writer.write(frame)
+                    self.frames += 1
+                    self._in_hand = 0
+            finally:
+                self._writer.close()
+        except Exception as err:
+            # Whatever it is, the run goes on without the recording, and says so at its end.
+            self._fail(err)
+
+    def _next(self) -> RGBDFrame | None:
+        """Return the frame that is due; None after the last one."""
+        with self._changed:
+            while not self._queue:
+                if self._finishing:
+                    return None
+                self._changed.wait(_WAIT_S)
+            frame = self._queue.popleft()
+            self._queued_bytes -= frame.depth_mm.nbytes + frame.color.nbytes
+            self._changed.notify_all()
+            return frame
+
+    def _check_space(self) -> None:
+        missing = shortage(self.path, self._space_min_mb, self._free_bytes)
+        if missing:
+            raise DriverError(missing)
+
+    def _fail(self, err: Exception) -> None:
+        reason = err.strerror if isinstance(err, OSError) and err.strerror else str(err)
+        with self._changed:
+            self.failure = f"{self.path}: recording stopped: {reason}"
+            self.lost += len(self._queue) + self._in_hand
+            self._queue.clear()
+            self._queued_bytes = 0
+            self._changed.notify_all()
+        _log.error("%s; %d frames are in the file", self.failure, self.frames)
+
+    def finish(self) -> None:
+        """Say that no frame follows; what waits is written."""
+        with self._changed:
+            self._finishing = True
+            self._changed.notify_all()
+
+    def close(self, timeout_s: float = _DRAIN_S) -> None:
+        """Write what waits and finish the file; safe to call twice.
+
+        Parameters
+        ----------
+        timeout_s : float
+            What still waits after so many seconds is lost and counted.
+        """
+        self.finish()
+        self._thread.join(timeout_s)
+        if self._thread.is_alive():
+            with self._changed:
+                self.lost += len(self._queue)
+                self._queue.clear()
+            # What is left is the frame that is being written; a dead disk never finishes it.
+            self._thread.join(_LAST_FRAME_S)
+            if self._thread.is_alive():
+                self.failure = self.failure or f"{self.path}: the disk did not take the last frame"
+                return
+        if self.frames == 0:
+            self.path.unlink(missing_ok=True)
+
+    def figures(self) -> dict[str, Any]:
+        """Return what the run's report says of the recording."""
+        return {
+            "file": str(self.path),
+            "files": [str(self.path)],
+            "frames": self.frames,
+            "lost": self.lost,
+            "megabytes": round(self.path.stat().st_size / 1e6, 1) if self.path.exists() else 0.0,
+            "failure": self.failure,
+        }
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        interrupted = exc_type is not None and issubclass(exc_type, KeyboardInterrupt)
+        self.close(_INTERRUPTED_DRAIN_S if interrupted else _DRAIN_S)

@@ -1,0 +1,1 @@
+"""What a frame's result looks like."""

@@ -1,0 +1,115 @@
+"""From a frame's result to what views show of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.app.live.worker import FrameResult
+from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.view.drawing.frame import Moment, TreeNode, ViewFrame
+from nurbseg.app.view.drawing.surface_mesh import surface_mesh
+from nurbseg.drivers.frame import Calibration
+from nurbseg.segmentation.config import Metric
+from nurbseg.segmentation.labels.lookup import looked_up
+from nurbseg.segmentation.live.identity import event_text
+
+
+def drawn(
+    result: FrameResult,
+    view: ViewConfig,
+    metric: Metric,
+    *,
+    moment: Moment,
+    elapsed_ms: Mapping[str, float],
+    rate_hz: float,
+    known: Calibration | None,
+) -> ViewFrame:
+    """Return what views show of a frame.
+
+    Parameters
+    ----------
+    result : FrameResult
+        The frame.
+    view : ViewConfig
+        How fine everything is drawn.
+    metric : str
+        Which of the metrics is shown.
+    moment : Moment
+        When it was.
+    elapsed_ms : mapping of str to float
+        Time that each stage took until now, milliseconds; the run may go on timing in `result`.
+    rate_hz : float
+        Frames shown in a second; 0 where it is not known yet.
+    known : Calibration or None
+        Of the frame before; left out where it is this frame's as well.
+    """
+    frame, tree = result.frame, result.tree
+    # Meshes go with the tree's own labels; what is seen bears those that last.
+    labels = tree.label_image()
+    surfaces = looked_up(result.surface_of_leaf, labels)
+    objects = looked_up(result.object_of_leaf, labels) if tree.objects else None
+    points_m, point_labels = _some_points(
+        result.cloud.points_m,
+        surfaces if objects is None or tree.level == "surfaces" else objects,
+        view.points_max,
+    )
+    mesh = surface_mesh(tree, labels, view.mesh_step_px * np.sqrt(labels.size / (640 * 480)))
+    registered = frame.calibration.is_registered
+    return ViewFrame(
+        moment=moment,
+        name=frame.name,
+        calibration=None if frame.calibration is known else frame.calibration,
+        color=frame.color if registered else result.cloud.color,
+        unregistered_color=None if registered else frame.color,
+        depth_mm=frame.depth_mm,
+        surfaces=surfaces,
+        objects=objects,
+        truth=frame.labels,
+        points_m=points_m,
+        point_labels=point_labels,
+        vertices_m=mesh.vertices_m,
+        normals=mesh.normals,
+        triangles=mesh.triangles,
+        residuals_m=mesh.residuals_m,
+        tree=_nodes(result, metric),
+        elapsed_ms=dict(elapsed_ms),
+        rate_hz=rate_hz,
+        events=tuple(map(event_text, result.events)),
+        grid_step=None if result.revision is None else result.revision.step,
+        anew="" if result.revision is None else result.revision.cold,
+    )
+
+
+def _nodes(result: FrameResult, metric: Metric) -> tuple[TreeNode, ...]:
+    label = iter(result.surface_labels)
+    return tuple(
+        TreeNode(
+            name=each.name,
+            children=each.children,
+            label=next(label) if each.is_leaf else None,
+            pixels=each.pixels.size,
+            value=each.fit.values.get(metric),
+            ratio=each.ratio,
+            stop=each.stop,
+            has_surface=each.fit.surface is not None,
+        )
+        for each in result.tree.segments
+    )
+
+
+def _some_points(
+    points_m: NDArray[np.float32], labels: NDArray[np.uint16], points_max: int
+) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
+    """Return evenly spaced points that have a label, with these; `points_max` at most."""
+    if points_max == 0:
+        return np.zeros((0, 3), dtype=np.float32), np.zeros(0, dtype=np.uint16)
+    step = max(1, int(np.ceil(np.sqrt(labels.size / points_max))))
+    coarse = labels[::step, ::step]
+    shown = coarse > 0
+    return points_m[::step, ::step][shown], coarse[shown]
+
+
+__all__ = ["drawn"]

@@ -1,0 +1,209 @@
+"""What a frame's result looks like to Rerun: entity paths and their contents."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.view.drawing.frame import Moment, ViewFrame
+from nurbseg.app.view.drawing.palette import (
+    LABEL_COLORS,
+    SERIES_COLORS,
+    label_colors,
+    residual_colors,
+)
+from nurbseg.app.view.drawing.tree import Entities, tree_entities
+from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.segmentation.config import Metric
+
+WORLD = "world"
+CAMERA = f"{WORLD}/camera"
+COLOR, DEPTH, LABELS, OBJECTS = (f"{CAMERA}/image/{name}" for name in ("color", "depth", "labels", "objects"))
+GROUND_TRUTH = f"{CAMERA}/ground_truth"
+COLOR_CAMERA = f"{WORLD}/color_camera"
+UNREGISTERED_COLOR = f"{COLOR_CAMERA}/image"
+POINTS, SURFACES = f"{WORLD}/points", f"{WORLD}/surfaces"
+LEGEND = "legend"
+RATE, LATENCY, SEGMENT_COUNT, METRIC = "plots/rate", "plots/latency", "plots/segments", "plots/metric"
+EVENTS = f"{SEGMENT_COUNT}/events"
+GRID_STEP = f"{RATE}/grid_step"
+LOG = "log"
+
+
+@dataclass(slots=True, eq=False)
+class FrameEntities:
+    """One frame for all sinks: built by the first thread that needs it, shared with the others.
+
+    Parameters
+    ----------
+    frame : ViewFrame
+        The frame.
+    calibration : Calibration
+        Of its cameras.
+    view : ViewConfig
+        How fine everything is drawn.
+    metric : str
+        Which of the metrics is shown.
+    """
+
+    frame: ViewFrame
+    calibration: Calibration
+    view: ViewConfig
+    metric: Metric
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+    _built: list[tuple[str, Any]] | None = None
+
+    @property
+    def moment(self) -> Moment:
+        """When it was."""
+        return self.frame.moment
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """Names of the stages that were timed."""
+        return tuple(self.frame.elapsed_ms)
+
+    def entities(self) -> Entities:
+        """Return paths and what is logged there."""
+        with self._lock:
+            if self._built is None:
+                self._built = [
+                    *_images(self.frame, self.view),
+                    *_space(self.frame, self.view),
+                    *tree_entities(self.frame, self.metric),
+                    *_scalars(self.frame),
+                    *_said(self.frame),
+                ]
+            return self._built
+
+
+def camera_entities(calibration: Calibration) -> Entities:
+    """Return the cameras; logged static, again whenever they change."""
+    yield CAMERA, _pinhole(calibration.depth, (250, 190, 60))
+    if not calibration.is_registered:
+        color_from_depth = calibration.color_from_depth
+        yield (
+            COLOR_CAMERA,
+            rr.Transform3D(
+                translation=color_from_depth[:3, 3],
+                mat3x3=color_from_depth[:3, :3],
+                relation=rr.TransformRelation.ChildFromParent,
+            ),
+        )
+        yield COLOR_CAMERA, _pinhole(calibration.color, (90, 170, 250))
+
+
+def opening_entities() -> Entities:
+    """Return what holds for the whole recording; logged static."""
+    yield WORLD, rr.ViewCoordinates.RDF
+    colors = label_colors()
+    yield (
+        WORLD,
+        rr.AnnotationContext(
+            [
+                rr.AnnotationInfo(id=0, label="none", color=(0, 0, 0, 0)),
+                *(
+                    rr.AnnotationInfo(id=label, label=str(label), color=tuple(map(int, color)))
+                    for label, color in zip(range(1, LABEL_COLORS + 1), colors, strict=True)
+                ),
+            ]
+        ),
+    )
+    yield RATE, _line("frames per second", 2)
+    yield SEGMENT_COUNT, _line("segments", 0)
+    yield EVENTS, _line("events", 3)
+    yield GRID_STEP, _line("pixel step of the grid", 7)
+    yield f"{METRIC}/worst", _line("worst segment", 3)
+    yield f"{METRIC}/mean", _line("mean of all points", 1)
+
+
+def stage_entities(stages: Iterable[str]) -> Entities:
+    """Return how the lines of the stages' times are drawn; logged static."""
+    for place, stage in enumerate(stages):
+        yield f"{LATENCY}/{stage}", _line(stage.replace("_", " "), place)
+
+
+def _line(name: str, place: int) -> rr.SeriesLines:
+    return rr.SeriesLines(names=name, colors=SERIES_COLORS[place % len(SERIES_COLORS)], widths=1.8)
+
+
+def _pinhole(camera: Intrinsics, color: tuple[int, int, int]) -> rr.Pinhole:
+    # Rerun knows no lens distortion: the frustum is that of the ideal camera.
+    return rr.Pinhole(
+        image_from_camera=camera.matrix,
+        resolution=[camera.width, camera.height],
+        camera_xyz=rr.ViewCoordinates.RDF,
+        image_plane_distance=0.15,
+        color=color,
+        line_width=-1.0,  # negative: points on the screen rather than metres
+    )
+
+
+def _images(frame: ViewFrame, view: ViewConfig) -> Entities:
+    yield COLOR, rr.Image(frame.color).compress(jpeg_quality=view.jpeg_quality)
+    if frame.unregistered_color is not None:
+        yield UNREGISTERED_COLOR, rr.Image(frame.unregistered_color).compress(jpeg_quality=view.jpeg_quality)
+    yield DEPTH, rr.DepthImage(frame.depth_mm, meter=1000.0, colormap="turbo")
+    yield LABELS, rr.SegmentationImage(frame.surfaces, opacity=1.0)
+    if frame.objects is not None:
+        yield OBJECTS, rr.SegmentationImage(frame.objects, opacity=1.0)
+    if frame.truth is not None:
+        yield GROUND_TRUTH, rr.SegmentationImage(frame.truth, opacity=1.0)
+
+
+def _space(frame: ViewFrame, view: ViewConfig) -> Entities:
+    if view.points_max:
+        yield (
+            POINTS,
+            rr.Points3D(frame.points_m, class_ids=frame.point_labels, radii=rr.Radius.ui_points(1.8)),
+        )
+    yield (
+        SURFACES,
+        rr.Mesh3D(
+            vertex_positions=frame.vertices_m,
+            vertex_normals=frame.normals,
+            triangle_indices=frame.triangles,
+            vertex_colors=residual_colors(frame.residuals_m, view.residual_max_m),
+        ),
+    )
+
+
+def _scalars(frame: ViewFrame) -> Entities:
+    if frame.rate_hz > 0:
+        yield RATE, rr.Scalars(frame.rate_hz)
+    for stage, stage_ms in frame.elapsed_ms.items():
+        yield f"{LATENCY}/{stage}", rr.Scalars(stage_ms)
+    leaves = [each for each in frame.tree if each.label is not None and each.has_surface]
+    yield SEGMENT_COUNT, rr.Scalars(len(leaves))
+    if leaves:
+        values = [each.value or 0.0 for each in leaves]
+        weights = [max(each.pixels, 1) for each in leaves]
+        yield f"{METRIC}/worst", rr.Scalars(max(values))
+        yield f"{METRIC}/mean", rr.Scalars(np.average(values, weights=weights))
+    if frame.grid_step is not None:
+        yield GRID_STEP, rr.Scalars(frame.grid_step)
+    yield EVENTS, rr.Scalars(len(frame.events))
+
+
+def _said(frame: ViewFrame) -> Entities:
+    """Return lines of the log: what happened to segments, and why the tree was begun anew."""
+    if frame.events:
+        yield LOG, rr.TextLog("; ".join(frame.events), level="INFO")
+    if frame.anew:
+        yield LOG, rr.TextLog(f"segmented anew: {frame.anew}", level="INFO")
+
+
+__all__ = [
+    "CAMERA",
+    "Entities",
+    "FrameEntities",
+    "camera_entities",
+    "opening_entities",
+    "stage_entities",
+]

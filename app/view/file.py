@@ -1,0 +1,133 @@
+"""The saved recording: a file that gets every frame, written by a thread of its own."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+
+import rerun as rr
+
+from nurbseg.app.view.drawing.entities import FrameEntities
+from nurbseg.app.view.outbox import Outbox
+from nurbseg.app.view.piped_file import PipedFile
+from nurbseg.app.view.stream import Item, LogLine, Opening, Writer
+from nurbseg.app.view.viewer import ViewError
+
+#: Frames that wait for the file: a second of a slow disk.
+_FRAMES = 8
+#: Longest wait for room before the file counts as stuck, longest wait of a flush, seconds.
+_TIMEOUT_S = 10.0
+#: How often what was logged is forced into the file.
+_FLUSH_S = 0.5
+
+
+class FileSink:
+    """Saves a recording; every frame that it is given is in the file.
+
+    Parameters
+    ----------
+    path : Path
+        The .rrd file; overwritten.
+    opening : Opening
+        What it begins with.
+    index : bool
+        Whether it ends with an index; what Rerun keeps for that grows with each frame.
+
+    Raises
+    ------
+    ViewError
+        If the file cannot be created.
+    """
+
+    def __init__(self, path: Path, opening: Opening, *, index: bool = True) -> None:
+        self._path = path
+        self._outbox: Outbox[Item] = Outbox(_FRAMES, lossless=True)
+        self._error: BaseException | None = None
+        self._stream = opening.stream()
+        try:
+            # A full disk would leave Rerun stuck for good, in a flush as well as in ending the stream.
+            self._file = PipedFile(path)
+            with self._file as pipe:
+                self._stream.set_sinks(rr.FileSink(pipe, write_footer=index))
+        except (RuntimeError, OSError) as err:
+            raise ViewError(f"{path}: cannot be created: {err}") from err
+        self._thread = threading.Thread(target=self._run, args=(opening,), name=f"view-file-{path.name}")
+        self._thread.start()
+
+    def put(self, frame: FrameEntities) -> None:
+        """Save a frame; waits where the disk is slow.
+
+        Raises
+        ------
+        ViewError
+            If the file can no longer be written.
+        """
+        self._check()
+        try:
+            self._outbox.put(frame, _TIMEOUT_S)
+        except TimeoutError:
+            raise ViewError(f"{self._path}: took no frame for {_TIMEOUT_S:g} s") from None
+        self._check()
+
+    def put_line(self, line: LogLine) -> None:
+        """Save a line of the log; never waits."""
+        self._outbox.put_line(line)
+
+    def begin_close(self) -> None:
+        """Accept nothing more."""
+        self._outbox.close()
+
+    def finish_close(self, deadline_s: float) -> None:
+        """Wait until the file is whole.
+
+        Parameters
+        ----------
+        deadline_s : float
+            Monotonic time of the end of the wait.
+
+        Raises
+        ------
+        ViewError
+            If the file is not whole.
+        """
+        self._thread.join(max(0.0, deadline_s - time.monotonic()))
+        if not self._file.join(deadline_s - time.monotonic()):
+            self._check()
+            raise ViewError(f"{self._path}: not written in time; its last frames are missing")
+        self._check()
+
+    def _check(self) -> None:
+        if self._file.error is not None:
+            reason = self._file.error.strerror
+            raise ViewError(f"{self._path}: cannot be written: {reason}") from self._file.error
+        if self._error is None:
+            return
+        # Rerun tells of a stuck disk by RuntimeError; anything else is a frame that could not be drawn.
+        trouble = isinstance(self._error, OSError | RuntimeError)
+        problem = (
+            "cannot be written" if trouble else f"a frame cannot be shown ({type(self._error).__name__})"
+        )
+        raise ViewError(f"{self._path}: {problem}: {self._error}") from self._error
+
+    def _run(self, opening: Opening) -> None:
+        try:
+            opening.send(self._stream)
+            writer = Writer(self._stream)
+            flushed_s = time.monotonic()
+            while not self._outbox.finished:
+                for item in self._outbox.take(timeout_s=_FLUSH_S):
+                    writer.write(item)
+                if time.monotonic() - flushed_s > _FLUSH_S:
+                    # So that a killed process leaves what it wrote.
+                    self._stream.flush(timeout_sec=_TIMEOUT_S)
+                    flushed_s = time.monotonic()
+            self._stream.flush(timeout_sec=_TIMEOUT_S)
+        except Exception as err:
+            self._error = err
+            self._outbox.close()
+        finally:
+            self._stream.disconnect()
+
+
+__all__ = ["FileSink"]

@@ -1,0 +1,163 @@
+"""The live view: a viewer that gets the newest frame, fed by a thread that may be lost to it."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+
+import rerun as rr
+
+from nurbseg.app.view.config import viewer_address
+from nurbseg.app.view.drawing.entities import FrameEntities
+from nurbseg.app.view.outbox import Outbox
+from nurbseg.app.view.stream import Item, LogLine, Opening, Writer
+from nurbseg.app.view.viewer import cut_connections, listens
+
+logger = logging.getLogger(__name__)
+
+#: How long a viewer is waited for at once, at first and at most, and before we say so; seconds.
+_POLL_S, _POLL_MAX_S, _PATIENCE_S = 0.2, 5.0, 3.0
+#: Pause between two attempts to reach a viewer.
+_RETRY_S = 0.5
+
+
+class ViewerSink:
+    """Shows the newest frames in a viewer, for as long as there is one; never makes anybody wait.
+
+    At most one frame is on its way: the next is logged when the viewer's side took the one before.
+    Without that bound Rerun would block in `log` for as long as a viewer is frozen.
+
+    Parameters
+    ----------
+    url : str
+        The viewer, ``rerun+http://HOST:PORT/proxy``.
+    opening : Opening
+        What each connection begins with.
+    starting : callable, optional
+        Returns whether a viewer is being started, which is then waited for without a word.
+    """
+
+    def __init__(self, url: str, opening: Opening, starting: Callable[[], bool] = lambda: False) -> None:
+        self._url = url
+        self._address = viewer_address(url)
+        self._opening = opening
+        self._starting = starting
+        self._absence_said = False
+        self._connections = 0
+        self._outbox: Outbox[Item] = Outbox(1, lossless=False)
+        self._stopping = threading.Event()
+        self._connected = threading.Event()
+        # A daemon, because Rerun can block for good.
+        self._thread = threading.Thread(target=self._run, name="view-live", daemon=True)
+        self._thread.start()
+
+    @property
+    def dropped(self) -> int:
+        """Frames that the viewer was too slow or too absent for."""
+        return self._outbox.dropped
+
+    @property
+    def connections(self) -> int:
+        """How often a viewer was connected to."""
+        return self._connections
+
+    def wait_connected(self, timeout_s: float) -> bool:
+        """Wait for a viewer; return whether there is one."""
+        return self._connected.wait(timeout_s)
+
+    def put(self, frame: FrameEntities) -> None:
+        """Show a frame, or drop an older one that still waits."""
+        self._outbox.put(frame, 0.0)
+
+    def put_line(self, line: LogLine) -> None:
+        """Show a line of the log."""
+        self._outbox.put_line(line)
+
+    def begin_close(self) -> None:
+        """Accept nothing more."""
+        self._outbox.close()
+
+    def finish_close(self, deadline_s: float) -> None:
+        """Give the viewer until `deadline_s` (monotonic) to take what waits, then let go of it."""
+        self._thread.join(max(0.0, deadline_s - time.monotonic()))
+        self._stopping.set()
+        self._thread.join(1.5 * _POLL_S)
+        if self._thread.is_alive():
+            cut_connections(*self._address)
+            self._thread.join(_POLL_S)
+
+    def _run(self) -> None:
+        try:
+            while not self._stopping.is_set() and not self._outbox.finished:
+                if listens(*self._address):
+                    if self._serve():
+                        continue
+                elif not self._may_come():
+                    return
+                self._stopping.wait(_RETRY_S)
+        except Exception:
+            logger.exception("nothing more is shown in the viewer at %s", self._url)
+
+    def _may_come(self) -> bool:
+        """Whether to go on waiting for a viewer that does not listen."""
+        if self._connected.is_set():
+            return not self._outbox.closed
+        if self._starting():
+            return True
+        if not self._absence_said:
+            self._absence_said = True
+            logger.warning("no viewer listens at %s; it is shown to as soon as one does", self._url)
+        return not self._outbox.closed
+
+    def _serve(self) -> bool:
+        """Feed one viewer until it is gone or we stop; return whether it took anything."""
+        stream = self._opening.stream()
+        taken = False
+        try:
+            stream.set_sinks(rr.GrpcSink(self._url))
+            self._opening.send(stream)
+            taken = connected = self._taken(stream)
+            if connected:
+                logger.info("showing in the viewer at %s", self._url)
+                self._connections += 1
+                self._connected.set()
+            writer = Writer(stream)
+            while taken and not self._stopping.is_set() and not self._outbox.finished:
+                for item in self._outbox.take(timeout_s=1.0):
+                    writer.write(item)
+                taken = self._taken(stream)
+            # One that ends, or begins, may listen for a moment without taking anything.
+            if connected and not taken and not self._stopping.is_set():
+                logger.warning("the viewer at %s is gone; if it comes back it is shown to again", self._url)
+            return connected
+        finally:
+            if not taken:
+                cut_connections(*self._address)
+            stream.disconnect()
+
+    def _taken(self, stream: rr.RecordingStream) -> bool:
+        """Wait until the viewer's side took everything; return False if it is gone or we stop."""
+        began_s = time.monotonic()
+        timeout_s = _POLL_S
+        said = False
+        while not self._stopping.is_set():
+            try:
+                stream.flush(timeout_sec=timeout_s)
+            except RuntimeError as err:
+                if "timed out" not in str(err):
+                    return False
+                # Each flush that timed out stays in Rerun's queue: ask ever less often.
+                timeout_s = min(2.0 * timeout_s, _POLL_MAX_S)
+            else:
+                if said:
+                    logger.info("the viewer at %s takes frames again", self._url)
+                return True
+            if not said and time.monotonic() - began_s > _PATIENCE_S:
+                said = True
+                logger.warning("the viewer at %s takes nothing; frames are not shown for now", self._url)
+        return False
+
+
+__all__ = ["ViewerSink"]

@@ -1,0 +1,249 @@
+"""The view by Rerun: its sinks, the viewer's or the server's process, the program's log."""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import time
+import uuid
+from collections.abc import Mapping
+from pathlib import Path
+from urllib.parse import quote
+
+from nurbseg.app.view.config import ViewConfig, bracketed
+from nurbseg.app.view.drawing.frame import Moment, ViewFrame
+from nurbseg.drivers.frame import Calibration
+from nurbseg.segmentation.config import SegmentationConfig
+
+# Rerun's own words on a lost viewer go to stderr, once for each entity; ours are enough. Files have no index
+# on purpose.
+os.environ.setdefault(
+    "RUST_LOG",
+    "warn,re_grpc_client=off,re_sdk::recording_stream=off,re_quota_channel=off,re_log_encoding::rrd::file_sink=error",
+)
+
+import rerun as rr
+
+from nurbseg.app.view.drawing.blueprint import legend
+from nurbseg.app.view.drawing.entities import LEGEND, FrameEntities, opening_entities
+from nurbseg.app.view.file import FileSink
+from nurbseg.app.view.live import ViewerSink
+from nurbseg.app.view.stream import LogLine, Opening
+from nurbseg.app.view.viewer import (
+    FILE_CLOSE_S,
+    ViewError,
+    chosen_mode,
+    free_port,
+    is_taken,
+    listens,
+    start_viewer,
+    start_web_server,
+)
+
+logger = logging.getLogger(__name__)
+
+#: What closing may take, after the file is whole, for the viewer to take the last frame.
+_VIEWER_CLOSE_S = 0.3
+
+_LEVELS = {
+    logging.CRITICAL: "CRITICAL",
+    logging.ERROR: "ERROR",
+    logging.WARNING: "WARN",
+    logging.INFO: "INFO",
+    logging.DEBUG: "DEBUG",
+}
+
+
+class RerunView:
+    """Shows and saves frames, each sink in its own thread with its own stream of the same recording.
+
+    It runs in a process of its own: `nurbseg.app.view.program`.
+
+    Parameters
+    ----------
+    config : ViewConfig
+        Where, and how fine.
+    segmentation : SegmentationConfig
+        Kept with the recording; names the metric that is shown.
+    properties : mapping of str to mapping of str to str
+        What else is kept with the recording, by subject.
+    name : str
+        What the recording is called.
+
+    Attributes
+    ----------
+    how_to_look : str
+        What a person does to see it; empty where a window opens by itself.
+
+    Raises
+    ------
+    ViewError
+        If the file cannot be created, a port is taken, or the viewer cannot be started.
+    """
+
+    def __init__(
+        self,
+        config: ViewConfig,
+        segmentation: SegmentationConfig,
+        properties: Mapping[str, Mapping[str, str]],
+        name: str,
+    ) -> None:
+        self._config = config
+        self._metric = segmentation.metric
+        self._calibration: Calibration | None = None
+        self._closed = False
+        self._process: subprocess.Popen[bytes] | None = None
+        self._files: list[FileSink] = []
+        self._viewers: list[ViewerSink] = []
+        self.how_to_look = ""
+        opening = Opening(
+            recording_id=str(uuid.uuid4()),
+            name=name,
+            properties={
+                subject: rr.AnyValues(drop_untyped_nones=True, **values)
+                for subject, values in properties.items()
+            },
+            static=(
+                *opening_entities(),
+                (LEGEND, rr.TextDocument(legend(config, segmentation), media_type=rr.MediaType.MARKDOWN)),
+            ),
+        )
+        try:
+            if config.save is not None:
+                self._files.append(FileSink(Path(config.save), opening, index=config.save_index != "off"))
+            self._open_viewer(opening)
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def serving(self) -> bool:
+        """Whether a web page is served, which ends with this view."""
+        return self._process is not None and self._config.mode == "serve"
+
+    @property
+    def connections(self) -> int:
+        """How often a viewer was connected to; more than 1 where one was lost and came back."""
+        return sum(viewer.connections for viewer in self._viewers)
+
+    @property
+    def dropped(self) -> int:
+        """Frames that were not shown live because the viewer was slow, frozen or absent."""
+        return sum(viewer.dropped for viewer in self._viewers)
+
+    def show(self, frame: ViewFrame) -> None:
+        """Show a frame and save it.
+
+        Parameters
+        ----------
+        frame : ViewFrame
+            The frame; a viewer that is behind gets the newest one only, the file gets every one.
+
+        Raises
+        ------
+        ViewError
+            If the file can no longer be written.
+        """
+        self._calibration = frame.calibration or self._calibration
+        if self._calibration is None:
+            raise ValueError("calibration: expected one with the first frame")
+        entities = FrameEntities(frame, self._calibration, self._config, self._metric)
+        for sink in self._sinks:
+            sink.put(entities)
+
+    def show_line(self, moment: Moment, level: int, text: str) -> None:
+        """Show a line of the log, of one of logging's levels, as said at a moment; never waits."""
+        line = LogLine(moment, _LEVELS.get(level, "INFO"), text)
+        for sink in self._sinks:
+            sink.put_line(line)
+
+    def close(self, *, file_limit_s: float = FILE_CLOSE_S) -> None:
+        """End within 2 s: the file is whole and can be read; a viewer's window stays.
+
+        Parameters
+        ----------
+        file_limit_s : float
+            Longest wait for a disk, seconds. A block that ends by itself waits longer for a slow one.
+
+        Raises
+        ------
+        ViewError
+            If the file is not whole.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        for sink in self._sinks:
+            sink.begin_close()
+        try:
+            for file in self._files:
+                file.finish_close(time.monotonic() + file_limit_s)
+        finally:
+            for viewer in self._viewers:
+                viewer.finish_close(time.monotonic() + _VIEWER_CLOSE_S)
+            if self.serving and self._process is not None:
+                self._process.kill()
+                self._process.wait()
+
+    @property
+    def _sinks(self) -> tuple[ViewerSink | FileSink, ...]:
+        return (*self._viewers, *self._files)
+
+    def _open_viewer(self, opening: Opening) -> None:
+        config = self._config
+        mode = chosen_mode(config)
+        if mode == "connect":
+            self._viewers.append(ViewerSink(config.viewer_url, opening))
+        elif mode == "spawn":
+            self._spawn(opening)
+        elif mode == "serve":
+            self._serve(opening)
+        elif config.save is not None:
+            self.how_to_look = f"rerun {config.save}"
+
+    def _spawn(self, opening: Opening) -> None:
+        """Open a window, or use the one that is there."""
+        port = self._config.port or free_port(self._config.bind)
+        host = _host_of(self._config.bind)
+        process = None
+        if not listens(host, port):
+            if is_taken(self._config.bind, port):
+                raise ViewError(f"port {port} is taken by something that is no viewer; name another port")
+            process = self._process = start_viewer(self._config, port)
+
+        said = False
+
+        def starting() -> bool:
+            nonlocal said
+            code = process.poll() if process is not None else None
+            if code is not None and not said:
+                said = True
+                logger.warning(
+                    "the viewer ended at once (code %d); run 'rerun' to see why, or use --view serve", code
+                )
+            return process is not None and code is None
+
+        self._viewers.append(ViewerSink(f"rerun+http://{bracketed(host)}:{port}/proxy", opening, starting))
+
+    def _serve(self, opening: Opening) -> None:
+        """Serve a web page by a process of its own, so that a stalled browser stalls only that."""
+        config = self._config
+        port = config.port or free_port(config.bind)
+        web_port = config.web_port or free_port(config.bind)
+        for name, number in (("port", port), ("web port", web_port)):
+            if is_taken(config.bind, number):
+                raise ViewError(f"{name} {number} of {config.bind} is taken; name another one, or 0 for any")
+        process = self._process = start_web_server(config, port, web_port)
+        host = bracketed(_host_of(config.bind))
+        url = f"rerun+http://{host}:{port}/proxy"
+        self.how_to_look = f"http://{host}:{web_port}/?url={quote(url, safe='')}"
+        self._viewers.append(ViewerSink(url, opening, lambda: process.poll() is None))
+
+
+def _host_of(bind: str) -> str:
+    """Return an address to reach what listens on `bind`."""
+    return {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(bind, bind)
+
+
+__all__ = ["RerunView"]

@@ -1,0 +1,120 @@
+"""What goes into one stream of a recording: its beginning, then frames and lines of the log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+
+from nurbseg.app.view.drawing.blueprint import blueprint
+from nurbseg.app.view.drawing.entities import LOG, Entities, FrameEntities, camera_entities, stage_entities
+from nurbseg.app.view.drawing.frame import Moment
+from nurbseg.drivers.frame import Calibration
+
+APPLICATION = "nurbseg"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Opening:
+    """What every recording begins with.
+
+    Parameters
+    ----------
+    recording_id : str
+        The same for all sinks of a run, so that a viewer takes what they hold for one recording.
+    name : str
+        What the recording is called.
+    properties : mapping of str to entity
+        Of the device, the configuration and the versions.
+    static : sequence of (path, entity)
+        What holds at all times.
+    """
+
+    recording_id: str
+    name: str
+    properties: Mapping[str, rr.AnyValues]
+    static: tuple[tuple[str, rr.AsComponents], ...]
+
+    def stream(self) -> rr.RecordingStream:
+        """Return a new stream, still without a sink."""
+        return rr.RecordingStream(APPLICATION, recording_id=self.recording_id)
+
+    def send(self, stream: rr.RecordingStream) -> None:
+        """Log it to a stream that has its sink."""
+        stream.send_recording_name(self.name)
+        for name, values in self.properties.items():
+            stream.send_property(name, values)
+        log_entities(stream, self.static, static=True)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogLine:
+    """One line of the program's log.
+
+    Parameters
+    ----------
+    moment : Moment
+        The frame at which it was said.
+    level, text : str
+        Rerun's name of the severity, and the message.
+    """
+
+    moment: Moment
+    level: str
+    text: str
+
+
+Item = FrameEntities | LogLine
+
+
+def log_entities(stream: rr.RecordingStream, entities: Entities, *, static: bool = False) -> None:
+    """Log each entity at its path, at the time that this thread set."""
+    for path, entity in entities:
+        stream.log(path, entity, static=static)
+
+
+def set_time(stream: rr.RecordingStream, moment: Moment) -> None:
+    """Make a moment the time of what this thread logs next."""
+    stream.set_time("frame", sequence=moment.frame)
+    if moment.device_ns is None:
+        return
+    if moment.since_epoch:
+        stream.set_time("device_time", timestamp=np.datetime64(moment.device_ns, "ns"))
+    else:
+        stream.set_time("device_time", duration=np.timedelta64(moment.device_ns, "ns"))
+
+
+class Writer:
+    """Writes items to one stream; first the layout for their kind, and the cameras when they change."""
+
+    def __init__(self, stream: rr.RecordingStream) -> None:
+        self._stream = stream
+        self._calibration: Calibration | None = None
+        self._stages: tuple[str, ...] = ()
+
+    def write(self, item: Item) -> None:
+        """Log a frame or a line at its moment."""
+        set_time(self._stream, item.moment)
+        if isinstance(item, LogLine):
+            self._stream.log(LOG, rr.TextLog(item.text, level=item.level))
+            return
+        if self._calibration is None:
+            self._stream.send_blueprint(
+                blueprint(
+                    registered=item.frame.unregistered_color is None,
+                    ground_truth=item.frame.truth is not None,
+                    objects=item.frame.objects is not None,
+                )
+            )
+        if item.calibration is not self._calibration:
+            self._calibration = item.calibration
+            log_entities(self._stream, camera_entities(item.calibration), static=True)
+        if item.stages != self._stages:
+            self._stages = item.stages
+            log_entities(self._stream, stage_entities(item.stages), static=True)
+        log_entities(self._stream, item.entities())
+
+
+__all__ = ["APPLICATION", "Item", "LogLine", "Opening", "Writer", "log_entities"]

@@ -1,0 +1,180 @@
+"""Viewers as processes and as peers: starting one, asking whether one listens, letting go of one."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+from nurbseg.app.view.config import ViewConfig, ViewMode
+
+#: Longest wait for a file to be whole, seconds: where somebody waits for the end, and where nobody does.
+FILE_CLOSE_S, FILE_PATIENCE_S = 1.2, 15.0
+#: Longest wait for a peer's TCP handshake.
+PROBE_TIMEOUT_S = 0.5
+
+
+class ViewError(Exception):
+    """What should be shown or saved cannot be; the message says what and why."""
+
+
+def has_display() -> bool:
+    """Whether a window can be opened."""
+    if sys.platform != "linux":
+        return True
+    return any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+
+
+def chosen_mode(config: ViewConfig) -> ViewMode:
+    """Return where to show, which "auto" leaves to what there is."""
+    if config.mode != "auto":
+        return config.mode
+    return "connect" if config.connect is not None else "spawn" if has_display() else "none"
+
+
+def viewer_executable() -> Path:
+    """Return the native viewer that came with the package.
+
+    The ``rerun`` script is a wrapper in Python that would stand between us and the viewer's end.
+
+    Raises
+    ------
+    ViewError
+        If it is not there.
+    """
+    import rerun_cli  # type: ignore[import-untyped]
+
+    path = Path(rerun_cli.__file__).parent / "rerun"
+    if not path.is_file():
+        raise ViewError(f"{path}: Rerun's viewer is missing; reinstall the package rerun-sdk")
+    return path
+
+
+def start_viewer(config: ViewConfig, port: int, *, headless: bool = False) -> subprocess.Popen[bytes]:
+    """Open a viewer's window, which outlives this process and listens on `port` of `config.bind` only."""
+    words = ["--expect-data-soon", *(["--headless"] if headless else [])]
+    return _start(config, port, words, detached=True)
+
+
+def start_web_server(config: ViewConfig, port: int, web_port: int) -> subprocess.Popen[bytes]:
+    """Serve the viewer as a web page, by a process that the caller ends."""
+    return _start(config, port, ["--serve-web", "--web-viewer-port", str(web_port)], detached=False)
+
+
+def _start(config: ViewConfig, port: int, words: list[str], *, detached: bool) -> subprocess.Popen[bytes]:
+    memory = config.memory_limit
+    command = [
+        str(viewer_executable()),
+        *("--bind", config.bind, "--port", str(port)),
+        *("--memory-limit", memory, "--server-memory-limit", memory if not detached else "64MB"),
+        *words,
+    ]
+    try:
+        return subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            # Out of this process's group, with which the terminal's signals go, and in which it is ended.
+            start_new_session=detached,
+        )
+    except OSError as err:
+        raise ViewError(f"{command[0]}: cannot be started: {err}") from err
+
+
+def free_port(bind: str) -> int:
+    """Return a TCP port that nothing listens on.
+
+    Raises
+    ------
+    ViewError
+        If nothing can listen on that address.
+    """
+    try:
+        return _bound(bind, 0)
+    except OSError as err:
+        raise ViewError(f"bind {bind}: nothing can listen there: {err.strerror}") from err
+
+
+def is_taken(bind: str, port: int) -> bool:
+    """Whether something listens on a port already, so that nothing else can.
+
+    Raises
+    ------
+    ViewError
+        If nothing can listen on that port for another reason.
+    """
+    try:
+        _bound(bind, port)
+    except OSError as err:
+        if err.errno == errno.EADDRINUSE:
+            return True
+        raise ViewError(f"bind {bind}, port {port}: nothing can listen there: {err.strerror}") from err
+    return False
+
+
+def _bound(bind: str, port: int) -> int:
+    """Take a port for a moment; return its number."""
+    family = socket.AF_INET6 if ":" in bind else socket.AF_INET
+    with socket.socket(family) as probe:
+        if port:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        probe.bind((bind, port))
+        number: int = probe.getsockname()[1]
+        return number
+
+
+def listens(host: str, port: int) -> bool:
+    """Whether a peer takes connections; at most `PROBE_TIMEOUT_S`.
+
+    Rerun's own connecting blocks for seconds where nobody listens, and logging then for good.
+    """
+    try:
+        with socket.create_connection((host, port), timeout=PROBE_TIMEOUT_S):
+            return True
+    except OSError:
+        return False
+
+
+def cut_connections(host: str, port: int) -> int:
+    """Shut down this process's TCP connections to a peer; return how many there were.
+
+    A peer that stopped reading makes Rerun wait for good, at the latest when the interpreter ends. A
+    severed connection is an error to it, and it goes on.
+    """
+    try:
+        peers = {entry[4][:2] for entry in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)}
+    except OSError:
+        return 0
+    count = 0
+    for entry in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError):
+            if not str(entry.readlink()).startswith("socket:"):
+                continue
+            with socket.socket(fileno=os.dup(int(entry.name))) as connection:
+                if connection.family in (socket.AF_INET, socket.AF_INET6):
+                    if connection.getpeername()[:2] not in peers:
+                        continue
+                    connection.shutdown(socket.SHUT_RDWR)
+                    count += 1
+    return count
+
+
+__all__ = [
+    "FILE_CLOSE_S",
+    "FILE_PATIENCE_S",
+    "ViewError",
+    "chosen_mode",
+    "cut_connections",
+    "free_port",
+    "has_display",
+    "is_taken",
+    "listens",
+    "start_viewer",
+    "start_web_server",
+    "viewer_executable",
+]

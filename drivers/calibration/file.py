@@ -1,0 +1,255 @@
+"""Reads and writes files that hold a sensor's calibration.
+
+The form is told from the content: our TOML, OpenCV's XML or YAML of a stereo calibration, a ROS
+``camera_info`` YAML, Open3D's JSON, the XML that PCL's image grabber writes, or a 3 x 3 matrix as text.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.calibration import opencv as calibration_forms
+from nurbseg.drivers.calibration import ros as calibration_ros
+from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel, camera_of_matrix, number
+from nurbseg.drivers.errors import CalibrationError
+from nurbseg.drivers.frame import Calibration, Intrinsics
+
+Form = Literal["toml", "opencv", "ros"]
+Size = tuple[int, int]
+
+_CAMERA_KEYS = {"width", "height", "fx", "fy", "cx", "cy", "distortion"}
+_FILE_KEYS = {"registered", "depth_scale", "color_from_depth", "depth", "color"}
+
+
+def read_calibration(
+    path: Path, *, depth_size: Size | None = None, color_size: Size | None = None
+) -> Calibration:
+    """Read the calibration of both cameras.
+
+    Parameters
+    ----------
+    path : Path
+        The file; a file of one camera stands for both, the images being registered.
+    depth_size, color_size : (width, height), optional
+        Of the images it is for, pixels; needed where the file does not say. Intrinsics given for
+        another size of the same shape are scaled.
+
+    Raises
+    ------
+    CalibrationError
+        If the file is missing, of an unknown form, lacks a field or holds an unusable value; the
+        message names the file and the field.
+    """
+    return read_camera_file(path).calibration(depth_size=depth_size, color_size=color_size)
+
+
+def read_camera_file(path: Path) -> CameraFile:
+    """Read what a calibration file says, image sizes possibly being open, and its depth scale.
+
+    Raises
+    ------
+    CalibrationError
+        As for `read_calibration`.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as err:
+        raise CalibrationError(f"{path}: the calibration cannot be read ({err.strerror})") from err
+    try:
+        text = content.decode()
+    except UnicodeDecodeError as err:
+        raise CalibrationError(f"{path}: expected text, got bytes that are not UTF-8") from err
+    head = text.lstrip("\ufeff \t\r\n")
+    if path.suffix.lower() == ".toml":
+        return _from_toml(path, text)
+    if head.startswith("{"):
+        return _from_json(path, text)
+    if head.startswith("<"):
+        return calibration_forms.from_xml(path, text)
+    if head.startswith("%YAML"):
+        return calibration_forms.from_yaml(path, text)
+    if path.suffix.lower() in (".yaml", ".yml"):
+        return calibration_ros.from_yaml(path, text)
+    return _from_matrix_text(path, text)
+
+
+def write_calibration(
+    path: Path, calibration: Calibration, *, form: Form | None = None, depth_scale: float | None = None
+) -> None:
+    """Write a calibration.
+
+    Parameters
+    ----------
+    path : Path
+        The file to write.
+    calibration : Calibration
+        What to write.
+    form : {"toml", "opencv", "ros"}, optional
+        Our TOML, a stereo calibration as OpenCV reads it, or ROS's ``camera_info``, which holds one
+        camera. None takes OpenCV's for ``.xml``, ``.yml`` and ``.yaml`` and TOML for all else.
+    depth_scale : float, optional
+        Depth units per metre of the images it goes with; only TOML can say so.
+
+    Raises
+    ------
+    ValueError
+        If `form` is "ros" and the calibration is not that of registered images.
+    """
+    if form is None:
+        form = "opencv" if path.suffix.lower() in (".xml", ".yml", ".yaml") else "toml"
+    if form == "toml":
+        path.write_text(_to_toml(calibration, depth_scale))
+    elif form == "opencv":
+        calibration_forms.write_opencv(path, calibration)
+    else:
+        path.write_text(calibration_ros.to_yaml(calibration))
+
+
+def _from_toml(path: Path, text: str) -> CameraFile:
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as err:
+        raise CalibrationError(f"{path}: not valid TOML ({err})") from err
+    _refuse_unknown(path, "", table, _FILE_KEYS)
+    registered = table.get("registered", False)
+    if not isinstance(registered, bool):
+        raise CalibrationError(f"{path}: registered: expected true or false, got {registered!r}")
+    scale = table.get("depth_scale")
+    if scale is not None and number(path, "depth_scale", scale) <= 0:
+        raise CalibrationError(f"{path}: depth_scale: expected units per metre over 0, got {scale}")
+    cameras = {name: _toml_camera(path, name, table[name]) for name in ("depth", "color") if name in table}
+    if not cameras:
+        raise CalibrationError(f"{path}: color: the table is missing; expected [color] with fx, fy, cx, cy")
+    if registered:
+        if "color_from_depth" in table:
+            raise CalibrationError(f"{path}: color_from_depth: registered images have none; remove one")
+        # The registered depth image has the color camera's geometry, whatever took it.
+        camera = cameras.get("color") or cameras["depth"]
+        return CameraFile(path=path, depth=camera, color=camera, depth_scale=scale)
+    for name in ("depth", "color"):
+        if name not in cameras:
+            raise CalibrationError(
+                f"{path}: {name}: the table is missing; one camera needs registered = true"
+            )
+    if "color_from_depth" not in table:
+        raise CalibrationError(
+            f"{path}: color_from_depth: missing; expected 4 rows of 4 numbers (metres), or registered = true"
+        )
+    return CameraFile(
+        path=path,
+        depth=cameras["depth"],
+        color=cameras["color"],
+        color_from_depth=_toml_matrix(path, table["color_from_depth"]),
+        depth_scale=scale,
+    )
+
+
+def _toml_camera(path: Path, name: str, table: Any) -> CameraModel:
+    if not isinstance(table, Mapping):
+        raise CalibrationError(f"{path}: {name}: expected a table [{name}], got {table!r}")
+    _refuse_unknown(path, f"{name}.", table, _CAMERA_KEYS)
+    values = {}
+    for key in ("fx", "fy", "cx", "cy"):
+        if key not in table:
+            raise CalibrationError(f"{path}: {name}.{key}: missing; expected pixels")
+        values[key] = number(path, f"{name}.{key}", table[key])
+    size = None
+    if "width" in table or "height" in table:
+        for key in ("width", "height"):
+            if not isinstance(table.get(key), int) or table[key] < 1:
+                raise CalibrationError(f"{path}: {name}.{key}: expected pixels, got {table.get(key)!r}")
+        size = (table["width"], table["height"])
+    distortion = table.get("distortion", [])
+    if not isinstance(distortion, list):
+        raise CalibrationError(f"{path}: {name}.distortion: expected a list, got {distortion!r}")
+    coefficients = [number(path, f"{name}.distortion", value) for value in distortion]
+    return CameraModel(path=path, field=name, distortion=np.array(coefficients), size=size, **values)
+
+
+def _toml_matrix(path: Path, rows: Any) -> NDArray[np.float64]:
+    field = "color_from_depth"
+    if (
+        not isinstance(rows, list)
+        or len(rows) != 4
+        or any(not isinstance(r, list) or len(r) != 4 for r in rows)
+    ):
+        raise CalibrationError(f"{path}: {field}: expected 4 rows of 4 numbers, got {rows!r}")
+    return np.array([[number(path, field, value) for value in row] for row in rows])
+
+
+def _refuse_unknown(path: Path, prefix: str, table: Mapping[str, Any], known: set[str]) -> None:
+    for key in table:
+        if key not in known:
+            expected = ", ".join(sorted(known))
+            raise CalibrationError(f"{path}: {prefix}{key}: unknown; expected one of {expected}")
+
+
+def _to_toml(calibration: Calibration, depth_scale: float | None) -> str:
+    registered = calibration.is_registered
+    lines = [
+        "# Calibration of an RGB-D sensor: focal lengths and principal points in pixels, lengths in metres,",
+        "# distortion as OpenCV orders it (k1, k2, p1, p2, k3, ...).",
+        f"registered = {str(registered).lower()}  # whether depth is registered to color already",
+    ]
+    if depth_scale is not None:
+        lines.append(f"depth_scale = {float(depth_scale)!r}  # depth units per metre of 16-bit depth images")
+    if not registered:
+        lines.append("# p_color = color_from_depth @ p_depth")
+        lines.append("color_from_depth = [")
+        lines += [f"  {[float(value) for value in row]}," for row in calibration.color_from_depth]
+        lines.append("]")
+    cameras = {"color": calibration.color}
+    if not registered:
+        cameras["depth"] = calibration.depth
+    for name, camera in cameras.items():
+        lines += ["", f"[{name}]", *_toml_lines(camera)]
+    return "\n".join(lines) + "\n"
+
+
+def _toml_lines(camera: Intrinsics) -> list[str]:
+    lines = [f"width = {camera.width}", f"height = {camera.height}"]
+    lines += [f"{key} = {float(getattr(camera, key))!r}" for key in ("fx", "fy", "cx", "cy")]
+    return [*lines, f"distortion = {[float(value) for value in camera.distortion]}"]
+
+
+def _from_json(path: Path, text: str) -> CameraFile:
+    try:
+        table = json.loads(text)
+    except ValueError as err:
+        raise CalibrationError(f"{path}: not valid JSON ({err})") from err
+    values = table.get("intrinsic_matrix")
+    if not isinstance(values, list) or len(values) != 9:
+        raise CalibrationError(f"{path}: intrinsic_matrix: expected 9 numbers (by columns), got {values!r}")
+    matrix = np.array([number(path, "intrinsic_matrix", value) for value in values]).reshape(3, 3).T
+    size = None
+    if "width" in table or "height" in table:
+        size = (
+            int(number(path, "width", table.get("width"))),
+            int(number(path, "height", table.get("height"))),
+        )
+    camera = camera_of_matrix(path, "intrinsic_matrix", matrix, size=size)
+    return CameraFile(path=path, depth=camera, color=camera)
+
+
+def _from_matrix_text(path: Path, text: str) -> CameraFile:
+    try:
+        rows = [
+            [float(word) for word in line.replace(",", " ").split()]
+            for line in text.splitlines()
+            if line.strip() and not line.lstrip().startswith("#")
+        ]
+    except ValueError as err:
+        raise CalibrationError(f"{path}: camera matrix: expected 3 rows of 3 numbers ({err})") from err
+    if len(rows) != 3 or any(len(row) != 3 for row in rows):
+        raise CalibrationError(
+            f"{path}: camera matrix: expected 3 rows of 3 numbers, got rows of {[len(row) for row in rows]}"
+        )
+    camera = camera_of_matrix(path, "camera matrix", np.array(rows))
+    return CameraFile(path=path, depth=camera, color=camera)

@@ -1,0 +1,1 @@
+"""Folders and files of other people's data sets."""

@@ -1,0 +1,147 @@
+"""Point clouds of a depth camera as depth and color images: PCD files, one or a folder of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.datasets.images import millimetres
+from nurbseg.drivers.datasets.pcd_file import OrganisedCloud, read_pcd
+from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
+from nurbseg.drivers.errors import CalibrationError, FrameFormatError, RecordingFormatError
+from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+
+if TYPE_CHECKING:
+    from nurbseg.drivers.registry import SourceOptions
+
+#: Color of clouds that have none.
+_GRAY = 128
+#: The scatter about a pinhole camera's rays, root mean square, that rounding and a lens may cause.
+_RESIDUAL_MAX_PX = 2.0
+_POINTS_FOR_FIT = 100
+
+
+def fit_camera(points_m: NDArray[np.float32], name: str) -> Intrinsics:
+    """Find the pinhole camera on whose pixel grid an organised cloud lies.
+
+    Least squares of ``u = fx x / z + cx`` and ``v = fy y / z + cy``, which is exact for clouds made from
+    depth images.
+
+    Parameters
+    ----------
+    points_m : (H, W, 3) float32
+        Metres, NaN where there is no point.
+    name : str
+        What an error calls the cloud.
+
+    Raises
+    ------
+    CalibrationError
+        If there are too few points, or they do not lie on a camera's rays.
+    """
+    height, width = points_m.shape[:2]
+    valid = points_m[..., 2] > 0
+    v, u = np.nonzero(valid)
+    if len(v) < _POINTS_FOR_FIT or np.ptp(u) < 2 or np.ptp(v) < 2:
+        raise CalibrationError(
+            f"{name}: x, y, z: {len(v)} points with z > 0 are too few to find the camera; "
+            "give --intrinsics fx,fy,cx,cy"
+        )
+    p = points_m[valid].astype(np.float64)
+    found = {}
+    for axis, (pixel, slope) in enumerate(((u, p[:, 0] / p[:, 2]), (v, p[:, 1] / p[:, 2]))):
+        A = np.stack([slope, np.ones_like(slope)], axis=1)
+        solution = np.linalg.lstsq(A, pixel, rcond=None)[0]
+        residual = float(np.sqrt(np.mean((A @ solution - pixel) ** 2)))
+        if residual > _RESIDUAL_MAX_PX:
+            raise CalibrationError(
+                f"{name}: {'xy'[axis]}: the points do not lie on a pinhole camera's rays "
+                f"({residual:.1f} pixels off); give --intrinsics fx,fy,cx,cy"
+            )
+        found[axis] = solution
+    (fx, cx), (fy, cy) = found[0], found[1]
+    try:
+        return Intrinsics(width=width, height=height, fx=float(fx), fy=float(fy), cx=float(cx), cy=float(cy))
+    except ValueError as err:
+        raise CalibrationError(f"{name}: {err}") from err
+
+
+class PcdSource(SequenceSource):
+    """Replays PCD files of organised clouds, 1/30 s apart; depth is z, color is gray where there is none.
+
+    Parameters
+    ----------
+    paths : list of Path
+        The files, in the order in which they are played.
+    options : SourceOptions
+        Calibration or intrinsics, which are found from the points otherwise.
+
+    Raises
+    ------
+    RecordingFormatError
+        If no file can be used.
+    CalibrationError
+        If the camera cannot be found.
+    """
+
+    def __init__(self, paths: list[Path], options: SourceOptions) -> None:
+        super().__init__(paths[0] if len(paths) == 1 else paths[0].parent, len(paths))
+        self._paths, self._options = paths, options
+        self.calibration = self._first_calibration()
+        self.metadata = {"format": "PCD, organised", "frames": str(len(paths))}
+
+    def _load(self, index: int) -> RGBDFrame:
+        path = self._paths[index]
+        cloud = read_pcd(path)
+        height, width = cloud.points_m.shape[:2]
+        color = np.full((height, width, 3), _GRAY, np.uint8) if cloud.color is None else cloud.color
+        try:
+            calibration = self._calibration(cloud, path)
+        except CalibrationError as err:
+            raise FrameFormatError(str(err)) from err
+        return RGBDFrame(
+            index=index,
+            timestamp_ns=index * FRAME_INTERVAL_NS,
+            depth_mm=millimetres(cloud.points_m[..., 2], units_per_metre=1.0),
+            color=color,
+            calibration=calibration,
+            name=path.stem,
+        )
+
+    def _calibration(self, cloud: OrganisedCloud, path: Path) -> Calibration:
+        size = (cloud.points_m.shape[1], cloud.points_m.shape[0])
+        given = self._options.given_cameras()
+        if given is not None:
+            # A cloud's colors are on its own grid, whatever camera took them.
+            return Calibration.registered(given.depth.intrinsics(size))
+        return Calibration.registered(fit_camera(cloud.points_m, str(path)))
+
+    def _first_calibration(self) -> Calibration:
+        first: FrameFormatError | None = None
+        for path in self._paths:
+            try:
+                cloud = read_pcd(path)
+            except FrameFormatError as err:
+                first = first or err
+                continue
+            return self._calibration(cloud, path)
+        raise RecordingFormatError(f"none of the {len(self._paths)} clouds can be used; the first: {first}")
+
+
+def open_path(path: Path, options: SourceOptions) -> PcdSource:
+    """Open one PCD file or a folder of them.
+
+    Raises
+    ------
+    RecordingFormatError
+        If there is no organised cloud.
+    """
+    paths = [path]
+    if path.is_dir():
+        paths = sorted(path.glob("*.pcd"), key=lambda each: natural_key(each.name))
+        if not paths:
+            raise RecordingFormatError(f"{path}: no PCD files in the folder")
+    return PcdSource(paths, options)

@@ -1,0 +1,182 @@
+"""Reads organised point clouds from PCD files, ascii, binary or compressed."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.datasets import lzf
+from nurbseg.drivers.errors import FrameFormatError
+
+_HEADER_BYTES_MAX = 65_536
+_POINTS_MAX = 100_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OrganisedCloud:
+    """What an organised PCD file holds.
+
+    Parameters
+    ----------
+    points_m : (H, W, 3) float32
+        Metres, camera frame; NaN where there is no point.
+    color : (H, W, 3) uint8 or None
+        RGB, where the file has color.
+    """
+
+    points_m: NDArray[np.float32]
+    color: NDArray[np.uint8] | None
+
+
+def read_pcd(path: Path) -> OrganisedCloud:
+    """Read an organised cloud.
+
+    Raises
+    ------
+    FrameFormatError
+        If the file is damaged or the cloud has no rows and columns; names the field.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as err:
+        raise FrameFormatError(f"{path}: cannot be read ({err.strerror})") from err
+    fields, start = _header(path, content)
+    width, height = (_positive(path, fields, name) for name in ("WIDTH", "HEIGHT"))
+    points = _positive(path, fields, "POINTS") if "POINTS" in fields else width * height
+    if height < 2 or width < 2:
+        raise FrameFormatError(
+            f"{path}: HEIGHT: the cloud is not organised ({width}x{height}); expected the rows and columns "
+            "of a depth image"
+        )
+    if points != width * height or points > _POINTS_MAX:
+        raise FrameFormatError(f"{path}: POINTS: expected WIDTH x HEIGHT = {width * height}, got {points}")
+    dtype = _dtype(path, fields)
+    kind = " ".join(fields["DATA"])
+    body = content[start:]
+    if kind == "binary":
+        columns = _from_binary(path, body, dtype, points)
+    elif kind == "binary_compressed":
+        columns = _from_compressed(path, body, dtype, points)
+    elif kind == "ascii":
+        columns = _from_ascii(path, body, dtype, points)
+    else:
+        raise FrameFormatError(f"{path}: DATA: expected ascii, binary or binary_compressed, got {kind!r}")
+    xyz = np.stack([columns[name].astype(np.float32) for name in ("x", "y", "z")], axis=-1)
+    xyz[~np.isfinite(xyz).all(axis=-1)] = np.nan
+    color = next((_rgb(columns[name]) for name in ("rgb", "rgba") if name in columns), None)
+    shape = (height, width, 3)
+    return OrganisedCloud(xyz.reshape(shape), None if color is None else color.reshape(shape))
+
+
+def _header(path: Path, content: bytes) -> tuple[dict[str, list[str]], int]:
+    end = re.search(rb"^DATA[ \t]+\w+[ \t]*\r?\n", content[:_HEADER_BYTES_MAX], re.MULTILINE)
+    if end is None:
+        raise FrameFormatError(f"{path}: DATA: the header of a PCD file is missing or cut off")
+    fields = {}
+    for line in content[: end.end()].decode(errors="replace").splitlines():
+        words = line.partition("#")[0].split()
+        if words:
+            fields[words[0].upper()] = words[1:]
+    for name in ("FIELDS", "SIZE", "TYPE", "WIDTH", "HEIGHT"):
+        if name not in fields:
+            raise FrameFormatError(f"{path}: {name}: missing in the header")
+    return fields, end.end()
+
+
+def _positive(path: Path, fields: dict[str, list[str]], name: str) -> int:
+    words = fields[name]
+    if len(words) != 1 or not words[0].isdigit() or int(words[0]) < 1:
+        raise FrameFormatError(f"{path}: {name}: expected a number over 0, got {' '.join(words)!r}")
+    return int(words[0])
+
+
+def _dtype(path: Path, fields: dict[str, list[str]]) -> np.dtype[np.void]:
+    names, sizes, types = fields["FIELDS"], fields["SIZE"], fields["TYPE"]
+    counts = fields.get("COUNT", ["1"] * len(names))
+    if not len(names) == len(sizes) == len(types) == len(counts):
+        raise FrameFormatError(f"{path}: FIELDS, SIZE, TYPE, COUNT: expected as many of each")
+    missing = [name for name in ("x", "y", "z") if name not in names]
+    if missing:
+        raise FrameFormatError(f"{path}: FIELDS: {', '.join(missing)} missing; got {' '.join(names)}")
+    parts = []
+    for place, (name, size, kind, count) in enumerate(zip(names, sizes, types, counts, strict=True)):
+        code = {"F": "f", "I": "i", "U": "u"}.get(kind)
+        if code is None or f"{code}{size}" not in ("f4", "f8", *(f"{c}{s}" for c in "iu" for s in "1248")):
+            raise FrameFormatError(f"{path}: TYPE, SIZE: {name}: unknown number {kind} of {size} bytes")
+        if not count.isdigit() or not 1 <= int(count) <= 4096:
+            raise FrameFormatError(f"{path}: COUNT: {name}: expected 1 or more, got {count}")
+        # Padding is called "_", many times over.
+        unique = f"_{place}" if name == "_" or names.count(name) > 1 else name
+        if name in "xyz" and (int(count) != 1 or unique != name):
+            raise FrameFormatError(f"{path}: FIELDS: {name}: expected once with COUNT 1")
+        parts.append((unique, f"<{code}{size}", (int(count),)))
+    return np.dtype(parts)
+
+
+Columns = dict[str, NDArray[np.generic]]
+
+
+def _columns(table: NDArray[np.void]) -> Columns:
+    return {name: table[name][:, 0] for name in table.dtype.names or ()}
+
+
+def _from_binary(path: Path, body: bytes, dtype: np.dtype[np.void], points: int) -> Columns:
+    expected = points * dtype.itemsize
+    if len(body) < expected:
+        raise FrameFormatError(f"{path}: DATA: the file is cut off: {len(body)} bytes of {expected}")
+    return _columns(np.frombuffer(body, dtype, points))
+
+
+def _from_compressed(path: Path, body: bytes, dtype: np.dtype[np.void], points: int) -> Columns:
+    compressed, uncompressed = int.from_bytes(body[:4], "little"), int.from_bytes(body[4:8], "little")
+    expected = points * dtype.itemsize
+    if len(body) < 8 + compressed or uncompressed != expected:
+        raise FrameFormatError(
+            f"{path}: DATA: the file is cut off or damaged: {len(body) - 8} bytes of {compressed}, "
+            f"for {uncompressed} of {expected}"
+        )
+    try:
+        content = lzf.decompress(body[8 : 8 + compressed], uncompressed)
+    except ValueError as err:
+        raise FrameFormatError(f"{path}: DATA: cannot be decompressed ({err})") from err
+    columns: Columns = {}
+    place = 0
+    # One field of all points after the other.
+    for name in dtype.names or ():
+        item = dtype[name]
+        columns[name] = np.frombuffer(content, item.base, points * item.itemsize // item.base.itemsize, place)
+        columns[name] = columns[name].reshape(points, -1)[:, 0]
+        place += points * item.itemsize
+    return columns
+
+
+def _from_ascii(path: Path, body: bytes, dtype: np.dtype[np.void], points: int) -> Columns:
+    counts = [dtype[name].shape[0] for name in dtype.names or ()]
+    words = body.split()
+    if len(words) != points * sum(counts):
+        raise FrameFormatError(
+            f"{path}: DATA: expected {points} points of {sum(counts)} numbers, got {len(words)} numbers"
+        )
+    try:
+        table = np.array(words).astype(np.float64).reshape(points, -1)
+    except ValueError as err:
+        raise FrameFormatError(f"{path}: DATA: not a number ({err})") from err
+    columns: Columns = {}
+    place = 0
+    with np.errstate(invalid="ignore", over="ignore"):
+        for name, count in zip(dtype.names or (), counts, strict=True):
+            columns[name] = table[:, place].astype(dtype[name].base)
+            place += count
+    return columns
+
+
+def _rgb(packed: NDArray[np.generic]) -> NDArray[np.uint8]:
+    """Unpack 0x00RRGGBB, which some files keep as the bits of a float."""
+    if packed.dtype.itemsize != 4:
+        packed = packed.astype(np.uint32)
+    bits = np.ascontiguousarray(packed).view(np.uint32)
+    return np.stack([(bits >> shift) & 255 for shift in (16, 8, 0)], axis=-1).astype(np.uint8)

@@ -1,0 +1,69 @@
+"""Data sets with a folder for each scene, as that of the paper (LTTM): images, calibration and labels.
+
+The folder holds ``scene1``, ``scene2``, ... (or ``scene_1``, ...); each of them a color image, a depth
+image, the ground truth (``color.png``, ``depth.png``, ``labels.png``, or any names that `find_pairs`
+knows) and the calibration of both cameras in OpenCV's form (``calibration.xml`` or ``.yml``).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nurbseg.drivers.datasets.folders import FolderCamera, first_calibration, folder_camera, load_pair
+from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, ImagePair, find_pairs
+from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
+from nurbseg.drivers.errors import RecordingFormatError
+from nurbseg.drivers.frame import RGBDFrame
+
+if TYPE_CHECKING:
+    from nurbseg.drivers.registry import SourceOptions
+
+_SCENE = re.compile(r"scene[ _-]?\d+", re.IGNORECASE)
+
+
+def scene_folders(folder: Path) -> list[Path]:
+    """Return the scenes of a data set in natural order; none where the folder is something else."""
+    found = [path for path in folder.iterdir() if path.is_dir() and _SCENE.fullmatch(path.name)]
+    return sorted(found, key=lambda path: natural_key(path.name))
+
+
+class ScenesSource(SequenceSource):
+    """Replays a data set of scenes, one after the other; each scene brings its own calibration.
+
+    Parameters
+    ----------
+    folder : Path
+        Holds the scenes' folders.
+    options : SourceOptions
+        Intrinsics and depth scale count for every scene.
+
+    Raises
+    ------
+    RecordingFormatError
+        If there is no scene, or one without a pair of images.
+    CalibrationError
+        If a scene has no calibration, or an unusable one.
+    """
+
+    def __init__(self, folder: Path, options: SourceOptions) -> None:
+        self._shots: list[tuple[ImagePair, FolderCamera]] = []
+        for scene in scene_folders(folder):
+            pairs, _ = find_pairs(scene)
+            if not pairs:
+                raise RecordingFormatError(f"{scene}: no image pairs; expected {NAMES_EXPECTED}")
+            camera = folder_camera(scene, options)
+            for pair in pairs:
+                name = f"{scene.name}_{pair.name}" if pair.name else scene.name
+                self._shots.append((replace(pair, name=name), camera))
+        if not self._shots:
+            raise RecordingFormatError(f"{folder}: no scenes; expected the folders scene1, scene2, ...")
+        super().__init__(folder, len(self._shots))
+        self.calibration = first_calibration([self._shots[0][0]], self._shots[0][1])
+        self.metadata = {"format": "folder of scenes", "frames": str(len(self._shots))}
+
+    def _load(self, index: int) -> RGBDFrame:
+        pair, camera = self._shots[index]
+        return load_pair(pair, camera, index, index * FRAME_INTERVAL_NS)

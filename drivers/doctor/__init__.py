@@ -1,0 +1,1 @@
+"""Why a camera does not work."""

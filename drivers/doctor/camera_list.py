@@ -1,0 +1,114 @@
+"""The cameras that OpenNI2 finds, each started for a moment to see what it can do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from nurbseg.drivers.doctor.usb import Speed, UsbDevice, read_sysfs
+from nurbseg.drivers.errors import DriverError
+from nurbseg.drivers.openni2.capi import Sensor
+from nurbseg.drivers.openni2.library import DeviceListing, in_use
+from nurbseg.drivers.openni2.opened import OpenedDevice
+from nurbseg.drivers.openni2.selection import family_of, is_camera, usb_port
+from nurbseg.drivers.openni2.stream import VideoMode, wait_for_any
+
+#: How long a camera may take to send its first image, seconds.
+_FIRST_IMAGE_LIMIT_S = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A camera as it describes itself.
+
+    Parameters
+    ----------
+    name, family : str
+        What the driver calls it, and its key in `nurbseg.drivers.doctor.usb_ids.FAMILIES` or nothing.
+    uri, usb_id : str
+        OpenNI2's name of it, and ``vendor:product``.
+    usb_port, usb_speed, serial : str
+        As in `UsbDevice`; empty where unknown.
+    driver_version, openni2_version : str
+        Versions of the driver, where it tells one, and of the library.
+    depth_modes, color_modes : tuple of VideoMode
+        What its streams can be set to; empty where it has no such stream.
+    registration, sync : bool
+        Whether it can bring depth onto the color image, and take both at the same moment.
+    error : str
+        Why it cannot be used; empty where it can.
+    """
+
+    name: str
+    family: str
+    uri: str
+    usb_id: str
+    usb_port: str = ""
+    usb_speed: Speed = ""
+    serial: str = ""
+    driver_version: str = ""
+    openni2_version: str = ""
+    depth_modes: tuple[VideoMode, ...] = ()
+    color_modes: tuple[VideoMode, ...] = ()
+    registration: bool = False
+    sync: bool = False
+    error: str = ""
+
+
+def list_cameras() -> tuple[Camera, ...]:
+    """Ask OpenNI2 for its cameras and each camera for what it can do.
+
+    Raises
+    ------
+    BackendMissingError
+        If OpenNI2 is not installed.
+    """
+    usb_devices = {device.port: device for device in read_sysfs()}
+    with in_use() as library:
+        return tuple(_camera(listing, usb_devices) for listing in library.devices() if is_camera(listing))
+
+
+def _camera(listing: DeviceListing, usb_devices: dict[str, UsbDevice]) -> Camera:
+    port = usb_port(listing.uri)
+    usb_device = usb_devices.get(port)
+    camera = Camera(
+        name=f"{listing.vendor} {listing.name}".strip(),
+        family=family_of(listing),
+        uri=listing.uri,
+        usb_id=f"{listing.usb_vendor:04x}:{listing.usb_product:04x}",
+        usb_port=port if port != listing.uri else "",
+        usb_speed=usb_device.speed if usb_device else "",
+        serial=usb_device.serial if usb_device else "",
+    )
+    try:
+        with OpenedDevice(listing.uri) as device:
+            return _asked(camera, device)
+    except DriverError as err:
+        return replace(camera, error=str(err))
+
+
+def _asked(camera: Camera, device: OpenedDevice) -> Camera:
+    """Return the camera with what it says itself, and whether images come from it."""
+    sensors = [sensor for sensor in (Sensor.DEPTH, Sensor.COLOR) if device.has(sensor)]
+    streams = {sensor: device.add_stream(sensor) for sensor in sensors}
+    camera = replace(
+        camera,
+        serial=device.serial or camera.serial,
+        driver_version=device.driver_version,
+        openni2_version=device.library.version(),
+        depth_modes=streams[Sensor.DEPTH].modes if Sensor.DEPTH in streams else (),
+        color_modes=streams[Sensor.COLOR].modes if Sensor.COLOR in streams else (),
+        registration=device.can_register,
+    )
+    missing = [sensor.name.lower() for sensor in (Sensor.DEPTH, Sensor.COLOR) if sensor not in streams]
+    if missing:
+        return replace(camera, error=f"it has no {' and no '.join(missing)} stream")
+    try:
+        for stream in streams.values():
+            stream.start()
+        # Only a running camera knows whether it can.
+        camera = replace(camera, sync=device.synchronise())
+        if wait_for_any(device.library, device.streams, _FIRST_IMAGE_LIMIT_S) is None:
+            return replace(camera, error=f"it opens, but no image came within {_FIRST_IMAGE_LIMIT_S:g} s")
+    except DriverError as err:
+        return replace(camera, error=str(err))
+    return camera

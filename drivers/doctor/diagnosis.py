@@ -1,0 +1,124 @@
+"""The doctor: why a depth camera does not work, and what to do about it.
+
+`diagnose` is a pure function of a described system; `describe` describes this computer.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from nurbseg.drivers.doctor.finding import Finding, Probe, System
+from nurbseg.drivers.doctor.host import read_host
+from nurbseg.drivers.doctor.openni2_findings import driver_findings, library_findings, probe_findings
+from nurbseg.drivers.doctor.usb import scan_usb
+from nurbseg.drivers.doctor.usb_findings import (
+    bus_findings,
+    camera_findings,
+    motor_findings,
+    not_plugged_in,
+    power_findings,
+)
+from nurbseg.drivers.doctor.usb_ids import families
+
+_ORDER = ("ok", "error", "warning", "note")
+
+
+def describe(
+    *,
+    backend: Any = None,
+    root: Path = Path("/"),
+    environ: Mapping[str, str] | None = None,
+    probe: Probe | None = None,
+) -> System:
+    """Describe this computer.
+
+    Parameters
+    ----------
+    backend : usb.backend.IBackend, optional
+        What pyusb works through; None takes libusb.
+    root : Path
+        Where the file system starts.
+    environ : mapping, optional
+        Environment variables; None takes the program's own.
+    probe : Probe, optional
+        OpenNI2's answer, where it has been asked.
+    """
+    environ = os.environ if environ is None else environ
+    return System(scan_usb(backend, root), read_host(root, environ), probe)
+
+
+def diagnose(system: System, wanted: str = "any") -> tuple[Finding, ...]:
+    """Find out why no camera can be used, or that one can.
+
+    Parameters
+    ----------
+    system : System
+        The computer.
+    wanted : str
+        What `--device` was given: ``"xtion"``, ``"kinect"``, ``"orbbec"``, or anything else for any camera.
+
+    Returns
+    -------
+    tuple of Finding
+        Good news first, then errors, warnings and notes; within each, the most basic first. Where a
+        camera is ready, what keeps another from working is a warning only.
+    """
+    found = list(_findings(system, wanted))
+    if system.probe is not None:
+        found += probe_findings(system.probe, found)
+    if is_ready(found):
+        found = [replace(each, severity="warning") if each.severity == "error" else each for each in found]
+    return tuple(sorted(found, key=lambda each: _ORDER.index(each.severity)))
+
+
+def is_ready(findings: Sequence[Finding]) -> bool:
+    """Whether a camera can be used."""
+    return any(each.severity == "ok" for each in findings)
+
+
+def explain_no_camera(wanted: str = "any") -> str:
+    """Say in a few lines why the camera asked for is not there and what to do; never raises.
+
+    Looks at USB and the file system only, which takes some tens of milliseconds.
+
+    Parameters
+    ----------
+    wanted : str
+        What `--device` was given.
+    """
+    try:
+        errors = [each for each in diagnose(describe(), wanted) if each.severity == "error"]
+    except Exception as err:
+        # This is said while another error is being reported, which it must not hide.
+        return f"To find out why: nurbseg-devices doctor   (here it failed: {type(err).__name__}: {err})"
+    if not errors:
+        return "USB and OpenNI2's files look as they should. To find out why: nurbseg-devices doctor"
+    main = errors[0]
+    lines = [f"{main.title}. {main.reason}".strip(), *(f"  {step}" for step in main.steps)]
+    return "\n".join([*lines, "To see everything that was found: nurbseg-devices doctor"])
+
+
+def _findings(system: System, wanted: str) -> Iterator[Finding]:
+    usb, installation, kinds = system.usb, system.host.installation, families(wanted)
+    parts = [part for part in system.parts if part.model.family in kinds]
+    cameras = [part for part in parts if part.model.role == "camera"]
+    yield from library_findings(installation)
+    yield from bus_findings(system, cameras)
+    for camera in cameras:
+        yield from camera_findings(camera, system)
+        yield from driver_findings(camera, installation)
+    for motor in parts:
+        if motor.model.role == "motor" and usb.bus_folder:
+            yield from motor_findings(motor, system.host)
+    unpowered = list(power_findings(parts))
+    yield from unpowered
+    if not cameras and not unpowered and usb.bus_folder and (usb.libusb or usb.sysfs) and not usb.problem:
+        others = [part for part in system.parts if part.model.role == "camera"]
+        yield not_plugged_in(usb, others, kinds)
+
+
+__all__ = ["Finding", "Probe", "System", "describe", "diagnose", "explain_no_camera", "is_ready"]

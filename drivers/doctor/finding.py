@@ -1,0 +1,92 @@
+"""The values that a diagnosis is made of: what was found, and the system it was found on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+from nurbseg.drivers.doctor.host import Host
+from nurbseg.drivers.doctor.usb import UsbDevice, UsbScan
+from nurbseg.drivers.doctor.usb_ids import Model
+
+Severity = Literal["error", "warning", "note", "ok"]
+
+
+class Part(NamedTuple):
+    """A USB device that is a depth camera or belongs to one."""
+
+    device: UsbDevice
+    model: Model
+
+    def __str__(self) -> str:
+        port = f", port {self.device.port}" if self.device.port else ""
+        return f"{self.model.name} ({self.device.ids}{port})"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that the doctor found.
+
+    Parameters
+    ----------
+    code : str
+        For programs; the list is in docs/cameras.md.
+    severity : {"error", "warning", "note", "ok"}
+        Whether it keeps a camera from working, may do so, is worth knowing, or is good news.
+    title : str
+        What it is, in one line.
+    reason : str
+        How that is known and why it matters.
+    steps : tuple of str
+        What to do, one command or action each.
+    """
+
+    code: str
+    severity: Severity
+    title: str
+    reason: str = ""
+    steps: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """What OpenNI2 itself said when it was asked for its cameras.
+
+    Parameters
+    ----------
+    cameras : tuple of str
+        Those that it opened.
+    refused : tuple of (str, str)
+        Those that it lists but could not open, each with OpenNI2's words.
+    error : str
+        Why it could not be asked; empty where it could.
+    """
+
+    cameras: tuple[str, ...] = ()
+    refused: tuple[tuple[str, str], ...] = ()
+    error: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class System:
+    """A computer as far as depth cameras are concerned.
+
+    Parameters
+    ----------
+    usb : UsbScan
+        What is plugged in.
+    host : Host
+        What the file system says.
+    probe : Probe or None
+        OpenNI2's own answer; None where it was not asked.
+    """
+
+    usb: UsbScan
+    host: Host
+    probe: Probe | None = None
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """The USB devices that are cameras, or motors and microphones of cameras."""
+        known = ((device, device.model) for device in self.usb.devices)
+        return tuple(Part(device, model) for device, model in known if model is not None)

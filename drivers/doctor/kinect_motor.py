@@ -1,0 +1,184 @@
+"""The motor, the light and the accelerometer of a Kinect v1, over USB control transfers."""
+
+from __future__ import annotations
+
+import errno
+import struct
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Final, Literal, Self, get_args
+
+from nurbseg.drivers.doctor.usb import find_devices
+from nurbseg.drivers.doctor.usb_ids import MICROSOFT
+from nurbseg.drivers.errors import DeviceLostError, DeviceNotFoundError, DriverError
+
+LedColor = Literal["off", "green", "red", "yellow", "blink-green", "blink-red-yellow"]
+Movement = Literal["stopped", "at-limit", "moving", "unknown"]
+
+TILT_MAX_DEG: Final = 31
+
+_MOTOR: Final = 0x02B0
+_MOTOR_OF_KINECT_FOR_WINDOWS: Final = 0x02C2
+_OUT: Final = 0x40  # to the device, vendor request
+_IN: Final = 0xC0
+_SET_LED: Final = 0x06
+_SET_TILT: Final = 0x31
+_GET_STATE: Final = 0x32
+_STATE_LENGTH: Final = 10
+_TIMEOUT_MS: Final = 1000
+_LED_VALUES: Final[dict[str, int]] = dict(zip(get_args(LedColor), (0, 1, 2, 3, 4, 6), strict=True))
+_MOVEMENTS: Final[dict[int, Movement]] = {0: "stopped", 1: "at-limit", 4: "moving"}
+_COUNTS_PER_G: Final = 819.0
+_TILT_UNKNOWN: Final = -128  # while it moves
+
+STANDARD_GRAVITY: Final = 9.80665
+
+
+@dataclass(frozen=True, slots=True)
+class MotorState:
+    """What the motor's sensors say.
+
+    Parameters
+    ----------
+    acceleration_m_s2 : (float, float, float)
+        Of the Kinect, against free fall: about (0, 9.81, 0) where it stands level.
+    tilt_deg : float or None
+        Angle of the head above the horizon, degrees; None while the motor moves.
+    movement : {"stopped", "at-limit", "moving", "unknown"}
+        What the motor is doing.
+    """
+
+    acceleration_m_s2: tuple[float, float, float]
+    tilt_deg: float | None
+    movement: Movement
+
+    @property
+    def acceleration_g(self) -> tuple[float, float, float]:
+        """The acceleration in units of standard gravity."""
+        x, y, z = (value / STANDARD_GRAVITY for value in self.acceleration_m_s2)
+        return x, y, z
+
+
+class KinectMotor:
+    """The motor unit of a Kinect v1; constructing finds it, and it is usable until `close`.
+
+    Parameters
+    ----------
+    backend : usb.backend.IBackend, optional
+        What pyusb works through; None takes libusb.
+    number : int
+        Which one, where several Kinects are plugged in, from 0.
+
+    Raises
+    ------
+    BackendMissingError
+        If libusb is not installed.
+    DeviceNotFoundError
+        If no such motor is plugged in.
+    """
+
+    def __init__(self, backend: Any = None, number: int = 0) -> None:
+        kinects = [each for each in find_devices(backend) if each.idVendor == MICROSOFT]
+        motors = [each for each in kinects if each.idProduct == _MOTOR]
+        if not motors and any(each.idProduct == _MOTOR_OF_KINECT_FOR_WINDOWS for each in kinects):
+            raise DeviceNotFoundError(
+                "this is a Kinect for Windows or a late Kinect (model 1473): its motor answers only "
+                "through its audio device, which is not supported"
+            )
+        if not 0 <= number < len(motors):
+            raise DeviceNotFoundError(
+                f"no Kinect v1 motor (045e:02b0) {'with number ' + str(number) + ' ' if motors else ''}"
+                "is plugged in"
+            )
+        self._device = motors[number]
+
+    def tilt(self, angle_deg: float) -> None:
+        """Turn the head to an angle above the horizon; returns at once, before it is there.
+
+        Parameters
+        ----------
+        angle_deg : float
+            Within +-31 degrees, in steps of half a degree.
+
+        Raises
+        ------
+        ValueError
+            If the angle is out of range.
+        DriverError
+            If the motor does not take the command.
+        """
+        if not -TILT_MAX_DEG <= angle_deg <= TILT_MAX_DEG:
+            raise ValueError(
+                f"angle_deg: expected -{TILT_MAX_DEG} to {TILT_MAX_DEG} degrees, got {angle_deg:g}"
+            )
+        # The field is unsigned on the wire; the motor reads it as two's complement.
+        self._transfer("turning the motor", _OUT, _SET_TILT, round(2 * angle_deg) & 0xFFFF)
+
+    def led(self, color: LedColor) -> None:
+        """Set the light.
+
+        Raises
+        ------
+        ValueError
+            If there is no such color.
+        DriverError
+            If the motor unit does not take the command.
+        """
+        if color not in _LED_VALUES:
+            raise ValueError(f"color: expected one of {', '.join(_LED_VALUES)}, got {color!r}")
+        self._transfer("setting the light", _OUT, _SET_LED, _LED_VALUES[color])
+
+    def state(self) -> MotorState:
+        """Return what the accelerometer and the motor say.
+
+        Raises
+        ------
+        DriverError
+            If there is no answer, or not a whole one.
+        """
+        answer = bytes(self._transfer("reading the accelerometer", _IN, _GET_STATE, 0, _STATE_LENGTH))
+        if len(answer) != _STATE_LENGTH:
+            raise DriverError(
+                f"reading the accelerometer: expected {_STATE_LENGTH} bytes of the motor, got {len(answer)}"
+            )
+        x, y, z, half_degrees, movement = struct.unpack(">2xhhhbB", answer)
+        scale = STANDARD_GRAVITY / _COUNTS_PER_G
+        return MotorState(
+            acceleration_m_s2=(x * scale, y * scale, z * scale),
+            tilt_deg=None if half_degrees == _TILT_UNKNOWN else half_degrees / 2,
+            movement=_MOVEMENTS.get(movement, "unknown"),
+        )
+
+    def _transfer(
+        self, doing: str, direction: int, request: int, value: int, length: int | None = None
+    ) -> Any:
+        import usb.core
+
+        try:
+            return self._device.ctrl_transfer(direction, request, value, 0, length, _TIMEOUT_MS)
+        except usb.core.USBError as err:
+            if err.errno in (errno.EACCES, errno.EPERM):
+                raise DriverError(
+                    f"{doing}: no permission to open the Kinect's motor (045e:02b0); "
+                    "'nurbseg-devices doctor' prints the udev rule for it"
+                ) from err
+            if err.errno in (errno.ENODEV, errno.ENOENT):
+                raise DeviceLostError(f"{doing}: the Kinect was unplugged") from err
+            raise DriverError(f"{doing}: {err}") from err
+
+    def close(self) -> None:
+        """Let other programs have the motor; safe to call twice."""
+        import usb.util
+
+        usb.util.dispose_resources(self._device)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()

@@ -1,0 +1,297 @@
+"""What is plugged in: USB devices as the kernel lists them and as pyusb can open them.
+
+The kernel's list (sysfs) gives names, serial numbers, speeds and kernel drivers without permission and
+without USB traffic; pyusb tells whether this user may open a device. Either may be absent, as in a
+container or where libusb is not installed, and the other then still says what it knows.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from nurbseg.drivers.doctor.usb_ids import ASUS, Model, identify
+from nurbseg.drivers.errors import BackendMissingError
+
+Access = Literal["open", "denied", "busy", "no-node", "silent", "unknown"]
+Speed = Literal["low", "full", "high", "super", "super+", ""]
+
+#: libusb's numbers of the speeds, and sysfs' megabits a second.
+_SPEED_BY_NUMBER: dict[int | None, Speed] = {1: "low", 2: "full", 3: "high", 4: "super", 5: "super+"}
+_SPEED_BY_MBIT: dict[str, Speed] = {
+    "1.5": "low",
+    "12": "full",
+    "480": "high",
+    "5000": "super",
+    "10000": "super+",
+    "20000": "super+",
+}
+#: From slowest to fastest; unknown counts as fast enough.
+SPEEDS: tuple[Speed, ...] = ("low", "full", "high", "super", "super+", "")
+SPEED_TEXT: dict[Speed, str] = {
+    "low": "1.5 Mbit/s",
+    "full": "12 Mbit/s",
+    "high": "480 Mbit/s",
+    "super": "5 Gbit/s",
+    "super+": "10 Gbit/s",
+    "": "speed unknown",
+}
+
+_ACCESS_BY_ERRNO: dict[int | None, Access] = {
+    errno.EACCES: "denied",
+    errno.EPERM: "denied",
+    errno.EBUSY: "busy",
+    errno.ENOENT: "no-node",
+    errno.ENODEV: "no-node",
+    errno.ETIMEDOUT: "silent",
+    errno.EPIPE: "silent",
+    errno.EIO: "silent",
+}
+
+_HUB_CLASS = 9
+_GET_DESCRIPTOR = 0x06
+_DEVICE_DESCRIPTOR = 0x0100
+_DEVICE_DESCRIPTOR_LENGTH = 18
+_TRANSFER_TIMEOUT_MS = 300
+
+
+@dataclass(frozen=True, slots=True)
+class UsbDevice:
+    """One USB device.
+
+    Parameters
+    ----------
+    vendor_id, product_id : int
+        Its ids.
+    bus, address : int
+        Where it is now; the address changes at every plugging in.
+    port : str
+        Which socket, as the kernel writes it (``"1-2.3"``); empty where unknown.
+    speed : str
+        ``"low"``, ``"full"``, ``"high"``, ``"super"``, ``"super+"``, or empty where unknown.
+    product, serial : str
+        What it calls itself; empty where that could not be read.
+    access : str
+        Whether this user can open it: ``"open"``; ``"denied"`` (no permission); ``"busy"``; ``"no-node"``
+        (the kernel has it, but its file under /dev/bus/usb is not here); ``"silent"`` (it does not answer);
+        ``"unknown"`` (not tried).
+    drivers : tuple of str
+        Kernel drivers that hold its interfaces.
+    usb3_controller : bool
+        Whether its bus belongs to a USB 3 (xHCI) controller.
+    """
+
+    vendor_id: int
+    product_id: int
+    bus: int = 0
+    address: int = 0
+    port: str = ""
+    speed: Speed = ""
+    product: str = ""
+    serial: str = ""
+    access: Access = "unknown"
+    drivers: tuple[str, ...] = ()
+    usb3_controller: bool = False
+
+    @property
+    def ids(self) -> str:
+        """Vendor and product id as lsusb writes them."""
+        return f"{self.vendor_id:04x}:{self.product_id:04x}"
+
+    @property
+    def model(self) -> Model | None:
+        """Which camera, or part of one, it is; None where it is neither."""
+        return identify(self.vendor_id, self.product_id, self.product)
+
+
+@dataclass(frozen=True, slots=True)
+class UsbScan:
+    """What was found on the USB buses.
+
+    Parameters
+    ----------
+    devices : tuple of UsbDevice
+        By bus and address.
+    libusb : bool
+        Whether pyusb found a libusb to work with.
+    bus_folder : bool
+        Whether /dev/bus/usb is there.
+    sysfs : bool
+        Whether the kernel's list is there.
+    problem : str
+        What went wrong while scanning; empty where nothing did.
+    """
+
+    devices: tuple[UsbDevice, ...] = ()
+    libusb: bool = True
+    bus_folder: bool = True
+    sysfs: bool = True
+    problem: str = ""
+
+
+def scan_usb(
+    backend: Any = None,
+    root: Path = Path("/"),
+    *,
+    budget_s: float = 2.0,
+    clock: Callable[[], float] = time.monotonic,
+) -> UsbScan:
+    """List the USB devices and try to open those that belong to depth cameras.
+
+    Parameters
+    ----------
+    backend : usb.backend.IBackend, optional
+        What pyusb works through; None takes libusb.
+    root : Path
+        Folder that holds ``dev`` and ``sys``.
+    budget_s : float
+        After so many seconds no further device is tried; each try has a time limit of its own.
+    clock : callable
+        Monotonic seconds.
+    """
+    listed = {(device.bus, device.address): device for device in read_sysfs(root)}
+    libusb, problem = True, ""
+    try:
+        for device in _scan_with_pyusb(backend, listed, clock() + budget_s, clock):
+            listed[device.bus, device.address] = device
+    except BackendMissingError:
+        libusb = False
+    except Exception as err:
+        # A scan is a report on an unknown system: whatever pyusb raises is part of what it reports.
+        problem = f"{type(err).__name__}: {err}"
+    return UsbScan(
+        devices=tuple(_with_node_access(listed[key], root) for key in sorted(listed)),
+        libusb=libusb,
+        bus_folder=(root / "dev/bus/usb").is_dir(),
+        sysfs=(root / "sys/bus/usb/devices").is_dir(),
+        problem=problem,
+    )
+
+
+def read_sysfs(root: Path = Path("/")) -> tuple[UsbDevice, ...]:
+    """Return the devices of the kernel's list, hubs left out; empty where there is none."""
+    folder = root / "sys/bus/usb/devices"
+    try:
+        entries = sorted(folder.iterdir())
+    except OSError:
+        return ()
+    devices = []
+    for entry in entries:
+        # "usb1" is a root hub, "1-2" a device and "1-2:1.0" an interface of it.
+        if ":" in entry.name or not entry.name[0].isdigit():
+            continue
+        try:
+            device = UsbDevice(
+                vendor_id=int(_line(entry / "idVendor"), 16),
+                product_id=int(_line(entry / "idProduct"), 16),
+                bus=int(_line(entry / "busnum")),
+                address=int(_line(entry / "devnum")),
+                port=entry.name,
+                speed=_SPEED_BY_MBIT.get(_line(entry / "speed"), ""),
+                product=_line(entry / "product"),
+                serial=_line(entry / "serial"),
+            )
+        except ValueError:
+            continue  # gone while it was being read
+        interfaces = [each for each in entries if each.name.startswith(entry.name + ":")]
+        held = {
+            Path(os.path.realpath(each / "driver")).name for each in interfaces if (each / "driver").exists()
+        }
+        root_hub = folder / f"usb{device.bus}"
+        controller = f"{_line(root_hub / 'product')} {_line(root_hub / 'manufacturer')}".lower()
+        if held != {"hub"}:
+            devices.append(replace(device, drivers=tuple(sorted(held)), usb3_controller="xhci" in controller))
+    return tuple(devices)
+
+
+def find_devices(backend: Any = None) -> list[Any]:
+    """Return pyusb's devices.
+
+    Raises
+    ------
+    BackendMissingError
+        If pyusb finds no libusb.
+    """
+    import usb.core
+
+    try:
+        return list(usb.core.find(find_all=True, backend=backend) or ())
+    except usb.core.NoBackendError as err:
+        raise BackendMissingError("libusb-1.0 was not found: sudo apt install libusb-1.0-0") from err
+
+
+def _scan_with_pyusb(
+    backend: Any,
+    listed: dict[tuple[int, int], UsbDevice],
+    deadline_s: float,
+    clock: Callable[[], float],
+) -> Iterator[UsbDevice]:
+    """Yield what pyusb sees, joined with the kernel's entries."""
+    for each in find_devices(backend):
+        if each.bDeviceClass == _HUB_CLASS:
+            continue
+        numbers = ".".join(str(number) for number in each.port_numbers or ())
+        seen = UsbDevice(
+            vendor_id=each.idVendor,
+            product_id=each.idProduct,
+            bus=each.bus or 0,
+            address=each.address or 0,
+            port=f"{each.bus}-{numbers}" if numbers else "",
+            speed=_SPEED_BY_NUMBER.get(each.speed, ""),
+        )
+        device = listed.get((seen.bus, seen.address), seen)
+        may_be_camera = device.model is not None or (device.vendor_id == ASUS and not device.product)
+        yield _tried(each, device) if may_be_camera and clock() < deadline_s else device
+
+
+def _tried(each: Any, device: UsbDevice) -> UsbDevice:
+    """Open a device, ask for its descriptor and its names, and close it again."""
+    import usb.core
+    import usb.util
+
+    each.default_timeout = _TRANSFER_TIMEOUT_MS
+    try:
+        each.ctrl_transfer(0x80, _GET_DESCRIPTOR, _DEVICE_DESCRIPTOR, 0, _DEVICE_DESCRIPTOR_LENGTH)
+        device = replace(device, access="open")
+        return replace(
+            device,
+            product=device.product or _text(each, each.iProduct),
+            serial=device.serial or _text(each, each.iSerialNumber),
+        )
+    except usb.core.USBError as err:
+        if device.access == "open":
+            return device  # only its names stay unread
+        return replace(device, access=_ACCESS_BY_ERRNO.get(err.errno, "silent"))
+    finally:
+        usb.util.dispose_resources(each)
+
+
+def _text(each: Any, index: int) -> str:
+    import usb.util
+
+    try:
+        return str(usb.util.get_string(each, index) or "").strip() if index else ""
+    except ValueError:
+        return ""  # pyusb's "no langid": the device has no readable strings
+
+
+def _with_node_access(device: UsbDevice, root: Path) -> UsbDevice:
+    """Judge by its file whether a camera can be opened, where pyusb did not try."""
+    if device.access != "unknown" or device.model is None:
+        return device
+    node = root / f"dev/bus/usb/{device.bus:03d}/{device.address:03d}"
+    if not node.exists():
+        return replace(device, access="no-node")
+    return device if os.access(node, os.R_OK | os.W_OK) else replace(device, access="denied")
+
+
+def _line(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
+        return ""

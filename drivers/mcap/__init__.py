@@ -1,0 +1,1 @@
+"""MCAP recordings with ROS 2 messages."""

@@ -1,0 +1,269 @@
+"""The ROS 2 messages of a recording: their definitions, and what they say as arrays and calibrations."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.calibration.cameras import CameraModel, camera_of_matrix
+from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_labels, millimetres
+from nurbseg.drivers.errors import CalibrationError, FrameFormatError
+from nurbseg.drivers.frame import Intrinsics
+
+IMAGE = "sensor_msgs/msg/Image"
+COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+
+_RULE = "=" * 80
+_TIME = f"{_RULE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+_HEADER = f"{_RULE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n{_TIME}"
+#: The message definitions as a recording states them.
+DEFINITIONS = {
+    IMAGE: "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\n"
+    f"uint32 step\nuint8[] data\n{_HEADER}",
+    COMPRESSED_IMAGE: f"std_msgs/Header header\nstring format\nuint8[] data\n{_HEADER}",
+    CAMERA_INFO: "std_msgs/Header header\nuint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\n"
+    "float64[9] k\nfloat64[9] r\nfloat64[12] p\nuint32 binning_x\nuint32 binning_y\n"
+    f"sensor_msgs/RegionOfInterest roi\n{_HEADER}{_RULE}\nMSG: sensor_msgs/RegionOfInterest\n"
+    "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify\n",
+    TRANSFORMS: "geometry_msgs/TransformStamped[] transforms\n"
+    f"{_RULE}\nMSG: geometry_msgs/TransformStamped\nstd_msgs/Header header\nstring child_frame_id\n"
+    f"geometry_msgs/Transform transform\n{_RULE}\nMSG: geometry_msgs/Transform\n"
+    f"geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n{_RULE}\n"
+    f"MSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n{_RULE}\n"
+    f"MSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n{_HEADER}",
+}
+
+DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
+COLOR_ENCODINGS = ("rgb8", "bgr8", "rgba8", "bgra8", "mono8", "8UC3")
+_LABEL_ENCODINGS = ("mono16", "16UC1", "mono8", "8UC1")
+_PIXELS: dict[str, tuple[type[np.generic], int]] = {
+    "16UC1": (np.uint16, 1),
+    "mono16": (np.uint16, 1),
+    "32FC1": (np.float32, 1),
+    "mono8": (np.uint8, 1),
+    "8UC1": (np.uint8, 1),
+    "rgb8": (np.uint8, 3),
+    "bgr8": (np.uint8, 3),
+    "8UC3": (np.uint8, 3),
+    "rgba8": (np.uint8, 4),
+    "bgra8": (np.uint8, 4),
+}
+_TO_RGB = {
+    "bgr8": cv2.COLOR_BGR2RGB,
+    "8UC3": cv2.COLOR_BGR2RGB,
+    "rgba8": cv2.COLOR_RGBA2RGB,
+    "bgra8": cv2.COLOR_BGRA2RGB,
+    "mono8": cv2.COLOR_GRAY2RGB,
+}
+#: image_transport puts the parameters of its depth quantisation before the PNG.
+_COMPRESSED_DEPTH_HEADER = 12
+_DISTORTION_MODELS = ("plumb_bob", "rational_polynomial", "")
+
+
+def header(stamp_ns: int, frame_id: str) -> dict[str, Any]:
+    """Return a std_msgs/Header."""
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": frame_id}
+
+
+def stamp_ns(content: bytes) -> int:
+    """Return the stamp of a message that begins with a header, without decoding the rest."""
+    order: Any = "little" if content[1] & 1 else "big"
+    seconds = int.from_bytes(content[4:8], order, signed=True)
+    return seconds * 1_000_000_000 + int.from_bytes(content[8:12], order)
+
+
+def image_message(stamp: int, frame_id: str, image: NDArray[Any], encoding: str) -> dict[str, Any]:
+    """Return a sensor_msgs/Image of an (H, W[, C]) array."""
+    content = np.ascontiguousarray(image, dtype=image.dtype.newbyteorder("<"))
+    return {
+        "header": header(stamp, frame_id),
+        "height": image.shape[0],
+        "width": image.shape[1],
+        "encoding": encoding,
+        "is_bigendian": 0,
+        "step": content.strides[0],
+        "data": content.tobytes(),
+    }
+
+
+def camera_info_message(stamp: int, frame_id: str, camera: Intrinsics) -> dict[str, Any]:
+    """Return a sensor_msgs/CameraInfo of an image that is not rectified."""
+    return {
+        "header": header(stamp, frame_id),
+        "height": camera.height,
+        "width": camera.width,
+        "distortion_model": "plumb_bob" if camera.distortion.size <= 5 else "rational_polynomial",
+        "d": camera.distortion.tolist(),
+        "k": camera.matrix.ravel().tolist(),
+        "r": np.eye(3).ravel().tolist(),
+        "p": np.hstack([camera.matrix, np.zeros((3, 1))]).ravel().tolist(),
+        "binning_x": 0,
+        "binning_y": 0,
+        "roi": {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False},
+    }
+
+
+def transform_message(
+    stamp: int, parent: str, child: str, parent_from_child: NDArray[np.float64]
+) -> dict[str, Any]:
+    """Return a tf2_msgs/TFMessage of one (4, 4) transform."""
+    x, y, z, w = _quaternion(parent_from_child[:3, :3]).tolist()
+    tx, ty, tz = parent_from_child[:3, 3].tolist()
+    return {
+        "transforms": [
+            {
+                "header": header(stamp, parent),
+                "child_frame_id": child,
+                "transform": {
+                    "translation": {"x": tx, "y": ty, "z": tz},
+                    "rotation": {"x": x, "y": y, "z": z, "w": w},
+                },
+            }
+        ]
+    }
+
+
+def transforms_of(message: Any) -> list[tuple[str, str, NDArray[np.float64]]]:
+    """Return the (parent, child, parent_from_child) of a tf2_msgs/TFMessage."""
+    found = []
+    for each in message.transforms:
+        place, turn = each.transform.translation, each.transform.rotation
+        quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
+        matrix = np.eye(4)
+        matrix[:3, 3] = [place.x, place.y, place.z]
+        if not np.isfinite(matrix).all() or not np.isfinite(quaternion).all() or not quaternion.any():
+            continue
+        matrix[:3, :3] = _rotation(quaternion)
+        parent, child = each.header.frame_id.lstrip("/"), each.child_frame_id.lstrip("/")
+        found.append((parent, child, matrix))
+    return found
+
+
+def _quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (x, y, z, w) of a (3, 3) rotation matrix.
+
+    The eigenvector of the largest eigenvalue, which has no special cases (I. Bar-Itzhack, "New method for
+    extracting the quaternion from a rotation matrix", J. Guidance, Control and Dynamics 23(6), 2000).
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation
+    K = np.array(
+        [
+            [xx - yy - zz, yx + xy, zx + xz, zy - yz],
+            [yx + xy, yy - xx - zz, zy + yz, xz - zx],
+            [zx + xz, zy + yz, zz - xx - yy, yx - xy],
+            [zy - yz, xz - zx, yx - xy, xx + yy + zz],
+        ]
+    )
+    quaternion = np.linalg.eigh(K)[1][:, -1]
+    return np.asarray(quaternion if quaternion[3] >= 0 else -quaternion)
+
+
+def _rotation(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+    x, y, z, w = quaternion / np.linalg.norm(quaternion)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def camera_of(message: Any, path: Path, topic: str) -> CameraModel:
+    """Return the camera of a sensor_msgs/CameraInfo.
+
+    Raises
+    ------
+    CalibrationError
+        If it is not calibrated, or its lens model is another than OpenCV's.
+    """
+    if message.distortion_model not in _DISTORTION_MODELS:
+        raise CalibrationError(
+            f"{path}: {topic}: distortion_model: expected plumb_bob or rational_polynomial, "
+            f"got {message.distortion_model!r}"
+        )
+    matrix = np.array(message.k, dtype=np.float64).reshape(3, 3)
+    if not matrix.any():
+        raise CalibrationError(f"{path}: {topic}: k: the camera is not calibrated (all zeros)")
+    size = (message.width, message.height) if message.width and message.height else None
+    return camera_of_matrix(path, f"{topic}: k", matrix, np.array(message.d, dtype=np.float64), size)
+
+
+def depth_of(message: Any, schema: str, name: str, units_per_metre: float | None) -> NDArray[np.uint16]:
+    """Return the (H, W) uint16 millimetres of a depth message.
+
+    `units_per_metre` is 1000 for 16-bit and 1 for floating-point images where it is None, as ROS has it.
+
+    Raises
+    ------
+    FrameFormatError
+        If it is not a whole depth image.
+    """
+    if schema == COMPRESSED_IMAGE:
+        content = bytes(message.data)
+        if "compressedDepth" in message.format:
+            content = content[_COMPRESSED_DEPTH_HEADER:]
+        return decode_depth(content, name, units_per_metre=units_per_metre or 1000.0)
+    pixels = _pixels(message, DEPTH_ENCODINGS, name)
+    default = 1.0 if pixels.dtype == np.float32 else 1000.0
+    return millimetres(pixels, units_per_metre=units_per_metre or default)
+
+
+def color_of(message: Any, schema: str, name: str) -> NDArray[np.uint8]:
+    """Return the (H, W, 3) uint8 RGB of a color message.
+
+    Raises
+    ------
+    FrameFormatError
+        If it is not a whole color image.
+    """
+    if schema == COMPRESSED_IMAGE:
+        return decode_color(bytes(message.data), name)
+    pixels = _pixels(message, COLOR_ENCODINGS, name)
+    code = _TO_RGB.get(message.encoding)
+    color: NDArray[np.uint8] = (
+        np.array(pixels) if code is None else cv2.cvtColor(pixels, code).astype(np.uint8)
+    )
+    return color
+
+
+def labels_of(message: Any, schema: str, name: str) -> NDArray[np.uint16]:
+    """Return the (H, W) uint16 labels of a message.
+
+    Raises
+    ------
+    FrameFormatError
+        If it is not a whole label image.
+    """
+    if schema == COMPRESSED_IMAGE:
+        return decode_labels(bytes(message.data), name)
+    return _pixels(message, _LABEL_ENCODINGS, name).astype(np.uint16)
+
+
+def _pixels(message: Any, encodings: tuple[str, ...], name: str) -> NDArray[Any]:
+    if message.encoding not in encodings:
+        raise FrameFormatError(
+            f"{name}: encoding: expected one of {', '.join(encodings)}, got {message.encoding!r}"
+        )
+    kind, channels = _PIXELS[message.encoding]
+    dtype = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
+    row_bytes = message.width * channels * dtype.itemsize
+    if not message.width or not message.height or message.step < row_bytes:
+        raise FrameFormatError(
+            f"{name}: step: expected {row_bytes} bytes or more for {message.width} pixels, got {message.step}"
+        )
+    if len(message.data) < message.step * (message.height - 1) + row_bytes:
+        raise FrameFormatError(
+            f"{name}: data: the image is cut off: {len(message.data)} bytes of "
+            f"{message.step * message.height}"
+        )
+    rows = np.ndarray((message.height, row_bytes), np.uint8, buffer=message.data, strides=(message.step, 1))
+    pixels = np.ascontiguousarray(rows).view(dtype).astype(dtype.newbyteorder("="), copy=False)
+    return pixels if channels == 1 else pixels.reshape(message.height, message.width, channels)

@@ -1,0 +1,277 @@
+"""Replays recordings: MCAP files of ROS 2 messages, our own and others'."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mcap_ros2.decoder import DecoderFactory
+
+from nurbseg.drivers.calibration.cameras import CameraFile
+from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, RecordingFormatError
+from nurbseg.drivers.frame import Calibration, RGBDFrame
+from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap import names
+from nurbseg.drivers.mcap.file import McapFile, McapMessage
+from nurbseg.drivers.mcap.pairing import StampedPair, StampPairing
+from nurbseg.drivers.mcap.topics import Topics, TopicSample, choose_topics, recorded_cameras
+from nurbseg.drivers.source import FrameSource
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from nurbseg.drivers.registry import SourceOptions
+
+_log = logging.getLogger(__name__)
+
+#: How far a recording is looked through for its topics, in its own time.
+_LOOK_NS = 2_000_000_000
+
+
+class RecordingReader(FrameSource):
+    """Replays an MCAP recording with ROS 2 ``sensor_msgs``.
+
+    Depth (Image 16UC1 in millimetres or 32FC1 in metres, CompressedImage ``compressedDepth``), color (Image
+    or CompressedImage), ground-truth labels, CameraInfo and transforms are found by schema and encoding.
+    Depth and color are paired by stamp; a frame's time is its depth image's. A recording that is cut
+    off is replayed up to its last whole frame, with a warning.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    options : SourceOptions
+        Calibration or intrinsics that count before the recording's, depth scale, association limit.
+
+    Attributes
+    ----------
+    dropped : int
+        Images left out so far because they had no partner.
+
+    Raises
+    ------
+    RecordingFormatError
+        If it is not such a recording, or holds no whole frame.
+    CalibrationError
+        If it has no calibration, or an unusable one.
+    """
+
+    def __init__(self, path: Path, options: SourceOptions) -> None:
+        super().__init__()
+        self._path = path
+        self._units_per_metre = options.depth_scale
+        self._decoders = DecoderFactory()
+        self._pairing = StampPairing(round(options.association_limit_s * 1e9))
+        self._index = 0
+        self._file = McapFile(path)
+        try:
+            samples, transforms = self._look()
+            self._topics = self._choose(samples)
+            self._schemas = {names.LABELS_TOPIC: ros.COMPRESSED_IMAGE} | {
+                topic: sample.schema for topic, sample in samples.items()
+            }
+            self._cameras = self._camera_file(options, samples, transforms)
+            self.calibration = self._calibration(samples)
+            self.metadata = self._metadata()
+            self._messages = self._file.messages()
+        except BaseException:
+            self._file.close()
+            raise
+
+    @property
+    def dropped(self) -> int:
+        """Images left out so far because they had no partner."""
+        return self._pairing.dropped
+
+    def skip(self, frames: int) -> int:
+        """Go past the next frames without decoding their images; return how many there were to pass."""
+        for passed in range(frames):
+            try:
+                self._next_pair()
+            except FrameFormatError:
+                continue
+            except EndOfRecordingError:
+                return passed
+        return frames
+
+    def _read(self, timeout_s: float) -> RGBDFrame:
+        pair = self._next_pair()
+        index = self._index - 1
+        name = f"{self._path}: frame {index}"
+        topics = self._topics
+        depth_mm = ros.depth_of(
+            self._decode(pair.depth, topics.depth, name),
+            self._schemas[topics.depth],
+            f"{name}: {topics.depth}",
+            self._units_per_metre,
+        )
+        color = ros.color_of(
+            self._decode(pair.color, topics.color, name),
+            self._schemas[topics.color],
+            f"{name}: {topics.color}",
+        )
+        labels = None
+        if pair.labels is not None and topics.labels is not None:
+            message = self._decode(pair.labels, topics.labels, name)
+            labels = ros.labels_of(message, self._schemas[topics.labels], f"{name}: {topics.labels}")
+        try:
+            return RGBDFrame(
+                index=index,
+                timestamp_ns=pair.stamp_ns,
+                depth_mm=depth_mm,
+                color=color,
+                calibration=self.calibration,
+                labels=labels,
+            )
+        except ValueError as err:
+            raise FrameFormatError(f"{name}: {err}") from err
+
+    def _close(self) -> None:
+        self._file.close()
+
+    def _next_pair(self) -> StampedPair:
+        pair = self._pairing.take()
+        while pair is None:
+            item = next(self._messages, None)
+            if isinstance(item, FrameFormatError):
+                raise item
+            if item is not None:
+                self._enter(item)
+            pair = self._pairing.take(at_end=item is None)
+            self.metadata["dropped"] = str(self.dropped)
+            if item is None and pair is None:
+                if self.dropped:
+                    _log.warning("%s: %d images had no partner", self._path, self.dropped)
+                raise EndOfRecordingError(f"{self._path}: end after {self._index} frames")
+        self._index += 1
+        return pair
+
+    def _enter(self, message: McapMessage) -> None:
+        topic, content = message.channel.topic, message.content
+        if len(content) < 12:
+            return
+        if topic == self._topics.depth:
+            self._pairing.add_depth(ros.stamp_ns(content), content)
+        elif topic == self._topics.color:
+            self._pairing.add_color(ros.stamp_ns(content), content)
+        elif topic == self._topics.labels:
+            self._pairing.add_labels(ros.stamp_ns(content), content)
+
+    def _decode(self, content: bytes, topic: str, name: str) -> Any:
+        schema = next(
+            self._file.schemas[channel.schema_id]
+            for channel in self._file.channels.values()
+            if channel.topic == topic
+        )
+        try:
+            decode = self._decoders.decoder_for("cdr", schema)
+            if decode is not None:
+                return decode(content)
+        except Exception as err:  # The decoder raises whatever a damaged message leads it to.
+            raise FrameFormatError(f"{name}: {topic}: the message is damaged ({err})") from err
+        raise FrameFormatError(f"{name}: {topic}: expected a ROS 2 message (ros2msg, cdr)")
+
+    def _look(self) -> tuple[dict[str, TopicSample], list[tuple[str, str, NDArray[np.float64]]]]:
+        """Return the first message of each topic and the transforms, of the recording's first seconds."""
+        samples: dict[str, TopicSample] = {}
+        transforms: list[tuple[str, str, NDArray[np.float64]]] = []
+        start_ns: int | None = None
+        for item in self._file.messages():
+            if isinstance(item, FrameFormatError):
+                continue
+            start_ns = item.log_time_ns if start_ns is None else start_ns
+            if self._is_complete(samples) or (
+                item.log_time_ns - start_ns > _LOOK_NS and self._has_images(samples)
+            ):
+                break
+            topic = item.channel.topic
+            schema = self._file.schemas.get(item.channel.schema_id)
+            known = schema is not None and schema.name in ros.DEFINITIONS
+            if schema is None or not known or item.channel.message_encoding != "cdr":
+                continue
+            if topic in samples and schema.name != ros.TRANSFORMS:
+                continue
+            try:
+                message = self._decode(item.content, topic, str(self._path))
+            except FrameFormatError:
+                continue
+            if schema.name == ros.TRANSFORMS:
+                transforms += ros.transforms_of(message)
+            samples.setdefault(topic, TopicSample(schema.name, message))
+        return samples, transforms
+
+    def _is_complete(self, samples: dict[str, TopicSample]) -> bool:
+        # Our own recordings say everything with the first frame.
+        return self._is_ours() and names.DEPTH_TOPIC in samples
+
+    def _is_ours(self) -> bool:
+        return names.RECORDING_RECORD in self._file.metadata
+
+    def _has_images(self, samples: dict[str, TopicSample]) -> bool:
+        try:
+            topics = choose_topics(self._path, samples)
+        except RecordingFormatError:
+            return False
+        return topics.depth_info is not None or topics.color_info is not None
+
+    def _choose(self, samples: dict[str, TopicSample]) -> Topics:
+        if not samples and not self._file.whole:
+            raise RecordingFormatError(f"{self._path}: the recording is cut off before its first frame")
+        try:
+            topics = choose_topics(self._path, samples)
+            if topics.labels is None and self._is_ours():
+                # Perhaps later frames have ground truth.
+                topics = replace(topics, labels=names.LABELS_TOPIC)
+            return topics
+        except RecordingFormatError as err:
+            if self._file.whole:
+                raise
+            raise RecordingFormatError(f"{err}; the recording is cut off, perhaps before them") from err
+
+    def _camera_file(
+        self,
+        options: SourceOptions,
+        samples: dict[str, TopicSample],
+        transforms: list[tuple[str, str, NDArray[np.float64]]],
+    ) -> CameraFile:
+        given = options.given_cameras()
+        return given or recorded_cameras(self._path, self._topics, samples, transforms)
+
+    def _calibration(self, samples: dict[str, TopicSample]) -> Calibration:
+        """Return the calibration for the sizes of the images that there are."""
+        topics, name = self._topics, str(self._path)
+        depth, color = samples[topics.depth], samples[topics.color]
+        try:
+            depth_shape = ros.depth_of(depth.message, depth.schema, name, None).shape
+            color_shape = ros.color_of(color.message, color.schema, name).shape
+        except FrameFormatError:
+            # The first image is damaged; CameraInfo has the sizes.
+            return self._cameras.calibration()
+        return self._cameras.calibration(
+            depth_size=(depth_shape[1], depth_shape[0]), color_size=(color_shape[1], color_shape[0])
+        )
+
+    def _metadata(self) -> dict[str, str]:
+        metadata = dict(self._file.metadata.get(names.DEVICE_RECORD, {}))
+        metadata["format"] = "MCAP recording"
+        metadata["dropped"] = "0"
+        metadata["whole"] = str(self._file.whole).lower()
+        for channel_id, count in self._file.message_counts.items():
+            channel = self._file.channels.get(channel_id)
+            if channel is not None and channel.topic == self._topics.depth:
+                metadata["frames"] = str(count)
+        return metadata
+
+
+def open_path(path: Path, options: SourceOptions) -> RecordingReader:
+    """Open an MCAP recording.
+
+    Raises
+    ------
+    RecordingFormatError, CalibrationError
+        As for `RecordingReader`.
+    """
+    return RecordingReader(path, options)

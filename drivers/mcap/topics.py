@@ -1,0 +1,190 @@
+"""Finds which topics of a recording are the depth images, the color images, their cameras and labels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel
+from nurbseg.drivers.errors import CalibrationError, RecordingFormatError
+from nurbseg.drivers.mcap import messages as ros
+
+_IMAGES = (ros.IMAGE, ros.COMPRESSED_IMAGE)
+
+
+@dataclass(frozen=True, slots=True)
+class TopicSample:
+    """The first message of a topic, decoded, and the name of its schema."""
+
+    schema: str
+    message: Any
+
+
+@dataclass(frozen=True, slots=True)
+class Topics:
+    """The topics that are replayed; `labels` and the cameras may be missing."""
+
+    depth: str
+    color: str
+    labels: str | None
+    depth_info: str | None
+    color_info: str | None
+
+
+def choose_topics(path: Path, samples: Mapping[str, TopicSample]) -> Topics:
+    """Choose the topics by schema and encoding, and by name where there are several.
+
+    Parameters
+    ----------
+    path : Path
+        The recording, for messages.
+    samples : mapping of str to TopicSample
+        The first message of each topic.
+
+    Raises
+    ------
+    RecordingFormatError
+        If there are no depth or no color images; says which topics there are.
+    """
+    images = {topic: sample for topic, sample in samples.items() if sample.schema in _IMAGES}
+    labels = [topic for topic, sample in images.items() if _is_labels(topic, sample)]
+    depths = [t for t, sample in images.items() if t not in labels and _is_depth(t, sample)]
+    colors = [t for t, sample in images.items() if t not in labels + depths and _is_color(t, sample)]
+    for kind, found, expected in (
+        ("depth", depths, "Image 16UC1 or 32FC1, or CompressedImage compressedDepth"),
+        ("color", colors, "Image rgb8, bgr8 or mono8, or CompressedImage jpeg or png"),
+    ):
+        if not found:
+            present = ", ".join(f"{t} ({_form(sample)})" for t, sample in samples.items()) or "none"
+            raise RecordingFormatError(f"{path}: no topic of {kind} images ({expected}); topics: {present}")
+    depth = min(depths, key=lambda topic: (_rank(topic, ("aligned", "registered"), ("depth",)), topic))
+    color = min(colors, key=lambda topic: (_rank(topic, ("color", "rgb"), ("image",)), topic))
+    infos = [topic for topic, sample in samples.items() if sample.schema == ros.CAMERA_INFO]
+    return Topics(
+        depth=depth,
+        color=color,
+        labels=min(labels, default=None),
+        depth_info=_camera_topic(depth, images[depth], infos, samples),
+        color_info=_camera_topic(color, images[color], infos, samples),
+    )
+
+
+def recorded_cameras(
+    path: Path,
+    topics: Topics,
+    samples: Mapping[str, TopicSample],
+    transforms: list[tuple[str, str, NDArray[np.float64]]],
+) -> CameraFile:
+    """Return the cameras that the recording itself tells.
+
+    One CameraInfo stands for both cameras, the images being registered.
+
+    Raises
+    ------
+    CalibrationError
+        If there is no CameraInfo, an unusable one, or no transform between two cameras.
+    """
+    present = [info for info in (topics.depth_info, topics.color_info) if info is not None]
+    if not present:
+        raise CalibrationError(
+            f"{path}: no sensor_msgs/CameraInfo beside {topics.depth} or {topics.color}: "
+            "give --intrinsics fx,fy,cx,cy (pixels)"
+        )
+    models: list[CameraModel] = [
+        ros.camera_of(samples[info].message, path, info) for info in (present[0], present[-1])
+    ]
+    depth, color = models
+    depth_frame, color_frame = (_frame_id(samples[info]) for info in (present[0], present[-1]))
+    if present[0] == present[-1] or depth_frame == color_frame:
+        same = _same_camera(depth, color)
+        return CameraFile(path=path, depth=depth, color=depth if same else color)
+    transform = _transform(color_frame, depth_frame, transforms)
+    if transform is None:
+        raise CalibrationError(
+            f"{path}: no transform from {depth_frame!r} to {color_frame!r} in a tf2_msgs/TFMessage: "
+            "give --intrinsics fx,fy,cx,cy if depth is registered to color"
+        )
+    return CameraFile(path=path, depth=depth, color=color, color_from_depth=transform)
+
+
+def _form(sample: TopicSample) -> str:
+    encoding = getattr(sample.message, "encoding", None) or getattr(sample.message, "format", None)
+    name = sample.schema.rpartition("/")[2]
+    return f"{name} {encoding}" if encoding else name
+
+
+def _is_labels(topic: str, sample: TopicSample) -> bool:
+    named = "label" in topic.lower() or "segmentation" in topic.lower()
+    if sample.schema == ros.COMPRESSED_IMAGE:
+        return named and "png" in sample.message.format.lower()
+    return named and sample.message.encoding in ("mono16", "16UC1", "mono8", "8UC1")
+
+
+def _is_depth(topic: str, sample: TopicSample) -> bool:
+    if sample.schema == ros.COMPRESSED_IMAGE:
+        return "compressedDepth" in sample.message.format
+    encoding = sample.message.encoding
+    # An infrared image is "mono16" too.
+    return encoding in ("16UC1", "32FC1") or (encoding == "mono16" and "depth" in topic.lower())
+
+
+def _is_color(topic: str, sample: TopicSample) -> bool:
+    if sample.schema == ros.COMPRESSED_IMAGE:
+        text = sample.message.format.lower()
+        return ("jpeg" in text or "jpg" in text or "png" in text) and not text.startswith(("16uc1", "32fc1"))
+    return sample.message.encoding in ros.COLOR_ENCODINGS
+
+
+def _rank(topic: str, *wanted: tuple[str, ...]) -> int:
+    for rank, words in enumerate(wanted):
+        if any(word in topic.lower() for word in words):
+            return rank
+    return len(wanted)
+
+
+def _frame_id(sample: TopicSample) -> str:
+    return str(sample.message.header.frame_id).lstrip("/")
+
+
+def _camera_topic(
+    topic: str, image: TopicSample, infos: list[str], samples: Mapping[str, TopicSample]
+) -> str | None:
+    """Return the CameraInfo topic beside an image topic, else the one with the same frame."""
+    parts = topic.split("/")
+    for depth in range(len(parts) - 1, 1, -1):
+        beside = "/".join([*parts[:depth], "camera_info"])
+        if beside in infos:
+            return beside
+    frame = _frame_id(image)
+    return next((info for info in infos if frame and _frame_id(samples[info]) == frame), None)
+
+
+def _same_camera(one: CameraModel, other: CameraModel) -> bool:
+    values = ("fx", "fy", "cx", "cy", "size")
+    return all(getattr(one, name) == getattr(other, name) for name in values) and np.array_equal(
+        one.distortion, other.distortion
+    )
+
+
+def _transform(
+    target: str, source: str, transforms: list[tuple[str, str, NDArray[np.float64]]]
+) -> NDArray[np.float64] | None:
+    """Return target_from_source by way of a tree of (parent, child, parent_from_child)."""
+    steps: dict[str, list[tuple[str, NDArray[np.float64]]]] = {}
+    for parent, child, matrix in transforms:
+        steps.setdefault(child, []).append((parent, matrix))
+        steps.setdefault(parent, []).append((child, np.asarray(np.linalg.inv(matrix), dtype=np.float64)))
+    reached = {source: np.eye(4)}
+    waiting = [source]
+    while waiting:
+        frame = waiting.pop()
+        for other, other_from_frame in steps.get(frame, []):
+            if other not in reached:
+                reached[other] = other_from_frame @ reached[frame]
+                waiting.append(other)
+    return reached.get(target)

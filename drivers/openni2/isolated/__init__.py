@@ -1,0 +1,1 @@
+"""A camera that is read by a process of its own."""

@@ -1,0 +1,232 @@
+"""Replays .oni files: the structure is read here, the pixels come from OpenNI2 in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import logging
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.errors import (
+    BackendMissingError,
+    EndOfRecordingError,
+    FrameTimeoutError,
+    RecordingFormatError,
+)
+from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.drivers.openni2 import nominal
+from nurbseg.drivers.openni2.capi import PixelFormat
+from nurbseg.drivers.openni2.configuration import calibrate
+from nurbseg.drivers.openni2.library import find_library
+from nurbseg.drivers.openni2.oni.calibration_note import calibration_of_note
+from nurbseg.drivers.openni2.oni.file import OniFile, StoredFrame, read_structure
+from nurbseg.drivers.openni2.oni.player import (
+    COLOR_IMAGE,
+    DEPTH_IMAGE,
+    DESCRIPTION,
+    END,
+    FAILURE,
+)
+from nurbseg.drivers.openni2.oni.player_process import OPEN_LIMIT_S, Message, PlayerProcess
+from nurbseg.drivers.openni2.options import DeviceOptions
+from nurbseg.drivers.source import FrameSource
+
+if TYPE_CHECKING:
+    from nurbseg.drivers.calibration.cameras import CameraFile
+    from nurbseg.drivers.registry import SourceOptions
+
+logger = logging.getLogger(__name__)
+
+
+class OniSource(FrameSource):
+    """Frames of an .oni recording.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    options : DeviceOptions, optional
+        ``calibration``, ``mirror`` and ``registration`` are heeded. The last one says who brings depth
+        onto color, where the file does not say so: other programs' recordings never do.
+    pairing_limit_s : float
+        Largest difference between the times of a depth image and its color image, seconds.
+    cameras : CameraFile, optional
+        A calibration that counts before the recording's, where `options` name no file.
+
+    Attributes
+    ----------
+    half_pairs : int
+        Images of the recording that have no other half, and are in no frame; ``metadata["dropped"]`` too.
+
+    Raises
+    ------
+    BackendMissingError
+        If OpenNI2 is not installed.
+    RecordingFormatError
+        If the file is damaged, or OpenNI2's driver crashes or hangs on it.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        options: DeviceOptions | None = None,
+        *,
+        pairing_limit_s: float = 0.02,
+        cameras: CameraFile | None = None,
+    ) -> None:
+        super().__init__()
+        self._path = path
+        self._options = options or DeviceOptions()
+        self._cameras = cameras
+        find_library()
+        file = read_structure(path)
+        if not file.complete:
+            logger.warning("%s breaks off: its recording was cut short; what there is is replayed", path)
+        self._delay_us = int(file.note.get("color_delay_us", 0))
+        self._pairs = self._pair(file, pairing_limit_s)
+        counted = len(file.depth.frames) + len(file.color.frames)
+        self.half_pairs = counted - 2 * len(self._pairs)
+        self._next = 0
+        self._waiting: dict[tuple[int, int], Message] = {}
+        self._player = PlayerProcess(path)
+        try:
+            self._take_description(file)
+        except BaseException:
+            self.close()
+            raise
+
+    def __len__(self) -> int:
+        return len(self._pairs)
+
+    def _pair(self, file: OniFile, limit_s: float) -> list[tuple[StoredFrame, StoredFrame]]:
+        fps = max(file.depth.fps, file.color.fps)
+        limit_us = min(round(limit_s * 1e6), 500_000 // fps + 1000)
+        pairs, depth, color = [], 0, 0
+        while depth < len(file.depth.frames) and color < len(file.color.frames):
+            one, other = file.depth.frames[depth], file.color.frames[color]
+            ahead_us = one.timestamp_us - (other.timestamp_us + self._delay_us)
+            if abs(ahead_us) <= limit_us:
+                pairs.append((one, other))
+                depth, color = depth + 1, color + 1
+            elif ahead_us > 0:
+                color += 1
+            else:
+                depth += 1
+        return pairs
+
+    def _take_description(self, file: OniFile) -> None:
+        message = self._player.receive(OPEN_LIMIT_S, OPEN_LIMIT_S)
+        if message is None or message.kind != DESCRIPTION:
+            words = message.body.decode(errors="replace") if message else "no answer"
+            if words.startswith(BackendMissingError.__name__):
+                raise BackendMissingError(words.partition(": ")[2])
+            raise RecordingFormatError(f"{self._path}: OpenNI2 cannot play it ({words})")
+        told: dict[str, Any] = json.loads(message.body)
+        self.metadata.update({key: str(value) for key, value in file.note.get("device", {}).items()})
+        self.metadata.setdefault("openni2_version", told["openni2_version"])
+        self.metadata["dropped"] = str(self.half_pairs)
+        for name, stored in (("depth", file.depth), ("color", file.color)):
+            if tuple(told[name]["size"]) != stored.size:
+                raise RecordingFormatError(
+                    f"{self._path}: {name}: xnMapOutputMode says {stored.size}, OpenNI2 {told[name]['size']}"
+                )
+        # A recording remembers whether its images are mirrored; they come as is wanted here.
+        self._flip_depth, self._flip_color = (
+            told[name]["mirrored"] != self._options.mirror for name in ("depth", "color")
+        )
+        self._tenths = told["depth"]["format"] == PixelFormat.DEPTH_100_UM
+        noted = file.note.get("calibration")
+        if noted is not None and self._options.calibration is None and self._cameras is None:
+            calibration = calibration_of_note(self._path, noted)
+            mirrored = self.metadata.get("mirror") == "on"
+            self.calibration = (
+                calibration if mirrored == self._options.mirror else nominal.mirrored(calibration)
+            )
+            return
+        registered = self._options.registration == "hardware"
+        if "registered" in file.note:
+            registered = bool(file.note["registered"])
+        else:
+            logger.warning(
+                "%s does not say whether depth is registered to color; "
+                "taken as %s (--registration says otherwise)",
+                self._path,
+                "registered" if registered else "not registered",
+            )
+        self.calibration = calibrate(
+            file.depth.size,
+            file.color.size,
+            (told["depth"]["fov"], told["color"]["fov"]),
+            self._options,
+            registered=registered,
+            cameras=self._cameras,
+        )
+
+    def _read(self, timeout_s: float) -> RGBDFrame:
+        if self._next >= len(self._pairs):
+            raise EndOfRecordingError(f"{self._path}: end after {len(self._pairs)} frames")
+        stored_depth, stored_color = self._pairs[self._next]
+        deadline = time.monotonic() + timeout_s
+        wanted = ((DEPTH_IMAGE, stored_depth.number), (COLOR_IMAGE, stored_color.number))
+        while not all(each in self._waiting for each in wanted):
+            message = self._player.receive(max(0.0, deadline - time.monotonic()))
+            if message is None:
+                raise FrameTimeoutError(f"{self._path}: no frame within {timeout_s:g} s")
+            if message.kind in (END, FAILURE):
+                words = message.body.decode(errors="replace") or "it ends too early"
+                raise RecordingFormatError(
+                    f"{self._path}: frame {self._next}: OpenNI2 cannot play it ({words})"
+                )
+            self._waiting[message.kind, message.number] = message
+            self._forget_before(stored_depth.number, stored_color.number)
+        depth, color = (self._waiting.pop(each) for each in wanted)
+        frame = self._frame(stored_depth.timestamp_us, depth, color)
+        self._next += 1
+        return frame
+
+    def _forget_before(self, depth: int, color: int) -> None:
+        oldest = {DEPTH_IMAGE: depth, COLOR_IMAGE: color}
+        for each in [each for each in self._waiting if each[1] < oldest.get(each[0], 0)]:
+            del self._waiting[each]
+
+    def _frame(self, timestamp_us: int, depth: Message, color: Message) -> RGBDFrame:
+        depth_mm: NDArray[Any] = depth.image
+        if self._tenths:
+            depth_mm = ((depth_mm.astype(np.uint32) + 5) // 10).astype(np.uint16)
+        pixels: NDArray[Any] = color.image
+        if self._flip_depth:
+            depth_mm = np.ascontiguousarray(depth_mm[:, ::-1])
+        if self._flip_color:
+            pixels = np.ascontiguousarray(pixels[:, ::-1])
+        return RGBDFrame(
+            index=self._next,
+            timestamp_ns=timestamp_us * 1000,
+            depth_mm=depth_mm,
+            color=pixels,
+            calibration=self.calibration,
+        )
+
+    def _close(self) -> None:
+        self._player.close()
+
+
+def open_path(path: Path, options: SourceOptions) -> OniSource:
+    """Open an .oni recording.
+
+    Raises
+    ------
+    BackendMissingError
+        If OpenNI2 is not installed.
+    RecordingFormatError
+        If the file is damaged.
+    """
+    return OniSource(
+        path,
+        options.device,
+        pairing_limit_s=options.association_limit_s,
+        cameras=options.given_cameras(),
+    )

@@ -1,0 +1,152 @@
+"""Records a camera with OpenNI2's own recorder, around its traps."""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nurbseg.drivers.errors import DriverError
+from nurbseg.drivers.openni2.capi import StreamProperty
+from nurbseg.drivers.openni2.oni.file import finish, has_begun, read_structure
+from nurbseg.drivers.openni2.oni.player import COLOR_IMAGE, DEPTH_IMAGE, END, FAILURE
+from nurbseg.drivers.openni2.oni.player_process import PlayerProcess
+from nurbseg.drivers.openni2.opened import OpenedDevice
+from nurbseg.drivers.openni2.stream import Image
+
+logger = logging.getLogger(__name__)
+
+#: The recorder starts on its own thread; longer than this, and it never will, seconds.
+_START_LIMIT_S = 5.0
+
+
+#: The player starts within this time, seconds.
+_PLAY_LIMIT_S = 15.0
+#: The first image that is seen here is among so many at the file's beginning.
+_FIRST_IMAGES = 12
+
+
+class OniRecorder:
+    """OpenNI2's recorder at work on a device's streams; it writes each image that the driver delivers.
+
+    The recorder's own thread keeps a processor core busy for as long as it lives. Depth is packed
+    without loss, if it is below the stream's largest value and an image holds at most 32767 different
+    depths, which these cameras keep to; color is kept as it is, or packed as JPEG.
+
+    Parameters
+    ----------
+    device : OpenedDevice
+        Its streams are not running: the recorder must be there before the first image, or else
+        the two streams may begin with different moments, which the file could not tell.
+    path : Path
+        The file; written over.
+    lossy : bool
+        Whether color is packed as JPEG.
+
+    Raises
+    ------
+    DriverError
+        If the file cannot be made, or the recorder does not start.
+    """
+
+    def __init__(self, device: OpenedDevice, path: Path, *, lossy: bool = False) -> None:
+        self.path = path
+        #: The first image of each stream that was seen here, by its kind of message.
+        self.seen: dict[int, Image] = {}
+        self._device = device
+        self._handle = ctypes.c_void_p()
+        library = device.library
+        largest = device.streams[0].find(StreamProperty.MAX_VALUE, ctypes.c_int)
+        #: Depth from here on comes out wrong; no limit where the device tells none.
+        self.depth_limit: int = largest or 1 << 16
+        self.beyond_limit = 0
+        try:
+            # OpenNI2 gives no reason where it cannot make a file; this does.
+            path.open("wb").close()
+        except OSError as err:
+            raise DriverError(f"{path}: cannot be recorded to ({err.strerror})") from err
+        library.check(
+            library.native.oniCreateRecorder(os.fsencode(path), ctypes.byref(self._handle)),
+            f"recording to {path}",
+        )
+        try:
+            for stream in device.streams:
+                library.check(
+                    library.native.oniRecorderAttachStream(self._handle, stream.handle, int(lossy)),
+                    f"recording the {stream.sensor.name.lower()} stream to {path}",
+                )
+            library.check(library.native.oniRecorderStart(self._handle), f"recording to {path}")
+            self._wait_until_begun()
+        except BaseException:
+            self._destroy()
+            raise
+
+    def _wait_until_begun(self) -> None:
+        deadline = time.monotonic() + _START_LIMIT_S
+        while not has_begun(self.path, len(self._device.streams)):
+            if time.monotonic() > deadline:
+                raise DriverError(f"{self.path}: OpenNI2's recorder does not start")
+            time.sleep(0.002)
+
+    def _destroy(self) -> None:
+        native = self._device.library.native
+        native.oniRecorderStop(self._handle)
+        # Waits until everything that was delivered is written.
+        native.oniRecorderDestroy(ctypes.byref(self._handle))
+
+    def close(self, note: dict[str, Any]) -> None:
+        """Finish the file; must come before the streams are destroyed.
+
+        Parameters
+        ----------
+        note : dict
+            Goes to the file's end, where OpenNI2 does not read: what its format has no place for.
+
+        Raises
+        ------
+        RecordingFormatError
+            If the file could not be finished: the disk was full.
+        """
+        self._destroy()
+        if self.beyond_limit:
+            logger.warning(
+                "%s: %d depth images held depth of %d or more, which .oni keeps wrong",
+                self.path,
+                self.beyond_limit,
+                self.depth_limit,
+            )
+        finish(self.path, note)
+        finish(self.path, note | {"color_delay_us": self._color_delay_us()})
+
+    def _color_delay_us(self) -> int:
+        """Return how much later the file's first color image was taken than its first depth image.
+
+        The file forgets it: the times of each stream begin at 0 there. The device's times are known for
+        the images that were seen here; which ones of the file these are, only their pixels tell.
+        """
+        if len(self.seen) < 2:
+            return 0
+        differences: dict[int, list[float]] = {DEPTH_IMAGE: [], COLOR_IMAGE: []}
+        player = PlayerProcess(self.path)
+        try:
+            while len(differences[DEPTH_IMAGE]) < _FIRST_IMAGES:
+                message = player.receive(_PLAY_LIMIT_S)
+                if message is None or message.kind in (END, FAILURE):
+                    break
+                if message.kind in self.seen:
+                    difference = message.image.astype(np.int32) - self.seen[message.kind].pixels
+                    differences[message.kind].append(float(np.abs(difference).mean()))
+        finally:
+            player.close()
+        structure = read_structure(self.path)
+        begun_us: dict[int, int] = {}
+        for kind, stream in ((DEPTH_IMAGE, structure.depth), (COLOR_IMAGE, structure.color)):
+            # Lossy color is not quite the same, so the likest is taken.
+            position = int(np.argmin(differences[kind])) if differences[kind] else 0
+            begun_us[kind] = self.seen[kind].timestamp_us - stream.frames[position].timestamp_us
+        return begun_us[COLOR_IMAGE] - begun_us[DEPTH_IMAGE]

@@ -1,0 +1,266 @@
+"""Light in the synthetic scene: what a lamp and the sky make of the paint."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.compiled import compiled, inlined
+from nurbseg.drivers.synthetic.scene import Scene
+from nurbseg.drivers.synthetic.shapes import Rectangle
+
+#: Direction to the lamp, from left, in front and above.
+_LAMP = np.array([-0.45, -0.5, 0.95]) / np.linalg.norm([-0.45, -0.5, 0.95])
+_LAMP_COLOR = np.array([1.06, 1.0, 0.92], dtype=np.float32)
+_SKY_COLOR = np.array([0.93, 0.98, 1.08], dtype=np.float32)
+_LAMP_SHARE, _SKY_SHARE = np.float32(0.66), np.float32(0.52)
+#: Directions to the parts of the lamp, whose breadth softens the shadows.
+_LAMP_PARTS = 14
+_SHADOW_SIZE = (112, 176)
+#: Distance from the ball's center, in its radii, from which on its shadow counts for nothing.
+_SHADOW_REACH = np.float32(7)
+#: Where there is nothing to see.
+_BACKGROUND = (52, 54, 58)
+#: Numbers in the precision of the images: a plain one would draw all that it meets into double precision.
+_ZERO, _HALF, _ONE, _TWO, _THREE = (np.float32(n) for n in (0, 0.5, 1, 2, 3))
+
+
+class Light:
+    """The scene's paints under the lamp and the sky.
+
+    Parameters
+    ----------
+    scene : Scene
+        What there is to see.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        grounds = _lit_grounds(scene.seed)
+        paints = [grounds.get(n, each.texture) for n, each in enumerate(scene.objects)]
+        rows, columns = (np.array([each.shape[axis] for each in paints]) for axis in (0, 1))
+        ends = np.cumsum(columns)
+        # All paints side by side in one image, from which one call takes what a camera sees.
+        self._paint = np.zeros((rows.max(), ends[-1], 3), dtype=np.uint8)
+        for each, end in zip(paints, ends, strict=True):
+            self._paint[: each.shape[0], end - each.shape[1] : end] = each
+        #: First column and row of each object's paint, and by how many it goes on from there, (S, 4) float32.
+        self.paints = np.stack([ends - columns, 0 * rows, columns - 1, rows - 1], axis=1).astype(np.float32)
+        self._is_lit = np.array([n in grounds for n in range(len(paints))])
+        self._shininess = np.array([each.shininess for each in scene.objects], dtype=np.float32)
+
+    def image(
+        self,
+        world_from_camera: NDArray[np.float64],
+        tick: float,
+        points: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+        objects: NDArray[np.uint8],
+        normals: NDArray[np.float32],
+        places: NDArray[np.float32],
+    ) -> NDArray[np.uint8]:
+        """Return what a camera sees in color, (H, W, 3) uint8 RGB.
+
+        Parameters
+        ----------
+        world_from_camera : (4, 4) float64
+            Where the camera is.
+        tick : float
+            The moment.
+        points : three of (H, W) float32
+            What each pixel shows: x / z, y / z and z in the camera's frame.
+        objects : (H, W) uint8
+            Number of the visible object + 1, 0 where there is none.
+        normals : (3, H, W) float32
+            In the camera's frame.
+        places : (2, H, W) float32
+            Column and row in the paint.
+        """
+        image = np.empty((*objects.shape, 3), dtype=np.uint8)
+        cv2.remap(self._paint, places[0], places[1], cv2.INTER_LINEAR, dst=image)
+        # All in the camera's frame, in which the eye is the origin.
+        lamp, up = (world_from_camera[:3, :3].T @ each for each in (_LAMP, np.array([0.0, 0.0, 1.0])))
+        ball = np.linalg.inv(world_from_camera) @ self._scene.world_from_object(self._scene.ball, tick)[:, 3]
+        vectors = np.stack([lamp, up, ball[:3]]).astype(np.float32)
+        height, radius = (np.float32(each) for each in (world_from_camera[2, 3], self._scene.ball_radius_m))
+        _light(self._is_lit, self._shininess, vectors, height, radius, *points, objects, normals, image)
+        return image
+
+
+@compiled
+def _light(
+    is_lit: NDArray[np.bool_],
+    shininess: NDArray[np.float32],
+    vectors: NDArray[np.float32],
+    camera_height: Any,
+    ball_radius: Any,
+    x: NDArray[np.float32],
+    y: NDArray[np.float32],
+    z: NDArray[np.float32],
+    objects: NDArray[np.uint8],
+    normals: NDArray[np.float32],
+    image: NDArray[np.uint8],
+) -> None:
+    """Turn paint to color; `vectors` are the directions to the lamp and up, and the ball's center."""
+    for row in range(objects.shape[0]):
+        first = 0
+        while first < objects.shape[1]:
+            shown = objects[row, first]
+            end = first + 1
+            while end < objects.shape[1] and objects[row, end] == shown:
+                end += 1
+            part = slice(first, end)
+            first = end
+            pixels = image[row, part]
+            normal = normals[0, row, part], normals[1, row, part], normals[2, row, part]
+            shape = x[row, part], y[row, part], z[row, part], *normal
+            if shown == 0:
+                pixels[:, 0], pixels[:, 1], pixels[:, 2] = _BACKGROUND
+            elif is_lit[np.int64(shown) - 1]:
+                _shadow_row(*shape, vectors[0], vectors[2], ball_radius, pixels)
+            else:
+                shine = np.float32(190) * shininess[np.int64(shown) - 1]
+                _light_row(*shape, vectors[0], vectors[1], camera_height, shine, pixels)
+
+
+@inlined
+def _shadow_row(
+    x: Any, y: Any, z: Any, nx: Any, ny: Any, nz: Any, lamp: Any, ball: Any, radius: Any, pixels: Any
+) -> None:
+    """Take from a ground what light the ball shuts out."""
+    reach = _SHADOW_REACH * radius
+    for n in range(z.size):
+        bx, by, bz = ball[0] - z[n] * x[n], ball[1] - z[n] * y[n], ball[2] - z[n]
+        square = bx * bx + by * by + bz * bz
+        if square > reach * reach:
+            continue
+        above = bx * nx[n] + by * ny[n] + bz * nz[n]
+        along = bx * lamp[0] + by * lamp[1] + bz * lamp[2]
+        share = _beside_ball(square, above, along, radius)
+        for channel in range(3):
+            pixels[n, channel] = np.uint8(np.float32(pixels[n, channel]) * share)
+
+
+@inlined
+def _light_row(
+    x: Any,
+    y: Any,
+    z: Any,
+    nx: Any,
+    ny: Any,
+    nz: Any,
+    lamp: Any,
+    up: Any,
+    camera_height: Any,
+    shine: Any,
+    pixels: Any,
+) -> None:
+    for n in range(z.size):
+        px, py, pz = z[n] * x[n], z[n] * y[n], z[n]
+        normal = nx[n], ny[n], nz[n]
+        # Near the table less of the sky is seen.
+        height = up[0] * px + up[1] * py + up[2] * pz + camera_height
+        open_sky = np.float32(0.55) + np.float32(0.45) * _clipped(height / np.float32(0.05))
+        upward = normal[0] * up[0] + normal[1] * up[1] + normal[2] * up[2]
+        sky = _SKY_SHARE * (np.float32(0.75) + np.float32(0.25) * upward) * open_sky
+        facing = _clipped(normal[0] * lamp[0] + normal[1] * lamp[1] + normal[2] * lamp[2])
+        sun = _LAMP_SHARE * facing
+        glance = shine * _highlight(px, py, pz, *normal, lamp) if facing > _ZERO else _ZERO
+        for channel in range(3):
+            light = sky * _SKY_COLOR[channel] + sun * _LAMP_COLOR[channel]
+            color = np.float32(pixels[n, channel]) * light + glance
+            pixels[n, channel] = np.uint8(min(color, np.float32(255)))
+
+
+@inlined
+def _beside_ball(square: Any, above: Any, along: Any, radius: Any) -> Any:
+    """Return what share of its light the ball leaves to a point of a ground.
+
+    The ball's center is as far as the root of `square`, so high over the ground and so far towards the lamp.
+    """
+    # How far the line to the lamp passes by its center, in radii.
+    beside = math.sqrt(max(square - along * along, _ZERO)) / radius
+    softness = np.float32(0.12) + np.float32(0.12) * max(along, _ZERO) / radius
+    lit = _clipped((beside - _ONE) / (_TWO * softness) + _HALF)
+    lit = np.float32(0.45) + np.float32(0.55) * lit * lit * (_THREE - _TWO * lit)
+    below = _clipped(math.sqrt(max(square - above * above, _ZERO)) / (np.float32(1.3) * radius))
+    return lit * (np.float32(0.7) + np.float32(0.3) * below)
+
+
+@inlined
+def _highlight(px: Any, py: Any, pz: Any, nx: Any, ny: Any, nz: Any, lamp: Any) -> Any:
+    """Return how strongly the lamp is mirrored towards the eye."""
+    scale = -_ONE / math.sqrt(px * px + py * py + pz * pz)
+    hx, hy, hz = px * scale + lamp[0], py * scale + lamp[1], pz * scale + lamp[2]
+    glance = _clipped((nx * hx + ny * hy + nz * hz) / math.sqrt(hx * hx + hy * hy + hz * hz))
+    for _ in range(5):
+        glance *= glance
+    return glance
+
+
+@inlined
+def _clipped(value: Any) -> Any:
+    return min(max(value, _ZERO), _ONE)
+
+
+@lru_cache(maxsize=2)
+def _lit_grounds(seed: int) -> dict[int, NDArray[np.uint8]]:
+    """Return the paint of the flat grounds of the scene of a seed, by object, with the light baked into it.
+
+    With it are the shadows of what stands still; the ball's moves over it.
+    """
+    scene = Scene(seed)
+    still = [n for n, each in enumerate(scene.objects) if not isinstance(each.shape, Rectangle)]
+    still.remove(scene.ball)
+    grounds = {}
+    for number, each in enumerate(scene.objects):
+        if not isinstance(each.shape, Rectangle):
+            continue
+        pose = each.world_from_object
+        low, high = each.shape.corners_m.min(axis=0), each.shape.corners_m.max(axis=0)
+        grid = np.meshgrid(
+            np.linspace(low[0], high[0], _SHADOW_SIZE[1]), np.linspace(high[1], low[1], _SHADOW_SIZE[0])
+        )
+        lit = _lamp_share(scene, still, pose, grid)
+        facing = max(float(pose[:3, 2] @ _LAMP), 0.0)
+        height, width = each.texture.shape[:2]
+        soft = cv2.resize(lit, (width, height), interpolation=cv2.INTER_LINEAR)
+        lit = np.asarray(soft, dtype=np.float32)
+        # Under and beside things the sky is shut out too: a broad, weak copy of their shadows.
+        open_sky = 0.72 + 0.28 * cv2.GaussianBlur(lit, (0, 0), width / 45)
+        light = (
+            _SKY_SHARE * open_sky[..., None] * _SKY_COLOR
+            + _LAMP_SHARE * np.float32(facing) * lit[..., None] * _LAMP_COLOR
+        )
+        grounds[number] = np.asarray(np.clip(each.texture * light, 0, 255), dtype=np.uint8)
+    return grounds
+
+
+def _lamp_share(
+    scene: Scene, casting: list[int], world_from_ground: NDArray[np.float64], grid: Any
+) -> NDArray[np.float32]:
+    """Return which share of the lamp each point of a flat ground sees."""
+    points = np.stack([*grid, np.zeros_like(grid[0]), np.ones_like(grid[0])]).reshape(4, -1)
+    world = world_from_ground @ points
+    sideways = np.cross(_LAMP, [0.0, 1.0, 0.0])
+    sideways /= np.linalg.norm(sideways)
+    other = np.cross(_LAMP, sideways)
+    lit = np.zeros(points.shape[1], dtype=np.float32)
+    for part in range(_LAMP_PARTS):
+        # A sunflower's seeds fill the lamp's disc evenly.
+        radius, angle = 0.085 * np.sqrt((part + 0.5) / _LAMP_PARTS), part * np.pi * (3 - np.sqrt(5))
+        towards = _LAMP + radius * (np.cos(angle) * sideways + np.sin(angle) * other)
+        free = np.ones(points.shape[1], dtype=np.bool_)
+        for number in casting:
+            each = scene.objects[number]
+            inverse = np.linalg.inv(each.world_from_object)
+            origins = (inverse @ world)[:3].T.astype(np.float32)
+            direction = (inverse[:3, :3] @ towards).astype(np.float32)
+            multiples, _ = each.shape.hit(origins, np.broadcast_to(direction, origins.shape))
+            free &= np.isinf(multiples)
+        lit += free
+    return np.asarray((lit / _LAMP_PARTS).reshape(grid[0].shape), dtype=np.float32)

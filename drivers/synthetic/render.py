@@ -1,0 +1,99 @@
+"""Ray casting of the synthetic scene: depth, ground truth and color as an ideal camera sees them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.frame import Intrinsics
+from nurbseg.drivers.synthetic.light import Light
+from nurbseg.drivers.synthetic.rays import cast, surfaces_seen
+from nurbseg.drivers.synthetic.scene import Scene
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rendering:
+    """What one camera sees.
+
+    Attributes
+    ----------
+    depth_m : (H, W) float32
+        Along the optical axis; inf where there is nothing.
+    objects : (H, W) uint8
+        Number of the visible object + 1, 0 where there is none.
+    faces : (H, W) uint8
+        Number of its visible face.
+    color : (H, W, 3) uint8 or None
+        RGB, if asked for.
+    """
+
+    depth_m: NDArray[np.float32]
+    objects: NDArray[np.uint8]
+    faces: NDArray[np.uint8]
+    color: NDArray[np.uint8] | None
+
+
+class Renderer:
+    """Casts a ray through every pixel of one camera.
+
+    Parameters
+    ----------
+    scene : Scene
+        What there is to see.
+    camera : Intrinsics
+        The camera, with its lens.
+    """
+
+    def __init__(self, scene: Scene, camera: Intrinsics) -> None:
+        self._scene, self._camera = scene, camera
+        self._kinds = np.array([each.shape.kind for each in scene.objects])
+        self._sizes = np.stack([each.shape.sizes for each in scene.objects])
+        corners = np.stack([each.shape.corners_m.T for each in scene.objects])
+        self._corners = np.concatenate([corners, np.ones_like(corners[:, :1])], axis=1)
+        rays = camera.rays()
+        # The span that the rays of each column and row cover: where a thing's bounds can show.
+        self._columns = np.nanmin(rays[..., 0], axis=0), np.nanmax(rays[..., 0], axis=0)
+        self._rows = np.nanmin(rays[..., 1], axis=1), np.nanmax(rays[..., 1], axis=1)
+        # A pixel whose distortion cannot be undone looks far aside, at nothing.
+        self._rays = (np.nan_to_num(rays[..., 0], nan=1e6), np.nan_to_num(rays[..., 1], nan=1e6))
+
+    @cached_property
+    def _light(self) -> Light:
+        # Made for cameras that ask for color: it takes a moment.
+        return Light(self._scene)
+
+    def render(self, world_from_camera: NDArray[np.float64], tick: float, *, color: bool) -> Rendering:
+        """Return what the camera sees from a place at a moment."""
+        shape = self._camera.height, self._camera.width
+        depth = np.full(shape, np.inf, dtype=np.float32)
+        objects, faces = np.zeros(shape, dtype=np.uint8), np.zeros(shape, dtype=np.uint8)
+        poses = [self._scene.world_from_object(n, tick) for n in range(self._kinds.size)]
+        camera_from_object = np.linalg.inv(world_from_camera) @ np.stack(poses)
+        windows = np.array([self._window(each) for each in camera_from_object @ self._corners])
+        scene = self._kinds, self._sizes, np.linalg.inv(camera_from_object).astype(np.float32)
+        cast(*scene, windows, *self._rays, depth, objects, faces)
+        if not color:
+            return Rendering(depth, objects, faces, None)
+        normals, places = np.empty((3, *shape), dtype=np.float32), np.empty((2, *shape), dtype=np.float32)
+        surfaces_seen(*scene, self._light.paints, *self._rays, depth, objects, faces, normals, places)
+        points = (*self._rays, depth)
+        image = self._light.image(world_from_camera, tick, points, objects, normals, places)
+        # A lens does not draw steps: the slight blur is what antialiasing would give.
+        blurred = np.asarray(cv2.GaussianBlur(image, (3, 3), 0.6), dtype=np.uint8)
+        return Rendering(depth, objects, faces, blurred)
+
+    def _window(self, corners: NDArray[np.float64]) -> tuple[int, int, int, int]:
+        """Return the rows and columns whose rays can meet the box of (4, 8) corners: firsts and ends."""
+        if (corners[2] < 0.05).any():
+            return 0, self._camera.height, 0, self._camera.width
+        places = corners[:2] / corners[2]
+        low, high = places.min(axis=1), places.max(axis=1)
+        columns = np.flatnonzero((self._columns[1] >= low[0]) & (self._columns[0] <= high[0]))
+        rows = np.flatnonzero((self._rows[1] >= low[1]) & (self._rows[0] <= high[1]))
+        if not columns.size or not rows.size:
+            return 0, 0, 0, 0
+        return int(rows[0]), int(rows[-1]) + 1, int(columns[0]), int(columns[-1]) + 1

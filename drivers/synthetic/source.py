@@ -1,0 +1,253 @@
+"""The synthetic source: a rendered scene with exact ground truth, as a depth camera would deliver it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, Literal, get_args
+from urllib.parse import parse_qsl
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.errors import EndOfRecordingError, RecordingFormatError
+from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.drivers.registry import SourceOptions
+from nurbseg.drivers.settings import check_settings, setting
+from nurbseg.drivers.source import FrameSource
+from nurbseg.drivers.synthetic.render import Renderer, Rendering
+from nurbseg.drivers.synthetic.scene import TICKS_PER_S, Scene, ScenePoses
+from nurbseg.drivers.synthetic.sensor import SensorModel
+
+LabelKind = Literal["objects", "surfaces"]
+#: Focal lengths of a camera 640 pixels wide: of the registered pair and color, and of infrared.
+_COLOR_FOCAL_PX, _DEPTH_FOCAL_PX = 525.0, 572.0
+#: Place of the depth camera seen from the color camera, metres, and its turn, radians about x, y, z.
+_OFFSET_M, _TURN = (-0.025, 0.0006, -0.0012), (0.004, -0.006, 0.003)
+_COLOR_DISTORTION = (0.11, -0.24, 0.0008, -0.0011, 0.06)
+_DEPTH_DISTORTION = (-0.06, 0.14, -0.0007, 0.0009, -0.05)
+#: Millimetres in 16 bits reach no farther.
+_DEPTH_MAX_M = 65.5
+
+
+@dataclass(frozen=True, slots=True)
+class SyntheticOptions:
+    """What a user can choose in ``synthetic:?key=value&...``.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of its bounds.
+    """
+
+    frames: int = setting(120, "length of the sequence", unit="frames", least=1)
+    width: int = setting(640, "width of the depth image", unit="px", least=16, most=4096)
+    height: int = setting(480, "height of the depth image", unit="px", least=16, most=4096)
+    color_width: int = setting(
+        0, "width of the color image, 0 for the depth's", unit="px", least=0, most=4096
+    )
+    color_height: int = setting(
+        0, "height of the color image, 0 for the depth's", unit="px", least=0, most=4096
+    )
+    fps: float = setting(30.0, "frames per second; the scene moves by its own clock", unit="1/s", above=0.0)
+    seed: int = setting(0, "seed of places, paint and noise", least=0)
+    noise: bool = setting(True, "the sensor's faults (noise, steps, shadows, edges, range)")
+    offset: bool = setting(False, "separate cameras: depth is not registered to color")
+    distortion: bool = setting(False, "lens distortion of both cameras (needs offset=1)")
+    labels: LabelKind = setting(
+        "objects",
+        "what ground truth tells apart: objects, or each of their faces",
+        choices=get_args(LabelKind),
+    )
+    hide: int = setting(
+        0, "frames for which the ball is hidden behind the carton", unit="frames", least=0, most=60
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if self.distortion and not self.offset:
+            raise ValueError("distortion: expected offset=1 with it, since registered images have none")
+        if (self.color_width > 0) != (self.color_height > 0):
+            raise ValueError("color_width, color_height: expected both or neither")
+        if self.color_width and not self.offset:
+            raise ValueError("color_width: expected offset=1 with it, since registered images have one size")
+
+
+class SyntheticSource(FrameSource):
+    """Frames of a rendered scene; the same options give the same frames.
+
+    Parameters
+    ----------
+    options : SyntheticOptions
+        Size, length, seed, faults.
+    """
+
+    def __init__(self, options: SyntheticOptions | None = None) -> None:
+        super().__init__()
+        self.options = options or SyntheticOptions()
+        self.calibration = _calibration(self.options)
+        self.metadata = {"name": "synthetic scene", "seed": str(self.options.seed)}
+        self._scene = Scene(self.options.seed, round(self.options.hide * TICKS_PER_S / self.options.fps))
+        self._depth = Renderer(self._scene, self.calibration.depth)
+        self._color = Renderer(self._scene, self.calibration.color) if self.options.offset else None
+        self._sensor = SensorModel(self.calibration.depth, self.options.seed) if self.options.noise else None
+        self._first_label = np.cumsum([0, *(each.shape.faces for each in self._scene.objects)])
+        self._next = 0
+
+    @property
+    def label_names(self) -> dict[int, str]:
+        """What each ground-truth label stands for."""
+        if self.options.labels == "objects":
+            return {n + 1: name for n, name in enumerate(self._scene.names)}
+        return {
+            int(self._first_label[n]) + face + 1: f"{name} {face}" if each.shape.faces > 1 else name
+            for n, (name, each) in enumerate(zip(self._scene.names, self._scene.objects, strict=True))
+            for face in range(each.shape.faces)
+        }
+
+    def poses(self, index: int) -> ScenePoses:
+        """Return the exact poses of the depth camera and of every object at a frame.
+
+        Objects go by their labels in ``labels=objects``, whatever labels the frames carry.
+        """
+        return self._scene.poses(self._tick(index))
+
+    def exact_depth_m(self, index: int) -> NDArray[np.float32]:
+        """Return the depth of a frame before any fault, (H, W) float32 metres; inf where there is nothing."""
+        tick = self._tick(index)
+        return self._depth.render(self._scene.world_from_depth(tick), tick, color=False).depth_m
+
+    def frame(self, index: int) -> RGBDFrame:
+        """Return any frame of the sequence, whichever is read next.
+
+        Raises
+        ------
+        ValueError
+            If the sequence has no such frame.
+        """
+        if not 0 <= index < self.options.frames:
+            raise ValueError(f"index: expected 0 to {self.options.frames - 1}, got {index}")
+        tick = self._tick(index)
+        world_from_depth = self._scene.world_from_depth(tick)
+        seen = self._depth.render(world_from_depth, tick, color=self._color is None)
+        color = seen.color
+        if self._color is not None:
+            world_from_color = world_from_depth @ np.linalg.inv(self.calibration.color_from_depth)
+            color = self._color.render(world_from_color, tick, color=True).color
+        if color is None:
+            raise RuntimeError("the renderer gave no color image though one was asked for")
+        return RGBDFrame(
+            index=index,
+            timestamp_ns=round(index * 1e9 / self.options.fps),
+            depth_mm=self._measured(seen.depth_m, index),
+            color=color,
+            calibration=self.calibration,
+            labels=self._labels(seen),
+            name=f"synthetic-{index:06d}",
+        )
+
+    def skip(self, frames: int) -> int:
+        """Go past the next frames without rendering them."""
+        passed = min(frames, self.options.frames - self._next)
+        self._next += passed
+        return passed
+
+    def _read(self, timeout_s: float) -> RGBDFrame:
+        if self._next >= self.options.frames:
+            raise EndOfRecordingError(f"the synthetic sequence ended after {self.options.frames} frames")
+        frame = self.frame(self._next)
+        self._next += 1
+        return frame
+
+    def _close(self) -> None:
+        pass
+
+    def _tick(self, index: int) -> float:
+        return index * TICKS_PER_S / self.options.fps
+
+    def _measured(self, depth_m: NDArray[np.float32], index: int) -> NDArray[np.uint16]:
+        if self._sensor is not None:
+            return self._sensor.measure(depth_m, index)
+        known = depth_m < _DEPTH_MAX_M
+        return np.asarray(np.where(known, np.rint(depth_m * known * 1000), 0), dtype=np.uint16)
+
+    def _labels(self, seen: Rendering) -> NDArray[np.uint16]:
+        if self.options.labels == "objects":
+            return seen.objects.astype(np.uint16)
+        first = np.concatenate([[0], self._first_label[:-1] + 1]).astype(np.uint16)
+        return np.asarray(first[seen.objects] + seen.faces, dtype=np.uint16)
+
+
+def open_uri(rest: str, options: SourceOptions) -> SyntheticSource:
+    """Open what follows ``synthetic:``.
+
+    Parameters
+    ----------
+    rest : str
+        Empty, or ``?key=value&key=value`` with the fields of `SyntheticOptions`.
+    options : SourceOptions
+        Not used: the scene knows its calibration.
+
+    Raises
+    ------
+    RecordingFormatError
+        If a key is unknown or a value does not fit; names the key and what is expected.
+    """
+    try:
+        return SyntheticSource(_parsed(rest))
+    except ValueError as err:
+        raise RecordingFormatError(f"synthetic:{rest}: {err}") from err
+
+
+def _parsed(rest: str) -> SyntheticOptions:
+    query = rest.removeprefix("//").removeprefix("?")
+    known = {each.name: each for each in fields(SyntheticOptions)}
+    chosen: dict[str, Any] = {}
+    for key, value in parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query)):
+        if key not in known:
+            raise ValueError(f"{key}: unknown; expected one of {', '.join(known)}")
+        if key in chosen:
+            raise ValueError(f"{key}: given twice")
+        chosen[key] = _converted(key, value, known[key].default)
+    return SyntheticOptions(**chosen)
+
+
+def _converted(key: str, value: str, default: object) -> object:
+    if isinstance(default, bool):
+        words = {"1": True, "true": True, "0": False, "false": False}
+        if value not in words:
+            raise ValueError(f"{key}: expected 0 or 1, got {value!r}")
+        return words[value]
+    if isinstance(default, str):
+        return value
+    kind = int if isinstance(default, int) else float
+    try:
+        return kind(value)
+    except ValueError:
+        wanted = "a whole number" if kind is int else "a number"
+        raise ValueError(f"{key}: expected {wanted}, got {value!r}") from None
+
+
+def _calibration(options: SyntheticOptions) -> Calibration:
+    width, height = options.width, options.height
+
+    def camera(width: int, height: int, focal_px: float, distortion: tuple[float, ...]) -> Intrinsics:
+        focal = focal_px * width / 640
+        center = (width - 1) / 2, (height - 1) / 2
+        bent = np.array(distortion if options.distortion else ())
+        return Intrinsics(width, height, focal, focal, *center, distortion=bent)
+
+    if not options.offset:
+        return Calibration.registered(camera(width, height, _COLOR_FOCAL_PX, ()))
+    color_from_depth = np.eye(4)
+    rx, ry, rz = _TURN
+    skew = np.array([[0, -rz, ry], [rz, 0, -rx], [-ry, rx, 0]])
+    # Cayley's formula makes an exact rotation of three small angles.
+    color_from_depth[:3, :3] = np.linalg.solve(np.eye(3) - skew / 2, np.eye(3) + skew / 2)
+    color_from_depth[:3, 3] = _OFFSET_M
+    return Calibration(
+        depth=camera(width, height, _DEPTH_FOCAL_PX, _DEPTH_DISTORTION),
+        color=camera(
+            options.color_width or width, options.color_height or height, _COLOR_FOCAL_PX, _COLOR_DISTORTION
+        ),
+        color_from_depth=color_from_depth,
+    )

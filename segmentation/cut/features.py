@@ -1,0 +1,186 @@
+"""The vectors that are clustered: CIELab color and position of every point, made comparable (eq. 1-3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.points.registration import PointMap
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Normalization:
+    """What makes color and position comparable: ``vector = (raw - mean) * factor``.
+
+    Subtracting the mean changes no distance; it keeps single precision accurate far from the camera.
+
+    Parameters
+    ----------
+    mean : (D,) float32
+        Mean of L, a, b (CIELab units), x, y, z (metres) and, where there are normals, their x, y, z.
+    factor : (D,) float32
+        Each weight over its deviation, three times: 1 / sigma_c, lambda / sigma_g and so on; 0 where the
+        deviation is 0.
+    """
+
+    mean: NDArray[np.float32]
+    factor: NDArray[np.float32]
+
+
+def lab(color: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Convert sRGB colors to CIELab (eq. 1).
+
+    Parameters
+    ----------
+    color : (N, 3) uint8
+        RGB.
+
+    Returns
+    -------
+    (N, 3) float32
+        L in 0 to 100, a and b in about -127 to 127, for the white point D65.
+    """
+    if color.shape[0] == 0:
+        return np.zeros((0, 3), dtype=np.float32)
+    scaled = color[np.newaxis].astype(np.float32) * np.float32(1 / 255)
+    return np.asarray(cv2.cvtColor(scaled, cv2.COLOR_RGB2LAB)[0], dtype=np.float32)
+
+
+def raw_vectors(cloud: PointMap, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
+    """Put color and position of some pixels side by side (eq. 1, 2).
+
+    Parameters
+    ----------
+    cloud : PointMap
+        The frame.
+    pixels : (N,) intp
+        Flat indices of pixels that have a point.
+
+    Returns
+    -------
+    (N, 6) float32
+        L, a, b and x, y, z in metres.
+    """
+    vectors = np.empty((pixels.size, 6), dtype=np.float32)
+    vectors[:, :3] = lab(cloud.color.reshape(-1, 3)[pixels])
+    vectors[:, 3:] = cloud.points_m.reshape(-1, 3)[pixels]
+    return vectors
+
+
+def normalization(
+    raw: NDArray[np.float32],
+    geometry_weight: float,
+    *,
+    color_weight: float = 1.0,
+    normal_weight: float = 1.0,
+    rows: NDArray[np.intp] | None = None,
+) -> Normalization:
+    """Measure what makes color and position of these points comparable (eq. 3), and normals where given.
+
+    Parameters
+    ----------
+    raw : (N, 6) or (N, 9) float32
+        L, a, b, x, y, z, and the unit normal's x, y, z.
+    geometry_weight : float
+        The paper's lambda.
+    color_weight, normal_weight : float
+        What color and normals are multiplied by.
+    rows : (M,) intp, optional
+        The rows of `raw` that are measured; all if None.
+
+    Returns
+    -------
+    Normalization
+        sigma_c is the mean of the deviations of L, a, b; sigma_g of those of x, y, z.
+    """
+    rows = np.arange(raw.shape[0]) if rows is None else rows
+    return Normalization(*_normalization(raw, rows, (color_weight, geometry_weight, normal_weight)))
+
+
+@compiled
+def _normalization(
+    raw: NDArray[np.float32], rows: NDArray[np.intp], weights: tuple[float, float, float]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Mean and factor of every column over some rows."""
+    dimensions = raw.shape[1]
+    mean, factor = np.zeros(dimensions, dtype=np.float32), np.zeros(dimensions, dtype=np.float32)
+    if rows.size == 0:
+        return mean, factor
+    sums, squares = np.zeros(dimensions), np.zeros(dimensions)
+    # About the first, so that a spread much smaller than the values is not lost.
+    first = raw[rows[0]].astype(np.float64)
+    for row in rows:
+        for k in range(dimensions):
+            off = raw[row, k] - first[k]
+            sums[k] += off
+            squares[k] += off * off
+    for triple in range(dimensions // 3):
+        sigma, size = 0.0, 0.0
+        for k in range(3 * triple, 3 * triple + 3):
+            offset = sums[k] / rows.size
+            mean[k] = first[k] + offset
+            size = max(size, abs(first[k] + offset))
+            # sigma_c and sigma_g: the mean deviation of each triple.
+            sigma += np.sqrt(max(squares[k] / rows.size - offset * offset, 0.0)) / 3.0
+        # A deviation at the level of float32 rounding is that of a constant: it must not be blown up.
+        rounding = 1e-5 * (1.0 + size) if triple == 0 else 1e-6 * size
+        if sigma > rounding:
+            factor[3 * triple : 3 * triple + 3] = weights[triple] / sigma
+    return mean, factor
+
+
+def normalized(
+    raw: NDArray[np.float32], scale: Normalization, rows: NDArray[np.intp] | None = None
+) -> NDArray[np.float32]:
+    """Apply a normalization to raw vectors, (N, D) float32 each, or to some rows of them."""
+    rows = np.arange(raw.shape[0]) if rows is None else rows
+    return _normalized(raw, rows, scale.mean, scale.factor)
+
+
+@compiled
+def _normalized(
+    raw: NDArray[np.float32],
+    rows: NDArray[np.intp],
+    mean: NDArray[np.float32],
+    factor: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """Take some rows, less the mean and times the factor."""
+    vectors = np.empty((rows.size, raw.shape[1]), dtype=np.float32)
+    for n in range(rows.size):
+        row = raw[rows[n]]
+        for k in range(raw.shape[1]):
+            vectors[n, k] = (row[k] - mean[k]) * factor[k]
+    return vectors
+
+
+def features(cloud: PointMap, config: SegmentationConfig) -> NDArray[np.float32]:
+    """Build the vector of every point of a frame (eq. 3).
+
+    Parameters
+    ----------
+    cloud : PointMap
+        The frame.
+    config : SegmentationConfig
+        Its `geometry_weight` is lambda.
+
+    Returns
+    -------
+    (N, 6) float32
+        Lab color over sigma_c, position times lambda over sigma_g, in the order of the valid pixels, with
+        the mean of all vectors at zero. A constant color or position gives zeros.
+
+    References
+    ----------
+    .. [1] G. Pagnutti and P. Zanuttigh, "Scene segmentation based on NURBS surface fitting metrics",
+       STAG 2015, section 3.1.
+    """
+    raw = raw_vectors(cloud, np.flatnonzero(cloud.valid))
+    return normalized(raw, normalization(raw, config.geometry_weight))
+
+
+__all__ = ["Normalization", "features", "lab", "normalization", "normalized", "raw_vectors"]

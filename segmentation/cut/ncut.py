@@ -1,0 +1,345 @@
+"""The 2-way normalized cut, by Nystrom approximation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dsyevr
+
+from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.config import SplittingPoint
+from nurbseg.segmentation.cut.landmarks import independent_samples
+
+#: A second eigenvalue at rounding level belongs to points that nothing tells apart.
+_LEAST_EIGENVALUE = 1e-6
+#: Thresholds that are tried where the cut is made at the least Ncut.
+_THRESHOLDS = 48
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cut:
+    """A split of points in two that can be continued to any other point.
+
+    Parameters
+    ----------
+    side : (N,) bool
+        Part of each point.
+    landmarks : (M, D) float32
+        The sample.
+    coefficients : (M,) float32
+        A point is on the True side where its affinities to the sample times these sum to more than 0.
+    affinity_scale : float
+        Sigma of the affinity.
+    reason : str
+        Why there is no cut; empty where there is one.
+    """
+
+    side: NDArray[np.bool_]
+    landmarks: NDArray[np.float32]
+    coefficients: NDArray[np.float32]
+    affinity_scale: float
+    reason: str = ""
+
+    def classify(self, vectors: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Say on which side other points lie, by the Nystrom extension.
+
+        Parameters
+        ----------
+        vectors : (N, D) float32
+            Points in the same space as those that were cut.
+
+        Returns
+        -------
+        (N,) bool
+            Side of each point.
+        """
+        return self._classify(vectors, np.arange(vectors.shape[0]))
+
+    def _classify(self, vectors: NDArray[np.float32], rows: NDArray[np.intp]) -> NDArray[np.bool_]:
+        sides = np.empty(rows.size, dtype=np.bool_)
+        # In blocks that stay in the cache: the affinities are read once and thrown away.
+        block = max(256, (1 << 18) // max(1, self.landmarks.shape[0]))
+        for start in range(0, rows.size, block):
+            part = slice(start, start + block)
+            kernel = _affinity(vectors, rows[part], self.landmarks, self.affinity_scale)
+            np.greater(kernel @ self.coefficients, 0, out=sides[part])
+        return sides
+
+
+def affinity(
+    vectors: NDArray[np.float32], landmarks: NDArray[np.float32], scale: float
+) -> NDArray[np.float32]:
+    """Compute the Gaussian affinities of points to landmarks, exp(-|f - s|^2 / (2 scale^2)).
+
+    Parameters
+    ----------
+    vectors : (N, D) float32
+        Points f.
+    landmarks : (M, D) float32
+        Landmarks s.
+    scale : float
+        Sigma of the Gaussian, in the unit of the vectors.
+
+    Returns
+    -------
+    (N, M) float32
+        In [0, 1], to rounding.
+    """
+    return _affinity(vectors, np.arange(vectors.shape[0]), landmarks, scale)
+
+
+def _affinity(
+    vectors: NDArray[np.float32], rows: NDArray[np.intp], landmarks: NDArray[np.float32], scale: float
+) -> NDArray[np.float32]:
+    """Compute the affinities of some rows of the vectors."""
+    if rows.size == 0 or landmarks.shape[0] == 0:
+        return np.zeros((rows.size, landmarks.shape[0]), dtype=np.float32)
+    # One matrix product gives the exponent: [f, |f|^2, 1] . [s, -1/2, -|s|^2/2] / scale^2.
+    left = _with_squares(vectors, rows)
+    right = _with_squares(landmarks, np.arange(landmarks.shape[0]))
+    right[:, -2], right[:, -1] = -0.5, -0.5 * right[:, -2]
+    right *= np.float32(1.0 / scale**2)
+    exponent = left @ right.T
+    return np.asarray(cv2.exp(exponent, dst=exponent), dtype=np.float32)
+
+
+@compiled
+def _with_squares(vectors: NDArray[np.float32], rows: NDArray[np.intp]) -> NDArray[np.float32]:
+    """Take some rows of the vectors, and add to each its squared length and a 1."""
+    dimensions = vectors.shape[1]
+    taken = np.empty((rows.size, dimensions + 2), dtype=np.float32)
+    for n in range(rows.size):
+        vector, target = vectors[rows[n]], taken[n]
+        square = np.float32(0.0)
+        for k in range(dimensions):
+            target[k] = vector[k]
+            square += vector[k] * vector[k]
+        target[dimensions] = square
+        target[dimensions + 1] = np.float32(1.0)
+    return taken
+
+
+def normalized_cut(
+    vectors: NDArray[np.float32],
+    *,
+    samples: int,
+    rng: np.random.Generator,
+    affinity_scale: float = 1.0,
+    splitting_point: SplittingPoint = "zero",
+    points: int | None = None,
+) -> Cut:
+    """Split points in two at the minimum normalized cut, by Nystrom approximation.
+
+    Parameters
+    ----------
+    vectors : (N, D) float32
+        Feature vectors, dimensionless (eq. 3).
+    samples : int
+        Number of points whose affinities are computed exactly; at most N are used.
+    rng : numpy.random.Generator
+        Draws the sample; the same state gives the same cut.
+    affinity_scale : float
+        Sigma of the Gaussian affinity, in the unit of the vectors.
+    splitting_point : {"zero", "kmeans", "ncut"}
+        Where the second eigenvector is cut.
+    points : int or None
+        Number of points, the sample among them, on which the eigenproblem is set up; the others are
+        classified by the extension. None for all.
+
+    Returns
+    -------
+    Cut
+        Its `side` is all False, and it has a reason, where N < 2 or nothing tells the points apart.
+
+    Raises
+    ------
+    ValueError
+        If `vectors` is not (N, D) or holds a value that is not finite.
+
+    References
+    ----------
+    .. [1] J. Shi and J. Malik, "Normalized cuts and image segmentation", IEEE TPAMI 22(8), 2000.
+    .. [2] C. Fowlkes et al., "Spectral grouping using the Nystrom method", IEEE TPAMI 26(2), 2004.
+    """
+    return next(
+        normalized_cuts(
+            vectors,
+            count=1,
+            samples=samples,
+            rng=rng,
+            affinity_scale=affinity_scale,
+            splitting_point=splitting_point,
+            points=points,
+        )
+    )
+
+
+def normalized_cuts(
+    vectors: NDArray[np.float32],
+    *,
+    count: int,
+    samples: int,
+    rng: np.random.Generator,
+    affinity_scale: float = 1.0,
+    splitting_point: SplittingPoint = "zero",
+    points: int | None = None,
+) -> Iterator[Cut]:
+    """Yield the cuts by the second eigenvector, the third, and so on, each computed when it is asked for.
+
+    Where the second eigenvector sets a few odd points apart, one of the next often parts the surfaces.
+
+    Parameters
+    ----------
+    vectors, samples, rng, affinity_scale, splitting_point, points
+        As for `normalized_cut`.
+    count : int
+        Number of cuts, at most; the first is that of `normalized_cut`.
+
+    Yields
+    ------
+    Cut
+        One without parts and with a reason where there is none; no others follow where nothing tells the
+        points apart.
+
+    Raises
+    ------
+    ValueError
+        As `normalized_cut`.
+    """
+    if vectors.ndim != 2 or not np.isfinite(vectors).all():
+        raise ValueError(f"vectors: expected finite (N, D) values, got shape {vectors.shape}")
+    vectors = np.asarray(vectors, dtype=np.float32)
+    n = vectors.shape[0]
+    if n < 2:
+        yield _no_cut(vectors, affinity_scale, f"{n} points, 2 needed")
+        return
+    size = n if points is None else min(n, max(points, samples))
+    chosen: NDArray[np.intp] = rng.choice(n, size=(size,), replace=False)
+    sample = chosen[:samples]
+    landmarks = vectors[sample]
+    if not np.any(landmarks != landmarks[0]) and not np.any(vectors != landmarks[0]):
+        yield _no_cut(vectors, affinity_scale, "all points are equal")
+        return
+    if size == n:
+        chosen = np.arange(n)
+    else:
+        sample = np.arange(min(samples, size))
+
+    # W = K A^-1 K^T. Samples that the others already explain make A singular and are left out; with
+    # A = L L^T of the rest, W = Q Q^T where Q = K L^-T, which is not needed itself.
+    independent, inverse = independent_samples(landmarks, affinity_scale)
+    landmarks = landmarks[independent]
+    K = _affinity(vectors, chosen, landmarks, affinity_scale)
+    total = inverse @ (np.ones(size, dtype=np.float32) @ K).astype(np.float64)
+    b = total @ inverse
+    # A degree holds at least the affinity of 1 to the point itself; the approximation may fall below.
+    degrees = np.maximum(K @ b.astype(np.float32), np.float32(1.0))
+
+    # S and D^-1/2 W D^-1/2 share their eigenvalues. The first eigenvector, of the constant, is known: taking
+    # it out leaves the second on top also where the affinities fall apart into components.
+    by_root = np.float32(1.0) / np.sqrt(degrees)
+    K *= by_root[:, np.newaxis]
+    S = inverse @ (K.T @ K).astype(np.float64) @ inverse.T
+    _take_out(S, total / np.linalg.norm(total))
+    last = S.shape[0]
+    # Where many eigenvalues are equal fewer are known than there is room for.
+    eigenvalues, eigenvectors, known, _, failed = dsyevr(
+        S.T, range="I", il=max(1, last - count + 1), iu=last, lower=1, overwrite_a=1
+    )
+    found = np.flatnonzero(eigenvalues[:known] > _LEAST_EIGENVALUE)[::-1]
+    if failed or found.size == 0:
+        yield _no_cut(vectors, affinity_scale, "the affinities tell no points apart")
+        return
+    for each in found:
+        # D^-1/2 times the eigenvector is the relaxed indicator, (K a) / (K b) at any point.
+        a = eigenvectors[:, each] @ inverse
+        indicator = (K @ a.astype(np.float32)) * by_root
+        orientation = _orientation(indicator[sample])
+        a, indicator = orientation * a, np.float32(orientation) * indicator
+        threshold = _threshold(splitting_point, indicator, K, inverse, degrees)
+        coefficients = (a - threshold * b).astype(np.float32)
+        side = np.empty(n, dtype=np.bool_)
+        cut = Cut(side, landmarks, coefficients, affinity_scale)
+        side[chosen] = K @ coefficients > 0
+        if size < n:
+            others = np.delete(np.arange(n), chosen)
+            side[others] = cut._classify(vectors, others)
+        if side.all() or not side.any():
+            yield _no_cut(vectors, affinity_scale, "all points fall on one side")
+        else:
+            yield cut
+
+
+@compiled
+def _take_out(S: NDArray[np.float64], first: NDArray[np.float64]) -> None:
+    """Take a unit vector out of a symmetric matrix: (1 - f f^T) S (1 - f f^T), in place."""
+    size = first.size
+    Sf = np.zeros(size)
+    for i in range(size):
+        for j in range(size):
+            Sf[i] += S[i, j] * first[j]
+    fSf = 0.0
+    for i in range(size):
+        fSf += first[i] * Sf[i]
+    for i in range(size):
+        for j in range(size):
+            S[i, j] -= first[i] * (Sf[j] - first[j] * fSf) + Sf[i] * first[j]
+
+
+def _no_cut(vectors: NDArray[np.float32], scale: float, reason: str) -> Cut:
+    side = np.zeros(vectors.shape[0], dtype=np.bool_)
+    return Cut(side, vectors[:1], np.zeros(min(1, len(vectors)), dtype=np.float32), scale, reason)
+
+
+def _orientation(indicator: NDArray[np.float32]) -> float:
+    """Give the eigenvector, known up to its sign, the one that makes the first clear sample positive."""
+    size = np.abs(indicator)
+    clear = int(np.argmax(size >= 0.5 * size.max()))
+    return 1.0 if indicator[clear] >= 0 else -1.0
+
+
+def _threshold(
+    splitting_point: SplittingPoint,
+    indicator: NDArray[np.float32],
+    K: NDArray[np.float32],
+    inverse: NDArray[np.float64],
+    degrees: NDArray[np.float32],
+) -> float:
+    """Find where the relaxed indicator is cut."""
+    if splitting_point == "zero":
+        return 0.0
+    order = np.argsort(indicator, kind="stable")
+    ascending = indicator[order].astype(np.float64)
+    if splitting_point == "kmeans":
+        # In one dimension the best 2-means is a threshold: least scatter = greatest sum of squared sums
+        # over counts.
+        sums = np.cumsum(ascending - ascending.mean())
+        counts = np.arange(1, ascending.size)
+        score = sums[:-1] ** 2 * (1.0 / counts + 1.0 / (ascending.size - counts))
+        score[ascending[1:] <= ascending[:-1]] = -1.0
+        best = int(np.argmax(score))
+        return float(0.5 * (ascending[best] + ascending[best + 1]))
+    # Least Ncut (SM00, section 3.1) over thresholds at equal counts of points, from the sums of each bin.
+    edges = np.unique((np.arange(1, _THRESHOLDS) * ascending.size) // _THRESHOLDS)
+    edges = edges[(edges > 0) & (edges < ascending.size)]
+    edges = edges[ascending[edges] > ascending[edges - 1]]
+    if edges.size == 0:
+        return 0.0
+    starts = np.concatenate([[0], edges])
+    weights = degrees[order].astype(np.float64)
+    sums = np.add.reduceat(np.sqrt(weights)[:, np.newaxis] * K[order], starts, axis=0)
+    below = np.cumsum(sums @ inverse.T, axis=0)
+    volume = np.cumsum(np.add.reduceat(weights, starts))
+    total, volume_total = below[-1], volume[-1]
+    inside = np.einsum("ij,ij->i", below[:-1], below[:-1])
+    outside = np.einsum("ij,ij->i", total - below[:-1], total - below[:-1])
+    cost = 2.0 - inside / volume[:-1] - outside / (volume_total - volume[:-1])
+    best = int(edges[int(np.argmin(cost))])
+    return float(0.5 * (ascending[best - 1] + ascending[best]))
+
+
+__all__ = ["Cut", "affinity", "normalized_cut", "normalized_cuts"]

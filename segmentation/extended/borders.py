@@ -1,0 +1,352 @@
+"""Borders between surfaces at full resolution: each pixel goes to the surface that explains it best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.labels.regions import connected_pieces, joints
+from nurbseg.segmentation.labels.spreading import spread_in_place, spread_labels
+from nurbseg.segmentation.surfaces.noise import SQUARE_MOST
+from nurbseg.segmentation.surfaces.surface import NurbsSurface
+from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
+
+#: Neighbours that vote are at most so far away along rows and columns, pixels.
+_REACH = 2
+#: Weight of one neighbour at a distance of one pixel against a squared residual in units of the noise.
+_VOTE = 0.7
+#: Vote of a neighbour across a gap in depth, in shares of another's.
+_ACROSS_GAP = 0.25
+_SWEEPS = 6
+#: Pixels judged at once, so that what is found for them stays in the cache.
+_BLOCK = 4096
+#: Pixels within reach along a row or column, and of the square around a pixel with its own.
+_SIDE = 2 * _REACH + 1
+_AROUND = _SIDE * _SIDE
+_DISTANCES = np.hypot(*np.mgrid[-_REACH : _REACH + 1, -_REACH : _REACH + 1]).ravel().astype(np.float32)
+
+
+def labels_of_every_pixel(
+    on_grid: NDArray[np.int32],
+    grid_per_m: NDArray[np.float32],
+    per_m: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    config: SegmentationConfig,
+) -> NDArray[np.int32]:
+    """Give every pixel that has a point a label, from labels on every few rows and columns.
+
+    Parameters
+    ----------
+    on_grid : (h, w) int32
+        Labels on the grid, 0 for none.
+    grid_per_m : (h, w) float32
+        Inverse depth on the grid, 1/m.
+    per_m, valid : (H, W) float32 and bool
+        Inverse depth of every pixel, 1/m, and where there is a point.
+    config : SegmentationConfig
+        The grid's step and the gap in depth.
+
+    Returns
+    -------
+    (H, W) int32
+        The label of the place of the grid at or before the pixel, unless a gap in depth is in between:
+        then that of the neighbour nearest in inverse depth. 0 only where there is no point.
+    """
+    labels = np.empty(valid.shape, dtype=np.int32)
+    open_pixels = np.empty(valid.shape, dtype=np.bool_)
+    _take_over(
+        np.ascontiguousarray(on_grid),
+        np.ascontiguousarray(grid_per_m),
+        np.ascontiguousarray(per_m),
+        np.ascontiguousarray(valid),
+        config.decimation,
+        np.float32(config.depth_gap_per_m),
+        labels,
+        open_pixels,
+    )
+    return spread_labels(labels, open_pixels, per_m, config.depth_gap_per_m)
+
+
+@compiled
+def _take_over(
+    on_grid: NDArray[np.int32],
+    grid_per_m: NDArray[np.float32],
+    per_m: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    step: int,
+    gap_per_m: np.float32,
+    labels: NDArray[np.int32],
+    open_pixels: NDArray[np.bool_],
+) -> None:
+    """Give pixels the label of their place of the grid, where no gap is in between; open the others."""
+    height, width = valid.shape
+    row_labels, row_per_m = np.empty(width, dtype=np.int32), np.empty(width, dtype=np.float32)
+    for row in range(height):
+        if row % step == 0:
+            for column in range(width):
+                row_labels[column] = on_grid[row // step, column // step]
+                row_per_m[column] = grid_per_m[row // step, column // step]
+        for column in range(width):
+            near = abs(row_per_m[column] - per_m[row, column]) < gap_per_m
+            label = row_labels[column] if near & valid[row, column] else np.int32(0)
+            labels[row, column] = label
+            open_pixels[row, column] = valid[row, column] & (label == 0)
+
+
+def refine_borders(
+    labels: NDArray[np.int32],
+    per_m: NDArray[np.float32],
+    surfaces: Sequence[NurbsSurface | None],
+    config: SegmentationConfig,
+) -> NDArray[np.int32]:
+    """Move borders to where the surfaces on both sides, carried beyond them, explain the points best.
+
+    The cost of a label at a pixel is the squared residual of inverse depth in units of the noise, limited,
+    less the votes of the neighbours, which weigh one over their distance and little across a gap in
+    depth. Pixels with neighbours of another label take the cheapest of their labels, in a few sweeps
+    (iterated conditional modes [1]_). What a border cuts off goes to its neighbours.
+
+    Parameters
+    ----------
+    labels : (H, W) int32
+        1 to the number of surfaces; 0 where there is no point.
+    per_m : (H, W) float32
+        Inverse depth, 1/m.
+    surfaces : sequence of NurbsSurface or None
+        That of each label; a label without one explains nothing.
+    config : SegmentationConfig
+        Noise, gap and smallest piece.
+
+    Returns
+    -------
+    (H, W) int32
+        The new labels. A label that would lose its last pixel keeps those it had.
+
+    References
+    ----------
+    .. [1] J. Besag, "On the statistical analysis of dirty pictures", Journal of the Royal Statistical
+       Society B 48(3), 1986.
+    """
+    present = _present(labels, len(surfaces))
+    if len(surfaces) < 2 or not present.any():
+        return labels
+    refined = _cheapest(labels, per_m, surfaces, config)
+    severed = _severed(refined, per_m, config)
+    if severed.size:
+        spread_in_place(refined, severed, per_m, config.depth_gap_per_m)
+    lost = present & ~_present(refined, len(surfaces))
+    if lost.any():
+        kept = lost[labels]
+        refined[kept] = labels[kept]
+    return refined
+
+
+def _cheapest(
+    labels: NDArray[np.int32],
+    per_m: NDArray[np.float32],
+    surfaces: Sequence[NurbsSurface | None],
+    config: SegmentationConfig,
+) -> NDArray[np.int32]:
+    """Give pixels at borders the cheapest label around them, in a few sweeps.
+
+    Pixels are numbered in an image with a margin as wide as the reach, so that all have all neighbours.
+    """
+    table = SurfaceTable(surfaces)
+    padded, depths = np.pad(labels, _REACH), np.pad(per_m, _REACH).ravel()
+    flat, width = padded.reshape(-1), padded.shape[1]
+    gaps = (config.depth_gap_per_m * np.sqrt(_DISTANCES)).astype(np.float32)
+    # A pixel has no vote on itself.
+    votes = np.where(_DISTANCES > 0, _VOTE / np.maximum(_DISTANCES, 1.0), 0.0).astype(np.float32)
+    across = np.float32(_ACROSS_GAP) * votes
+    per_deviation = np.float32(1.0 / config.noise_per_m)
+
+    reached = np.empty(flat.size, dtype=np.bool_)
+    pixels = np.flatnonzero(_near_borders(padded))
+    for sweep in range(_SWEEPS):
+        if pixels.size == 0:
+            break
+        best = np.empty(pixels.size, dtype=np.int32)
+        for block in (slice(n, n + _BLOCK) for n in range(0, pixels.size, _BLOCK)):
+            some = pixels[block]
+            candidates = _room_for(some.size)
+            count = _find_candidates(flat, depths, some, width, gaps, votes, across, candidates)
+            label, row, column = (
+                each[:count] for each in (candidates.label, candidates.row, candidates.column)
+            )
+            explained = table.inverse_depths(label, row, column)
+            _choose(flat, depths, some, candidates, explained, per_deviation, SQUARE_MOST, best[block])
+        # Only where a label has changed within reach can another one be the cheapest now. By the third
+        # sweep neighbours that only change places are left: one of two at a time.
+        reached[:] = False
+        _move(flat, width, pixels, best, sweep + 1 if sweep > 0 else -1, reached)
+        pixels = np.flatnonzero(reached)
+    return np.ascontiguousarray(padded[_REACH:-_REACH, _REACH:-_REACH])
+
+
+class _Candidates(NamedTuple):
+    """Labels that pixels could have: those around them and their own.
+
+    Parameters
+    ----------
+    ends : (N,) intp
+        Where those of each pixel end.
+    label, row, column : (25 N,) int32
+        Which label, and the pixel.
+    votes : (25 N,) float32
+        Sum of the votes of the neighbours that have it.
+    """
+
+    ends: NDArray[np.intp]
+    label: NDArray[np.int32]
+    row: NDArray[np.int32]
+    column: NDArray[np.int32]
+    votes: NDArray[np.float32]
+
+
+def _room_for(pixels: int) -> _Candidates:
+    """Return candidates of so many pixels that are yet to be found."""
+    most = pixels * _AROUND
+    label, row, column = np.empty((3, most), dtype=np.int32)
+    return _Candidates(np.empty(pixels, dtype=np.intp), label, row, column, np.empty(most, dtype=np.float32))
+
+
+@compiled
+def _find_candidates(
+    labels: NDArray[np.int32],
+    per_m: NDArray[np.float32],
+    pixels: NDArray[np.intp],
+    width: int,
+    gaps_per_m: NDArray[np.float32],
+    votes: NDArray[np.float32],
+    votes_across: NDArray[np.float32],
+    found: _Candidates,
+) -> int:
+    """Find the labels around pixels, a pixel's own first, none where there is no other; count them."""
+    near, steps_per_m = np.empty(_AROUND, dtype=np.int32), np.empty(_AROUND, dtype=np.float32)
+    near_votes = np.empty(_AROUND, dtype=np.float32)
+    end = 0
+    for n in range(pixels.size):
+        pixel, first = pixels[n], end
+        row, column = pixel // width, pixel % width
+        for down in range(_SIDE):
+            start = pixel + (down - _REACH) * width - _REACH
+            for across in range(_SIDE):
+                near[down * _SIDE + across] = labels[start + across]
+                steps_per_m[down * _SIDE + across] = per_m[start + across] - per_m[pixel]
+        for k in range(_AROUND):
+            near_votes[k] = votes_across[k] if abs(steps_per_m[k]) >= gaps_per_m[k] else votes[k]
+        # The pixel's own label first, then the others, the largest first.
+        own = labels[pixel]
+        label, below = own, np.int32(np.iinfo(np.int32).max)
+        while label > 0:
+            total, following = np.float32(0.0), np.int32(0)
+            for k in range(_AROUND):
+                total += near_votes[k] if near[k] == label else np.float32(0.0)
+                following = max(following, near[k] if near[k] < below and near[k] != own else np.int32(0))
+            found.label[end], found.votes[end] = label, total
+            found.row[end], found.column[end] = row - _REACH, column - _REACH
+            end += 1
+            label = below = following
+        if end == first + 1:
+            end = first
+        found.ends[n] = end
+    return end
+
+
+@compiled
+def _choose(
+    labels: NDArray[np.int32],
+    per_m: NDArray[np.float32],
+    pixels: NDArray[np.intp],
+    candidates: _Candidates,
+    explained_per_m: NDArray[np.float32],
+    per_deviation: np.float32,
+    square_most: float,
+    best: NDArray[np.int32],
+) -> None:
+    """Find the cheapest candidate of each pixel, the one of the smallest label among several."""
+    first = 0
+    for n in range(pixels.size):
+        best[n] = labels[pixels[n]]
+        least = np.float32(np.inf)
+        for at in range(first, candidates.ends[n]):
+            residual = (explained_per_m[at] - per_m[pixels[n]]) * per_deviation
+            cost = np.float32(square_most)
+            # False for what has no surface.
+            if residual * residual < cost:
+                cost = residual * residual
+            cost -= candidates.votes[at]
+            label = candidates.label[at]
+            if cost < least or (cost == least and label < best[n]):
+                least, best[n] = cost, label
+        first = candidates.ends[n]
+
+
+@compiled
+def _move(
+    labels: NDArray[np.int32],
+    width: int,
+    pixels: NDArray[np.intp],
+    best: NDArray[np.int32],
+    parity: int,
+    reached: NDArray[np.bool_],
+) -> None:
+    """Give pixels new labels, and mark the labelled pixels within reach of those that changed.
+
+    Of these only the ones whose row and column add up to an even number with `parity`, unless that is less
+    than 0.
+    """
+    for n in range(pixels.size):
+        if best[n] == labels[pixels[n]]:
+            continue
+        labels[pixels[n]] = best[n]
+        row, column = pixels[n] // width, pixels[n] % width
+        for r in range(row - _REACH, row + _REACH + 1):
+            for c in range(column - _REACH, column + _REACH + 1):
+                wanted = parity < 0 or (r + c + parity) % 2 == 0
+                reached[r * width + c] = wanted and labels[r * width + c] > 0
+
+
+def _near_borders(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Find labelled pixels with another label within reach."""
+    kernel = np.ones((2 * _REACH + 1, 2 * _REACH + 1), dtype=np.uint8)
+    # Narrow integers: the extremes of many pixels are found at once.
+    image: NDArray[np.integer] = labels.astype(np.uint8 if labels.max() < 255 else np.uint16)
+    largest = cv2.dilate(image, kernel)
+    # Less 1, what has no label is the largest of numbers.
+    least = cv2.erode(image - image.dtype.type(1), kernel) + image.dtype.type(1)
+    return np.asarray((image > 0) & (largest != least))
+
+
+def _present(labels: NDArray[np.int32], count: int) -> NDArray[np.bool_]:
+    """Say which of the labels from 1 to `count` there are, (count + 1,) bool; False for 0."""
+    present = np.zeros(count + 1, dtype=np.bool_)
+    _mark(np.ascontiguousarray(labels), present)
+    present[0] = False
+    return present
+
+
+@compiled
+def _mark(labels: NDArray[np.int32], present: NDArray[np.bool_]) -> None:
+    for label in labels.flat:
+        present[label] = True
+
+
+def _severed(
+    labels: NDArray[np.int32], per_m: NDArray[np.float32], config: SegmentationConfig
+) -> NDArray[np.intp]:
+    """Find the flat pixels of small pieces that are not the largest of their label."""
+    found = connected_pieces(labels, joints(per_m, labels > 0, config.depth_gap_per_m))
+    unit = labels.size / (640.0 * 480.0)
+    small = ~found.large(config.piece_pixels_min * unit, int(labels.max()))
+    small[0] = False
+    return np.flatnonzero(small.take(found.numbers)) if small.any() else np.zeros(0, dtype=np.intp)
+
+
+__all__ = ["labels_of_every_pixel", "refine_borders"]

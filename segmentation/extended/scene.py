@@ -1,0 +1,123 @@
+"""A frame laid out on the grid on which splits are decided: points, joints between them, and raw vectors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.cut.features import Normalization, lab, normalization
+from nurbseg.segmentation.labels.regions import Joints, joints
+from nurbseg.segmentation.points.normals import facet_normals
+from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.segmentation.surfaces.inverse_depth import DepthGrid, depth_grid
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """A frame on the grid on which splits are decided.
+
+    Parameters
+    ----------
+    grid : DepthGrid
+        Points and inverse depths.
+    joined : Joints
+        Neighbours without a gap between them.
+    raw : (h * w, 6 or 9) float32
+        Lab color, position and, where they are used, normal of every place that has a point.
+    whole : Normalization or None
+        Of the whole frame, where segments do not have their own.
+    """
+
+    grid: DepthGrid
+    joined: Joints
+    raw: NDArray[np.float32]
+    whole: Normalization | None
+
+    def places_min(self, config: SegmentationConfig) -> float:
+        """Return the fewest places of a segment."""
+        return config.piece_pixels_min * self.grid.points.pixel_share
+
+
+def prepare(cloud: PointMap, config: SegmentationConfig) -> Scene:
+    """Lay a frame out on the grid: inverse depth, joints and raw vectors.
+
+    Parameters
+    ----------
+    cloud : PointMap
+        The frame.
+    config : SegmentationConfig
+        Grid, windows, weights and gap.
+
+    Returns
+    -------
+    Scene
+        What the tree grows on.
+    """
+    grid = depth_grid(cloud, config.decimation)
+    color = lab(cloud.color[:: grid.step, :: grid.step].reshape(-1, 3))
+    points_m, directions = grid.points.coordinates_m.reshape(3, -1), np.zeros((len(color), 0), np.float32)
+    if config.normal_weight > 0:
+        half = round(0.5 * config.normal_window_px * grid.unit_px / grid.step - 0.5)
+        normals = facet_normals(
+            grid.per_m,
+            grid.valid,
+            grid.rays,
+            step=grid.step,
+            window=2 * max(1, half) + 1,
+            noise_per_m=config.noise_per_m,
+        )
+        directions = normals.reshape(-1, 3)
+    raw = _side_by_side(color, points_m, directions)
+    joined = joints(grid.per_m, grid.valid, config.depth_gap_per_m)
+    whole = None if config.normalize_nodes else node_normalization(raw, np.flatnonzero(grid.valid), config)
+    return Scene(grid, joined, raw, whole)
+
+
+@compiled
+def _side_by_side(
+    color: NDArray[np.float32], points_m: NDArray[np.float32], directions: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Put (N, 3) colors, (3, N) points and (N, 3) or (N, 0) directions into one vector for each place."""
+    more = directions.shape[1]
+    raw = np.empty((color.shape[0], 6 + more), dtype=np.float32)
+    for n in range(color.shape[0]):
+        for k in range(3):
+            raw[n, k], raw[n, 3 + k] = color[n, k], points_m[k, n]
+        for k in range(more):
+            raw[n, 6 + k] = directions[n, k]
+    return raw
+
+
+def node_normalization(
+    raw: NDArray[np.float32], places: NDArray[np.intp], config: SegmentationConfig
+) -> Normalization:
+    """Measure what makes the vectors of a segment comparable, with the weights that are set.
+
+    Parameters
+    ----------
+    raw : (N, 6 or 9) float32
+        Of the scene.
+    places : (M,) intp
+        Of the segment.
+    config : SegmentationConfig
+        The weights.
+
+    Returns
+    -------
+    Normalization
+        Of the vectors at these places.
+    """
+    return normalization(
+        raw,
+        config.geometry_weight,
+        color_weight=config.color_weight,
+        normal_weight=config.normal_weight,
+        rows=places,
+    )
+
+
+__all__ = ["Scene", "node_normalization", "prepare"]

@@ -1,0 +1,343 @@
+"""The default method: surfaces by normalized cuts, settled borders, and objects of merged surfaces."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.cut.components import give_away_small_pieces
+from nurbseg.segmentation.cut.features import Normalization, normalized
+from nurbseg.segmentation.cut.ncut import Cut, normalized_cuts
+from nurbseg.segmentation.extended.borders import labels_of_every_pixel, refine_borders
+from nurbseg.segmentation.extended.merge import merge_surfaces
+from nurbseg.segmentation.extended.scene import Scene, node_normalization, prepare
+from nurbseg.segmentation.labels.regions import large_pieces
+from nurbseg.segmentation.labels.segment_pixels import finished_segments
+from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.segmentation.segments import (
+    Node,
+    SegmentationTree,
+    StopReason,
+    depth_first,
+)
+from nurbseg.segmentation.surfaces.curvature import all_metrics
+from nurbseg.segmentation.surfaces.inverse_depth import fit_window, inverse_depth_image
+from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, acceptance_ratio
+from nurbseg.segmentation.surfaces.noise import explained_by_noise
+from nurbseg.segmentation.surfaces.surface import Fit
+
+#: From so many places on, a segment is cut at a quarter of them.
+_MANY_PLACES = 6_000
+
+
+def segment_nurbseg(cloud: PointMap, config: SegmentationConfig) -> SegmentationTree:
+    """Segment a frame into surfaces, and these into objects.
+
+    The paper's tree of normalized cuts decided by surface fits, with vectors that hold normals, surfaces of
+    inverse depth, cuts that fall into connected pieces, a stop where a surface leaves no more than noise,
+    borders refined on every pixel, and surfaces merged where they meet in a convex or smooth crease.
+
+    Parameters
+    ----------
+    cloud : PointMap
+        Points and their colors.
+    config : SegmentationConfig
+        Thresholds and choices; the same seed gives the same tree.
+
+    Returns
+    -------
+    SegmentationTree
+        Its leaves are surfaces; its objects, none where merging is off, are merged leaves.
+    """
+    scene = prepare(cloud, config)
+    root = grow(scene, config)
+    nodes = depth_first(root)
+    leaves = [node for node in nodes if not node.children]
+
+    on_grid = np.zeros(scene.grid.valid.size, dtype=np.int32)
+    for label, leaf in enumerate(leaves, start=1):
+        on_grid[leaf.places] = label
+    per_m = inverse_depth_image(cloud)
+    labels = labels_of_every_pixel(
+        on_grid.reshape(scene.grid.valid.shape), scene.grid.per_m, per_m, cloud.valid, config
+    )
+    surfaces = [leaf.fit.surface for leaf in leaves]
+    if config.refine_borders:
+        labels = refine_borders(labels, per_m, surfaces, config)
+
+    image = labels.astype(np.uint16)
+    segments = finished_segments(nodes, leaves, image)
+    objects, contacts = merge_surfaces(labels, scene.grid, [leaf.name for leaf in leaves], surfaces, config)
+    return SegmentationTree(segments, cloud.valid.shape, objects, contacts, config.level, image)
+
+
+def grow(scene: Scene, config: SegmentationConfig) -> Node:
+    """Grow the tree on the grid, the worst open segment first.
+
+    Parameters
+    ----------
+    scene : Scene
+        The frame.
+    config : SegmentationConfig
+        Thresholds and choices.
+
+    Returns
+    -------
+    Node
+        The root. Where parts of a frame or of a side of a cut are not connected, nodes without a surface
+        hold them together, so that every segment has two parts or none.
+    """
+    places = np.flatnonzero(scene.grid.valid)
+    parts = _pieces(scene, places, np.ones(places.size, dtype=np.int32), config)[0] or [places]
+    root = _held_together("", [measured(scene, part, config) for part in parts], 0)
+    waiting: list[tuple[float, str, Node]] = []
+    _push_open(waiting, root, config)
+    splits = 0
+    while waiting:
+        _, _, node = heapq.heappop(waiting)
+        node.stop = _reason_not_to_try(scene, node, splits, config)
+        if node.stop is not None:
+            continue
+        sides, cut = best_split(scene, node, config)
+        if cut is None:
+            continue
+        splits += 1
+        node.children = children_of(node, sides)
+        if all(sides):
+            node.cut = cut
+        node.stop = None
+        for child in node.children:
+            _push_open(waiting, child, config)
+    return root
+
+
+def _push_open(waiting: list[tuple[float, str, Node]], top: Node, config: SegmentationConfig) -> None:
+    for node in depth_first(top):
+        if not node.children and node.stop is None:
+            heapq.heappush(waiting, (-node.value(config), node.name, node))
+
+
+def _reason_not_to_try(
+    scene: Scene, node: Node, splits: int, config: SegmentationConfig
+) -> StopReason | None:
+    if node.places.size == 0:
+        return StopReason.NO_POINTS
+    if node.places.size <= 2.0 * scene.places_min(config):
+        return StopReason.TOO_SMALL
+    if node.cuts_above >= config.depth_max:
+        return StopReason.DEPTH
+    if splits >= config.splits_max:
+        return StopReason.SPLITS
+    if node.fit.surface is None:
+        return StopReason.NO_FIT
+    if not node.value(config) > 0:
+        return StopReason.CRITERION
+    return None
+
+
+#: A part of a split: its places on the grid, its fit, and why it is not to be split itself, if so.
+Part = tuple[NDArray[np.intp], Fit, StopReason | None]
+
+
+def measured(scene: Scene, places: NDArray[np.intp], config: SegmentationConfig) -> Part:
+    """Fit a surface, with the metric that decides among its values, and hold it against the noise.
+
+    Parameters
+    ----------
+    scene : Scene
+        The frame.
+    places : (N,) intp
+        Flat places of the grid, ascending.
+    config : SegmentationConfig
+        Thresholds and choices.
+
+    Returns
+    -------
+    Part
+        The places, their fit, and why they are not to be split further, if they are not.
+    """
+    if places.size == 0:
+        return places, Fit(None, np.zeros(0), {}, "0 points, 1 needed", places), StopReason.NO_POINTS
+    window, mask = scene.grid.points.window_mask(places)
+    fit, residuals_per_m = fit_window(scene.grid, window, mask, config)
+    if config.metric in CURVATURE_METRICS:
+        fit = replace(fit, values=all_metrics(fit, scene.grid.points.image_shape[1], config))
+    explained = config.noise_stop and explained_by_noise(
+        residuals_per_m, mask, config.noise_per_m, patch_places=scene.places_min(config)
+    )
+    return places, fit, StopReason.NOISE if explained else None
+
+
+def best_split(
+    scene: Scene, node: Node, config: SegmentationConfig, *, thin_from: int = _MANY_PLACES
+) -> tuple[tuple[list[Part], list[Part]], Cut | None]:
+    """Try the cuts of a node in turn; if none is kept the node is told why and there is no cut.
+
+    Parameters
+    ----------
+    scene : Scene
+        The frame; its vectors are read at the node's places.
+    node : Node
+        Gets the ratio of the last split tried and, where none is kept, the reason.
+    config : SegmentationConfig
+        Thresholds and choices.
+    thin_from : int
+        From so many places on a segment is cut at every second place of both directions.
+
+    Returns
+    -------
+    sides : (list of Part, list of Part)
+        Connected pieces of both sides of the cut.
+    cut : Cut or None
+        None where no split is kept.
+    """
+    # Of a large segment, the places between those that are cut follow them.
+    points = scene.grid.points
+    drawn = points.every_second(node.places) if node.places.size >= thin_from else node.places
+    scale = scene.whole or node_normalization(scene.raw, drawn, config)
+    rng = np.random.default_rng([config.seed, int(f"1{node.name}", 2)])
+    node.stop = StopReason.NO_CUT
+    for cut in normalized_cuts(
+        normalized(scene.raw, scale, drawn),
+        count=config.cuts,
+        samples=config.samples,
+        rng=rng,
+        affinity_scale=config.affinity_scale,
+        splitting_point=config.splitting_point,
+        points=config.cut_points,
+    ):
+        if cut.reason:
+            continue
+        sides_of_places = cut.side if drawn is node.places else _continued(scene, node, drawn, cut, scale)
+        pieces, side_of = _pieces(scene, node.places, 1 + sides_of_places.astype(np.int32), config)
+        if len(pieces) < 2:
+            node.stop = StopReason.CHILD_TOO_SMALL
+            continue
+        parts = [measured(scene, piece, config) for piece in pieces]
+        values = [(part[1].values.get(config.metric, 0.0), part[0].size) for part in parts]
+        node.ratio = acceptance_ratio(config.metric, (node.value(config), node.places.size), *values)
+        if node.ratio < config.ratio_max:
+            sides = (
+                [part for part, side in zip(parts, side_of, strict=True) if side == 1],
+                [part for part, side in zip(parts, side_of, strict=True) if side == 2],
+            )
+            return sides, cut
+        node.stop = StopReason.CRITERION
+    return ([], []), None
+
+
+def _continued(
+    scene: Scene, node: Node, drawn: NDArray[np.intp], cut: Cut, scale: Normalization
+) -> NDArray[np.bool_]:
+    """Continue a cut of every second place to all: where those around agree, and else by its extension."""
+    sides, asked = _neighbors_side(cut.side, drawn, node.places, *scene.grid.points.shape)
+    sides[asked] = cut.classify(normalized(scene.raw, scale, node.places[asked]))
+    return sides
+
+
+@compiled
+def _neighbors_side(
+    drawn_side: NDArray[np.bool_],
+    drawn: NDArray[np.intp],
+    places: NDArray[np.intp],
+    height: int,
+    width: int,
+) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+    """Give places the side of the drawn ones around them; also return which are those with none, or both."""
+    # Bit 0 for the False side and bit 1 for the True one, at every second row and column.
+    corners = np.zeros(((height + 1) // 2 + 1, (width + 1) // 2 + 1), dtype=np.uint8)
+    for n in range(drawn.size):
+        row = drawn[n] // width
+        corners[row >> 1, (drawn[n] - row * width) >> 1] = 2 if drawn_side[n] else 1
+    sides, asked = np.empty(places.size, dtype=np.bool_), np.empty(places.size, dtype=np.intp)
+    count = 0
+    for n in range(places.size):
+        row = places[n] // width
+        column = places[n] - row * width
+        a, b = row >> 1, column >> 1
+        around = corners[a, b] | corners[a + 1, b] | corners[a, b + 1] | corners[a + 1, b + 1]
+        sides[n] = around == 2
+        asked[count] = n
+        count += (around == 0) | (around == 3)
+    return sides, asked[:count].copy()
+
+
+def _pieces(
+    scene: Scene, places: NDArray[np.intp], labels: NDArray[np.int32], config: SegmentationConfig
+) -> tuple[list[NDArray[np.intp]], list[int]]:
+    """Split places by label and into connected pieces; small ones go to their neighbours.
+
+    Returns the places of each piece and the label it had, none where no piece is large enough.
+    """
+    if places.size == 0:
+        return [], []
+    if config.connected_pieces:
+        return large_pieces(
+            places,
+            labels,
+            scene.joined,
+            scene.grid.per_m,
+            gap_per_m=config.depth_gap_per_m,
+            places_min=scene.places_min(config),
+        )
+    rows, columns, (top, left, bottom, right) = scene.grid.points.locate(places)
+    at = rows - top, columns - left
+    image = np.zeros((bottom - top, right - left), dtype=np.int32)
+    image[at] = labels
+    side = give_away_small_pieces(image > 0, image == 2, scene.places_min(config))[at]
+    parts = [(places[side == each], 1 + each) for each in (False, True)]
+    kept = [(part, label) for part, label in parts if part.size >= scene.places_min(config)]
+    return [part for part, _ in kept], [label for _, label in kept]
+
+
+def children_of(node: Node, sides: tuple[list[Part], list[Part]]) -> tuple[Node, Node]:
+    """Make two nodes of the parts of a cut's sides, or of the pieces of the one side that is left.
+
+    Parameters
+    ----------
+    node : Node
+        That is split.
+    sides : (list of Part, list of Part)
+        Together at least two parts.
+
+    Returns
+    -------
+    (Node, Node)
+        Its children, which may have children themselves.
+    """
+    first, second = sides
+    if not (first and second):
+        first, second = _largest_and_rest(first or second)
+    depth = node.cuts_above + 1
+    return _held_together(f"{node.name}0", first, depth), _held_together(f"{node.name}1", second, depth)
+
+
+def _held_together(name: str, parts: list[Part], cuts_above: int) -> Node:
+    """Make one node of some parts that are not connected: the largest, a node of the others, and so on."""
+    parts = sorted(parts, key=lambda part: -part[0].size)
+    places, fit, stop = parts[-1]
+    node = Node(f"{name}{'1' * (len(parts) - 1)}", places, fit, stop=stop, cuts_above=cuts_above)
+    for largest in range(len(parts) - 2, -1, -1):
+        inner, together = f"{name}{'1' * largest}", parts[largest:]
+        # Each part ascends: the stable sort merges them.
+        places = np.sort(np.concatenate([part[0] for part in together]), kind="stable")
+        pixels = np.sort(np.concatenate([part[1].pixels for part in together]), kind="stable")
+        fit = Fit(None, np.zeros(0), {}, f"{len(together)} pieces that are not connected", pixels)
+        own = Node(f"{inner}0", *parts[largest][:2], stop=parts[largest][2], cuts_above=cuts_above)
+        rest = node
+        node = Node(inner, places, fit, cuts_above=cuts_above)
+        node.children = (own, rest)
+    return node
+
+
+def _largest_and_rest(parts: list[Part]) -> tuple[list[Part], list[Part]]:
+    largest = max(range(len(parts)), key=lambda n: parts[n][0].size)
+    return [parts[largest]], [part for n, part in enumerate(parts) if n != largest]
+
+
+__all__ = ["Part", "Scene", "best_split", "children_of", "grow", "measured", "prepare", "segment_nurbseg"]

@@ -1,0 +1,302 @@
+"""Connected pieces of segments where neighbours across a gap in depth are not connected."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.labels.spreading import spread_in_place
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Joints:
+    """Which neighbours on a pixel grid have points with no gap in depth between them.
+
+    Parameters
+    ----------
+    right : (h, w) bool
+        Whether a place is joined to the one to its right; False in the last column.
+    down : (h, w) bool
+        Whether it is joined to the one below; False in the last row.
+    """
+
+    right: NDArray[np.bool_]
+    down: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pieces:
+    """Connected pieces of equal label, numbered from 1 in the order of their first places.
+
+    Parameters
+    ----------
+    numbers : (h, w) int32
+        Number of each place's piece; 0 where the label is 0.
+    labels_of : (count + 1,) int32
+        Label of each piece; 0 for number 0.
+    sizes : (count + 1,) intp
+        Places of each piece; 0 for number 0.
+    """
+
+    numbers: NDArray[np.int32]
+    labels_of: NDArray[np.int32]
+    sizes: NDArray[np.intp]
+
+    def large(self, places_min: float, keep: int) -> NDArray[np.bool_]:
+        """Say which pieces have enough places, or are the largest of a label from 1 to `keep`.
+
+        Returns (count + 1,) bool, False for number 0.
+        """
+        kept = self.sizes >= places_min
+        # In ascending order of size, so that the largest piece of each label is written last.
+        order = np.argsort(self.sizes, kind="stable")
+        largest = np.zeros(max(keep, int(self.labels_of.max())) + 1, dtype=np.intp)
+        largest[self.labels_of[order]] = order
+        kept[largest[1 : keep + 1]] = True
+        kept[0] = False
+        return kept
+
+
+def joints(inverse_depth: NDArray[np.float32], valid: NDArray[np.bool_], gap_per_m: float) -> Joints:
+    """Join neighbours whose inverse depths differ by less than a gap.
+
+    Parameters
+    ----------
+    inverse_depth : (h, w) float32
+        One over depth, 1/m.
+    valid : (h, w) bool
+        Where there is a point.
+    gap_per_m : float
+        Smallest gap, 1/m.
+
+    Returns
+    -------
+    Joints
+        Between points only.
+    """
+    joined = Joints(np.empty(valid.shape, dtype=np.bool_), np.empty(valid.shape, dtype=np.bool_))
+    _join(
+        np.ascontiguousarray(inverse_depth),
+        np.ascontiguousarray(valid),
+        np.float32(gap_per_m),
+        joined.right,
+        joined.down,
+    )
+    return joined
+
+
+@compiled
+def _join(
+    per_m: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    gap_per_m: np.float32,
+    right: NDArray[np.bool_],
+    down: NDArray[np.bool_],
+) -> None:
+    height, width = valid.shape
+    for row in range(height):
+        for column in range(width - 1):
+            step = abs(per_m[row, column + 1] - per_m[row, column])
+            right[row, column] = (step < gap_per_m) & valid[row, column] & valid[row, column + 1]
+        right[row, width - 1] = False
+    for row in range(height - 1):
+        for column in range(width):
+            step = abs(per_m[row + 1, column] - per_m[row, column])
+            down[row, column] = (step < gap_per_m) & valid[row, column] & valid[row + 1, column]
+    down[height - 1] = False
+
+
+def connected_pieces(labels: NDArray[np.int32], joined: Joints) -> Pieces:
+    """Find the pieces of equal label that are connected through joined neighbours.
+
+    Parameters
+    ----------
+    labels : (h, w) int32
+        0 belongs to no piece.
+    joined : Joints
+        Of the same places.
+
+    Returns
+    -------
+    Pieces
+        All of them, however small.
+    """
+    places = np.flatnonzero(labels > 0)
+    return _connected(places, labels.reshape(-1).take(places).astype(np.int32, copy=False), joined)
+
+
+def _connected(places: NDArray[np.intp], labels: NDArray[np.int32], joined: Joints) -> Pieces:
+    """Find the pieces of some flat places, ascending, that have a label."""
+    numbers = np.zeros(joined.right.shape, dtype=np.int32)
+    labels_of, sizes = np.empty(places.size + 1, dtype=np.int32), np.empty(places.size + 1, dtype=np.intp)
+    count = _connect(places, labels, joined.right, joined.down, numbers, labels_of, sizes)
+    return Pieces(numbers, labels_of[: count + 1].copy(), sizes[: count + 1].copy())
+
+
+@compiled
+def _root(parents: NDArray[np.int32], number: int) -> int:
+    while parents[number] != number:
+        parents[number] = parents[parents[number]]
+        number = parents[number]
+    return number
+
+
+@compiled
+def _connect(
+    places: NDArray[np.intp],
+    labels: NDArray[np.int32],
+    right: NDArray[np.bool_],
+    down: NDArray[np.bool_],
+    numbers: NDArray[np.int32],
+    labels_of: NDArray[np.int32],
+    sizes: NDArray[np.intp],
+) -> int:
+    """Give each place the number of its piece; return how many there are.
+
+    A place takes the number of a neighbour before it, and two numbers that meet become one: the larger has
+    the smaller for its parent.
+    """
+    width = right.shape[1]
+    number_of, joined_right, joined_down = numbers.reshape(-1), right.reshape(-1), down.reshape(-1)
+    parents = np.empty(places.size + 1, dtype=np.int32)
+    parents[0] = labels_of[0] = sizes[0] = 0
+    count = 0
+    number, size = 0, 0
+    for n in range(places.size):
+        place, label, before = places[n], labels[n], number
+        # Nothing is joined across the ends of rows; number 0 is of no label.
+        if not (
+            place > 0 and joined_right[place - 1] and places[n - 1] == place - 1 and labels[n - 1] == label
+        ):
+            number = 0
+        if place >= width and joined_down[place - width]:
+            above = number_of[place - width]
+            if above != number and labels_of[above] == label:
+                if number == 0:
+                    number = above
+                else:
+                    one, other = _root(parents, number), _root(parents, above)
+                    number = min(one, other)
+                    parents[max(one, other)] = number
+        if number == 0:
+            count += 1
+            number = count
+            parents[number], labels_of[number], sizes[number] = number, label, 0
+        number_of[place] = number
+        if number != before:
+            sizes[before] += size
+            size = 0
+        size += 1
+    sizes[number] += size
+    sizes[0] = 0
+    # Parents come first, so that theirs are final numbers by then.
+    last = 0
+    for number in range(1, count + 1):
+        if parents[number] == number:
+            last += 1
+            labels_of[last], sizes[last] = labels_of[number], sizes[number]
+            parents[number] = last
+        else:
+            parents[number] = parents[parents[number]]
+            sizes[parents[number]] += sizes[number]
+    for place in places:
+        number_of[place] = parents[number_of[place]]
+    return last
+
+
+def large_pieces(
+    places: NDArray[np.intp],
+    labels: NDArray[np.int32],
+    joined: Joints,
+    inverse_depth: NDArray[np.float32],
+    *,
+    gap_per_m: float,
+    places_min: float,
+) -> tuple[list[NDArray[np.intp]], list[int]]:
+    """Find the connected pieces that are large enough, and give them what the small ones hold.
+
+    Parameters
+    ----------
+    places : (N,) intp
+        Flat places of a grid, ascending; at least one.
+    labels : (N,) int32
+        Label of each, more than 0.
+    joined, inverse_depth : Joints, (h, w) float32
+        Of the whole grid.
+    gap_per_m : float
+        Gap in depth, 1/m.
+    places_min : float
+        Smallest number of places of a piece.
+
+    Returns
+    -------
+    pieces : list of (n,) intp
+        Places of each piece kept, ascending; none where no piece is large enough.
+    labels_of : list of int
+        Label that each piece had.
+    """
+    # Only the rows that hold places are looked at.
+    width = joined.right.shape[1]
+    rows = slice(int(places[0]) // width, int(places[-1]) // width + 1)
+    at = places - rows.start * width
+    found = _connected(at, labels, Joints(joined.right[rows], joined.down[rows]))
+    kept = np.flatnonzero(found.sizes[1:] >= places_min) + 1
+    if not kept.size:
+        return [], []
+    if kept.size + 1 < found.sizes.size:
+        number = np.zeros(found.sizes.size, dtype=np.int32)
+        number[kept] = np.arange(1, kept.size + 1)
+        homeless = np.empty_like(at)
+        count = _keep(at, number, found.numbers, homeless)
+        spread_in_place(found.numbers, homeless[:count], inverse_depth[rows], gap_per_m)
+    if kept.size == 1:
+        return [places], found.labels_of[kept].tolist()
+    grouped, ends = np.empty_like(places), np.zeros(kept.size + 2, dtype=np.intp)
+    _group(places, at, found.numbers, grouped, ends)
+    pieces = [grouped[ends[n - 1] : ends[n]] for n in range(1, kept.size + 1)]
+    return pieces, found.labels_of[kept].tolist()
+
+
+@compiled
+def _keep(
+    places: NDArray[np.intp],
+    number: NDArray[np.int32],
+    numbers: NDArray[np.int32],
+    homeless: NDArray[np.intp],
+) -> int:
+    """Give places the new number of their piece; list those that it has none for, and return how many."""
+    number_of = numbers.reshape(-1)
+    count = 0
+    for place in places:
+        number_of[place] = number[number_of[place]]
+        if number_of[place] == 0:
+            homeless[count] = place
+            count += 1
+    return count
+
+
+@compiled
+def _group(
+    places: NDArray[np.intp],
+    at: NDArray[np.intp],
+    numbers: NDArray[np.int32],
+    grouped: NDArray[np.intp],
+    ends: NDArray[np.intp],
+) -> None:
+    """Sort places by the number at each, from 1 on; `ends`, 0 at first, tells where each number ends."""
+    number_of = numbers.reshape(-1)
+    for n in range(places.size):
+        ends[number_of[at[n]] + 1] += 1
+    for n in range(1, ends.size):
+        ends[n] += ends[n - 1]
+    # What is the end of the number before grows to that of its own.
+    for n in range(places.size):
+        number = number_of[at[n]]
+        grouped[ends[number]] = places[n]
+        ends[number] += 1
+
+
+__all__ = ["Joints", "Pieces", "connected_pieces", "joints", "large_pieces"]

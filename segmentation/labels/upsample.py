@@ -1,0 +1,147 @@
+"""Labels for every pixel of the image from a tree that was decided on a coarser grid."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.cut.ncut import Cut
+from nurbseg.segmentation.points.grid import PixelGrid
+from nurbseg.segmentation.points.registration import PointMap
+
+_LEAVES_MAX = np.iinfo(np.uint16).max - 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Split:
+    """A kept split: leaves ``first`` to ``middle - 1`` are below part 0, ``middle`` to ``end - 1`` below 1.
+
+    Parameters
+    ----------
+    first, middle, end : int
+        Numbers of leaves in depth-first order.
+    cut : Cut
+        Says which part a vector belongs to.
+    """
+
+    first: int
+    middle: int
+    end: int
+    cut: Cut
+
+
+def settle(
+    cloud: PointMap,
+    grid: PixelGrid,
+    leaves: Sequence[NDArray[np.intp]],
+    splits: Sequence[Split],
+    vectors_of: Callable[[NDArray[np.intp]], NDArray[np.float32]],
+) -> NDArray[np.uint16]:
+    """Give every pixel that has a point to a leaf.
+
+    A place of the grid keeps its leaf, and a pixel between places that all belong to one leaf belongs there
+    too. Where the four places around a pixel disagree, the pixel's own vector decides, at the split that
+    parted the leaves in question: the extension of that cut says which part it belongs to. The clean-up of
+    small pieces is kept, since only leaves around the pixel are in question.
+
+    Parameters
+    ----------
+    cloud : PointMap
+        The frame.
+    grid : PixelGrid
+        The grid on which the tree was decided.
+    leaves : sequence of (N,) intp
+        Flat places of each leaf on the grid, in depth-first order.
+    splits : sequence of Split
+        The kept splits, a segment before its parts.
+    vectors_of : callable
+        Gives the (N, D) float32 feature vectors of some flat pixels of the image.
+
+    Returns
+    -------
+    (H * W,) uint16
+        Number of each pixel's leaf; ``len(leaves)`` where there is no point.
+
+    Raises
+    ------
+    ValueError
+        If there are more leaves than labels of 16 bits.
+    """
+    none = len(leaves)
+    if none > _LEAVES_MAX:
+        raise ValueError(f"leaves: expected at most {_LEAVES_MAX}, got {none}")
+    on_grid = np.full(grid.valid.size, none, dtype=np.uint16)
+    for number, places in enumerate(leaves):
+        on_grid[places] = number
+    if grid.step == 1:
+        return on_grid
+    labels = np.full(grid.image_shape, none, dtype=np.uint16)
+    if none == 1:
+        labels[cloud.valid] = 0
+        return labels.reshape(-1)
+
+    # Least and greatest leaf at the corners of every cell, places without a point not counted.
+    corners = _corners(on_grid.reshape(grid.shape))
+    greatest = np.where(corners == none, np.int32(-1), corners).max(axis=0)
+    agreed = (corners.min(axis=0) == greatest) | ((corners == greatest) | (corners == none)).all(axis=0)
+    agreed &= greatest >= 0
+    cells = _enlarged(np.where(agreed, greatest, none).astype(np.uint16), grid)
+    np.copyto(labels, cells, where=cloud.valid)
+    places = np.flatnonzero(grid.valid)
+    labels.reshape(-1)[grid.pixels(places)] = on_grid[places]
+
+    undecided = np.flatnonzero((labels == none) & cloud.valid)
+    rows, columns = np.divmod(undecided, grid.image_shape[1])
+    candidates = corners[:, rows // grid.step, columns // grid.step]
+    labels.reshape(-1)[undecided] = _decide(candidates, vectors_of(undecided), none, splits)
+    return labels.reshape(-1)
+
+
+def _corners(on_grid: NDArray[np.uint16]) -> NDArray[np.int32]:
+    """Return the leaves at the four corners of each cell, (4, h, w); the border is repeated beyond it."""
+    padded = np.pad(on_grid.astype(np.int32), ((0, 1), (0, 1)), mode="edge")
+    return np.stack([padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:]])
+
+
+def _enlarged(cells: NDArray[np.uint16], grid: PixelGrid) -> NDArray[np.uint16]:
+    """Give every pixel of the image the value of its cell."""
+    height, width = grid.image_shape
+    tall = np.repeat(cells, grid.step, axis=0)[:height]
+    return np.repeat(tall, grid.step, axis=1)[:, :width]
+
+
+def _decide(
+    candidates: NDArray[np.int32],
+    vectors: NDArray[np.float32],
+    leaf_count: int,
+    splits: Sequence[Split],
+) -> NDArray[np.uint16]:
+    """Walk pixels down the tree; a cut is asked only where both of its parts are in question.
+
+    `candidates` (4, N) holds leaves, `leaf_count` for none; a pixel without any is in question everywhere.
+    """
+    numbers = np.zeros(candidates.shape[1], dtype=np.uint16)
+    by_range = {(split.first, split.end): split for split in splits}
+    stack = [(0, leaf_count, np.arange(candidates.shape[1]))]
+    while stack:
+        first, end, rows = stack.pop()
+        if rows.size == 0:
+            continue
+        if end - first == 1:
+            numbers[rows] = first
+            continue
+        split = by_range[first, end]
+        near = candidates[:, rows]
+        in_first = np.any((near >= first) & (near < split.middle), axis=0)
+        second = np.any((near >= split.middle) & (near < end), axis=0)
+        asked = in_first == second
+        second[asked] = split.cut.classify(vectors[rows[asked]])
+        stack.append((first, split.middle, rows[~second]))
+        stack.append((split.middle, end, rows[second]))
+    return numbers
+
+
+__all__ = ["Split", "settle"]

@@ -1,0 +1,1 @@
+"""The tree that goes on from frame to frame."""

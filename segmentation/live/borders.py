@@ -1,0 +1,190 @@
+"""Labels of every pixel of a frame, from those on the grid and those that pixels had before."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
+from nurbseg.segmentation.surfaces.noise import SQUARE_MOST
+
+#: Vote of a neighbour at a distance of one pixel, and of a diagonal one.
+_VOTE, _DIAGONAL_VOTE = 1.4, 1.4 / 2**0.5
+#: Vote of a neighbour across a gap in depth, in shares of another's.
+_ACROSS_GAP = 0.25
+
+
+def spread_to_pixels(
+    before: NDArray[np.uint16], on_grid: NDArray[np.int32], per_m: NDArray[np.float32], step: int
+) -> NDArray[np.uint16]:
+    """Take over what was decided on the grid; where nothing was, a pixel keeps its label.
+
+    Parameters
+    ----------
+    before : (H, W) uint16
+        Label that each pixel had.
+    on_grid : (h, w) int32
+        Labels on the grid.
+    per_m : (H, W) float32
+        Inverse depth, 1/m; 0 where there is no point, and so no label.
+    step : int
+        Pixels from one place of the grid to the next.
+
+    Returns
+    -------
+    (H, W) uint16
+        The labels.
+    """
+    labels = np.empty_like(before)
+    _spread(before, on_grid, per_m, step, labels)
+    return labels
+
+
+def settled_borders(
+    labels: NDArray[np.uint16],
+    per_m: NDArray[np.float32],
+    lattice: SurfaceLattice,
+    *,
+    noise_per_m: float,
+    gap_per_m: float,
+) -> NDArray[np.uint16]:
+    """Give every pixel at a border the cheapest of its own label, the largest and the least beside it.
+
+    One pass of iterated conditional modes, as borders are refined in a first frame; passes of later frames
+    go on with it.
+
+    Parameters
+    ----------
+    labels : (H, W) uint16
+        Labels of all pixels that have a point, or 0 where that is not known yet.
+    per_m : (H, W) float32
+        Inverse depth, 1/m; 0 where there is no point.
+    lattice : SurfaceLattice
+        Of the labels' surfaces.
+    noise_per_m, gap_per_m : float
+        Standard deviation of inverse depth, and smallest gap, 1/m.
+
+    Returns
+    -------
+    (H, W) uint16
+        The new labels.
+    """
+    settled = labels.copy()
+    _settle(
+        labels,
+        per_m,
+        lattice.values,
+        lattice.windows,
+        lattice.step,
+        1.0 / noise_per_m,
+        gap_per_m,
+        SQUARE_MOST,
+        settled,
+    )
+    return settled
+
+
+@compiled
+def _spread(
+    before: NDArray[np.uint16],
+    on_grid: NDArray[np.int32],
+    per_m: NDArray[np.float32],
+    step: int,
+    labels: NDArray[np.uint16],
+) -> None:
+    """Give the pixels of a place its label where it is another one than before."""
+    height, width = before.shape
+    # What the pixels of a row of places take, -1 where they keep what they have.
+    taken = np.empty(width, dtype=np.int32)
+    for r in range(height):
+        if r % step == 0:
+            for c in range(width):
+                decided = on_grid[r // step, c // step]
+                taken[c] = -1 if decided == before[r, c // step * step] else decided
+        for c in range(width):
+            label = before[r, c] if taken[c] < 0 else taken[c]
+            labels[r, c] = label if per_m[r, c] > 0 else 0
+
+
+@compiled
+def _settle(
+    labels: NDArray[np.uint16],
+    per_m: NDArray[np.float32],
+    values: NDArray[np.float32],
+    windows: NDArray[np.int32],
+    step: int,
+    per_deviation: float,
+    gap: float,
+    square_most: float,
+    settled: NDArray[np.uint16],
+) -> None:
+    """Write down the cheapest label of pixels at borders."""
+    height, width = labels.shape
+    turns, beside = np.empty(width, dtype=np.bool_), np.empty(width, dtype=np.bool_)
+    # By how many of its row and its column are others; a pixel has no vote for itself.
+    votes, none = np.array([0.0, _VOTE, _DIAGONAL_VOTE]), np.int64(1 << 16)
+    for r in range(height):
+        above, below = max(r - 1, 0), min(r + 2, height)
+        # Most pixels have neighbours of their own label only.
+        for c in range(width):
+            turns[c] = (labels[above, c] != labels[r, c]) | (labels[below - 1, c] != labels[r, c])
+        for c in range(1, width):
+            beside[c] = (labels[r, c - 1] != labels[r, c]) | turns[c - 1] | turns[c]
+        beside[0] = turns[0]
+        for c in range(width):
+            own = per_m[r, c]
+            if not (beside[c] or beside[min(c + 1, width - 1)]) or not own > 0:
+                continue
+            left, right = max(c - 1, 0), min(c + 2, width)
+            before, most, least = np.int64(labels[r, c]), np.int64(0), none
+            for y in range(above, below):
+                for x in range(left, right):
+                    near = np.int64(labels[y, x])
+                    most = near if near > most else most
+                    least = near if 0 < near < least else least
+            if most <= least:
+                continue
+            for_before, for_most, for_least = 0.0, 0.0, 0.0
+            for y in range(above, below):
+                for x in range(left, right):
+                    near, vote = labels[y, x], votes[(y != r) + (x != c)]
+                    vote *= 1.0 if abs(per_m[y, x] - own) < gap else _ACROSS_GAP
+                    for_before += vote if near == before else 0.0
+                    for_most += vote if near == most else 0.0
+                    for_least += vote if near == least else 0.0
+            row, column = r // step, c // step
+            at = (row, column, (r - step * row) / step, (c - step * column) / step)
+            cheapest = np.inf
+            for label, vote in ((before, for_before), (most, for_most), (least, for_least)):
+                if label == 0 or (label == before and cheapest < np.inf):
+                    continue
+                residual = per_deviation * (_explained(values, windows, label, at) - own)
+                cost = min(residual * residual, square_most) - vote
+                if cost < cheapest:
+                    cheapest = cost
+                    settled[r, c] = label
+
+
+@compiled
+def _explained(
+    values: NDArray[np.float32],
+    windows: NDArray[np.int32],
+    label: np.int64,
+    at: tuple[int, int, float, float],
+) -> float:
+    """Return a surface's inverse depth at and beyond a place, linear between places; inf out of its reach."""
+    row, column, down, across = at
+    top, left, bottom, right, start = windows[label]
+    # Beside the last place of a row or column no other one is asked.
+    under, beside = (1 if down > 0 else 0), (1 if across > 0 else 0)
+    if not (top <= row < bottom - under and left <= column < right - beside):
+        return np.inf
+    n = start + (row - top) * (right - left) + column - left
+    below = n + under * (right - left)
+    upper = values[n] + across * (values[n + beside] - values[n])
+    lower = values[below] + across * (values[below + beside] - values[below])
+    return float(upper + down * (lower - upper))
+
+
+__all__ = ["settled_borders", "spread_to_pixels"]

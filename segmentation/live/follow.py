@@ -1,0 +1,315 @@
+"""The leaves of one frame in the next: surfaces moved, labels grown into what is open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
+from nurbseg.segmentation.surfaces.surface import NurbsSurface
+
+#: Differences of inverse depth between two frames that are another surface rather than motion, 1/m.
+_MOTION_MOST_PER_M = 0.15
+#: A surface does not go farther away than this, 1/m.
+_LEAST_PER_M = 1e-2
+#: Passes in which labels grow into places that have none.
+_GROWTH = 12
+
+
+def moved_surfaces(
+    surfaces: Sequence[NurbsSurface | None],
+    lattice: SurfaceLattice,
+    labels: NDArray[np.int32],
+    per_m: NDArray[np.float32],
+    noise_per_m: float,
+) -> list[NurbsSurface | None]:
+    """Move every surface by the linear change of inverse depth that its points tell.
+
+    A spline holds linear functions exactly, so that the moved surface has the same knots. It follows any
+    motion of a plane, and small motions of the others. Places whose neighbours have another label tell
+    nothing.
+
+    Parameters
+    ----------
+    surfaces : sequence of NurbsSurface or None
+        Of the labels 1, 2, ... in the frame before.
+    lattice : SurfaceLattice
+        Of these surfaces.
+    labels : (h, w) int32
+        Labels on the grid.
+    per_m : (h, w) float32
+        Inverse depth of this frame on the grid, 1/m.
+    noise_per_m : float
+        Standard deviation of inverse depth, 1/m.
+
+    Returns
+    -------
+    list of NurbsSurface or None
+        The moved ones.
+    """
+    # First their mean, then a linear change of those that agree with it.
+    count = len(surfaces) + 1
+    change = lattice.image(labels)
+    sums = np.zeros((count, 3))
+    _tell_changes(labels, inner_places(labels), per_m, change, sums)
+    mean, square = np.ascontiguousarray(sums[:, 1:].T) / np.maximum(sums[:, 0], 1.0)
+    spread = np.sqrt(np.maximum(square - np.square(mean), 0.0))
+    limit = np.maximum(6.0 * noise_per_m, 2.0 * spread)
+    sums = np.zeros((count, 9))
+    _sum_moments(labels, change, mean, limit, sums)
+    n = sums[:, 0]
+    x, y, c, xx, yy, xy, xc, yc = sums[:, 1:].T / np.maximum(n, 1.0)
+    # A ridge of one row and column of points keeps slivers from tilting.
+    xx, yy = n * (xx - x * x) + 4.0 * n + 1.0, n * (yy - y * y) + 4.0 * n + 1.0
+    xy, xc, yc = n * (xy - x * y), n * (xc - x * c), n * (yc - y * c)
+    determinant = xx * yy - xy * xy
+    along_x, along_y = (yy * xc - xy * yc) / determinant, (xx * yc - xy * xc) / determinant
+    changes = np.stack([mean + c - along_x * x - along_y * y, along_x, along_y], axis=1)
+    return [
+        None if surface is None else _moved(surface, change, lattice.step)
+        for surface, change in zip(surfaces, changes[1:], strict=True)
+    ]
+
+
+def _moved(surface: NurbsSurface, change: NDArray[np.float64], step: int) -> NurbsSurface:
+    weights, points = np.empty_like(surface.weights), np.empty_like(surface.control_points_m)
+    _move_net(
+        surface.weights,
+        surface.control_points_m,
+        surface.knots_u,
+        surface.knots_v,
+        change[0],
+        change[1] / step,
+        change[2] / step,
+        weights,
+        points,
+    )
+    return replace(surface, control_points_m=points, weights=weights)
+
+
+def kept_labels(
+    labels: NDArray[np.int32],
+    per_m: NDArray[np.float32],
+    lattice: SurfaceLattice,
+    limits_per_m: NDArray[np.float32],
+) -> NDArray[np.int32]:
+    """Take labels away from places that their surfaces do not explain.
+
+    Parameters
+    ----------
+    labels : (h, w) int32
+        Labels on the grid; 0 is none.
+    per_m : (h, w) float32
+        Inverse depth, 1/m.
+    lattice : SurfaceLattice
+        Of the labels' surfaces.
+    limits_per_m : (labels + 1,) float32
+        Residual from which on a label's surface does not explain a place, 1/m.
+
+    Returns
+    -------
+    (h, w) int32
+        The labels, 0 where they are not kept.
+    """
+    kept = np.empty_like(labels)
+    _keep(labels, per_m, lattice.image(labels), limits_per_m, kept)
+    return kept
+
+
+def grown_labels(
+    labels: NDArray[np.int32],
+    per_m: NDArray[np.float32],
+    lattice: SurfaceLattice,
+    limits_per_m: NDArray[np.float32],
+) -> NDArray[np.int32]:
+    """Let labels grow into unlabelled places that their surfaces explain.
+
+    Parameters
+    ----------
+    labels, per_m, lattice, limits_per_m
+        As for `kept_labels`; places without a point, whose inverse depth is 0, stay unlabelled.
+
+    Returns
+    -------
+    (h, w) int32
+        The labels; places that no neighbour's surface explains stay 0.
+    """
+    grown = labels.copy()
+    _grow(grown, per_m, lattice.values, lattice.windows, limits_per_m, _GROWTH)
+    return grown
+
+
+def inner_places(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Find places with a label whose eight neighbours have the same, (h, w) bool."""
+    inner = np.empty(labels.shape, dtype=np.bool_)
+    _find_inner(labels, inner)
+    return inner
+
+
+@compiled
+def _find_inner(labels: NDArray[np.int32], inner: NDArray[np.bool_]) -> None:
+    """Mark places in columns of three equal labels, between two such columns of the same label."""
+    height, width = labels.shape
+    column = np.empty(width, dtype=np.bool_)
+    for r in range(height):
+        above, below = max(r - 1, 0), min(r + 1, height - 1)
+        for c in range(width):
+            column[c] = (labels[above, c] == labels[r, c]) & (labels[below, c] == labels[r, c])
+            inner[r, c] = column[c] & (labels[r, c] > 0)
+        for c in range(1, width):
+            inner[r, c] &= column[c - 1] & (labels[r, c - 1] == labels[r, c])
+        for c in range(width - 1):
+            inner[r, c] &= column[c + 1] & (labels[r, c + 1] == labels[r, c])
+
+
+@compiled
+def _tell_changes(
+    labels: NDArray[np.int32],
+    inner: NDArray[np.bool_],
+    per_m: NDArray[np.float32],
+    change: NDArray[np.float32],
+    sums: NDArray[np.float64],
+) -> None:
+    """Turn surfaces' inverse depths into changes, NaN where a place does not tell; sum 1, c, cc by label."""
+    height, width = labels.shape
+    for r in range(height):
+        c = 0
+        while c < width:
+            # Places in a row with the same label are summed together.
+            label = labels[r, c]
+            n, total, squares = 0, 0.0, 0.0
+            while c < width and labels[r, c] == label:
+                moved = np.float64(per_m[r, c] - change[r, c])
+                if inner[r, c] and abs(moved) < _MOTION_MOST_PER_M:
+                    n, total, squares = n + 1, total + moved, squares + moved * moved
+                    change[r, c] = moved
+                else:
+                    change[r, c] = np.nan
+                c += 1
+            own = sums[label]
+            own[0], own[1], own[2] = own[0] + n, own[1] + total, own[2] + squares
+
+
+@compiled
+def _sum_moments(
+    labels: NDArray[np.int32],
+    change: NDArray[np.float32],
+    mean: NDArray[np.float64],
+    limit: NDArray[np.float64],
+    sums: NDArray[np.float64],
+) -> None:
+    """Sum by label over changes that agree with their mean: 1, x, y, c, xx, yy, xy, xc, yc."""
+    height, width = labels.shape
+    for r in range(height):
+        c = 0
+        while c < width:
+            label = labels[r, c]
+            n = x = xx = d = xd = 0.0
+            while c < width and labels[r, c] == label:
+                beyond = change[r, c] - mean[label]
+                if abs(beyond) < limit[label]:
+                    n, x, xx, d, xd = n + 1.0, x + c, xx + c * c, d + beyond, xd + c * beyond
+                c += 1
+            own = sums[label]
+            for k, each in enumerate((n, x, r * n, d, xx, r * r * n, r * x, xd, r * d)):
+                own[k] += each
+
+
+@compiled
+def _move_net(
+    weights: NDArray[np.float64],
+    points: NDArray[np.float64],
+    knots_u: NDArray[np.float64],
+    knots_v: NDArray[np.float64],
+    constant: float,
+    along_u: float,
+    along_v: float,
+    moved: NDArray[np.float64],
+    moved_points: NDArray[np.float64],
+) -> None:
+    """Add a linear function to control values of inverse depth; control points stay on their rays."""
+    n, m = weights.shape
+    for i in range(n):
+        for j in range(m):
+            # On evenly spaced knots the middle one is the Greville abscissa.
+            change = constant + along_u * knots_u[j + 2] + along_v * knots_v[i + 2]
+            moved[i, j] = max(weights[i, j] + change, _LEAST_PER_M)
+            for axis in range(3):
+                moved_points[i, j, axis] = points[i, j, axis] * weights[i, j] / moved[i, j]
+
+
+@compiled
+def _keep(
+    labels: NDArray[np.int32],
+    per_m: NDArray[np.float32],
+    explained: NDArray[np.float32],
+    limits: NDArray[np.float32],
+    kept: NDArray[np.int32],
+) -> None:
+    """Keep labels whose surfaces explain their places."""
+    height, width = labels.shape
+    for r in range(height):
+        for c in range(width):
+            label = labels[r, c]
+            is_own = abs(explained[r, c] - per_m[r, c]) < limits[label]
+            kept[r, c] = label if is_own else 0
+
+
+@compiled
+def _grow(
+    labels: NDArray[np.int32],
+    per_m: NDArray[np.float32],
+    values: NDArray[np.float32],
+    windows: NDArray[np.int32],
+    limits: NDArray[np.float32],
+    passes: int,
+) -> None:
+    """Give open places the label beside them that explains them best, all those of a pass at once."""
+    height, width = labels.shape
+    places, found = np.empty(labels.size, dtype=np.int64), np.empty(labels.size, dtype=np.int32)
+    flat = labels.reshape(-1)
+    depths = per_m.reshape(-1)
+    waiting = 0
+    for place in range(flat.size):
+        if flat[place] == 0 and depths[place] > 0:
+            places[waiting] = place
+            waiting += 1
+    for _ in range(passes):
+        grown = 0
+        for n in range(waiting):
+            row, column = divmod(places[n], width)
+            least = np.float32(np.inf)
+            found[n] = 0
+            for down, across in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+                r, c = row + down, column + across
+                if not (0 <= r < height and 0 <= c < width):
+                    continue
+                label = labels[r, c]
+                if label == 0:
+                    continue
+                top, left, bottom, right, start = windows[label]
+                if not (top <= row < bottom and left <= column < right):
+                    continue
+                at = start + (row - top) * (right - left) + column - left
+                residual = abs(values[at] - depths[places[n]])
+                if residual < limits[label] and residual < least:
+                    least = residual
+                    found[n] = label
+            grown += found[n] > 0
+        if grown == 0:
+            return
+        left_over = 0
+        for n in range(waiting):
+            if found[n] > 0:
+                flat[places[n]] = found[n]
+            else:
+                places[left_over] = places[n]
+                left_over += 1
+        waiting = left_over
+
+
+__all__ = ["grown_labels", "inner_places", "kept_labels", "moved_surfaces"]

@@ -1,0 +1,373 @@
+"""Which segment of a frame is which of the frame before: identities that live as long as what they name."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.cut.features import lab
+from nurbseg.segmentation.labels.lookup import labels_present, looked_up, read_only
+from nurbseg.segmentation.points.registration import PointMap
+
+#: Identities fit into a label image of 16 bits; 0 is "no segment".
+_IDENTITY_MAX = np.iinfo(np.uint16).max
+#: Overlap (intersection over union) under which two segments are not the same.
+_OVERLAP_MIN = 0.2
+#: Share of a segment that another must have taken over for a split or a merge to be told.
+_TAKEN_SHARE = 0.3
+#: A segment that comes back may have moved this far (metres and a share of its distance), be this many
+#: times larger, or smaller since it appears bit by bit, and differ this much in color (CIELab).
+_RETURN_M, _RETURN_SHARE, _RETURN_LARGER, _RETURN_SMALLER, _RETURN_LAB = 0.05, 0.05, 3.0, 12.0, 20.0
+#: What is left of a remembered size after a frame in which less was seen; color goes with it.
+_SIZE_KEPT = 0.97
+#: Pixels of the image are compared on a grid of about this width.
+_GRID_WIDTH = 160
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """What happened to an identity between two frames.
+
+    Parameters
+    ----------
+    kind : {"new", "lost", "back", "split", "merge"}
+        "split": `identity` came off `other`; "merge": `identity` went into `other`.
+    identity : int
+        Whom it is about.
+    other : int or None
+        The second one of a split or a merge.
+    """
+
+    kind: Literal["new", "lost", "back", "split", "merge"]
+    identity: int
+    other: int | None = None
+
+
+def event_text(event: Event) -> str:
+    """Return an event as a person reads it."""
+    texts = {
+        "new": f"{event.identity} is new",
+        "lost": f"{event.identity} is out of sight",
+        "back": f"{event.identity} is back",
+        "split": f"{event.identity} came off {event.other}",
+        "merge": f"{event.identity} went into {event.other}",
+    }
+    return texts[event.kind]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Portrait:
+    """By what a segment is known again after it was hidden.
+
+    Parameters
+    ----------
+    center_m : (3,) float64
+        Mean of its points, metres.
+    color_lab : (3,) float64
+        Its mean color, CIELab.
+    pixels : int
+        Number of its pixels on the grid.
+    unseen : int
+        Frames since it was seen; 0 while it is.
+    """
+
+    center_m: NDArray[np.float64]
+    color_lab: NDArray[np.float64]
+    pixels: int
+    unseen: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Identities:
+    """The identities of one frame's segments, and of those that were there shortly before.
+
+    Parameters
+    ----------
+    of_label : mapping of int to int
+        Identity of each label of the frame's label image.
+    grid : (h, w) uint16
+        Identity of every few pixels, for the comparison with the next frame.
+    portraits : mapping of int to Portrait
+        Of every identity that is seen, or was seen not long ago.
+    events : tuple of Event
+        What changed since the frame before.
+    next_identity : int
+        The first one never given.
+    """
+
+    of_label: Mapping[int, int]
+    grid: NDArray[np.uint16]
+    portraits: Mapping[int, Portrait] = field(default_factory=dict)
+    events: tuple[Event, ...] = ()
+    next_identity: int = 1
+
+    def image(self, labels: NDArray[np.uint16]) -> NDArray[np.uint16]:
+        """Return a label image with identities in place of labels.
+
+        Parameters
+        ----------
+        labels : (H, W) uint16
+            The frame's labels; 0 stays 0.
+        """
+        table = np.zeros(max(self.of_label, default=0) + 1, dtype=np.uint16)
+        for label, identity in self.of_label.items():
+            table[label] = identity
+        return looked_up(table, labels)
+
+
+def carry_identities(
+    previous: Identities | None,
+    labels: NDArray[np.uint16],
+    cloud: PointMap,
+    *,
+    before: NDArray[np.uint16] | None = None,
+    remembered: int = 30,
+) -> Identities:
+    """Give each segment the identity of the segment of the frame before that it continues.
+
+    Segments are matched by their overlap in the image, all at once (the assignment of the greatest total
+    overlap). One that continues none is held against those that were lost within the last frames, by
+    place, size and color; if it resembles none, it is new.
+
+    Parameters
+    ----------
+    previous : Identities or None
+        Of the frame before; None for the first.
+    labels : (H, W) uint16
+        Labels of this frame; 0 is no segment.
+    cloud : PointMap
+        This frame.
+    before : (H, W) uint16, optional
+        Labels of the frame before, carried along the motion between the frames; 0 is none. Without them
+        segments are taken to be where they were.
+    remembered : int
+        Frames for which an identity that is not seen is kept.
+
+    Returns
+    -------
+    Identities
+        Of this frame.
+    """
+    step = max(1, round(labels.shape[1] / _GRID_WIDTH))
+    coarse = np.ascontiguousarray(labels[::step, ::step])
+    every = labels_present(labels)
+    seen = _portraits(labels, every, cloud, step)
+    between = [int(each) for each in every if each and each not in seen]
+    if between:
+        # Slivers that lie between the grid's pixels.
+        seen |= _portraits(labels, between, cloud, 1)
+    if previous is None or previous.grid.shape != coarse.shape:
+        previous = Identities({}, np.zeros_like(coarse), {}, (), 1)
+    elif before is not None:
+        previous = replace(previous, grid=previous.image(before[::step, ::step]))
+    overlap, identities, present = _overlaps(previous.grid, coarse)
+    matched = _matched(overlap, identities, present, previous, seen)
+
+    events: list[Event] = []
+    free = dict(previous.portraits)
+    for identity in matched.values():
+        free.pop(identity, None)
+    next_identity = previous.next_identity
+    of_label: dict[int, int] = {}
+    for label in sorted(seen, key=lambda each: -seen[each].pixels):
+        if label in matched:
+            of_label[label] = matched[label]
+            continue
+        known = _known_again(seen[label], free)
+        if known is not None:
+            del free[known]
+            of_label[label] = known
+            events.append(Event("back", known))
+            continue
+        identity, next_identity = _fresh(next_identity, previous.portraits, of_label)
+        of_label[label] = identity
+        parent = _mostly_from(label, overlap, identities, present)
+        events.append(Event("new", identity) if parent is None else Event("split", identity, parent))
+
+    portraits = {
+        identity: _updated(previous.portraits.get(identity), seen[label])
+        for label, identity in of_label.items()
+    }
+    for identity, portrait in previous.portraits.items():
+        if identity in portraits:
+            continue
+        unseen = portrait.unseen + 1
+        if portrait.unseen == 0:
+            into = _mostly_into(identity, overlap, identities, present, of_label)
+            events.append(Event("lost", identity) if into is None else Event("merge", identity, into))
+        if unseen <= remembered:
+            portraits[identity] = Portrait(portrait.center_m, portrait.color_lab, portrait.pixels, unseen)
+    found = Identities(of_label, np.zeros_like(coarse), portraits, tuple(events), next_identity)
+    return Identities(of_label, found.image(coarse), portraits, tuple(events), next_identity)
+
+
+def _updated(before: Portrait | None, now: Portrait) -> Portrait:
+    """Return a portrait with its place now, and size and color of when more of it was seen."""
+    if before is None or now.pixels >= _SIZE_KEPT * before.pixels:
+        return now
+    return Portrait(now.center_m, before.color_lab, round(_SIZE_KEPT * before.pixels))
+
+
+def _portraits(
+    labels: NDArray[np.uint16], wanted: Sequence[int] | NDArray[np.intp], cloud: PointMap, step: int
+) -> dict[int, Portrait]:
+    """Portray some labels, ascending, from every few rows and columns, those that are there."""
+    sums = np.zeros((len(wanted), 7))
+    place = np.full(int(max(wanted, default=0)) + 1, -1)
+    place[wanted] = np.arange(len(wanted))
+    _sum_points(read_only(labels), cloud.points_m, cloud.color, step, place, sums)
+    counts = sums[:, 0]
+    means = sums[:, 1:] / np.maximum(counts, 1.0)[:, np.newaxis]
+    colors = lab(np.rint(means[:, 3:]).astype(np.uint8)).astype(np.float64)
+    return {
+        int(label): Portrait(means[n, :3], colors[n], int(counts[n]))
+        for n, label in enumerate(wanted)
+        if label and counts[n]
+    }
+
+
+@compiled
+def _sum_points(
+    labels: NDArray[np.uint16],
+    points_m: NDArray[np.float32],
+    color: NDArray[np.uint8],
+    step: int,
+    place: NDArray[np.int64],
+    sums: NDArray[np.float64],
+) -> None:
+    """Count pixels, and sum their points and colors, by the place of their label, if it has one."""
+    height, width = color.shape[:2]
+    for r in range(0, height, step):
+        for c in range(0, width, step):
+            label = labels[r * width + c]
+            if label >= place.size or place[label] < 0:
+                continue
+            own = sums[place[label]]
+            own[0] += 1.0
+            for axis in range(3):
+                own[1 + axis] += points_m[r, c, axis]
+                own[4 + axis] += color[r, c, axis]
+
+
+def _overlaps(
+    before: NDArray[np.uint16], now: NDArray[np.uint16]
+) -> tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16]]:
+    """Count common pixels of identities (rows) and labels (columns); the first of either is 0, "none"."""
+    identities, rows = _numbered(before)
+    present, columns = _numbered(now)
+    counts = np.zeros((identities.size, present.size), dtype=np.int64)
+    _count_pairs(read_only(before), read_only(now), rows, columns, counts)
+    return counts, identities, present
+
+
+def _numbered(image: NDArray[np.uint16]) -> tuple[NDArray[np.uint16], NDArray[np.int64]]:
+    """Return the values of an image, 0 among them, and the place among these of each value."""
+    values = np.union1d(labels_present(image), [0])
+    place = np.zeros(int(values[-1]) + 1, dtype=np.int64)
+    place[values] = np.arange(values.size)
+    return values.astype(np.uint16), place
+
+
+@compiled
+def _count_pairs(
+    before: NDArray[np.uint16],
+    now: NDArray[np.uint16],
+    rows: NDArray[np.int64],
+    columns: NDArray[np.int64],
+    counts: NDArray[np.int64],
+) -> None:
+    """Count the pixels of every value before and value now."""
+    for n in range(now.size):
+        counts[rows[before[n]], columns[now[n]]] += 1
+
+
+def _matched(
+    overlap: NDArray[np.int64],
+    identities: NDArray[np.uint16],
+    present: NDArray[np.uint16],
+    previous: Identities,
+    seen: Mapping[int, Portrait],
+) -> dict[int, int]:
+    """Return the identity that each label continues, for those that continue one."""
+    common = overlap[1:, 1:]
+    if common.size == 0:
+        return {}
+    before = np.array([previous.portraits[int(each)].pixels for each in identities[1:]])
+    now = np.array([seen[int(each)].pixels for each in present[1:]])
+    # Points that come into view or go out of it are no disagreement: only what both frames label counts.
+    both_before, both_now = common.sum(axis=1), common.sum(axis=0)
+    union = np.minimum(before, both_before)[:, None] + np.minimum(now, both_now)[None, :] - common
+    score = common / np.maximum(union, 1)
+    rows, columns = linear_sum_assignment(-score)
+    return {
+        int(present[1 + column]): int(identities[1 + row])
+        for row, column in zip(rows, columns, strict=True)
+        if score[row, column] >= _OVERLAP_MIN
+    }
+
+
+def _known_again(portrait: Portrait, lost: Mapping[int, Portrait]) -> int | None:
+    """Return the lost identity that a segment resembles most, if it resembles one."""
+    best: tuple[float, int] | None = None
+    for identity, other in lost.items():
+        reach = _RETURN_M + _RETURN_SHARE * math.hypot(*other.center_m)
+        # Hidden things go on moving.
+        reach *= 1.0 + 0.2 * other.unseen
+        distance = math.dist(portrait.center_m, other.center_m) / reach
+        color = math.dist(portrait.color_lab, other.color_lab) / _RETURN_LAB
+        ratio = portrait.pixels / max(1, other.pixels)
+        if distance <= 1 and color <= 1 and 1.0 / _RETURN_SMALLER <= ratio <= _RETURN_LARGER:
+            difference = distance + color
+            if best is None or difference < best[0]:
+                best = difference, identity
+    return None if best is None else best[1]
+
+
+def _fresh(
+    next_identity: int, remembered: Mapping[int, Portrait], given: Mapping[int, int]
+) -> tuple[int, int]:
+    """Return an identity that nobody has, and the next one to try."""
+    taken = {*remembered, *given.values()}
+    while next_identity in taken or next_identity > _IDENTITY_MAX:
+        next_identity = 1 if next_identity >= _IDENTITY_MAX else next_identity + 1
+    return next_identity, next_identity + 1
+
+
+def _mostly_from(
+    label: int,
+    overlap: NDArray[np.int64],
+    identities: NDArray[np.uint16],
+    present: NDArray[np.uint16],
+) -> int | None:
+    place = int(np.searchsorted(present, label))
+    if place >= present.size or present[place] != label:
+        return None
+    column = overlap[:, place]
+    row = int(column[1:].argmax()) + 1 if column.size > 1 else 0
+    if row == 0 or column[row] < _TAKEN_SHARE * column.sum():
+        return None
+    return int(identities[row])
+
+
+def _mostly_into(
+    identity: int,
+    overlap: NDArray[np.int64],
+    identities: NDArray[np.uint16],
+    present: NDArray[np.uint16],
+    of_label: Mapping[int, int],
+) -> int | None:
+    place = int(np.searchsorted(identities, identity))
+    if place >= identities.size or identities[place] != identity:
+        return None
+    row = overlap[place]
+    column = int(row[1:].argmax()) + 1 if row.size > 1 else 0
+    if column == 0 or row[column] < _TAKEN_SHARE * row.sum():
+        return None
+    return of_label.get(int(present[column]))

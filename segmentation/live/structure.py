@@ -1,0 +1,257 @@
+"""The structure of the live tree while it is revised: leaves come, go, and take each other's places."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.extended.splitting import Part
+from nurbseg.segmentation.labels.regions import Joints
+from nurbseg.segmentation.live.leaf import LiveLeaf
+from nurbseg.segmentation.segments import Node, StopReason, depth_first
+
+
+@dataclass(slots=True, eq=False)
+class Revised:
+    """What came of a revision.
+
+    Parameters
+    ----------
+    leaves : list of LiveLeaf
+        Of the labels 1, 2, ... from now on.
+    before, on_grid : (h, w) int32
+        Labels on the grid before it, and after it by their working numbers.
+    final : (numbers,) uint16
+        Label from now on of each working number.
+    """
+
+    leaves: list[LiveLeaf]
+    before: NDArray[np.int32]
+    on_grid: NDArray[np.int32]
+    final: NDArray[np.uint16] = field(default_factory=lambda: np.zeros(1, dtype=np.uint16))
+    refits: int = 0
+    trials: int = 0
+    splits: int = 0
+    folds: int = 0
+    waiting: int = 0
+
+    def relabelled(
+        self, labels: NDArray[np.uint16], per_m: NDArray[np.float32], step: int
+    ) -> NDArray[np.uint16]:
+        """Return a label image as it is after the revision.
+
+        Parameters
+        ----------
+        labels : (H, W) uint16
+            Labels before it.
+        per_m : (H, W) float32
+            Inverse depth, 1/m; 0 where there is no point, and so no label.
+        step : int
+            Pixels from one place of the grid to the next.
+
+        Returns
+        -------
+        (H, W) uint16
+            Labels from now on.
+        """
+        relabelled = np.empty_like(labels)
+        _relabel(labels, per_m, self.before, self.on_grid, self.final, step, relabelled)
+        return relabelled
+
+
+@compiled
+def _relabel(
+    labels: NDArray[np.uint16],
+    per_m: NDArray[np.float32],
+    before: NDArray[np.int32],
+    on_grid: NDArray[np.int32],
+    final: NDArray[np.uint16],
+    step: int,
+    relabelled: NDArray[np.uint16],
+) -> None:
+    """Look up labels from now on; pixels that have the label of their place change with it."""
+    height, width = labels.shape
+    known, number = np.empty(width, dtype=np.int32), np.empty(width, dtype=np.int32)
+    for r in range(height):
+        if r % step == 0:
+            for c in range(width):
+                known[c], number[c] = before[r // step, c // step], on_grid[r // step, c // step]
+        for c in range(width):
+            # Neighbours across a border keep what they have; what had no label takes this one.
+            label = np.int32(labels[r, c])
+            now = final[number[c] if label == known[c] else label]
+            relabelled[r, c] = now if per_m[r, c] > 0 else 0
+
+
+class Growth:
+    """A tree under revision; leaves go by working numbers, their labels so far and then further ones.
+
+    Parameters
+    ----------
+    root : Node
+        Of the tree, which is changed.
+    leaves : sequence of LiveLeaf
+        Of the labels 1, 2, ...
+    on_grid : (h, w) int32
+        Labels on the grid.
+    make_leaf : callable
+        Makes a leaf of a node.
+
+    Attributes
+    ----------
+    by_number : dict of int to LiveLeaf
+        The leaves.
+    labels : (h, w) int32
+        Working number of every place.
+    done : Revised
+        What was done so far.
+    """
+
+    def __init__(
+        self,
+        root: Node,
+        leaves: Sequence[LiveLeaf],
+        on_grid: NDArray[np.int32],
+        make_leaf: Callable[[Node], LiveLeaf],
+    ) -> None:
+        self.by_number: dict[int, LiveLeaf] = dict(enumerate(leaves, start=1))
+        self.done = Revised([], on_grid, on_grid.copy())
+        self.labels = self.done.on_grid
+        self._root = root
+        self._make_leaf = make_leaf
+        self._instead: dict[int, int] = {}
+        self._next = len(leaves) + 1
+
+    def sizes(self) -> NDArray[np.int64]:
+        """Return the number of places of each working number, that of 0 being 0."""
+        sizes = np.zeros(self._next, dtype=np.int64)
+        _count(self.labels, sizes)
+        sizes[0] = 0
+        return sizes
+
+    def neighbors(self, joined: Joints, least: int) -> list[tuple[int, int]]:
+        """Return the leaves that meet along so many places with no gap in depth, the smaller number first."""
+        meetings = np.zeros((self._next, self._next), dtype=np.int64)
+        _count_meetings(self.labels, joined.right, joined.down, meetings)
+        meetings += meetings.T
+        first, second = np.nonzero(np.triu(meetings, 1) >= least)
+        return list(zip(first.tolist(), second.tolist(), strict=True))
+
+    def insert(self, host: int, part: Part) -> None:
+        """Split a leaf into itself and a part that is no longer its own."""
+        leaf = self.by_number[host]
+        node = leaf.node
+        places, fit, stop = part
+        depth = node.cuts_above + 1
+        rest = Node(f"{node.name}0", node.places, node.fit, stop=node.stop, cuts_above=depth)
+        new = Node(f"{node.name}1", places, fit, stop=stop or StopReason.CRITERION, cuts_above=depth)
+        node.children, node.stop, node.cut, node.ratio = (rest, new), None, None, None
+        leaf.node = rest
+        self.labels.ravel()[places] = self.adopt(new)
+
+    def adopt(self, node: Node) -> int:
+        """Make a leaf of a node; return its working number."""
+        number = self._next
+        self._next += 1
+        leaf = self.by_number[number] = self._make_leaf(node)
+        # Nobody has tried to split it yet.
+        leaf.tried = 0.0
+        return number
+
+    def absorb(self, gone: int, heir: int) -> None:
+        """Give the places of one leaf to another, and take it out of the tree."""
+        leaf = self.by_number.pop(gone)
+        self.labels[self.labels == gone] = heir
+        self._instead[gone] = heir
+        self._remove(leaf.node)
+
+    def around(self, mask: NDArray[np.bool_]) -> int | None:
+        """Return the leaf that surrounds some places, if there is one."""
+        kernel = np.ones((3, 3), dtype=np.uint8)
+        ring = (cv2.dilate(mask.view(np.uint8), kernel) > 0) & ~mask
+        labels = self.labels[ring]
+        counts = np.bincount(labels[labels > 0], minlength=2)
+        number = int(counts.argmax())
+        if counts[number] == 0:
+            # Nothing touches it: whatever is largest.
+            sizes = self.sizes()
+            number = int(sizes.argmax())
+        return number if number in self.by_number else None
+
+    def finished(self) -> Revised:
+        """Give the leaves labels in the order of the tree, and end."""
+        by_node = {id(leaf.node): (number, leaf) for number, leaf in self.by_number.items()}
+        final = np.zeros(self._next, dtype=np.uint16)
+        for node in depth_first(self._root):
+            if node.children:
+                continue
+            number, leaf = by_node[id(node)]
+            self.done.leaves.append(leaf)
+            final[number] = len(self.done.leaves)
+        for gone in self._instead:
+            heir = gone
+            while heir in self._instead:
+                heir = self._instead[heir]
+            final[gone] = final[heir]
+        self.done.final = final
+        return self.done
+
+    def _remove(self, gone: Node) -> None:
+        """Let the other part of a split take the place of the whole."""
+        for node in depth_first(self._root):
+            if node.children and gone in node.children:
+                (kept,) = (child for child in node.children if child is not gone)
+                holder = next((leaf for leaf in self.by_number.values() if leaf.node is kept), None)
+                node.places, node.fit, node.stop = kept.places, kept.fit, kept.stop
+                node.ratio, node.cut, node.children = kept.ratio, kept.cut, kept.children
+                if holder is not None:
+                    holder.node = node
+                _rename(node.children, node.name)
+                return
+
+
+@compiled
+def _count(labels: NDArray[np.int32], sizes: NDArray[np.int64]) -> None:
+    """Count the places of each number, run by run."""
+    flat, begin = labels.reshape(-1), 0
+    for place in range(1, flat.size + 1):
+        if place == flat.size or flat[place] != flat[begin]:
+            sizes[flat[begin]] += place - begin
+            begin = place
+
+
+@compiled
+def _count_meetings(
+    labels: NDArray[np.int32],
+    right: NDArray[np.bool_],
+    down: NDArray[np.bool_],
+    meetings: NDArray[np.int64],
+) -> None:
+    """Count the joined neighbours of two numbers, the first to the left of the second or above it."""
+    height, width = labels.shape
+    for r in range(height):
+        for c in range(width):
+            number = labels[r, c]
+            if number == 0:
+                continue
+            if right[r, c] and labels[r, c + 1] != number:
+                meetings[number, labels[r, c + 1]] += 1
+            if down[r, c] and labels[r + 1, c] != number:
+                meetings[number, labels[r + 1, c]] += 1
+
+
+def _rename(children: Iterable[Node], above: str) -> None:
+    stack = [(child, f"{above}{place}") for place, child in enumerate(children)]
+    while stack:
+        node, name = stack.pop()
+        node.name = name
+        node.cuts_above = min(node.cuts_above, len(name))
+        stack.extend((child, f"{name}{place}") for place, child in enumerate(node.children))
+
+
+__all__ = ["Growth", "Revised"]

@@ -1,0 +1,322 @@
+"""The live tree: it keeps what it knows of a scene from frame to frame, and revises what no longer holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.extended.splitting import segment_nurbseg
+from nurbseg.segmentation.labels.regions import Joints, connected_pieces, joints
+from nurbseg.segmentation.labels.segment_pixels import finished_segments
+from nurbseg.segmentation.labels.spreading import spread_labels
+from nurbseg.segmentation.live.borders import settled_borders, spread_to_pixels
+from nurbseg.segmentation.live.follow import grown_labels, kept_labels, moved_surfaces
+from nurbseg.segmentation.live.leaf import LiveLeaf, Misfit, misfit, remeasured
+from nurbseg.segmentation.live.motion import brightness, carried, flow_back, resized
+from nurbseg.segmentation.live.objects import ObjectMemory
+from nurbseg.segmentation.live.revision import Budget, Reviser
+from nurbseg.segmentation.points.grid import decimated_grid
+from nurbseg.segmentation.points.rays import Rays, rays_of
+from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first
+from nurbseg.segmentation.surfaces.inverse_depth import DepthGrid, inverse_depth_image
+from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
+from nurbseg.segmentation.surfaces.surface import Fit
+
+#: The scene is another one where so much of it is not explained by the surfaces of the frame before.
+_CHANGED_SHARE = 0.4
+#: So many leaves waiting for a trial, over so many frames, are more than revising can do.
+_WAITING_MOST, _WAITING_FRAMES = 6, 15
+#: A leaf's own residuals, in units of their root mean square, beyond which a place is not its own.
+_OWN_DEVIATIONS = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class Revision:
+    """What was done to the tree for a frame.
+
+    Parameters
+    ----------
+    cold : str
+        Why the frame was segmented anew; empty where the tree lived on.
+    unexplained : float
+        Share of the points that the moved surfaces did not explain.
+    refits, trials, splits, folds : int
+        Surfaces fitted anew, leaves tried for a split, splits made, and splits undone.
+    waiting : int
+        Leaves that are to be tried in later frames.
+    step : int
+        Pixels from one place of the grid to the next.
+    """
+
+    cold: str = ""
+    unexplained: float = 0.0
+    refits: int = 0
+    trials: int = 0
+    splits: int = 0
+    folds: int = 0
+    waiting: int = 0
+    step: int = 1
+
+
+class LiveTree:
+    """Segments frame after frame, each from the tree of the one before.
+
+    Labels are carried along the motion of the image, surfaces move by the linear change of inverse depth that
+    their points tell, and borders are settled by both. Then the tree is revised, the worst first and as far
+    as the budget goes: leaves are fitted anew, a leaf that has become worse is tried for a split, a split
+    that one surface explains again is undone. Borders between surfaces are remembered, so that objects do not
+    flicker. A frame that is not explained is segmented anew.
+
+    Parameters
+    ----------
+    config : SegmentationConfig
+        Of the default method with surfaces of inverse depth.
+
+    Attributes
+    ----------
+    revision : Revision
+        What was done for the last frame.
+    labels_before : (H, W) uint16
+        Label that each pixel of the last frame had in the tree before it; 0 where it had none.
+
+    Raises
+    ------
+    ValueError
+        If the configuration is of another method.
+    """
+
+    def __init__(self, config: SegmentationConfig) -> None:
+        if not lives(config):
+            raise ValueError(f"method: expected nurbseg with inverse-depth fits, got {config.method}")
+        self._config = config
+        self._configs = {config.decimation: config}
+        self.revision = Revision()
+        self._leaves: list[LiveLeaf] = []
+        self._root = Node(
+            "", np.zeros(0, dtype=np.intp), Fit(None, np.zeros(0), {}, "", np.zeros(0, dtype=np.intp))
+        )
+        self._labels = np.zeros((0, 0), dtype=np.uint16)
+        self._gray = np.zeros((0, 0), dtype=np.uint8)
+        self._objects = ObjectMemory()
+        self._reviser = Reviser()
+        self._overdue = 0
+        self._rays: Rays | None = None
+        self._lattice = SurfaceLattice([], config.decimation)
+        self.labels_before = self._labels
+
+    def segment(self, cloud: PointMap, budget: Budget | None = None) -> SegmentationTree:
+        """Segment the next frame.
+
+        Parameters
+        ----------
+        cloud : PointMap
+            The frame.
+        budget : Budget, optional
+            How much may be revised; on its grid a frame is segmented anew as well.
+
+        Returns
+        -------
+        SegmentationTree
+            As that of a frame alone; a part that is split off or gone changes the names of those below
+            the same split.
+        """
+        budget = budget or Budget()
+        config = self._config_on(budget.decimation or self._config.decimation)
+        reason = self._no_continuation(cloud)
+        if not reason:
+            tree = self._followed(cloud, config, budget)
+            if tree is not None:
+                return tree
+            reason = self.revision.cold
+        tree = segment_nurbseg(cloud, config)
+        self._take_over(tree, cloud, config.decimation)
+        self.revision = replace(self.revision, cold=reason, step=config.decimation)
+        return tree
+
+    def _config_on(self, step: int) -> SegmentationConfig:
+        """Return the configuration on a grid of so many pixels."""
+        if step not in self._configs:
+            self._configs[step] = replace(self._config, decimation=step)
+        return self._configs[step]
+
+    def _no_continuation(self, cloud: PointMap) -> str:
+        if not self._leaves:
+            return "the first frame"
+        if cloud.valid.shape != self._labels.shape:
+            return "images of another size"
+        if self._overdue > _WAITING_FRAMES:
+            return "more to revise than the budget allows"
+        return ""
+
+    def _take_over(self, tree: SegmentationTree, cloud: PointMap, step: int) -> None:
+        """Begin to live with a tree that was grown for this frame alone, on a grid of so many pixels."""
+        nodes = {
+            each.name: Node(
+                each.name,
+                np.zeros(0, dtype=np.intp),
+                each.fit,
+                ratio=each.ratio,
+                stop=each.stop,
+                cut=each.cut,
+                cuts_above=each.depth,
+            )
+            for each in tree.segments
+        }
+        for each in tree.segments:
+            if each.children:
+                nodes[each.name].children = (nodes[each.children[0]], nodes[each.children[1]])
+        self._root = nodes[""]
+        self._reviser = Reviser()
+        self._leaves = [self._reviser.leaf(nodes[leaf.name]) for leaf in tree.leaves()]
+        self.labels_before = np.zeros(tree.shape, dtype=np.uint16)
+        self._labels = tree.label_image().copy()
+        self._lattice = SurfaceLattice([leaf.surface for leaf in self._leaves], step)
+        self._gray = brightness(cloud.color, step)
+        self._objects = ObjectMemory()
+        self._rays = None
+        self._overdue = 0
+        self.revision = Revision()
+
+    def _followed(
+        self, cloud: PointMap, config: SegmentationConfig, budget: Budget
+    ) -> SegmentationTree | None:
+        """Let the tree live on into a frame; None where the frame is not explained."""
+        step = config.decimation
+        per_m = inverse_depth_image(cloud)
+        on_every = np.ascontiguousarray(per_m[::step, ::step])
+        grid = DepthGrid(decimated_grid(cloud, step), on_every, self._rays_of(cloud))
+        gray = brightness(cloud.color, step)
+        before = carried(self._labels, flow_back(gray, resized(self._gray, gray.shape)))
+        on_grid = np.where(grid.valid, before[::step, ::step], 0).astype(np.int32)
+
+        # Surfaces move with their points, and what they do not explain is open.
+        surfaces = [leaf.surface for leaf in self._leaves]
+        if self._lattice.step != step:
+            self._lattice = SurfaceLattice(surfaces, step)
+        surfaces = moved_surfaces(surfaces, self._lattice, on_grid, grid.per_m, config.noise_per_m)
+        lattice = SurfaceLattice(surfaces, step)
+        limits = self._limits_per_m()
+        points, known = int(np.count_nonzero(grid.valid)), int(np.count_nonzero(on_grid))
+        on_grid = kept_labels(on_grid, grid.per_m, lattice, limits)
+        unexplained = 1.0 - int(np.count_nonzero(on_grid)) / max(1, known)
+        if unexplained > _CHANGED_SHARE or known < (1.0 - _CHANGED_SHARE) * points:
+            self.revision = Revision(cold="another scene", unexplained=unexplained)
+            return None
+        for leaf, surface in zip(self._leaves, surfaces, strict=True):
+            leaf.surface = surface
+            leaf.age += 1
+            leaf.patience = max(0, leaf.patience - 1)
+
+        # Labels grow into what is open; what stays open is new, or too small to be anything.
+        on_grid = grown_labels(on_grid, grid.per_m, lattice, limits)
+        joined = joints(grid.per_m, grid.valid, config.depth_gap_per_m)
+        on_grid, appeared = self._cleaned(on_grid, grid, joined)
+
+        # Borders on every pixel.
+        labels = spread_to_pixels(before, on_grid, per_m, step)
+        if config.refine_borders:
+            labels = settled_borders(
+                labels, per_m, lattice, noise_per_m=config.noise_per_m, gap_per_m=config.depth_gap_per_m
+            )
+        on_grid = np.where(grid.valid & (appeared == 0), labels[::step, ::step], 0).astype(np.int32)
+
+        # The tree is revised.
+        measures = misfit(on_grid, lattice, grid, config.noise_per_m, len(self._leaves))
+        done = self._reviser.revise(
+            cloud,
+            grid,
+            joined,
+            on_grid,
+            appeared,
+            self._root,
+            self._leaves,
+            measures,
+            self._objects.together,
+            budget,
+            config,
+        )
+        self._leaves = done.leaves
+        labels = done.relabelled(labels, per_m, step)
+        missed = (labels == 0) & (per_m > 0)
+        if missed.any():
+            labels = spread_labels(labels.astype(np.int32), missed, per_m, config.depth_gap_per_m).astype(
+                np.uint16
+            )
+        self.labels_before = before
+        self._gray = gray
+        self._overdue = self._overdue + 1 if done.waiting > _WAITING_MOST else 0
+        self.revision = Revision(
+            "", unexplained, done.refits, done.trials, done.splits, done.folds, done.waiting, step
+        )
+        return self._finished(cloud, grid, labels, before, config)
+
+    def _rays_of(self, cloud: PointMap) -> Rays:
+        """Return the camera's rays; they stay what a frame of which most was seen has told."""
+        if self._rays is None:
+            rays = rays_of(cloud)
+            if np.count_nonzero(cloud.valid) < 0.5 * cloud.valid.size:
+                return rays
+            self._rays = rays
+        return self._rays
+
+    def _limits_per_m(self) -> NDArray[np.float32]:
+        """Return from which residual on a place is not a leaf's own, by label."""
+        own = [_OWN_DEVIATIONS * leaf.rms_per_m for leaf in self._leaves]
+        limits = np.maximum(np.array([0.0, *own]), self._config.depth_gap_per_m)
+        return np.asarray(limits, dtype=np.float32)
+
+    def _cleaned(
+        self, on_grid: NDArray[np.int32], grid: DepthGrid, joined: Joints
+    ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """Give small pieces to their neighbours; return the labels, and the pieces that are new things."""
+        config = self._config
+        places_min = config.piece_pixels_min * grid.points.pixel_share
+        open_label = len(self._leaves) + 1
+        marked = np.where(grid.valid & (on_grid == 0), np.int32(open_label), on_grid)
+        found = connected_pieces(marked, joined)
+        # The largest piece of a leaf stays, however small it is.
+        kept = found.large(places_min, open_label - 1)
+        new = np.flatnonzero(kept & (found.labels_of == open_label))
+        labels_of = np.where(kept, found.labels_of, 0).astype(np.int32)
+        labels_of[new] = np.arange(open_label, open_label + new.size)
+        cleaned = labels_of[found.numbers]
+        homeless = (cleaned == 0) & grid.valid
+        if homeless.any():
+            cleaned = spread_labels(cleaned, homeless, grid.per_m, config.depth_gap_per_m)
+        is_new = cleaned >= open_label
+        appeared = np.where(is_new, cleaned - np.int32(open_label - 1), 0)
+        cleaned[is_new] = 0
+        return cleaned, appeared
+
+    def _finished(
+        self,
+        cloud: PointMap,
+        grid: DepthGrid,
+        labels: NDArray[np.uint16],
+        before: NDArray[np.uint16],
+        config: SegmentationConfig,
+    ) -> SegmentationTree:
+        nodes = depth_first(self._root)
+        leaf_nodes = [leaf.node for leaf in self._leaves]
+        surfaces = [leaf.surface for leaf in self._leaves]
+        self._lattice = SurfaceLattice(surfaces, grid.step)
+        on_grid = labels[:: grid.step, :: grid.step].astype(np.int32)
+        remeasured(self._leaves, on_grid, self._lattice, grid, config)
+        segments = finished_segments(nodes, leaf_nodes, labels)
+        objects, contacts = self._objects.merged(self._leaves, on_grid, self._lattice, grid, config)
+        # What has no depth in this frame keeps its label for the next one.
+        self._labels = self._reviser.renumbered(before)
+        np.copyto(self._labels, labels, where=labels > 0)
+        return SegmentationTree(segments, cloud.valid.shape, objects, contacts, config.level, labels)
+
+
+def lives(config: SegmentationConfig) -> bool:
+    """Say whether the tree of a configuration can live on from frame to frame."""
+    return config.method == "nurbseg" and config.fit_of == "inverse-depth"
+
+
+__all__ = ["Budget", "LiveTree", "Misfit", "Revision", "lives"]

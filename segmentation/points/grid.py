@@ -1,0 +1,188 @@
+"""The grid of pixels on which splits are decided: every pixel of the image, or every few."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.points.registration import PointMap
+
+Window = tuple[int, int, int, int]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PixelGrid:
+    """Points on every `step`-th row and column of an image, laid out for matrix products.
+
+    Parameters
+    ----------
+    step : int
+        Distance of neighbours on the grid, pixels.
+    image_shape : (int, int)
+        Rows and columns of the full image.
+    coordinates_m : (3, h, w) float32
+        x, y, z in metres; 0, or NaN on a full grid, where there is no point.
+    valid : (h, w) bool
+        Where there is a point.
+    """
+
+    step: int
+    image_shape: tuple[int, int]
+    coordinates_m: NDArray[np.float32]
+    valid: NDArray[np.bool_]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the grid."""
+        height, width = self.valid.shape
+        return height, width
+
+    @property
+    def pixel_share(self) -> float:
+        """Places of the grid for each pixel of a 640x480 image, the unit of the paper's thresholds."""
+        return self.image_shape[0] * self.image_shape[1] / (640 * 480) / self.step**2
+
+    def locate(self, places: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], Window]:
+        """Return rows, columns and the tight window (one past the last) of ascending flat places."""
+        rows, columns = np.divmod(places, self.shape[1])
+        return (
+            rows,
+            columns,
+            (int(rows[0]), int(columns.min()), int(rows[-1]) + 1, int(columns.max()) + 1),
+        )
+
+    def window_mask(self, places: NDArray[np.intp]) -> tuple[Window, NDArray[np.bool_]]:
+        """Return the tight window of flat places and which of its places they are."""
+        *window, mask = _window_mask(places, self.shape[1])
+        top, left, bottom, right = window
+        return (top, left, bottom, right), mask
+
+    def pixels(self, places: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return the flat indices into the full image of flat places of the grid."""
+        if self.step == 1:
+            return places
+        return _on_image(places, self.shape[1], self.image_shape[1], self.step)
+
+    def places_of_window(self, window: Window, mask: NDArray[np.bool_]) -> NDArray[np.intp]:
+        """Return the flat places, ascending, of the marked places of a window."""
+        return _marked(np.ascontiguousarray(mask), window[0], window[1], self.shape[1], 1)
+
+    def pixels_of_window(self, window: Window, mask: NDArray[np.bool_]) -> NDArray[np.intp]:
+        """Return the flat indices into the full image of the marked places of a window."""
+        return _marked(np.ascontiguousarray(mask), window[0], window[1], self.image_shape[1], self.step)
+
+    def every_second(self, places: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return those of some flat places that are on even rows and columns."""
+        return _every_second(places, self.shape[1])
+
+    def full_window(self, window: Window) -> Window:
+        """Return a window of the grid in pixels of the full image."""
+        top, left, bottom, right = window
+        return (
+            top * self.step,
+            left * self.step,
+            (bottom - 1) * self.step + 1,
+            (right - 1) * self.step + 1,
+        )
+
+
+@compiled
+def _window_mask(places: NDArray[np.intp], width: int) -> tuple[int, int, int, int, NDArray[np.bool_]]:
+    """Tight window of at least one flat place, one past the last, and which of its places they are."""
+    # Successive places are mostly of one row: so few need a division.
+    row = top = bottom = places[0] // width
+    left = right = places[0] - row * width
+    for place in places:
+        if not row * width <= place < (row + 1) * width:
+            row = place // width
+            top, bottom = min(top, row), max(bottom, row)
+        column = place - row * width
+        left, right = min(left, column), max(right, column)
+    mask = np.zeros((bottom + 1 - top, right + 1 - left), dtype=np.bool_)
+    for place in places:
+        if not row * width <= place < (row + 1) * width:
+            row = place // width
+        mask[row - top, place - row * width - left] = True
+    return top, left, bottom + 1, right + 1, mask
+
+
+@compiled
+def _marked(mask: NDArray[np.bool_], top: int, left: int, width: int, step: int) -> NDArray[np.intp]:
+    """Flat indices, on an image of some width, of the marked places of a window of every `step`-th pixel."""
+    marked = np.empty(mask.size, dtype=np.intp)
+    count = 0
+    for y in range(mask.shape[0]):
+        for x in range(mask.shape[1]):
+            marked[count] = ((top + y) * width + left + x) * step
+            count += mask[y, x]
+    return marked[:count].copy()
+
+
+@compiled
+def _on_image(places: NDArray[np.intp], width: int, image_width: int, step: int) -> NDArray[np.intp]:
+    """Flat indices into the image of flat places of the grid."""
+    pixels = np.empty(places.size, dtype=np.intp)
+    for n in range(places.size):
+        row = places[n] // width
+        pixels[n] = (row * image_width + places[n] - row * width) * step
+    return pixels
+
+
+@compiled
+def _every_second(places: NDArray[np.intp], width: int) -> NDArray[np.intp]:
+    """Those of some flat places that are on even rows and columns."""
+    found = np.empty(places.size, dtype=np.intp)
+    count = 0
+    for place in places:
+        row = place // width
+        found[count] = place
+        count += ((row | (place - row * width)) & 1) == 0
+    return found[:count].copy()
+
+
+def decimated_grid(cloud: PointMap, step: int) -> PixelGrid:
+    """Take every `step`-th row and column of a frame.
+
+    Parameters
+    ----------
+    cloud : PointMap
+        The frame.
+    step : int
+        Pixels from one row or column to the next.
+
+    Returns
+    -------
+    PixelGrid
+        Its points and which of them there are.
+    """
+    height, width = cloud.valid.shape
+    return PixelGrid(step, (height, width), *_decimated(cloud.points_m, cloud.valid, step))
+
+
+@compiled
+def _decimated(
+    points_m: NDArray[np.float32], valid: NDArray[np.bool_], step: int
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Take coordinates, 0 where there is no point, and where there is one, from every `step`-th pixel."""
+    height, width = -(-valid.shape[0] // step), -(-valid.shape[1] // step)
+    coordinates_m = np.empty((3, height, width), dtype=np.float32)
+    there = np.empty((height, width), dtype=np.bool_)
+    for row in range(height):
+        for column in range(width):
+            there[row, column] = valid[row * step, column * step]
+            for axis in range(3):
+                coordinate = points_m[row * step, column * step, axis]
+                coordinates_m[axis, row, column] = coordinate if there[row, column] else np.float32(0.0)
+    return coordinates_m, there
+
+
+def full_grid(cloud: PointMap) -> PixelGrid:
+    """Take every pixel of a frame, without copying; coordinates are NaN where there is no point."""
+    height, width = cloud.valid.shape
+    return PixelGrid(1, (height, width), np.moveaxis(cloud.points_m, -1, 0), cloud.valid)
+
+
+__all__ = ["PixelGrid", "Window", "decimated_grid", "full_grid"]

@@ -1,0 +1,283 @@
+"""Surface normals of every point, by planes fitted to inverse depth around it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.points.rays import Rays
+
+#: A window needs points on this share of its places to have a plane of its own.
+_FILLED_SHARE = 0.3
+#: A neighbour's plane is preferred where its variance is below this share of the pixel's own.
+_PREFERENCE = np.float32(1.0 / 1.5)
+#: A plane explains a pixel that lies within this many standard deviations of it.
+_OWN_DEVIATIONS = 4.0
+_UNUSABLE = np.float32(1e3)
+
+
+def facet_slopes(
+    inverse_depth: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    *,
+    window: int,
+    noise_per_m: float,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Fit a plane of inverse depth around every point, without mixing what lies on both sides of an edge.
+
+    A plane is fitted in the window around each place, from sums over the window. A point then takes, of
+    nine windows that hold it, the plane with the least residual among those that explain the point: next to
+    an edge that is one which does not reach across [1]_.
+
+    Parameters
+    ----------
+    inverse_depth : (h, w) float32
+        One over depth, 1/m; read only where `valid`.
+    valid : (h, w) bool
+        Where there is a point.
+    window : int
+        Side of the windows, places; odd.
+    noise_per_m : float
+        Standard deviation of the inverse depth, 1/m.
+
+    Returns
+    -------
+    slope_u, slope_v : (h, w) float32
+        Change of inverse depth from one place to the next along columns and rows, 1/m.
+    smoothed : (h, w) float32
+        Inverse depth of the plane at the point, 1/m.
+
+    References
+    ----------
+    .. [1] R. M. Haralick and L. Watson, "A facet model for image data", Computer Graphics and Image
+       Processing 15(2), 1981.
+    """
+    inverse_depth, valid = np.ascontiguousarray(inverse_depth), np.ascontiguousarray(valid)
+    if not valid.any():
+        zeros = np.zeros(valid.shape, dtype=np.float32)
+        return zeros, zeros.copy(), zeros.copy()
+    planes, cost = _window_planes(inverse_depth, valid, window, noise_per_m)
+    chosen = _chosen_planes(inverse_depth, valid, planes, cost, window // 2, _OWN_DEVIATIONS * noise_per_m)
+    smoothed, slope_u, slope_v = chosen
+    return slope_u, slope_v, smoothed
+
+
+@compiled
+def _window_planes(
+    inverse_depth: NDArray[np.float32], valid: NDArray[np.bool_], window: int, noise_per_m: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Fit a plane in the window around each place: (3, h, w) value there and slopes; (h, w) what it costs.
+
+    Sums over a window are those over the window before it, with what has entered and without what has left.
+    """
+    height, width = valid.shape
+    half = window // 2
+    planes = np.empty((3, height, width), dtype=np.float32)
+    cost = np.empty((height, width), dtype=np.float32)
+    # Sums over the rows of a window, of 1, v, v^2, d, d v, d^2 at each column.
+    below = np.zeros((6, width))
+    sums = np.empty((10, width))
+    least = (0.3 * noise_per_m) ** 2
+    full = float(window * window)
+    offset = _mean(inverse_depth, valid)
+    for entering in range(height + half):
+        if entering < height:
+            _add_row(below, inverse_depth[entering], valid[entering], offset, float(entering), 1.0)
+        if entering >= window:
+            leaving = entering - window
+            _add_row(below, inverse_depth[leaving], valid[leaving], offset, float(leaving), -1.0)
+        y = entering - half
+        if y < 0:
+            continue
+        _add_columns(below, half, sums)
+        for x in range(width):
+            # Central moments of place and inverse depth; places are counted from this one.
+            n = max(sums[0, x], 1.0)
+            mean_u, mean_v, mean_d = sums[6, x] / n - x, sums[1, x] / n - y, sums[3, x] / n
+            # A little more variance of place than there is keeps a window of one row or column finite.
+            suu = sums[7, x] - n * (mean_u + x) * (mean_u + x) + 1e-2 * n
+            svv = sums[2, x] - n * (mean_v + y) * (mean_v + y) + 1e-2 * n
+            suv = sums[8, x] - n * (mean_u + x) * (mean_v + y)
+            sud = sums[9, x] - n * (mean_u + x) * mean_d
+            svd = sums[4, x] - n * (mean_v + y) * mean_d
+            sdd = sums[5, x] - n * mean_d * mean_d
+            per_determinant = 1.0 / (suu * svv - suv * suv)
+            slope_u = (svv * sud - suv * svd) * per_determinant
+            slope_v = (suu * svd - suv * sud) * per_determinant
+            variance = max(sdd - slope_u * sud - slope_v * svd, 0.0) / max(n - 3.0, 1.0)
+            # Where all windows fit within rounding, the fuller one is better.
+            price = (variance + least) * (0.5 + 0.5 * full / n)
+            planes[0, y, x] = mean_d - slope_u * mean_u - slope_v * mean_v + offset
+            planes[1, y, x] = slope_u
+            planes[2, y, x] = slope_v
+            cost[y, x] = price if n >= _FILLED_SHARE * full else _UNUSABLE
+    return planes, cost
+
+
+@compiled
+def _mean(inverse_depth: NDArray[np.float32], valid: NDArray[np.bool_]) -> float:
+    total, count = 0.0, 0
+    for y in range(valid.shape[0]):
+        for x in range(valid.shape[1]):
+            total += np.float64(inverse_depth[y, x]) if valid[y, x] else 0.0
+            count += valid[y, x]
+    return total / max(count, 1)
+
+
+@compiled
+def _add_row(
+    below: NDArray[np.float64],
+    inverse_depth: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    offset: float,
+    v: float,
+    sign: float,
+) -> None:
+    """Add a row of points to the sums at each column, or take it away."""
+    for x in range(valid.size):
+        one = sign if valid[x] else 0.0
+        d = np.float64(inverse_depth[x]) - offset if valid[x] else 0.0
+        below[0, x] += one
+        below[1, x] += one * v
+        below[2, x] += one * v * v
+        below[3, x] += sign * d
+        below[4, x] += sign * d * v
+        below[5, x] += sign * d * d
+
+
+@compiled
+def _add_columns(below: NDArray[np.float64], half: int, sums: NDArray[np.float64]) -> None:
+    """Add up columns in windows: of 1, v, v^2, d, d v, d^2 and, with u, of u, u^2, u v, d u."""
+    width = below.shape[1]
+    n, nv, nvv, nd, ndv, ndd, nu, nuu, nuv, ndu = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for entering in range(width + half):
+        if entering < width:
+            u = float(entering)
+            one, v, d = below[0, entering], below[1, entering], below[3, entering]
+            n, nv, nvv, nd = n + one, nv + v, nvv + below[2, entering], nd + d
+            ndv, ndd = ndv + below[4, entering], ndd + below[5, entering]
+            nu, nuu, nuv, ndu = nu + u * one, nuu + u * u * one, nuv + u * v, ndu + u * d
+        leaving = entering - 2 * half - 1
+        if leaving >= 0:
+            u = float(leaving)
+            one, v, d = below[0, leaving], below[1, leaving], below[3, leaving]
+            n, nv, nvv, nd = n - one, nv - v, nvv - below[2, leaving], nd - d
+            ndv, ndd = ndv - below[4, leaving], ndd - below[5, leaving]
+            nu, nuu, nuv, ndu = nu - u * one, nuu - u * u * one, nuv - u * v, ndu - u * d
+        x = entering - half
+        if x >= 0:
+            sums[0, x], sums[1, x], sums[2, x], sums[3, x], sums[4, x] = n, nv, nvv, nd, ndv
+            sums[5, x], sums[6, x], sums[7, x], sums[8, x], sums[9, x] = ndd, nu, nuu, nuv, ndu
+
+
+@compiled
+def _chosen_planes(
+    inverse_depth: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    planes: NDArray[np.float32],
+    cost: NDArray[np.float32],
+    reach: int,
+    own_per_m: float,
+) -> NDArray[np.float32]:
+    """Give each place the best plane of nine windows that hold it: (3, h, w) value there and slopes."""
+    height, width = valid.shape
+    chosen = planes.copy()
+    best = np.empty(width, dtype=np.float32)
+    far = np.float32(own_per_m)
+    for y in range(height):
+        value, slope_u, slope_v = chosen[0, y], chosen[1, y], chosen[2, y]
+        depth = inverse_depth[y]
+        for x in range(width):
+            best[x] = cost[y, x] * _PREFERENCE
+        for shift_v in (-reach, 0, reach):
+            if not 0 <= y + shift_v < height:
+                continue
+            for shift_u in (-reach, 0, reach):
+                if shift_u == 0 and shift_v == 0:
+                    continue
+                begin, end = max(0, -shift_u), width - max(0, shift_u)
+                there = slice(begin + shift_u, end + shift_u)
+                price = cost[y + shift_v, there]
+                at, along_u = planes[0, y + shift_v, there], planes[1, y + shift_v, there]
+                along_v = planes[2, y + shift_v, there]
+                du, dv = np.float32(shift_u), np.float32(shift_v)
+                for k in range(end - begin):
+                    x = begin + k
+                    plane = at[k] - along_u[k] * du - along_v[k] * dv
+                    better = (price[k] < best[x]) & (abs(depth[x] - plane) <= far)
+                    best[x] = price[k] if better else best[x]
+                    value[x] = plane if better else value[x]
+                    slope_u[x] = along_u[k] if better else slope_u[x]
+                    slope_v[x] = along_v[k] if better else slope_v[x]
+        for x in range(width):
+            value[x] = value[x] if valid[y, x] else np.float32(0.0)
+    return chosen
+
+
+def facet_normals(
+    inverse_depth: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    rays: Rays,
+    *,
+    step: int,
+    window: int,
+    noise_per_m: float,
+) -> NDArray[np.float32]:
+    """Return the unit normal of every point of a grid.
+
+    Parameters
+    ----------
+    inverse_depth, valid : (h, w) float32 and bool
+        One over depth, 1/m, and where there is a point, on every `step`-th row and column of the image.
+    rays : Rays
+        Of the camera.
+    step : int
+        Pixels from one place of the grid to the next.
+    window : int
+        Side of the windows, places.
+    noise_per_m : float
+        Standard deviation of the inverse depth, 1/m.
+
+    Returns
+    -------
+    (h, w, 3) float32
+        Unit vectors towards the camera; 0 where there is no point.
+    """
+    height, width = valid.shape
+    slope_u, slope_v, smoothed = facet_slopes(inverse_depth, valid, window=window, noise_per_m=noise_per_m)
+    columns = np.arange(width, dtype=np.float64) * step
+    rows = np.arange(height, dtype=np.float64) * step
+    # Along an image one pixel wide or high nothing tells the focal length, nor how a surface slopes.
+    fx, fy = (focal if np.isfinite(focal) else 0.0 for focal in rays.focal_px)
+    return _normals(slope_u, slope_v, smoothed, *rays.lattice(columns, rows), fx / step, fy / step)
+
+
+@compiled
+def _normals(
+    slope_u: NDArray[np.float32],
+    slope_v: NDArray[np.float32],
+    inverse_depth: NDArray[np.float32],
+    ray_x: NDArray[np.float64],
+    ray_y: NDArray[np.float64],
+    fx: float,
+    fy: float,
+) -> NDArray[np.float32]:
+    """Turn slopes of inverse depth into unit normals, where there is an inverse depth.
+
+    The plane n . p = 1 is seen as inverse depth n . (ray_x, ray_y, 1), so that n is the slope times the
+    focal length along u and v, and what is left of the inverse depth along z.
+    """
+    height, width = inverse_depth.shape
+    normals = np.empty((height, width, 3), dtype=np.float32)
+    for y in range(height):
+        for x in range(width):
+            nx, ny = slope_u[y, x] * fx, slope_v[y, x] * fy
+            nz = inverse_depth[y, x] - nx * ray_x[y, x] - ny * ray_y[y, x]
+            towards = -1.0 / max(np.sqrt(nx * nx + ny * ny + nz * nz), 1e-12)
+            towards = towards if inverse_depth[y, x] != 0.0 else 0.0
+            normals[y, x, 0], normals[y, x, 1], normals[y, x, 2] = nx * towards, ny * towards, nz * towards
+    return normals
+
+
+__all__ = ["facet_normals", "facet_slopes"]

@@ -1,0 +1,187 @@
+"""The ray through each pixel as a polynomial of the pixel's place, and as a spline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.segmentation.surfaces.bspline import CUBIC, basis_matrix
+
+#: Rays of a lens without distortion differ from linear ones by the rounding of single precision.
+_ROUNDING = 2e-6
+#: Rows and columns of the lattice on which the rays are sampled, at most.
+_SAMPLES = 60
+_LINEAR = ((0, 0), (1, 0), (0, 1))
+#: Lenses are described by polynomials of this degree.
+_DEGREE = 5
+_POWERS = tuple((a, b) for a in range(_DEGREE + 1) for b in range(_DEGREE + 1 - a))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rays:
+    """Directions (x / z, y / z) of pixels: linear functions of them, or polynomials for a real lens.
+
+    Parameters
+    ----------
+    coefficients : (2, 6, 6) float64
+        ``coefficients[k, a, b]`` belongs to ``s**a * t**b`` of x / z (k = 0) and y / z (k = 1), where
+        ``s = (u - center[0]) / scale`` and ``t = (v - center[1]) / scale``.
+    center : (float, float)
+        Origin of s and t, pixels (u, v).
+    scale : float
+        Unit of s and t, pixels.
+
+    Attributes
+    ----------
+    linear : bool
+        Whether they are linear functions.
+    """
+
+    coefficients: NDArray[np.float64]
+    center: tuple[float, float]
+    scale: float
+    linear: bool = field(init=False)
+
+    def __post_init__(self) -> None:
+        bent = self.coefficients.copy()
+        for a, b in _LINEAR:
+            bent[:, a, b] = 0.0
+        object.__setattr__(self, "linear", not bent.any())
+
+    @property
+    def focal_px(self) -> tuple[float, float]:
+        """Focal lengths along u and v at the center, pixels; infinite where nothing tells them."""
+        slopes = self.coefficients[0, 1, 0], self.coefficients[1, 0, 1]
+        fx, fy = (self.scale / slope if slope else np.inf for slope in slopes)
+        return float(fx), float(fy)
+
+    def lattice(
+        self, u: NDArray[np.float64], v: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return x / z and y / z where each of some rows v meets each of some columns u, (H, W) each."""
+        if self.linear:
+            return self._linear(u, v[:, np.newaxis])
+        s = np.vander((u - self.center[0]) / self.scale, _DEGREE + 1, increasing=True)
+        t = np.vander((v - self.center[1]) / self.scale, _DEGREE + 1, increasing=True)
+        x, y = (t @ each.T @ s.T for each in self.coefficients)
+        return x, y
+
+    def at(
+        self, u: NDArray[np.float64], v: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return x / z and y / z of scattered pixels, (N,) each."""
+        if self.linear:
+            return self._linear(u, v)
+        s = np.vander((u - self.center[0]) / self.scale, _DEGREE + 1, increasing=True)
+        t = np.vander((v - self.center[1]) / self.scale, _DEGREE + 1, increasing=True)
+        x, y = (np.einsum("na,na->n", s @ each, t) for each in self.coefficients)
+        return x, y
+
+    def _linear(
+        self, u: NDArray[np.float64], v: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        s, t = (u - self.center[0]) / self.scale, (v - self.center[1]) / self.scale
+        x, y = (each[1, 0] * s + (each[0, 1] * t + each[0, 0]) for each in self.coefficients)
+        return x, y
+
+    def control_values(
+        self, knots_u: NDArray[np.float64], knots_v: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the control values of cubic splines that are these polynomials.
+
+        Parameters
+        ----------
+        knots_u, knots_v : (m + 4,), (n + 4,) float64
+            Knot vectors, pixels.
+
+        Returns
+        -------
+        (2, n, m) float64
+            Of x / z and y / z. The splines agree with the rays at the Greville abscissae, the means of three
+            successive knots. So they are the rays exactly where these are linear, and for a real lens
+            to the fourth order in the distance of the knots.
+
+        References
+        ----------
+        .. [1] C. de Boor, "A Practical Guide to Splines", 1978, chapter 13.
+        """
+        if self.linear:
+            # The control values of what is linear lie on it.
+            return _linear_control_values(self.coefficients, *self.center, self.scale, knots_u, knots_v)
+        u, take_u = _interpolator(knots_u)
+        v, take_v = _interpolator(knots_v)
+        return np.stack([take_v @ each @ take_u.T for each in self.lattice(u, v)])
+
+
+@compiled
+def _linear_control_values(
+    coefficients: NDArray[np.float64],
+    center_u: float,
+    center_v: float,
+    scale: float,
+    knots_u: NDArray[np.float64],
+    knots_v: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Evaluate linear rays at the Greville abscissae of cubic knot vectors."""
+    height, width = knots_v.size - 4, knots_u.size - 4
+    values = np.empty((2, height, width))
+    for row in range(height):
+        t = ((knots_v[row + 1] + knots_v[row + 2] + knots_v[row + 3]) / 3.0 - center_v) / scale
+        for column in range(width):
+            s = ((knots_u[column + 1] + knots_u[column + 2] + knots_u[column + 3]) / 3.0 - center_u) / scale
+            for k in range(2):
+                values[k, row, column] = (
+                    coefficients[k, 0, 0] + coefficients[k, 1, 0] * s + coefficients[k, 0, 1] * t
+                )
+    return values
+
+
+def _interpolator(knots: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the Greville abscissae of a knot vector and what takes values there to control values."""
+    places = np.asarray(knots[1:-3] + knots[2:-2] + knots[3:-1], dtype=np.float64) / 3.0
+    return places, np.asarray(np.linalg.inv(basis_matrix(knots, CUBIC, places)), dtype=np.float64)
+
+
+def rays_of(cloud: PointMap) -> Rays:
+    """Find the rays of a camera from the points that it saw.
+
+    Parameters
+    ----------
+    cloud : PointMap
+        Points on the pixel grid.
+
+    Returns
+    -------
+    Rays
+        Linear where that explains the points to rounding, else of the fifth degree; by least squares.
+    """
+    height, width = cloud.valid.shape
+    center, scale = ((width - 1) / 2, (height - 1) / 2), max(height, width) / 2
+    rows = np.unique(np.linspace(0, height - 1, min(height, _SAMPLES)).astype(np.intp))
+    columns = np.unique(np.linspace(0, width - 1, min(width, _SAMPLES)).astype(np.intp))
+    lattice = np.ix_(rows, columns)
+    v, u = (each[cloud.valid[lattice]] for each in np.meshgrid(rows, columns, indexing="ij"))
+    points = cloud.points_m[lattice][cloud.valid[lattice]].astype(np.float64)
+    if u.size < len(_LINEAR):
+        v, u = np.nonzero(cloud.valid)
+        points = cloud.points_m[v, u].astype(np.float64)
+    coefficients = np.zeros((2, _DEGREE + 1, _DEGREE + 1))
+    if u.size == 0:
+        return Rays(coefficients, center, scale)
+    s, t = (u - center[0]) / scale, (v - center[1]) / scale
+    directions = points[:, :2] / points[:, 2:]
+    for powers in (_LINEAR, _POWERS):
+        terms = np.stack([s**a * t**b for a, b in powers], axis=1)
+        found = np.linalg.lstsq(terms, directions, rcond=None)[0]
+        if np.abs(terms @ found - directions).max() <= _ROUNDING or u.size < len(_POWERS):
+            break
+    for (a, b), pair in zip(powers, found, strict=True):
+        coefficients[:, a, b] = pair
+    return Rays(coefficients, center, scale)
+
+
+__all__ = ["Rays", "rays_of"]

@@ -1,0 +1,317 @@
+"""Registration: one depth image and its color image become a map of colored points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.segmentation.points.color_fill import fill_colors
+
+#: A point is hidden where another one lands on it in the color image and their parallax differs by more
+#: pixels than this. A surface that both cameras see cannot fold by a whole pixel.
+_HIDING_PARALLAX_PX = 1.0
+#: Points nearer to the color camera than this are no points that a sensor could measure.
+_NEAREST_M = np.float32(0.01)
+_METRES_PER_MM = np.float32(1e-3)
+#: Coordinates x / z that are outside any image; limited to these, no step of the projection overflows.
+_FAR_ASIDE = np.float32(10.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointMap:
+    """An organized point cloud with color, on the depth image's grid.
+
+    The arrays are made read-only, so that one map can be shared between threads without a copy.
+
+    Parameters
+    ----------
+    points_m : (H, W, 3) float32
+        Points in the depth camera's frame, metres; NaN in all three where there is no point.
+    color : (H, W, 3) uint8
+        RGB of each point, also where it was filled in.
+    colored : (H, W) bool
+        Where the color camera saw the point itself. False where the point is hidden from it, is so near
+        to an outline that the hiding object's color mixes in, or is outside the color image; there
+        `color` comes from the nearest points that are not in front of it.
+
+    Attributes
+    ----------
+    valid : (H, W) bool
+        Where there is a point.
+
+    Raises
+    ------
+    ValueError
+        If a shape or dtype is wrong.
+    """
+
+    points_m: NDArray[np.float32]
+    color: NDArray[np.uint8]
+    colored: NDArray[np.bool_]
+    valid: NDArray[np.bool_] = field(init=False)
+
+    def __post_init__(self) -> None:
+        grid = self.points_m.shape[:2]
+        for name, shape, dtype in (
+            ("points_m", (*grid, 3), np.float32),
+            ("color", (*grid, 3), np.uint8),
+            ("colored", grid, np.bool_),
+        ):
+            array = getattr(self, name)
+            if len(grid) != 2 or array.shape != shape or array.dtype != dtype:
+                expected = f"{shape} {np.dtype(dtype)}"
+                raise ValueError(f"{name}: expected {expected}, got {array.shape} {array.dtype}")
+        object.__setattr__(self, "valid", np.isfinite(self.points_m[..., 2]))
+        for array in (self.points_m, self.color, self.colored, self.valid):
+            array.flags.writeable = False
+
+
+def register(frame: RGBDFrame) -> PointMap:
+    """Give each depth pixel its point in space and its color.
+
+    Depth pixels are back-projected along their undistorted rays; each point is carried into the color
+    camera's frame, projected through its lens, held against a z-buffer of all points seen from there,
+    and its color is sampled bilinearly. Where depth and color are registered already, pixels of equal
+    place belong together and the color image is passed through.
+
+    Parameters
+    ----------
+    frame : RGBDFrame
+        Depth and color, which may differ in size, with the calibration of both cameras.
+
+    Returns
+    -------
+    PointMap
+        On the depth image's grid, in the depth camera's frame.
+
+    Notes
+    -----
+    What depends on the calibration alone (the rays) is kept for the calibrations used last.
+    """
+    prepared = _prepared(_Key(frame.calibration))
+    return prepared.register(frame)
+
+
+class _Key:
+    """A calibration compared by value, so that sources may make a new one for every frame."""
+
+    __slots__ = ("_values", "calibration")
+
+    def __init__(self, calibration: Calibration) -> None:
+        self.calibration = calibration
+        self._values = (
+            *_values(calibration.depth),
+            *_values(calibration.color),
+            calibration.color_from_depth.tobytes(),
+        )
+
+    def __hash__(self) -> int:
+        return hash(self._values)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Key) and self._values == other._values
+
+
+def _values(camera: Intrinsics) -> tuple[float | bytes, ...]:
+    size = (camera.width, camera.height)
+    return (*size, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion.tobytes())
+
+
+@lru_cache(maxsize=4)
+def _prepared(key: _Key) -> _Registration:
+    return _Registration(key.calibration)
+
+
+class _Registration:
+    """What registration needs of a calibration, computed once."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        self._registered = calibration.is_registered
+        rays = calibration.depth.rays()
+        self._ray_x, self._ray_y = np.ascontiguousarray(rays[..., 0]), np.ascontiguousarray(rays[..., 1])
+        if self._registered:
+            return
+        color = calibration.color
+        coefficients, fold, tilt = color.lens().model
+        self._lens = coefficients.astype(np.float32), np.float32(fold**2), tilt.astype(np.float32)
+        self._camera = np.array([color.fx, color.fy, color.cx, color.cy], dtype=np.float32)
+        self._size = color.height, color.width
+        self._color_from_depth = calibration.color_from_depth[:3].astype(np.float32)
+        # The z-buffer's cells are as large as a depth pixel: smaller ones would leave gaps to see through.
+        depth_focal = min(calibration.depth.fx, abs(calibration.depth.fy))
+        color_focal = min(calibration.color.fx, abs(calibration.color.fy))
+        self._cells_per_px = min(1.0, depth_focal / color_focal)
+        height, width = calibration.color.height, calibration.color.width
+        self._cells = (int(height * self._cells_per_px) + 1, int(width * self._cells_per_px) + 1)
+        baseline_m = float(np.linalg.norm(calibration.color_from_depth[:3, 3]))
+        parallax_px_m = self._cells_per_px * color_focal * baseline_m
+        self._hiding_per_m = _HIDING_PARALLAX_PX / parallax_px_m if parallax_px_m > 0 else np.inf
+
+    def register(self, frame: RGBDFrame) -> PointMap:
+        points = _back_projected(np.ascontiguousarray(frame.depth_mm), self._ray_x, self._ray_y)
+        if self._registered:
+            return PointMap(points, frame.color, np.isfinite(points[..., 2]))
+        u, v, nearness, cell, buffer = _projected(
+            *(points, self._color_from_depth, *self._lens, self._camera),
+            *(*self._size, np.float32(self._cells_per_px), *self._cells),
+        )
+        if np.isfinite(self._hiding_per_m):
+            # Closing shuts the gaps of a surface that the color camera sees stretched. A color is sampled
+            # between pixels: so what stands beside a point's own cell, before it, would be mixed in.
+            image, around = buffer[1:].reshape(self._cells), np.ones((3, 3), np.uint8)
+            closed = cv2.morphologyEx(image, cv2.MORPH_CLOSE, around)
+            cv2.dilate(closed, around, dst=image)
+        color = np.asarray(cv2.remap(frame.color, u, v, cv2.INTER_LINEAR), dtype=np.uint8)
+        colored, missing = _seen(points, nearness, cell, buffer, np.float32(self._hiding_per_m), color)
+        fill_colors(color, colored, missing, points[..., 2], min(self._hiding_per_m, 0.05))
+        return PointMap(points, color, colored)
+
+
+@compiled
+def _back_projected(
+    depth_mm: NDArray[np.uint16], ray_x: NDArray[np.float32], ray_y: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Points on their rays, (H, W, 3); NaN where there is no depth or no ray."""
+    height, width = depth_mm.shape
+    points_m = np.empty((height, width, 3), dtype=np.float32)
+    for row in range(height):
+        for column in range(width):
+            x, y = ray_x[row, column], ray_y[row, column]
+            known = depth_mm[row, column] != 0 and not np.isnan(x)
+            z = np.float32(depth_mm[row, column]) * _METRES_PER_MM if known else np.float32(np.nan)
+            points_m[row, column, 0] = x * z
+            points_m[row, column, 1] = y * z
+            points_m[row, column, 2] = z
+    return points_m
+
+
+@compiled
+def _projected(
+    points_m: NDArray[np.float32],
+    color_from_depth: NDArray[np.float32],
+    lens: NDArray[np.float32],
+    fold_square: np.float32,
+    tilt: NDArray[np.float32],
+    camera: NDArray[np.float32],
+    color_height: int,
+    color_width: int,
+    cells_per_px: np.float32,
+    cells_high: int,
+    cells_wide: int,
+) -> tuple[
+    NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.int32], NDArray[np.float32]
+]:
+    """Project every point into the color image.
+
+    Returns its place there, limited to the image, pixels; its inverse depth in the color camera's frame, 1/m,
+    and its cell of the z-buffer, from 1, both 0 where the point is not inside the image; and the z-buffer.
+    """
+    height, width, _ = points_m.shape
+    shape = (height, width)
+    u, v = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
+    nearness, cell = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.int32)
+    buffer = np.zeros(1 + cells_high * cells_wide, dtype=np.float32)
+    fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
+    zero, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+    right, bottom = np.float32(color_width - 1), np.float32(color_height - 1)
+    is_bent = np.any(lens != 0.0)
+    to = color_from_depth
+    # On one row: coordinates in the color camera's frame, and then in its image; and inverse depth.
+    along_x, along_y = np.empty(width, dtype=np.float32), np.empty(width, dtype=np.float32)
+    inverse = np.empty(width, dtype=np.float32)
+    for row in range(height):
+        points = points_m[row]
+        for n in range(width):
+            x, y, z = points[n, 0], points[n, 1], points[n, 2]
+            depth = to[2, 0] * x + to[2, 1] * y + to[2, 2] * z + to[2, 3]
+            # Not so either where there is no point.
+            near = one / depth if depth > _NEAREST_M else np.float32(0.0)
+            at_x = (to[0, 0] * x + to[0, 1] * y + to[0, 2] * z + to[0, 3]) * near
+            at_y = (to[1, 0] * x + to[1, 1] * y + to[1, 2] * z + to[1, 3]) * near
+            inverse[n] = near
+            along_x[n] = _limited(at_x, -_FAR_ASIDE, _FAR_ASIDE)
+            along_y[n] = _limited(at_y, -_FAR_ASIDE, _FAR_ASIDE)
+        if is_bent:
+            _bend_row(along_x, along_y, lens, fold_square, tilt)
+        for n in range(width):
+            at_u, at_v = along_x[n] * fx + cx, along_y[n] * fy + cy
+            # Pixel centres are at integers, so that the image begins half a pixel before its first one.
+            inside = (at_u >= -half) & (at_u < right + half) & (at_v >= -half) & (at_v < bottom + half)
+            u[row, n], v[row, n] = _limited(at_u, zero, right), _limited(at_v, zero, bottom)
+            nearness[row, n] = inverse[n] if inside else zero
+        for n in range(width):
+            along_x[n], along_y[n] = along_x[n] * fx + cx + half, along_y[n] * fy + cy + half
+        for n in range(width):
+            if nearness[row, n] > 0:
+                number = 1 + np.int32(along_y[n] * cells_per_px) * cells_wide
+                number += np.int32(along_x[n] * cells_per_px)
+                buffer[number] = max(buffer[number], nearness[row, n])
+                cell[row, n] = number
+            else:
+                cell[row, n] = 0
+    return u, v, nearness, cell, buffer
+
+
+@compiled
+def _limited(x: np.float32, least: np.float32, most: np.float32) -> np.float32:
+    x = x if x > least else least
+    return x if x < most else most
+
+
+@compiled
+def _bend_row(
+    along_x: NDArray[np.float32],
+    along_y: NDArray[np.float32],
+    k: NDArray[np.float32],
+    fold_square: np.float32,
+    tilt: NDArray[np.float32],
+) -> None:
+    """Bend a row of places, in place, as `Lens.bend` does whole images."""
+    one, two = np.float32(1.0), np.float32(2.0)
+    k1, k2, p1, p2, k3, k4, k5, k6 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7]
+    s1, s2, s3, s4 = k[8], k[9], k[10], k[11]
+    for n in range(along_x.size):
+        x, y = along_x[n], along_y[n]
+        r2 = x * x + y * y
+        radial = (one + r2 * (k1 + r2 * (k2 + r2 * k3))) / (one + r2 * (k4 + r2 * (k5 + r2 * k6)))
+        # Beyond the fold the model would bring points back into the image: they are sent far outside.
+        radial = _FAR_ASIDE if r2 > fold_square else radial
+        radial += two * (p1 * y + p2 * x)
+        along_x[n] = x * radial + r2 * (p2 + s1 + r2 * s2)
+        along_y[n] = y * radial + r2 * (p1 + s3 + r2 * s4)
+    if k[12] == 0 and k[13] == 0:
+        return
+    for n in range(along_x.size):
+        x, y = along_x[n], along_y[n]
+        w = tilt[2, 0] * x + tilt[2, 1] * y + tilt[2, 2]
+        along_x[n] = (tilt[0, 0] * x + tilt[0, 1] * y + tilt[0, 2]) / w
+        along_y[n] = (tilt[1, 0] * x + tilt[1, 1] * y + tilt[1, 2]) / w
+
+
+@compiled
+def _seen(
+    points_m: NDArray[np.float32],
+    nearness: NDArray[np.float32],
+    cell: NDArray[np.int32],
+    buffer: NDArray[np.float32],
+    hiding_per_m: np.float32,
+    color: NDArray[np.uint8],
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Tell points that the color camera sees from others, and make color black where there is no point."""
+    height, width = cell.shape
+    seen, missing = np.empty((height, width), dtype=np.bool_), np.empty((height, width), dtype=np.bool_)
+    for row in range(height):
+        for column in range(width):
+            number = cell[row, column]
+            valid = not np.isnan(points_m[row, column, 2])
+            seen[row, column] = number > 0 and buffer[number] - nearness[row, column] <= hiding_per_m
+            missing[row, column] = valid and not seen[row, column]
+            if not valid:
+                color[row, column, 0] = color[row, column, 1] = color[row, column, 2] = 0
+    return seen, missing

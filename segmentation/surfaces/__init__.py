@@ -1,0 +1,1 @@
+"""Surfaces, their fits and their metrics (eq. 4-22)."""

@@ -1,0 +1,371 @@
+"""Surfaces fitted to inverse depth: rational splines S = ray / d that hold every plane exactly.
+
+With d(u, v) a spline and the ray (x / z, y / z, 1) a polynomial of the pixel, the point that pixel (u, v)
+sees is S = ray(u, v) / d(u, v): a NURBS surface whose weights are the control values of d, and whose
+weighted control points are those of the ray. A plane n . p = 1 has d = n . ray, linear in the pixel. A
+sensor that triangulates measures d, with noise of one size at every depth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.points.grid import PixelGrid, Window, decimated_grid
+from nurbseg.segmentation.points.rays import Rays, rays_of
+from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, basis_matrix
+from nurbseg.segmentation.surfaces.knot_lattice import lattice_basis
+from nurbseg.segmentation.surfaces.leastsquares import LinAlgError, fit_splines
+from nurbseg.segmentation.surfaces.metrics import residual_metrics
+from nurbseg.segmentation.surfaces.surface import Fit, NurbsSurface, fit_on_grid
+
+#: How far beyond its segment a surface goes on without leaving its knots, pixels of a 640-wide image.
+_MARGIN_PX = 24.0
+#: Farthest that a surface may go where no point holds it, one over metres: weights are positive.
+_LEAST_PER_M = 1e-2
+#: A control value that points hold by less than this may be changed without harm to the fit.
+_HELD = 1.0
+#: Factors on the smoothness, tried in turn where a surface would go through infinity beyond its points and
+#: giving it less room does not help.
+_STIFFER = (1e2, 1e4)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthGrid:
+    """A grid of points with what a sensor that triangulates measures at each.
+
+    Parameters
+    ----------
+    points : PixelGrid
+        The points.
+    per_m : (h, w) float32
+        Inverse depth, 1/m; 0 where there is no point.
+    rays : Rays
+        Of the camera.
+
+    Attributes
+    ----------
+    distances_m : (h, w) float32
+        From the camera, metres; 0 or NaN where there is no point.
+    """
+
+    points: PixelGrid
+    per_m: NDArray[np.float32]
+    rays: Rays
+    distances_m: NDArray[np.float32] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "distances_m", _distances(self.points.coordinates_m))
+
+    @property
+    def step(self) -> int:
+        """Pixels from one place of the grid to the next."""
+        return self.points.step
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """Where there is a point, (h, w) bool."""
+        return self.points.valid
+
+    @property
+    def unit_px(self) -> float:
+        """Pixels of this image for each one of an image 640 wide, in which settings are given."""
+        return self.points.image_shape[1] / 640.0
+
+
+@compiled
+def _distances(coordinates_m: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Distance from the camera of each point of a grid."""
+    _, height, width = coordinates_m.shape
+    distances_m = np.empty((height, width), dtype=np.float32)
+    for row in range(height):
+        for column in range(width):
+            square = np.float32(0.0)
+            for axis in range(3):
+                square += coordinates_m[axis, row, column] * coordinates_m[axis, row, column]
+            distances_m[row, column] = np.sqrt(square)
+    return distances_m
+
+
+def depth_grid(cloud: PointMap, step: int) -> DepthGrid:
+    """Take every `step`-th row and column of a frame.
+
+    Parameters
+    ----------
+    cloud : PointMap
+        The frame.
+    step : int
+        Pixels from one row or column to the next.
+
+    Returns
+    -------
+    DepthGrid
+        Its points and their inverse depths.
+    """
+    points = decimated_grid(cloud, step)
+    return DepthGrid(points, _inverse_depths(points.coordinates_m[2], points.valid), rays_of(cloud))
+
+
+def inverse_depth_image(cloud: PointMap) -> NDArray[np.float32]:
+    """Return one over depth of every pixel, (H, W) float32 in 1/m; 0 where there is no point."""
+    return _inverse_depths(cloud.points_m[..., 2], cloud.valid)
+
+
+@compiled
+def _inverse_depths(depth_m: NDArray[np.float32], valid: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """One over depth where there is a point in front of the camera, else 0."""
+    height, width = valid.shape
+    per_m = np.empty((height, width), dtype=np.float32)
+    for y in range(height):
+        for x in range(width):
+            usable = valid[y, x] and depth_m[y, x] > 0
+            per_m[y, x] = np.float32(1.0) / depth_m[y, x] if usable else np.float32(0.0)
+    return per_m
+
+
+def fit_window(
+    grid: DepthGrid, window: Window, mask: NDArray[np.bool_], config: SegmentationConfig
+) -> tuple[Fit, NDArray[np.float64]]:
+    """Fit a surface to the marked places of a window of the grid.
+
+    Parameters
+    ----------
+    grid : DepthGrid
+        The points.
+    window : (int, int, int, int)
+        First row and column of the grid, and one past the last of each.
+    mask : (h, w) bool
+        Places of the window to fit, at least one, each of which has a point.
+    config : SegmentationConfig
+        Says what is fitted (`fit_of`), how far knots are apart and how smooth the surface is.
+
+    Returns
+    -------
+    fit : Fit
+        The surface, residuals in space and metrics, parameters being pixels of the full image.
+    residuals_per_m : (N,) float64
+        Residuals of inverse depth at the marked places, in row order, 1/m.
+
+    References
+    ----------
+    .. [1] P. Eilers and B. Marx, "Flexible smoothing with B-splines and penalties", Statistical Science
+       11(2), 1996.
+    """
+    top, left, bottom, right = window
+    mask = np.ascontiguousarray(mask)
+    pixels = grid.points.pixels_of_window(window, mask)
+    if config.fit_of == "xyz":
+        fit = fit_on_grid(grid.points, grid.points.places_of_window(window, mask), config)
+        if fit.surface is None:
+            return fit, np.full(pixels.size, np.inf)
+        u = np.arange(left, right, dtype=np.float64) * grid.step
+        v = np.arange(top, bottom, dtype=np.float64) * grid.step
+        fitted = inverse_depth_lattice(fit.surface, u, v)[0]
+        return fit, (fitted - grid.per_m[top:bottom, left:right])[mask]
+
+    try:
+        spline = _fitted_spline(grid, window, mask, config)
+    except LinAlgError as error:
+        none = Fit(None, np.zeros(0), {}, f"no least-squares solution: {error}", pixels)
+        return none, np.full(pixels.size, np.inf)
+    residuals_per_m, residuals_m = spline.residuals(grid, window, mask)
+    surface = rational_surface(
+        spline.control_per_m,
+        spline.knots_u * grid.step,
+        spline.knots_v * grid.step,
+        grid.rays,
+        grid.points.full_window(window),
+    )
+    metrics = residual_metrics(residuals_m, config)
+    return Fit(surface, residuals_m, metrics, "", pixels), residuals_per_m
+
+
+def residuals_of_fit(
+    grid: DepthGrid, window: Window, mask: NDArray[np.bool_], config: SegmentationConfig
+) -> NDArray[np.float64]:
+    """Return the residuals of inverse depth of `fit_window` without making the surface.
+
+    Parameters
+    ----------
+    grid, window, mask, config
+        As for `fit_window`.
+
+    Returns
+    -------
+    (N,) float64
+        1/m, in row order.
+    """
+    if config.fit_of == "xyz":
+        return fit_window(grid, window, mask, config)[1]
+    mask = np.ascontiguousarray(mask)
+    try:
+        spline = _fitted_spline(grid, window, mask, config)
+    except LinAlgError:
+        return np.full(np.count_nonzero(mask), np.inf)
+    return spline.residuals(grid, window, mask)[0]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Spline:
+    """Positive control values of inverse depth, and the functions at the rows and columns of a window."""
+
+    control_per_m: NDArray[np.float64]
+    rows: SpanBasis
+    columns: SpanBasis
+    knots_v: NDArray[np.float64]
+    knots_u: NDArray[np.float64]
+
+    def residuals(
+        self, grid: DepthGrid, window: Window, mask: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the residuals of inverse depth, 1/m, and in space, metres, at the marked places."""
+        rows, columns = self.rows, self.columns
+        return _residuals(
+            *(grid.per_m, grid.distances_m, mask, window[0], window[1], self.control_per_m),
+            *(rows.starts, rows.values, columns.starts, columns.values),
+        )
+
+
+def _fitted_spline(
+    grid: DepthGrid, window: Window, mask: NDArray[np.bool_], config: SegmentationConfig
+) -> _Spline:
+    """Fit positive control values to the marked places of a window."""
+    top, left, bottom, right = window
+    smoothness = config.smoothness * (2.0 * grid.unit_px / grid.step) ** 2
+    spacing = config.knot_spacing_px * grid.unit_px / grid.step
+    wide = int(np.ceil(_MARGIN_PX * grid.unit_px / grid.step))
+    for margin, stiffer in ((wide, 1.0), (1, 1.0), *((1, each) for each in _STIFFER)):
+        rows, knots_v = lattice_basis(top, bottom, margin, spacing)
+        columns, knots_u = lattice_basis(left, right, margin, spacing)
+        images, stiffness = grid.per_m[np.newaxis], stiffer * smoothness
+        (control,), held = fit_splines(images, mask, (top, left), rows, columns, stiffness)
+        if control.min() > _LEAST_PER_M or (control[held > _HELD] > _LEAST_PER_M).all():
+            break
+    return _Spline(np.maximum(control, _LEAST_PER_M), rows, columns, knots_v, knots_u)
+
+
+@compiled
+def _residuals(
+    per_m: NDArray[np.float32],
+    distances_m: NDArray[np.float32],
+    mask: NDArray[np.bool_],
+    top: int,
+    left: int,
+    control: NDArray[np.float64],
+    starts_v: NDArray[np.intp],
+    values_v: NDArray[np.float64],
+    starts_u: NDArray[np.intp],
+    values_u: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Evaluate a spline at the marked places and hold it against what was measured there."""
+    height, width = mask.shape
+    count = 0
+    for y in range(height):
+        for x in range(width):
+            count += mask[y, x]
+    residuals_per_m, residuals_m = np.empty(count), np.empty(count)
+    along = np.empty(control.shape[1])
+    n = 0
+    for y in range(height):
+        first = starts_v[y]
+        for k in range(along.size):
+            along[k] = 0.0
+            for i in range(4):
+                along[k] += values_v[y, i] * control[first + i, k]
+        for x in range(width):
+            if mask[y, x]:
+                start = starts_u[x]
+                fitted = 0.0
+                for j in range(4):
+                    fitted += values_u[x, j] * along[start + j]
+                residual = fitted - per_m[top + y, left + x]
+                residuals_per_m[n] = residual
+                # The point and its surface point lie on one ray: their distance is in proportion to the
+                # point's own.
+                residuals_m[n] = abs(residual) * distances_m[top + y, left + x] / fitted
+                n += 1
+    return residuals_per_m, residuals_m
+
+
+def rational_surface(
+    control_per_m: NDArray[np.float64],
+    knots_u: NDArray[np.float64],
+    knots_v: NDArray[np.float64],
+    rays: Rays,
+    window: Window,
+) -> NurbsSurface:
+    """Express a spline of inverse depth as the NURBS surface that it is.
+
+    Parameters
+    ----------
+    control_per_m : (n, m) float64
+        Control values of the inverse depth, 1/m, more than 0: they are the surface's weights.
+    knots_u, knots_v : (m + 4,), (n + 4,) float64
+        Knot vectors, pixels.
+    rays : Rays
+        Of the camera; their control values, with 1 for z, are the surface's weighted control points.
+    window : (int, int, int, int)
+        Pixels that the surface spans.
+
+    Returns
+    -------
+    NurbsSurface
+        Whose point at (u, v) is ray(u, v) / d(u, v), exactly.
+    """
+    points_m = np.empty((*control_per_m.shape, 3))
+    for axis, along in enumerate((*rays.control_values(knots_u, knots_v), 1.0)):
+        np.divide(along, control_per_m, out=points_m[..., axis])
+    return NurbsSurface(
+        degree=(CUBIC, CUBIC),
+        knots_u=knots_u,
+        knots_v=knots_v,
+        control_points_m=points_m,
+        weights=control_per_m,
+        window=window,
+    )
+
+
+def inverse_depth_lattice(
+    surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return a surface's inverse depth, and its slopes, where some rows meet some columns.
+
+    Parameters
+    ----------
+    surface : NurbsSurface
+        Any surface over the image.
+    u, v : (W,), (H,) float64
+        Columns and rows, pixels. Beyond the knots the polynomials of the ends go on.
+
+    Returns
+    -------
+    per_m, slope_u, slope_v : (H, W) float64
+        Inverse depth in 1/m and its change by one pixel along u and v.
+    """
+    Bu, Du = (basis_matrix(surface.knots_u, surface.degree[0], u, order).T for order in (0, 1))
+    Bv, Dv = (basis_matrix(surface.knots_v, surface.degree[1], v, order) for order in (0, 1))
+    weights = surface.weights
+    depths = surface.control_points_m[..., 2] * weights
+    w = Bv @ weights @ Bu, Bv @ weights @ Du, Dv @ weights @ Bu
+    if np.ptp(depths) <= 1e-12:
+        # The rational surfaces of this module: the ray's z is 1.
+        return w[0] / depths[0, 0], w[1] / depths[0, 0], w[2] / depths[0, 0]
+    z = Bv @ depths @ Bu, Bv @ depths @ Du, Dv @ depths @ Bu
+    per_m = w[0] / z[0]
+    return per_m, (w[1] - per_m * z[1]) / z[0], (w[2] - per_m * z[2]) / z[0]
+
+
+__all__ = [
+    "DepthGrid",
+    "depth_grid",
+    "fit_window",
+    "inverse_depth_image",
+    "inverse_depth_lattice",
+    "rational_surface",
+    "residuals_of_fit",
+]

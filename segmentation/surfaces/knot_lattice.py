@@ -1,0 +1,55 @@
+"""Cubic bases on evenly spaced knots that all segments of an image share, cut out for one window."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, even_functions
+
+#: Tables are made for whole multiples of so many places.
+_TABLE_PLACES = 160
+
+
+def lattice_basis(
+    start: int, stop: int, margin: int, spacing: float
+) -> tuple[SpanBasis, NDArray[np.float64]]:
+    """Return the functions that reach a window or a margin around it.
+
+    Parameters
+    ----------
+    start, stop : int
+        First place of the window along the axis, and one past the last.
+    margin : int
+        How much farther a spline of these functions shall go on in both directions, places.
+    spacing : float
+        Distance of the knots, places; the knots are its multiples.
+
+    Returns
+    -------
+    basis : SpanBasis
+        At the places of the window alone.
+    knots : (count + 4,) float64
+        Knot vector, places.
+    """
+    # Function number i is not zero between knots i - 3 and i + 1.
+    first = int((start - margin) // spacing)
+    count = int((stop - 1 + margin) // spacing) - first + CUBIC + 1
+    spans, values = _table(spacing, -(-stop // _TABLE_PLACES))
+    knots = spacing * np.arange(first - CUBIC, first + count + 1, dtype=np.float64)
+    return SpanBasis(spans[start:stop] - first, values[start:stop], count), knots
+
+
+@lru_cache(maxsize=16)
+def _table(spacing: float, blocks: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Tabulate span and functions at every place of an image's whole extent."""
+    place = np.arange(blocks * _TABLE_PLACES, dtype=np.float64) / spacing
+    span = np.floor(place)
+    values = np.stack(even_functions(place - span, spacing), axis=1)
+    values.flags.writeable = False
+    return span.astype(np.intp), values
+
+
+__all__ = ["lattice_basis"]

@@ -1,0 +1,204 @@
+"""All surfaces of a frame at once: their inverse depth on and between the places of the grid."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.surfaces.bspline import CUBIC
+from nurbseg.segmentation.surfaces.surface import NurbsSurface
+
+#: Part of a place by which a knot on the grid may be off it.
+_ROUNDING = 1e-9
+
+
+class SurfaceLattice:
+    """Inverse depths of surfaces, each on the part of a grid that it reaches.
+
+    One call for each of fifty surfaces costs more than the arithmetic does; here a place of any surface is
+    an index into one array.
+
+    Parameters
+    ----------
+    surfaces : sequence of NurbsSurface or None
+        Of the labels 1, 2, ..., as fits of inverse depth make them: cubic on evenly spaced knots, with
+        weights that are control values of inverse depth. A label without one has no inverse depth anywhere.
+    step : int
+        Pixels from one place of the grid to the next.
+
+    Attributes
+    ----------
+    values : (N,) float32
+        Inverse depths, 1/m, window after window in row order.
+    windows : (labels + 1, 5) int32
+        Of each label: first row and column of the grid that its surface reaches, one past the last of each,
+        and the place of the first in `values`. Empty for 0, which is no label.
+    """
+
+    def __init__(self, surfaces: Sequence[NurbsSurface | None], step: int) -> None:
+        self.step = step
+        labels = [label for label, surface in enumerate(surfaces, start=1) if surface is not None]
+        known = [surface for surface in surfaces if surface is not None]
+        shapes = np.array([each.weights.shape for each in known], dtype=np.int64).reshape(-1, 2)
+        # First knot and spacing along rows and columns, in places of the grid.
+        knots = np.array(
+            [(each.knots_v[0], each.knots_v[1], each.knots_u[0], each.knots_u[1]) for each in known],
+            dtype=np.float64,
+        ).reshape(-1, 2, 2)
+        knots /= step
+        first, spacing = knots[..., 0].copy(), knots[..., 1] - knots[..., 0]
+        start = np.ceil(first + CUBIC * spacing - _ROUNDING)
+        stop = np.floor(first + shapes * spacing + _ROUNDING) + 1
+        sizes = np.prod(stop - start, axis=1)
+        ends = np.cumsum(sizes)
+        self.windows = np.zeros((len(surfaces) + 1, 5), dtype=np.int32)
+        self.windows[labels] = np.column_stack([start, stop, ends - sizes])
+        self.values = np.empty(int(sizes.sum()), dtype=np.float32)
+        if known:
+            nets = np.concatenate([each.weights.ravel() for each in known])
+            _evaluate(nets.astype(np.float32), shapes, first, spacing, self.windows[labels], self.values)
+
+    def image(self, labels: NDArray[np.int32]) -> NDArray[np.float32]:
+        """Return the inverse depth of each place's own surface, (h, w) float32; inf where there is none."""
+        found = np.empty(labels.shape, dtype=np.float32)
+        _take(self.values, self.windows, np.ascontiguousarray(labels), found)
+        return found
+
+    def slopes_at(
+        self, labels: NDArray[np.int32], u: NDArray[np.float64], v: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return surfaces at pixels between the places of the grid, where they are taken for linear.
+
+        Parameters
+        ----------
+        labels : (N,) int32
+            Which surface.
+        u, v : (N,) float64
+            Columns and rows, pixels.
+
+        Returns
+        -------
+        per_m, along_u, along_v : (N,) float64
+            Inverse depth in 1/m, NaN where a surface does not reach, and its change by a pixel.
+        """
+        found = np.empty((3, labels.size))
+        _interpolate(
+            self.values,
+            self.windows,
+            np.ascontiguousarray(labels, dtype=np.int32),
+            np.asarray(v / self.step, dtype=np.float64),
+            np.asarray(u / self.step, dtype=np.float64),
+            found,
+        )
+        found[1:] /= self.step
+        return found[0], found[1], found[2]
+
+
+@compiled
+def _evaluate(
+    nets: NDArray[np.float32],
+    shapes: NDArray[np.int64],
+    first: NDArray[np.float64],
+    spacing: NDArray[np.float64],
+    windows: NDArray[np.int32],
+    values: NDArray[np.float32],
+) -> None:
+    """Evaluate splines on their windows: each row of control values along columns, then all along rows."""
+    most, widest = 1, 1
+    for k in range(windows.shape[0]):
+        most, widest = max(most, shapes[k, 0]), max(widest, windows[k, 3] - windows[k, 1])
+    blended = np.empty((most, widest), dtype=np.float32)
+    basis = np.empty(4, dtype=np.float32)
+    net = 0
+    for k in range(windows.shape[0]):
+        n, m = shapes[k]
+        top, left, bottom, right, start = windows[k]
+        width = right - left
+        for c in range(width):
+            j = net + _cubic((left + c - first[k, 1]) / spacing[k, 1], m, basis)
+            for i in range(n):
+                at = j + i * m
+                blended[i, c] = (
+                    basis[0] * nets[at]
+                    + basis[1] * nets[at + 1]
+                    + basis[2] * nets[at + 2]
+                    + basis[3] * nets[at + 3]
+                )
+        for r in range(bottom - top):
+            i = _cubic((top + r - first[k, 0]) / spacing[k, 0], n, basis)
+            row = values[start + r * width : start + (r + 1) * width]
+            for c in range(width):
+                row[c] = (
+                    basis[0] * blended[i, c]
+                    + basis[1] * blended[i + 1, c]
+                    + basis[2] * blended[i + 2, c]
+                    + basis[3] * blended[i + 3, c]
+                )
+        net += n * m
+
+
+@compiled
+def _cubic(place: float, count: int, basis: NDArray[np.float32]) -> int:
+    """Fill in the four cubic functions that are not zero at a place; return the number of the first."""
+    span = min(max(int(np.floor(place)), 3), count - 1)
+    t = place - span
+    s = 1.0 - t
+    low, high = s * s * s / 6.0, t * t * t / 6.0
+    third = 2.0 / 3.0 - t * t * (1.0 - 0.5 * t)
+    basis[0], basis[1], basis[2], basis[3] = low, third, 1.0 - low - third - high, high
+    return span - 3
+
+
+@compiled
+def _take(
+    values: NDArray[np.float32],
+    windows: NDArray[np.int32],
+    labels: NDArray[np.int32],
+    found: NDArray[np.float32],
+) -> None:
+    """Take the value of each place's label."""
+    height, width = labels.shape
+    for r in range(height):
+        label = np.int32(-1)
+        for c in range(width):
+            if labels[r, c] != label:
+                label = labels[r, c]
+                top, left, bottom, right, start = windows[label]
+                start += (r - top) * (right - left) - left
+                if not top <= r < bottom:
+                    left = right
+            found[r, c] = values[start + c] if left <= c < right else np.inf
+
+
+@compiled
+def _interpolate(
+    values: NDArray[np.float32],
+    windows: NDArray[np.int32],
+    labels: NDArray[np.int32],
+    rows: NDArray[np.float64],
+    columns: NDArray[np.float64],
+    found: NDArray[np.float64],
+) -> None:
+    """Interpolate values between four places, and their change by a place along columns and rows."""
+    for n in range(labels.size):
+        top, left, bottom, right, start = windows[labels[n]]
+        r, c = rows[n] - top, columns[n] - left
+        wide = right - left
+        if not (0 <= r <= bottom - top - 1 and 0 <= c <= wide - 1) or bottom - top < 2 or wide < 2:
+            found[:, n] = np.nan
+            continue
+        r0, c0 = min(int(r), bottom - top - 2), min(int(c), wide - 2)
+        at = start + r0 * wide + c0
+        along_upper = np.float64(values[at + 1]) - values[at]
+        along_lower = np.float64(values[at + wide + 1]) - values[at + wide]
+        upper = values[at] + along_upper * (c - c0)
+        lower = values[at + wide] + along_lower * (c - c0)
+        found[0, n] = upper + (lower - upper) * (r - r0)
+        found[1, n] = along_upper + (along_lower - along_upper) * (r - r0)
+        found[2, n] = lower - upper
+
+
+__all__ = ["SurfaceLattice"]

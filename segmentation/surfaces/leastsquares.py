@@ -1,0 +1,374 @@
+"""Least-squares B-spline fits to values on part of a pixel grid, through separable normal equations."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.linalg import LinAlgError
+from numpy.typing import NDArray
+
+from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.surfaces.bspline import SpanBasis, pixel_basis
+
+#: Added to the diagonal of the normal matrix, as a share of its largest entry. It decides only what the
+#: data leave open: in the limit the solution is the one of least norm.
+_RIDGE_SHARE = 1e-10
+#: The products of two of the four functions on a span: which two.
+_FIRST = (0, 0, 0, 0, 1, 1, 1, 2, 2, 3)
+_SECOND = (0, 1, 2, 3, 1, 2, 3, 2, 3, 3)
+_PRODUCTS = len(_FIRST)
+#: Second differences of three control values on even knots.
+_BEND = (1.0, -2.0, 1.0)
+
+
+def fit_control_points(
+    values: NDArray[np.float32], mask: NDArray[np.bool_], corner: tuple[int, int], counts: tuple[int, int]
+) -> NDArray[np.float64]:
+    """Fit the control points of a bicubic spline to values on part of a window of pixels.
+
+    The parameters are the pixels' places in the window.
+
+    Parameters
+    ----------
+    values : (C, H, W) float32
+        Images to fit; read only where `mask` is set.
+    mask : (h, w) bool
+        Pixels of the window that have a value, at least one.
+    corner : (int, int)
+        First row and column of the window.
+    counts : (int, int)
+        Control points along rows' parameter u (columns of the image) and v (rows of the image).
+
+    Returns
+    -------
+    (C, nv, nu) float64
+        Control values. Each image is fitted about its mean over the mask; where the data leave control
+        values open, the solution is the one of least norm about that mean, reached by a vanishing ridge.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the values are not finite, so that there is no solution.
+    """
+    height, width = mask.shape
+    return fit_splines(values, mask, corner, pixel_basis(height, counts[1]), pixel_basis(width, counts[0]))[0]
+
+
+def fit_splines(
+    values: NDArray[np.float32],
+    mask: NDArray[np.bool_],
+    corner: tuple[int, int],
+    rows: SpanBasis,
+    columns: SpanBasis,
+    smoothness: float = 0.0,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Fit the control values of bicubic splines to images on part of a window.
+
+    The normal matrix has an entry for every two control points whose functions overlap, a sum over pixels of
+    two basis functions along each axis. On a row of a span of columns these are ten sums, and four for each
+    image; each serves the ten products of the row's own functions.
+
+    Parameters
+    ----------
+    values : (C, H, W) float32
+        Images to fit; read only where `mask` is set.
+    mask : (h, w) bool
+        Pixels of the window that have a value, at least one.
+    corner : (int, int)
+        First row and column of the window.
+    rows, columns : SpanBasis
+        At the rows and columns of the window.
+    smoothness : float
+        Weight of the squared second differences of the control values along both axes, against the squared
+        residuals. On even knots linear functions have none, so that the spline goes on linearly where there
+        is no data.
+
+    Returns
+    -------
+    control : (C, rows.count, columns.count) float64
+        Control values; where nothing else tells, about each image's mean over the mask.
+    held : (rows.count, columns.count) float64
+        Sum over the pixels of each basis function's square: by how much they hold its control value.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If there is no finite solution.
+    """
+    solved, control, held = _fit(
+        values,
+        np.ascontiguousarray(mask),
+        *corner,
+        rows.starts,
+        rows.values,
+        rows.count,
+        columns.starts,
+        columns.values,
+        columns.count,
+        smoothness,
+    )
+    if not solved:
+        raise LinAlgError("the normal equations have no finite solution")
+    return control, held
+
+
+@compiled
+def _fit(
+    images: NDArray[np.float32],
+    mask: NDArray[np.bool_],
+    top: int,
+    left: int,
+    starts_v: NDArray[np.intp],
+    values_v: NDArray[np.float64],
+    nv: int,
+    starts_u: NDArray[np.intp],
+    values_u: NDArray[np.float64],
+    nu: int,
+    smoothness: float,
+) -> tuple[bool, NDArray[np.float64], NDArray[np.float64]]:
+    """Set up and solve the normal equations: whether there is a solution, it, and what holds it."""
+    count = images.shape[0]
+    # Numbering control points along the direction that has fewer gives the narrower band.
+    step_v, step_u = (nu, 1) if nu <= nv else (1, nv)
+    size = nv * nu
+    reach = min(3 * min(nv, nu) + 3, size - 1)
+    # Row n of the band: entries of the normal matrix for n and itself, n + 1, ...
+    band = np.zeros((size, reach + 1))
+    right = np.zeros((count, size))
+    centers = _some_values(images, mask, top, left)
+    _add_points(
+        images, mask, top, left, starts_v, values_v, step_v, starts_u, values_u, step_u, centers, band, right
+    )
+    _center(band, right, centers)
+    held = np.empty((nv, nu))
+    for a in range(nv):
+        for b in range(nu):
+            held[a, b] = band[a * step_v + b * step_u, 0]
+    if smoothness > 0.0:
+        _add_bends(band, smoothness, nv, step_v, nu, step_u)
+        _add_bends(band, smoothness, nu, step_u, nv, step_v)
+    largest = 0.0
+    for n in range(size):
+        largest = max(largest, band[n, 0])
+    for n in range(size):
+        band[n, 0] += _RIDGE_SHARE * largest
+    control = np.empty((count, nv, nu))
+    solved = _factorize(band)
+    if not solved:
+        return False, control, held
+    for c in range(count):
+        _substitute(band, right[c])
+        for a in range(nv):
+            for b in range(nu):
+                value = right[c, a * step_v + b * step_u] + centers[c]
+                control[c, a, b] = value
+                solved &= abs(value) < np.inf
+    return solved, control, held
+
+
+@compiled
+def _some_values(
+    images: NDArray[np.float32], mask: NDArray[np.bool_], top: int, left: int
+) -> NDArray[np.float64]:
+    """Value of each image at the first marked pixel, about which sums lose little to rounding."""
+    for y in range(mask.shape[0]):
+        for x in range(mask.shape[1]):
+            if mask[y, x]:
+                return images[:, top + y, left + x].astype(np.float64)
+    return np.zeros(images.shape[0])
+
+
+@compiled
+def _center(band: NDArray[np.float64], right: NDArray[np.float64], centers: NDArray[np.float64]) -> None:
+    """Turn right sides about some values into those about the mean of each image, and say the means.
+
+    The functions sum to 1: so a row of the normal matrix sums to that of its function over the points, and
+    a right side to that of its image.
+    """
+    size, width = band.shape
+    ones = np.zeros(size)
+    for n in range(size):
+        ones[n] += band[n, 0]
+        for k in range(1, min(width, size - n)):
+            ones[n] += band[n, k]
+            ones[n + k] += band[n, k]
+    points = ones.sum()
+    for c in range(right.shape[0]):
+        offset = right[c].sum() / points
+        centers[c] += offset
+        for n in range(size):
+            right[c, n] -= offset * ones[n]
+
+
+@compiled
+def _add_points(
+    images: NDArray[np.float32],
+    mask: NDArray[np.bool_],
+    top: int,
+    left: int,
+    starts_v: NDArray[np.intp],
+    values_v: NDArray[np.float64],
+    step_v: int,
+    starts_u: NDArray[np.intp],
+    values_u: NDArray[np.float64],
+    step_u: int,
+    centers: NDArray[np.float64],
+    band: NDArray[np.float64],
+    right: NDArray[np.float64],
+) -> None:
+    """Add the sums over points to the normal matrix and the right sides."""
+    height, width = mask.shape
+    count = images.shape[0]
+    edges, spans = _spans(starts_u)
+    # Products of two functions at every column, and their sums over whole spans.
+    along, products = np.ascontiguousarray(values_u.T), np.empty((_PRODUCTS, width))
+    whole = np.zeros((spans, _PRODUCTS))
+    for k in range(_PRODUCTS):
+        first, second, product = along[_FIRST[k]], along[_SECOND[k]], products[k]
+        for x in range(width):
+            product[x] = first[x] * second[x]
+        for s in range(spans):
+            whole[s, k] = product[edges[s] : edges[s + 1]].sum()
+    weight, shifted = np.empty(width), np.empty((count, width))
+    sums, moments = np.empty(_PRODUCTS), np.empty(4)
+    # What all rows of one span of rows add up to, by span of columns.
+    matrix = np.zeros((spans, _PRODUCTS, _PRODUCTS))
+    sides = np.zeros((spans, count, 4, 4))
+    for y in range(height):
+        marked = mask[y]
+        for x in range(width):
+            weight[x] = 1.0 if marked[x] else 0.0
+        for c in range(count):
+            image, center, row = images[c, top + y, left : left + width], centers[c], shifted[c]
+            for x in range(width):
+                row[x] = np.float64(image[x]) - center if marked[x] else 0.0
+        own = values_v[y]
+        for s in range(spans):
+            begin, end = edges[s], edges[s + 1]
+            part = weight[begin:end]
+            points = part.sum()
+            if points == 0.0:
+                continue
+            if points == end - begin:
+                for k in range(_PRODUCTS):
+                    sums[k] = whole[s, k]
+            else:
+                for k in range(_PRODUCTS):
+                    sums[k] = _dot(part, products[k, begin:end])
+            for k in range(_PRODUCTS):
+                product_v = own[_FIRST[k]] * own[_SECOND[k]]
+                target = matrix[s, k]
+                for m in range(_PRODUCTS):
+                    target[m] += product_v * sums[m]
+            for c in range(count):
+                for j in range(4):
+                    moments[j] = _dot(shifted[c, begin:end], along[j, begin:end])
+                for i in range(4):
+                    for j in range(4):
+                        sides[s, c, i, j] += own[i] * moments[j]
+        if y + 1 == height or starts_v[y + 1] != starts_v[y]:
+            for s in range(spans):
+                origin = starts_v[y] * step_v + starts_u[edges[s]] * step_u
+                _scatter(matrix[s], sides[s], origin, step_v, step_u, band, right)
+            matrix[:] = 0.0
+            sides[:] = 0.0
+
+
+@compiled
+def _spans(starts: NDArray[np.intp]) -> tuple[NDArray[np.intp], int]:
+    """Places at which the functions change, with both ends, and how many spans these bound."""
+    edges = np.empty(starts.size + 1, dtype=np.intp)
+    edges[0] = 0
+    spans = 1
+    for x in range(1, starts.size):
+        if starts[x] != starts[x - 1]:
+            edges[spans] = x
+            spans += 1
+    edges[spans] = starts.size
+    return edges, spans
+
+
+@compiled
+def _dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    total = 0.0
+    for n in range(a.size):
+        total += a[n] * b[n]
+    return total
+
+
+@compiled
+def _scatter(
+    matrix: NDArray[np.float64],
+    sides: NDArray[np.float64],
+    origin: int,
+    step_v: int,
+    step_u: int,
+    band: NDArray[np.float64],
+    right: NDArray[np.float64],
+) -> None:
+    """Add the sums of one span of rows and columns, whose first control point is number `origin`."""
+    for k in range(_PRODUCTS):
+        i, p = _FIRST[k], _SECOND[k]
+        for m in range(_PRODUCTS):
+            j, q = _FIRST[m], _SECOND[m]
+            n = origin + i * step_v + j * step_u
+            other = origin + p * step_v + q * step_u
+            band[min(n, other), abs(n - other)] += matrix[k, m]
+            if i != p and j != q:
+                # Two functions of either axis: two pairs of control points.
+                n = origin + i * step_v + q * step_u
+                other = origin + p * step_v + j * step_u
+                band[min(n, other), abs(n - other)] += matrix[k, m]
+    for c in range(right.shape[0]):
+        for i in range(4):
+            for j in range(4):
+                right[c, origin + i * step_v + j * step_u] += sides[c, i, j]
+
+
+@compiled
+def _add_bends(band: NDArray[np.float64], weight: float, n: int, step: int, lines: int, across: int) -> None:
+    """Add the squared second differences of control values along one axis to the normal matrix."""
+    for line in range(lines):
+        for k in range(n - 2):
+            origin = line * across + k * step
+            for i in range(3):
+                for j in range(i, 3):
+                    band[origin + i * step, (j - i) * step] += weight * _BEND[i] * _BEND[j]
+
+
+@compiled
+def _factorize(band: NDArray[np.float64]) -> bool:
+    """Replace a symmetric band by its Cholesky factor; False where it is not positive definite."""
+    size, width = band.shape
+    for n in range(size):
+        if not band[n, 0] > 0.0:
+            return False
+        pivot = np.sqrt(band[n, 0])
+        column = band[n]
+        reach = min(width, size - n)
+        for k in range(reach):
+            column[k] /= pivot
+        for k in range(1, reach):
+            factor = column[k]
+            if factor != 0.0:
+                target, source = band[n + k, : reach - k], column[k:reach]
+                for m in range(reach - k):
+                    target[m] -= factor * source[m]
+    return True
+
+
+@compiled
+def _substitute(factor: NDArray[np.float64], x: NDArray[np.float64]) -> None:
+    """Solve in place, given the Cholesky factor of the band."""
+    size, width = factor.shape
+    for n in range(size):
+        reach = min(width, size - n)
+        x[n] /= factor[n, 0]
+        value, column, rest = x[n], factor[n, 1:reach], x[n + 1 : n + reach]
+        for k in range(reach - 1):
+            rest[k] -= value * column[k]
+    for n in range(size - 1, -1, -1):
+        reach = min(width, size - n)
+        x[n] = (x[n] - _dot(factor[n, 1:reach], x[n + 1 : n + reach])) / factor[n, 0]
+
+
+__all__ = ["LinAlgError", "fit_control_points", "fit_splines"]

@@ -1,0 +1,104 @@
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from nurbseg.app.command.arguments import flags, parse_arguments
+from nurbseg.app.command.config import AppConfig, sections
+from nurbseg.drivers.settings import described_fields
+
+
+def refusal(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    with pytest.raises(SystemExit) as caught:
+        parse_arguments(words)
+    assert caught.value.code == 2
+    return capsys.readouterr().err.splitlines()[-1]
+
+
+def test_without_arguments_the_defaults_hold() -> None:
+    arguments = parse_arguments([])
+    assert arguments.config == AppConfig()
+    assert not arguments.print_config
+
+
+def test_every_setting_is_in_the_help_with_unit_and_default(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        parse_arguments(["--help"])
+    assert caught.value.code == 0
+    text = " ".join(capsys.readouterr().out.split())
+    for section in sections().values():
+        for each in described_fields(section):
+            assert flags(each)[0] in text
+    assert "T_l: residual over which a point counts for NLE [m, more than 0] (default: 0.1)" in text
+    assert "130 interrupted" in text
+
+
+def test_no_two_settings_share_a_flag() -> None:
+    names = Counter(
+        name for section in sections().values() for each in described_fields(section) for name in flags(each)
+    )
+    assert [name for name, uses in names.items() if uses > 1] == []
+
+
+def test_flags_are_called_as_the_fields_and_as_in_the_literature() -> None:
+    words = ["--ratio-max", "0.9", "--lambda", "2", "--metric", "vmxc", "--segment-pixels-min", "500"]
+    settings = parse_arguments(words).config.segmentation
+    assert (settings.ratio_max, settings.geometry_weight) == (0.9, 2.0)
+    assert (settings.metric, settings.segment_pixels_min) == ("vmxc", 500)
+    assert parse_arguments(["--threshold", "0.8"]).config.segmentation.ratio_max == 0.8
+    assert parse_arguments(["--geometry-weight", "3"]).config.segmentation.geometry_weight == 3.0
+
+
+def test_flags_override_the_file_and_the_file_the_defaults(tmp_path: Path) -> None:
+    path = tmp_path / "run.toml"
+    path.write_text("[segmentation]\nratio_max = 0.9\nseed = 4\n[source]\nloop = true\n")
+    config = parse_arguments(["--config", str(path), "--seed", "7", "--no-loop"]).config
+    assert (config.segmentation.ratio_max, config.segmentation.seed) == (0.9, 7)
+    assert not config.source.loop
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["--replay", "b"], ("replay",)),
+        (["--synthetic"], ("synthetic",)),
+        (["--device", "xtion"], ("device",)),
+        ([], ("replay",)),
+    ],
+)
+def test_a_source_on_the_command_line_takes_the_place_of_the_files(
+    words: list[str], named: tuple[str, ...], tmp_path: Path
+) -> None:
+    path = tmp_path / "run.toml"
+    path.write_text("[source]\nreplay = 'a'\n")
+    assert parse_arguments(["--config", str(path), *words]).config.source.named == named
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["--ratio-max", "-1"], "argument --ratio-max/--threshold: expected more than 0.0, got -1.0"),
+        (["--seed", "1.5"], "argument --seed: expected a whole number, got '1.5'"),
+        (["--speed", "nan"], "argument --speed: expected a finite number, got nan"),
+        (["--speed", "-1"], "argument --speed: expected at least 0.0, got -1.0"),
+        (["--duration", "0"], "argument --duration: expected more than 0.0, got 0.0"),
+        (["--frames", "0"], "argument --frames: expected at least 1, got 0"),
+        (["--intrinsics", "1,2,3"], "argument --intrinsics: expected 4 numbers, got '1,2,3'"),
+        (["--intrinsics=-1,2,3,4"], "argument --intrinsics: expected focal lengths"),
+        (["--metric", "foo"], "argument --metric: invalid choice: 'foo'"),
+        (["--replay", "a", "--synthetic"], "not allowed with argument --replay"),
+        (["--export-surfaces"], "--export-surfaces: expected a folder too"),
+        (["--config", "no-such.toml"], "no-such.toml: cannot be read"),
+        (["--ratio", "1"], "unrecognized arguments: --ratio"),
+        (["--quiet", "--verbose"], "not allowed with argument"),
+    ],
+)
+def test_wrong_arguments_are_refused_with_their_names(
+    words: list[str], complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert complaint in refusal(words, capsys)
+
+
+@pytest.mark.parametrize(("words", "verbosity"), [([], 0), (["--quiet"], -1), (["--verbose"], 1)])
+def test_loudness(words: list[str], verbosity: int) -> None:
+    assert parse_arguments(words).verbosity == verbosity

@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+import importlib.util
+import logging
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from nurbseg.app.command.compilation import told_compilation
+
+_MODULE = """
+from nurbseg.drivers.compiled import compiled
+
+@compiled
+def total(count):
+    found = 0
+    for each in range(count):
+        found += each
+    return found
+"""
+
+
+def test_compiling_is_told_once_and_how_long_it_took(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "loops.py").write_text(_MODULE)
+    spec = importlib.util.spec_from_file_location("loops", tmp_path / "loops.py")
+    assert spec is not None and spec.loader is not None
+    loops = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(loops)
+    with caplog.at_level(logging.INFO, "nurbseg"), told_compilation():
+        assert loops.total(5) == 10
+        assert loops.total(5.0 > 1.0) == 0  # another type, compiled anew
+    said = [record.getMessage() for record in caplog.records]
+    assert [text.split(";")[0] for text in said] == ["compiling the inner loops", said[1].split(";")[0]]
+    assert said[1].startswith("compiling took")
+
+
+def test_what_is_found_on_disk_is_not_told(tmp_path: Path) -> None:
+    (tmp_path / "loops.py").write_text(_MODULE)
+    script = (
+        "import logging, sys\n"
+        "logging.basicConfig(level=logging.INFO)\n"
+        "from nurbseg.app.command.compilation import told_compilation\n"
+        "import loops\n"
+        "with told_compilation():\n"
+        "    print(loops.total(5))\n"
+    )
+    runs = [
+        subprocess.run(
+            [sys.executable, "-c", script],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=True,
+        )
+        for _ in range(2)
+    ]
+    assert [run.stdout.strip() for run in runs] == ["10", "10"]
+    assert "compiling" in runs[0].stderr
+    assert "compiling" not in runs[1].stderr

@@ -1,0 +1,148 @@
+import dataclasses
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from nurbseg.app.command.config import AppConfig, ExportConfig, SourceConfig, sections
+from nurbseg.app.command.config_file import ConfigError, format_config, read_config
+from nurbseg.app.command.values import value_kinds
+from nurbseg.app.view.config import ViewConfig
+from nurbseg.drivers.openni2.options import DeviceOptions
+from nurbseg.drivers.settings import described_fields
+from nurbseg.segmentation.config import SegmentationConfig
+
+FULL = AppConfig(
+    source=SourceConfig(
+        replay='C:\\odd "name"\n\t\x7f é.mcap',
+        fallback="other.mcap",
+        speed=0.1,
+        loop=True,
+        start=3,
+        frames=7,
+        duration_s=1e-7,
+        intrinsics=(525.0, 525.5, 319.5, 239.5),
+        depth_scale=5000.0,
+    ),
+    camera=DeviceOptions(serial="A1", mirror=True, sync=False),
+    segmentation=SegmentationConfig(metric="mmxc", ratio_max=0.8, geometry_weight=0.3, seed=5),
+    view=ViewConfig(mode="none", save="a.rrd"),
+    export=ExportConfig(directory="out", surfaces=True, report="r.json"),
+)
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "run.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("config", [AppConfig(), FULL], ids=["defaults", "everything set"])
+def test_a_printed_configuration_reads_back_as_the_same(config: AppConfig, tmp_path: Path) -> None:
+    assert read_config(written(tmp_path, format_config(config))) == config
+
+
+@given(
+    st.builds(
+        SourceConfig,
+        replay=st.none() | st.text(st.characters(exclude_categories=["Cs"])),
+        speed=st.floats(0, 1e300),
+        duration_s=st.none() | st.floats(0, 1e300, exclude_min=True),
+        intrinsics=st.none() | st.tuples(*[st.floats(1e-300, 1e300)] * 4),
+        start=st.integers(0, 2**62),
+    )
+)
+def test_any_value_survives_printing_and_reading(source: SourceConfig) -> None:
+    text = format_config(AppConfig(source=source))
+    kinds = value_kinds(SourceConfig)
+    table = tomllib.loads(text)["source"]
+    assert SourceConfig(**{key: kinds[key].from_toml(value) for key, value in table.items()}) == source
+
+
+def test_every_setting_is_printed_with_what_it_means() -> None:
+    lines = format_config(AppConfig()).splitlines()
+    for section in sections().values():
+        for each in described_fields(section):
+            (at,) = [i for i, line in enumerate(lines) if line.removeprefix("#").startswith(f"{each.name} =")]
+            assert lines[at - 1].startswith(f"# {each.metadata['text']}")
+
+
+def test_units_and_bounds_are_printed() -> None:
+    text = format_config(AppConfig())
+    assert "eq. 5) [more than 0]\nratio_max = 1.0" in text
+    assert "[m, more than 0]\nlarge_error_m = 0.1" in text
+    assert "at least 0, at most 64]\ndepth_max =" in text
+
+
+def test_every_field_of_a_section_is_a_setting() -> None:
+    for section in sections().values():
+        assert {each.name for each in dataclasses.fields(section)} == {
+            each.name for each in described_fields(section)
+        }
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (
+            "[segmentation]\nratio_mx = 1\n",
+            r"segmentation\.ratio_mx \(did you mean segmentation\.ratio_max\?\)",
+        ),
+        ("[source]\nratio_max = 1\n", r"source\.ratio_max \(did you mean segmentation\.ratio_max\?\)"),
+        (
+            "[segmentation]\nlambda = 1\n",
+            r"segmentation\.lambda \(did you mean segmentation\.geometry_weight\?\)",
+        ),
+        (
+            "[segmentation]\nlamda = 1\n",
+            r"segmentation\.lamda \(did you mean segmentation\.geometry_weight\?\)",
+        ),
+        ("[source]\nduration = 1\n", r"source\.duration \(did you mean source\.duration_s\?\)"),
+        ("[source]\nxyzzy = 1\n", r"unknown key source\.xyzzy$"),
+        ("speed = 1\n", r"unknown key speed: keys stand in a section \(did you mean source\.speed\?\)"),
+        ("[segmentaton]\n", r"unknown section \[segmentaton\]: expected one of \[source\], "),
+        ("source = 3\n", r"unknown key source: keys stand in a section"),
+        ("[segmentation]\nratio_max = 0\n", r"segmentation\.ratio_max: expected more than 0\.0, got 0\.0"),
+        ("[segmentation]\nratio_max = nan\n", r"segmentation\.ratio_max: expected a finite number, got nan"),
+        ("[segmentation]\nratio_max = true\n", r"segmentation\.ratio_max: expected a number, got True"),
+        ("[segmentation]\nsamples = 1.5\n", r"segmentation\.samples: expected a whole number, got 1\.5"),
+        ("[segmentation]\nmetric = 'mes'\n", r"segmentation\.metric: expected one of mse, .*, got 'mes'"),
+        ("[source]\nloop = 1\n", r"source\.loop: expected true or false, got 1"),
+        ("[source]\nreplay = 1\n", r"source\.replay: expected a text in quotes, got 1"),
+        ("[source]\nintrinsics = [1, 2, 3]\n", r"source\.intrinsics: expected 4 numbers"),
+        ("[source]\nintrinsics = [0, 1, 2, 3]\n", r"source\.intrinsics: expected focal lengths"),
+        ("[source]\nreplay = 'a'\ndevice = 'any'\n", r"source\.device, replay: name one source"),
+        ("[source\n", r"is not TOML: .*line 1"),
+    ],
+)
+def test_a_wrong_file_is_refused_with_its_name_and_key(text: str, complaint: str, tmp_path: Path) -> None:
+    path = written(tmp_path, text)
+    with pytest.raises(ConfigError, match=complaint) as caught:
+        read_config(path)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+def test_a_missing_file_and_a_file_of_other_bytes_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"none\.toml: cannot be read: No such file"):
+        read_config(tmp_path / "none.toml")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match=r"binary\.toml: is not TOML"):
+        read_config(tmp_path / "binary.toml")
+
+
+def test_whole_numbers_may_stand_for_others(tmp_path: Path) -> None:
+    config = read_config(written(tmp_path, "[source]\nspeed = 2\nintrinsics = [1, 2, 3, 4]\n"))
+    assert (config.source.speed, type(config.source.speed)) == (2.0, float)
+    assert config.source.intrinsics == (1.0, 2.0, 3.0, 4.0)
+
+
+def test_a_kind_that_a_flag_cannot_express_is_a_mistake_of_ours() -> None:
+    @dataclasses.dataclass
+    class Wrong:
+        value: dict[str, Any]
+
+    with pytest.raises(TypeError, match="dict"):
+        value_kinds(Wrong)

@@ -1,0 +1,139 @@
+"""Real signals to the real command: it ends within 2 s, and its files are whole."""
+
+import json
+import signal
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+from rerun.chunk import RrdReader
+
+from nurbseg.app.command.interruption import Interruption
+
+START = Callable[..., Any]
+SCENE = "synthetic:?width=96&height=72&frames=30"
+FILES = ("--export", "out", "--report", "report.json")
+LIMIT_S = 2.0
+
+
+def assert_files_are_whole(folder: Path) -> None:
+    report = json.loads((folder / "report.json").read_text())
+    assert report["ended"] == "interrupted"
+    trees = sorted((folder / "out").glob("*_tree.json"))
+    for tree in trees:
+        labels = cv2.imread(str(tree).replace("_tree.json", "_labels.png"), cv2.IMREAD_UNCHANGED)
+        assert json.loads(tree.read_text())["segments"][0]["size"] == (labels > 0).sum()
+    assert report["frames"]["segmented"] <= len(trees) <= report["frames"]["read"]
+    assert not list((folder / "out").glob(".*"))
+
+
+def test_ctrl_c_while_frames_are_segmented_as_fast_as_possible(start_live: START, tmp_path: Path) -> None:
+    run = start_live("--replay", SCENE, "--loop", "--speed", "0", "--view", "none", *FILES)
+    run.wait_for("frame 0")
+    code, took_s = run.end_with(signal.SIGINT)
+    assert (code, took_s < LIMIT_S) == (130, True), took_s
+    assert_files_are_whole(tmp_path)
+
+
+def test_ctrl_c_while_a_replay_is_paced(start_live: START, tmp_path: Path) -> None:
+    run = start_live("--replay", SCENE, "--loop", "--view", "none", *FILES)
+    run.wait_for("frame 0")
+    code, took_s = run.end_with(signal.SIGINT)
+    assert (code, took_s < LIMIT_S) == (130, True), took_s
+    assert_files_are_whole(tmp_path)
+
+
+def test_ctrl_c_while_the_next_frame_is_far_away(start_live: START, tmp_path: Path) -> None:
+    run = start_live("--replay", SCENE, "--speed", "0.0001", "--view", "none", *FILES)
+    run.wait_for("frame 0")
+    code, took_s = run.end_with(signal.SIGINT)
+    assert (code, took_s < LIMIT_S) == (130, True), took_s
+    assert_files_are_whole(tmp_path)
+
+
+def test_ctrl_c_at_the_start(start_live: START, tmp_path: Path) -> None:
+    run = start_live("--replay", SCENE, "--speed", "0", "--view", "none", *FILES)
+    run.wait_for("source:")
+    code, took_s = run.end_with(signal.SIGINT)
+    assert (code, took_s < LIMIT_S) == (130, True), took_s
+
+
+@pytest.fixture
+def mute_port() -> Iterator[int]:
+    """A port that takes connections and never answers."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        yield int(server.getsockname()[1])
+
+
+@pytest.mark.parametrize("viewer", ["absent", "mute"])
+def test_ctrl_c_without_a_viewer_that_answers(
+    viewer: str, start_live: START, mute_port: int, tmp_path: Path
+) -> None:
+    port = 1 if viewer == "absent" else mute_port
+    run = start_live(
+        "--replay",
+        SCENE,
+        "--loop",
+        "--speed",
+        "0",
+        "--connect",
+        f"127.0.0.1:{port}",
+        "--save",
+        "run.rrd",
+        *FILES,
+    )
+    run.wait_for("frame 0")
+    code, took_s = run.end_with(signal.SIGINT)
+    assert (code, took_s < LIMIT_S) == (130, True), took_s
+    assert_files_are_whole(tmp_path)
+    frames = {
+        number
+        for chunk in RrdReader(tmp_path / "run.rrd").stream()
+        if chunk.entity_path == "/world/camera/image/depth" and not chunk.is_static
+        for number in chunk.to_record_batch().column("frame").to_pylist()
+    }
+    assert 0 in frames
+
+
+def test_ctrl_c_again_and_again_disturbs_no_file(start_live: START, tmp_path: Path) -> None:
+    run = start_live(
+        "--replay", SCENE, "--loop", "--speed", "0", "--view", "none", "--save", "run.rrd", *FILES
+    )
+    run.wait_for("frame 0")
+    code, took_s = run.end_with(signal.SIGINT, signal.SIGINT, signal.SIGTERM, signal.SIGINT)
+    assert took_s < LIMIT_S
+    assert code in (130, 143)
+    assert_files_are_whole(tmp_path)
+
+
+def test_a_polite_kill_ends_cleanly_too(start_live: START, tmp_path: Path) -> None:
+    run = start_live("--replay", SCENE, "--loop", "--speed", "0", "--view", "none", *FILES)
+    run.wait_for("frame 0")
+    code, took_s = run.end_with(signal.SIGTERM)
+    assert (code, took_s < LIMIT_S) == (143, True), took_s
+    assert_files_are_whole(tmp_path)
+
+
+def test_a_signal_raises_once_and_is_remembered() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    with Interruption() as interruption:
+        interruption.check()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGINT)
+        assert interruption.exit_code == 143
+        with pytest.raises(KeyboardInterrupt):
+            interruption.check()
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_while_held_a_signal_raises_nothing_and_is_found_later() -> None:
+    with Interruption() as interruption:
+        interruption.hold()
+        signal.raise_signal(signal.SIGINT)
+        assert interruption.exit_code == 130
+        with pytest.raises(KeyboardInterrupt):
+            interruption.wait()

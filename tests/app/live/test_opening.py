@@ -1,0 +1,210 @@
+import logging
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from scripted_source import ScriptedSource, small_frame
+
+from nurbseg.app.command.config import AppConfig, SourceConfig
+from nurbseg.app.live import opening
+from nurbseg.app.live.opening import demo_uri, open_chosen
+from nurbseg.drivers.errors import (
+    BackendMissingError,
+    CalibrationError,
+    DeviceNotFoundError,
+    DriverError,
+    RecordingFormatError,
+)
+from nurbseg.drivers.openni2.options import DeviceOptions
+from nurbseg.drivers.registry import SourceOptions, open_source
+from nurbseg.drivers.source import FrameSource
+
+SMALL = "synthetic:?width=32&height=24&frames=5"
+
+
+def chosen(**source: object) -> AppConfig:
+    return AppConfig(source=SourceConfig(**source))  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def no_camera(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Let no camera be found, whatever is connected to this computer; return the URIs asked for."""
+    asked: list[str] = []
+
+    def open_without_camera(uri: str, options: SourceOptions) -> FrameSource:
+        asked.append(uri)
+        if uri.startswith("openni2:"):
+            raise DeviceNotFoundError("no camera is connected")
+        return open_source(uri, options)
+
+    monkeypatch.setattr(opening, "open_source", open_without_camera)
+    return asked
+
+
+@pytest.fixture
+def a_camera(monkeypatch: pytest.MonkeyPatch) -> list[ScriptedSource]:
+    """Let a camera be found."""
+    cameras: list[ScriptedSource] = []
+
+    def open_camera(uri: str, options: SourceOptions) -> FrameSource:
+        assert uri.startswith("openni2:")
+        cameras.append(ScriptedSource([small_frame(0), small_frame(1)], live=True))
+        return cameras[-1]
+
+    monkeypatch.setattr(opening, "open_source", open_camera)
+    return cameras
+
+
+def test_without_a_source_a_camera_is_taken(a_camera: list[ScriptedSource]) -> None:
+    opened = open_chosen(chosen())
+    with opened.source:
+        assert opened.uri == "openni2:any"
+        assert opened.source is a_camera[0]
+        assert not opened.every_frame
+
+
+def test_without_a_source_and_a_camera_the_demo_is_replayed_and_that_is_said(
+    no_camera: list[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    opened = open_chosen(chosen())
+    opened.source.close()
+    assert no_camera[0] == "openni2:any"
+    assert opened.uri == demo_uri()
+    assert "no camera found" in caplog.text
+    assert f"replaying {opened.uri} instead" in caplog.text
+
+
+def test_openni_absent_does_not_break_the_first_start(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def open_without_library(uri: str, options: SourceOptions) -> FrameSource:
+        if uri.startswith("openni2:"):
+            raise BackendMissingError("install libopenni2-0")
+        return ScriptedSource([])
+
+    monkeypatch.setattr(opening, "open_source", open_without_library)
+    open_chosen(chosen()).source.close()
+    assert "install libopenni2-0" in caplog.text
+
+
+@pytest.mark.parametrize("device", [None, "xtion"])
+def test_the_fallback_takes_the_place_of_a_camera(device: str | None, no_camera: list[str]) -> None:
+    opened = open_chosen(chosen(device=device, fallback=SMALL))
+    opened.source.close()
+    assert no_camera == [f"openni2:{device or 'any'}", SMALL]
+    assert opened.uri == SMALL
+
+
+def test_a_named_camera_that_is_absent_is_an_error_with_the_doctors_finding(no_camera: list[str]) -> None:
+    with pytest.raises(DeviceNotFoundError, match=r"no camera is connected(.|\n)*nurbseg-devices doctor"):
+        open_chosen(chosen(device="xtion"))
+    assert no_camera == ["openni2:xtion"]
+
+
+def test_a_device_may_be_named_by_its_uri(no_camera: list[str]) -> None:
+    with pytest.raises(DeviceNotFoundError):
+        open_chosen(chosen(device="openni2:1d27/0601@3/2"))
+    assert no_camera == ["openni2:1d27/0601@3/2"]
+
+
+def test_a_camera_that_fails_leads_to_no_fallback(monkeypatch: pytest.MonkeyPatch) -> None:
+    def open_broken(uri: str, options: SourceOptions) -> FrameSource:
+        raise DriverError("the camera does not know this mode")
+
+    monkeypatch.setattr(opening, "open_source", open_broken)
+    with pytest.raises(DriverError, match="mode"):
+        open_chosen(chosen(fallback=SMALL))
+
+
+def test_a_missing_recording_leads_to_no_fallback(no_camera: list[str], tmp_path: Path) -> None:
+    with pytest.raises(DeviceNotFoundError, match=r"none\.mcap"):
+        open_chosen(chosen(replay=str(tmp_path / "none.mcap"), fallback=SMALL))
+
+
+def test_as_fast_as_possible_means_every_frame() -> None:
+    for speed, every_frame in ((0.0, True), (1.0, False)):
+        opened = open_chosen(chosen(replay=SMALL, speed=speed))
+        opened.source.close()
+        assert opened.every_frame is every_frame
+
+
+def test_start_and_frames_choose_a_part_of_a_replay() -> None:
+    with open_chosen(chosen(replay=SMALL, speed=0.0, start=2, frames=2)).source as source:
+        assert [frame.index for frame in source] == [2, 3]
+
+
+def test_a_loop_repeats_what_comes_after_the_start() -> None:
+    with open_chosen(chosen(replay=SMALL, speed=0.0, start=3, frames=5, loop=True)).source as source:
+        frames = list(source)
+    assert [frame.index for frame in frames] == [3, 4, 5, 6, 7]
+    assert (frames[0].depth_mm == frames[2].depth_mm).all()
+    assert (frames[0].depth_mm != frames[1].depth_mm).any()
+
+
+def test_a_start_behind_the_end_is_an_error() -> None:
+    with pytest.raises(RecordingFormatError, match="has 5 frames"):
+        open_chosen(chosen(replay=SMALL, start=6))
+
+
+def test_settings_of_a_replay_are_told_to_be_ignored_for_a_camera(
+    a_camera: list[ScriptedSource], caplog: pytest.LogCaptureFixture
+) -> None:
+    open_chosen(chosen(device="any", loop=True, start=3, speed=0.0)).source.close()
+    assert "--speed, --loop, --start: for replays only" in caplog.text
+    open_chosen(chosen(device="any", intrinsics=(60.0, 61.0, 31.5, 23.5))).source.close()
+    assert "--intrinsics: for replays only" in caplog.text
+
+
+def test_settings_of_a_camera_are_said_to_be_ignored_for_other_sources(
+    caplog: pytest.LogCaptureFixture, tmp_path: Path
+) -> None:
+    camera = DeviceOptions(mirror=True, depth_mode="qvga")
+    open_chosen(AppConfig(source=SourceConfig(replay=SMALL), camera=camera)).source.close()
+    assert f"--depth-mode, --mirror: for cameras only, ignored for {SMALL}" in caplog.text
+    caplog.clear()
+    with pytest.raises(DeviceNotFoundError):
+        open_chosen(AppConfig(source=SourceConfig(replay=str(tmp_path / "x.oni")), camera=camera))
+    assert "--depth-mode: for cameras only" in caplog.text
+
+
+def test_intrinsics_and_depth_scale_reach_the_recording(write_pairs: Callable[..., Path]) -> None:
+    folder = write_pairs(camera=False)
+    with pytest.raises(CalibrationError, match="intrinsics"):
+        open_chosen(chosen(replay=str(folder)))
+    config = chosen(replay=str(folder), intrinsics=(60.0, 61.0, 31.5, 23.5), depth_scale=2000.0, speed=0.0)
+    with open_chosen(config).source as source:
+        frame = source.read()
+    assert frame.calibration.depth.fy == 61.0
+    assert set(frame.depth_mm.ravel().tolist()) == {600, 1000}
+
+
+def test_a_calibration_file_serves_a_recording(write_pairs: Callable[..., Path], tmp_path: Path) -> None:
+    folder = write_pairs(camera=False)
+    path = tmp_path / "camera.toml"
+    path.write_text(
+        "registered = true\n[depth]\nwidth = 64\nheight = 48\nfx = 70.0\nfy = 70.0\ncx = 31.5\ncy = 23.5\n"
+    )
+    config = AppConfig(source=SourceConfig(replay=str(folder)), camera=DeviceOptions(calibration=str(path)))
+    with open_chosen(config).source as source:
+        assert source.calibration.depth.fx == 70.0
+
+
+def test_a_calibration_file_without_image_sizes_takes_those_of_the_recording(
+    write_pairs: Callable[..., Path], tmp_path: Path
+) -> None:
+    folder = write_pairs(camera=False)
+    path = tmp_path / "intrinsics.txt"
+    path.write_text("70 0 31.5\n0 71 23.5\n0 0 1\n")
+    config = AppConfig(source=SourceConfig(replay=str(folder)), camera=DeviceOptions(calibration=str(path)))
+    with open_chosen(config).source as source:
+        camera = source.calibration.color
+    assert (camera.width, camera.height, camera.fx, camera.fy) == (64, 48, 70.0, 71.0)
+
+
+def test_the_demo_is_replaced_where_it_was_not_installed(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(opening, "files", lambda package: tmp_path)
+    with caplog.at_level(logging.WARNING):
+        assert demo_uri() == "synthetic:"
+    assert "the demo recording is not installed" in caplog.text

@@ -1,0 +1,135 @@
+import itertools
+
+import pytest
+from scripted_source import ScriptedSource, small_frame
+
+from nurbseg.app.live.replay import Limited, Looped
+from nurbseg.drivers.errors import DriverError, EndOfRecordingError, FrameFormatError, FrameTimeoutError
+from nurbseg.drivers.source import Paced
+
+
+def recording(frames: int) -> ScriptedSource:
+    return ScriptedSource([small_frame(index) for index in range(frames)])
+
+
+class FakeClock:
+    def __init__(self) -> None:
+        self.now_s = 100.0
+        self.slept_s: list[float] = []
+
+    def __call__(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.slept_s.append(seconds)
+        self.now_s += seconds
+
+
+def test_a_looped_recording_goes_on_with_rising_numbers_and_stamps() -> None:
+    with Looped(recording(3), lambda: recording(3)) as source:
+        frames = [source.read() for _ in range(8)]
+    assert [frame.index for frame in frames] == list(range(8))
+    steps_ns = [b.timestamp_ns - a.timestamp_ns for a, b in itertools.pairwise(frames)]
+    assert steps_ns == pytest.approx([33_333_333] * 7, abs=2)
+    assert [int(frame.depth_mm[0, 0]) - 1000 for frame in frames] == [0, 1, 2, 0, 1, 2, 0, 1]
+
+
+def test_a_looped_recording_of_one_frame_still_has_rising_stamps() -> None:
+    with Looped(recording(1), lambda: recording(1)) as source:
+        stamps = [source.read().timestamp_ns for _ in range(3)]
+    assert stamps[0] < stamps[1] < stamps[2]
+
+
+def test_a_recording_without_a_good_frame_is_not_repeated_for_ever() -> None:
+    def damaged() -> ScriptedSource:
+        return ScriptedSource([FrameFormatError("bad")])
+
+    with Looped(damaged(), damaged) as source:
+        with pytest.raises(FrameFormatError):
+            source.read()
+        with pytest.raises(EndOfRecordingError, match="no frame to repeat"):
+            source.read()
+
+
+def test_each_pass_of_a_loop_is_closed() -> None:
+    passes = [recording(1), recording(1), recording(1)]
+    following = iter(passes[1:])
+    with Looped(passes[0], lambda: next(following)) as source:
+        for _ in range(3):
+            source.read()
+    for each in passes:
+        with pytest.raises(DriverError, match="closed"):
+            each.read()
+
+
+def test_a_limit_of_frames_ends_a_source() -> None:
+    with Limited(recording(9), frames=4) as source:
+        assert len(list(source)) == 4
+
+
+def test_damaged_frames_do_not_count_for_the_limit() -> None:
+    script = [FrameFormatError("bad"), small_frame(1), small_frame(2), small_frame(3)]
+    with Limited(ScriptedSource(script), frames=2) as source:
+        with pytest.raises(FrameFormatError):
+            source.read()
+        assert [frame.index for frame in source] == [1, 2]
+
+
+def test_a_limit_of_time_goes_by_the_frames_clock() -> None:
+    with Limited(recording(90), duration_s=1.0) as source:
+        assert len(list(source)) == 30
+
+
+def test_a_silent_camera_ends_with_the_time_too() -> None:
+    clock = FakeClock()
+    camera = ScriptedSource([FrameTimeoutError("nothing"), FrameTimeoutError("nothing")], live=True)
+    with Limited(camera, duration_s=1.0, clock=clock) as source:
+        with pytest.raises(FrameTimeoutError):
+            source.read()
+        clock.now_s += 1.0
+        with pytest.raises(EndOfRecordingError, match="time"):
+            source.read()
+
+
+def test_limits_pass_on_what_a_source_is() -> None:
+    camera = ScriptedSource([], live=True)
+    with Limited(camera, frames=1) as source:
+        assert source.live
+        assert source.calibration is camera.calibration
+        assert source.metadata is camera.metadata
+
+
+def test_a_paced_replay_waits_no_longer_than_its_reader() -> None:
+    clock = FakeClock()
+    late = ScriptedSource([small_frame(0, 0.0), small_frame(1, 10.0)])
+    with Paced(late, clock=clock, sleep=clock.sleep) as source:
+        source.read(0.5)
+        for _ in range(19):
+            with pytest.raises(FrameTimeoutError, match="due in"):
+                source.read(0.5)
+        assert source.read(0.5).index == 1
+    assert max(clock.slept_s) <= 0.5
+    assert clock.now_s == pytest.approx(110.0)
+
+
+@pytest.mark.parametrize(("speed", "expected_s"), [(1.0, 1.0), (2.0, 0.5), (0.5, 2.0)])
+def test_a_loop_keeps_its_pace_over_the_seam(speed: float, expected_s: float) -> None:
+    clock = FakeClock()
+    looped = Looped(recording(10), lambda: recording(10))
+    with Paced(looped, speed, clock=clock, sleep=clock.sleep) as source:
+        for _ in range(31):
+            source.read()
+    assert clock.now_s - 100.0 == pytest.approx(expected_s, rel=1e-6)
+
+
+def test_the_delay_counts_neither_frames_nor_time() -> None:
+    source = Limited(ScriptedSource([small_frame(index) for index in range(90)]), frames=5, delay_s=1.0)
+    assert [frame.index for frame in source] == list(range(35))
+    source = Limited(ScriptedSource([small_frame(index) for index in range(90)]), duration_s=0.5, delay_s=1.0)
+    assert [frame.index for frame in source] == list(range(45))
+
+
+def test_a_clock_that_begins_anew_does_not_make_the_delay_begin_anew() -> None:
+    script = [small_frame(index, timestamp_s=(index % 40) / 30) for index in range(90)]
+    source = Limited(ScriptedSource(script), frames=20, delay_s=1.0)
+    assert [frame.index for frame in source] == list(range(50))

@@ -1,0 +1,64 @@
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from scripted_source import ScriptedSource, small_frame
+
+from nurbseg.app.command.config import AppConfig
+from nurbseg.app.live.capture import CaptureThread
+from nurbseg.app.live.report import RunReport, peak_memory_mb
+from nurbseg.drivers.errors import FrameFormatError
+
+
+def test_every_frame_is_accounted_for() -> None:
+    script = [small_frame(0), FrameFormatError("b: bad"), small_frame(2), small_frame(3), small_frame(4)]
+    report = RunReport(AppConfig(), "scripted", {"dropped": "3", "device": "none"})
+    with ScriptedSource(script) as source, CaptureThread(source) as capture:
+        capture._thread.join(10.0)
+        assert capture.frames.take(10.0) is not None
+        report.add({"segment": 5.0})
+    frames = report.document(capture, "the source ended")["frames"]
+    assert (frames["read"], frames["segmented"]) == (4, 1)
+    assert {why: count for why, count in frames["dropped"].items() if count} == {
+        "overwritten_by_a_newer_frame": 3,
+        "damaged": 1,
+        "without_a_partner": 3,
+    }
+    assert frames["damaged_frames"] == ["b: bad"]
+
+
+def test_latencies_are_told_as_percentiles() -> None:
+    report = RunReport(AppConfig(), "scripted", {})
+    for value in range(1, 102):
+        report.add({"segment": float(value)})
+    assert report.document(None, "")["latency_ms"] == {"segment": {"p50": 51.0, "p95": 96.0, "max": 101.0}}
+
+
+def test_the_file_holds_configuration_versions_and_memory(tmp_path: Path) -> None:
+    report = RunReport(AppConfig(), "scripted", {"device": "none"})
+    report.write(tmp_path / "new" / "report.json", None, "interrupted")
+    document = json.loads((tmp_path / "new" / "report.json").read_text())
+    assert document["ended"] == "interrupted"
+    assert document["source"] == {"opened": "scripted", "device": "none"}
+    assert document["configuration"]["segmentation"]["metric"] == AppConfig().segmentation.metric
+    assert document["versions"]["numpy"][0].isdigit()
+    assert document["frames_per_s"] == 0.0
+    assert document["peak_memory_mb"]["segmentation"] > 10
+    assert document["peak_memory_mb"]["view"] == 0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_peak_memory_is_what_the_kernel_says() -> None:
+    block = bytearray(100_000_000)
+    block[::4096] = b"x" * len(block[::4096])
+    (line,) = [line for line in Path("/proc/self/status").read_text().splitlines() if "VmHWM" in line]
+    assert peak_memory_mb() == pytest.approx(int(line.split()[1]) * 1024 / 1e6, abs=5.0)
+
+
+@pytest.mark.parametrize("frames", [0, 1])
+def test_a_rate_needs_two_frames(frames: int) -> None:
+    report = RunReport(AppConfig(), "scripted", {})
+    for _ in range(frames):
+        report.add({"segment": 1.0})
+    assert report.frames_per_s == 0.0

@@ -1,0 +1,75 @@
+"""Segments keep their labels from frame to frame, in files, figures and pictures."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from subprocess import CompletedProcess
+
+import cv2
+import numpy as np
+import pytest
+
+from nurbseg.app.export import tree_document
+from nurbseg.app.live.config import LiveConfig
+from nurbseg.app.live.tracking import Segmenter
+from nurbseg.drivers.registry import open_source
+from nurbseg.segmentation.config import SegmentationConfig
+
+Live = Callable[..., CompletedProcess[str]]
+
+
+@pytest.mark.parametrize(
+    ("temporal", "every_frame", "follows"),
+    [("auto", False, True), ("auto", True, False), ("on", True, True), ("off", False, False)],
+)
+def test_frames_follow_each_other_where_the_newest_is_taken(
+    temporal: str, every_frame: bool, follows: bool
+) -> None:
+    assert LiveConfig(temporal=temporal).follows(every_frame=every_frame) is follows  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("method", ["stag15", "nurbseg"])
+def test_labels_are_identities_and_the_tree_tells_them(method: str) -> None:
+    segmenter = Segmenter(SegmentationConfig(method=method), temporal=True)  # type: ignore[arg-type]
+    with open_source("synthetic:?width=160&height=120&frames=3") as source:
+        results = [segmenter.process(frame) for frame in source]
+    for result in results:
+        assert "identify" in result.elapsed_ms
+        document = tree_document(result, "mse")
+        surfaces = {each["leaf"] for each in document["segments"] if not each["children"]}
+        assert set(np.unique(result.surface_image())) - {0} == surfaces - {0}
+        assert set(np.unique(result.labels())) - {0} == {
+            each["label"] for each in document["segments"] if each["label"]
+        }
+        if result.tree.objects:
+            assert {each["object"] for each in document["objects"]} == set(result.object_labels)
+    # What one frame calls a segment, the next one calls it too.
+    first, second = (result.labels() for result in results[:2])
+    both = (first > 0) & (second > 0)
+    assert np.mean(first[both] == second[both]) > 0.5
+
+
+def test_without_it_labels_are_places_in_the_tree() -> None:
+    with open_source("synthetic:?width=160&height=120&frames=1") as source:
+        result = Segmenter(SegmentationConfig(), temporal=False).process(source.read())
+    assert np.array_equal(result.labels(), result.tree.labels())
+    assert result.surface_labels == tuple(range(1, len(result.tree.leaves()) + 1))
+    assert result.events == ()
+
+
+def test_a_run_exports_stable_labels_and_counts_events(
+    live: Live, write_pairs: Callable[..., Path], tmp_path: Path
+) -> None:
+    done = live(
+        *("--replay", str(write_pairs(3)), "--speed", "0", "--view", "none", "--temporal", "on"),
+        *("--depth-max", "1", "--export", "out", "--report", "report.json"),
+    )
+    assert done.returncode == 0, done.stderr
+    boxes = []
+    for index in range(3):
+        labels = cv2.imread(str(tmp_path / f"out/{index:06d}_labels.png"), cv2.IMREAD_UNCHANGED)
+        boxes.append(int(labels[24, 22 + index]))
+    assert len(set(boxes)) == 1
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["events"] == {"new": 2}
+    assert report["latency_ms"]["identify"]["p50"] > 0

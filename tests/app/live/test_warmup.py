@@ -1,0 +1,96 @@
+"""Loading ahead: what a run's first frame would wait for otherwise."""
+
+from __future__ import annotations
+
+import logging
+import subprocess
+import sys
+import time
+
+import pytest
+
+from nurbseg.app.command.config import AppConfig, SourceConfig
+from nurbseg.app.live import warmup as loading
+from nurbseg.app.live.run import _begin_loading
+from nurbseg.app.live.warmup import Loading
+from nurbseg.app.recording.config import RecordConfig
+from nurbseg.segmentation.config import SegmentationConfig
+
+#: Counts what is loaded by a run's first frames, after loading ahead.
+_SCRIPT = """
+from numba.core.caching import Cache
+from nurbseg.app.live.warmup import Loading
+from nurbseg.app.live.tracking import Segmenter
+from nurbseg.drivers.registry import open_source
+from nurbseg.segmentation.config import SegmentationConfig
+
+loaded = []
+load = Cache.load_overload
+def counted(*words):
+    loaded.append(words)
+    return load(*words)
+Cache.load_overload = counted
+with open_source("synthetic:?width=320&height=240&frames=3") as source:
+    frames = list(source)
+loaded.clear()
+Loading(SegmentationConfig(), temporal=True).wait()
+ahead = len(loaded)
+segmenter = Segmenter(SegmentationConfig(), temporal=True)
+for frame in frames:
+    segmenter.process(frame)
+print(ahead, len(loaded) - ahead)
+"""
+
+
+def test_little_is_left_to_load_for_the_first_frames() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _SCRIPT], capture_output=True, text=True, timeout=300, check=True
+    )
+    ahead, later = map(int, done.stdout.split())
+    assert ahead > 40
+    assert later < 0.15 * ahead
+
+
+@pytest.mark.parametrize("method", ["stag15", "nurbseg"])
+@pytest.mark.parametrize("temporal", [True, False])
+def test_loading_ends_without_a_word(method: str, temporal: bool, caplog: pytest.LogCaptureFixture) -> None:
+    config = SegmentationConfig(method=method)  # type: ignore[arg-type]
+    with caplog.at_level(logging.DEBUG, "nurbseg"):
+        Loading(config, temporal=temporal).wait()
+    assert caplog.records == []
+
+
+def test_what_goes_wrong_is_left_to_the_run_and_what_hangs_is_not_waited_for(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def broken(index: int) -> None:
+        raise ValueError("never mind")
+
+    monkeypatch.setattr(loading, "_frame", broken)
+    with caplog.at_level(logging.DEBUG, "nurbseg"):
+        Loading(SegmentationConfig(), temporal=False).wait()
+    assert [record.levelname for record in caplog.records] == ["DEBUG"]
+
+    monkeypatch.setattr(loading, "_frame", lambda index: time.sleep(2.0))
+    monkeypatch.setattr(loading, "_WAIT_S", 0.2)
+    began_s = time.monotonic()
+    Loading(SegmentationConfig(), temporal=False).wait()
+    assert time.monotonic() - began_s < 1.5
+
+
+@pytest.mark.parametrize(
+    ("config", "begins"),
+    [
+        (AppConfig(), True),
+        (AppConfig(source=SourceConfig(replay="a.mcap")), True),
+        (AppConfig(source=SourceConfig(replay="a.mcap", speed=0)), False),
+        (AppConfig(source=SourceConfig(synthetic=True, speed=0)), False),
+        (AppConfig(source=SourceConfig(speed=0)), True),
+        (AppConfig(record=RecordConfig(file="a.mcap", only=True)), False),
+    ],
+)
+def test_it_is_for_runs_that_would_lose_frames(
+    config: AppConfig, begins: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nurbseg.app.live.run.Loading", lambda *_, **__: "loading")
+    assert (_begin_loading(config) == "loading") is begins

@@ -1,0 +1,323 @@
+"""Recording while a run goes on: what is kept, what is lost, and how it ends."""
+
+import errno
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scripted_source import ScriptedSource, small_frame
+
+from nurbseg.app.command.arguments import parse_arguments
+from nurbseg.app.live.capture import CaptureThread
+from nurbseg.app.recording import disk_space
+from nurbseg.app.recording import queue as record_queue
+from nurbseg.app.recording.config import RecordConfig
+from nurbseg.app.recording.queue import QueuedRecording
+from nurbseg.app.recording.recorder import RecordError, open_recording, tell_recorded
+from nurbseg.drivers.errors import DeviceLostError, DriverError, EndOfRecordingError
+from nurbseg.drivers.reconnect import Reconnecting
+from nurbseg.drivers.registry import open_source
+
+LARGE = 10**12
+
+
+class Pen:
+    """Writes nothing; waits until it is allowed to, and fails when it is told to."""
+
+    def __init__(self, *, waits=False, fails_at=None, error=None):
+        self.written = []
+        self.closed = threading.Event()
+        self.allowed = threading.Event()
+        self.began = threading.Event()
+        self._fails_at = fails_at
+        self._error = error or OSError(errno.ENOSPC, "No space left on device")
+        if not waits:
+            self.allowed.set()
+
+    def write(self, frame):
+        self.began.set()
+        assert self.allowed.wait(30)
+        if len(self.written) == self._fails_at:
+            raise self._error
+        self.written.append(frame.index)
+
+    def close(self):
+        self.closed.set()
+
+
+@pytest.fixture
+def path(tmp_path):
+    path = tmp_path / "run.mcap"
+    path.touch()
+    return path
+
+
+def recorded(path):
+    with open_source(path) as source:
+        return list(source)
+
+
+def test_every_frame_is_in_the_file_as_it_was(tmp_path):
+    path = tmp_path / "new folder" / "run.mcap"
+    config = RecordConfig(file=str(path), color="raw")
+    frames = [small_frame(index) for index in range(20)]
+    source = ScriptedSource([])
+    source.metadata["serial"] = "S1"
+    with open_recording(config, source) as recording:
+        for frame in frames:
+            recording.put(frame)
+    assert (recording.frames, recording.lost, recording.failure) == (20, 0, "")
+    for before, after in zip(frames, recorded(path), strict=True):
+        assert after.timestamp_ns == before.timestamp_ns
+        assert np.array_equal(after.depth_mm, before.depth_mm)
+        assert np.array_equal(after.color, before.color)
+    with open_source(path) as source:
+        assert source.metadata["serial"] == "S1"
+
+
+def test_without_a_file_nothing_is_recorded():
+    assert open_recording(RecordConfig(), ScriptedSource([])) is None
+
+
+def test_putting_a_frame_does_not_wait_for_the_file(path, monkeypatch):
+    monkeypatch.setattr(record_queue, "_QUEUE_BYTES_MAX", 5 * small_frame(0).depth_mm.nbytes * 5 // 2)
+    pen = Pen(waits=True)
+    recording = QueuedRecording(path, pen, RecordConfig(), free_bytes=lambda _: LARGE)
+    recording.put(small_frame(0))
+    assert pen.began.wait(10)
+    assert not recording.behind
+    for index in range(1, 9):
+        recording.put(small_frame(index))
+    # One is being written, five fit into the queue, three are too many.
+    assert recording.behind
+    assert recording.lost == 3
+    pen.allowed.set()
+    recording.close()
+    assert pen.written == [0, 1, 2, 3, 4, 5]
+    assert (recording.frames, recording.lost) == (6, 3)
+
+
+def test_a_lossless_recording_makes_its_source_wait_and_loses_nothing(path, monkeypatch):
+    monkeypatch.setattr(record_queue, "_QUEUE_BYTES_MAX", 1)
+    pen = Pen(waits=True)
+    recording = QueuedRecording(path, pen, RecordConfig(), lossless=True, free_bytes=lambda _: LARGE)
+
+    def put_all():
+        for index in range(30):
+            recording.put(small_frame(index))
+
+    putting = threading.Thread(target=put_all)
+    putting.start()
+    assert pen.began.wait(10)
+    assert not recording.behind
+    pen.allowed.set()
+    putting.join(10)
+    recording.close()
+    assert pen.written == list(range(30))
+    assert recording.lost == 0
+
+
+def test_while_the_recording_is_behind_frames_are_kept_from_being_segmented(path, monkeypatch):
+    monkeypatch.setattr(record_queue, "_QUEUE_BYTES_MAX", 20 * small_frame(0).depth_mm.nbytes * 5 // 2)
+    pen = Pen(waits=True)
+    source = ScriptedSource([small_frame(index) for index in range(15)])
+    with QueuedRecording(path, pen, RecordConfig(), free_bytes=lambda _: LARGE) as recording:
+        with CaptureThread(source, lossless=True, recording=recording) as capture:
+            indexes = []
+            while (captured := capture.frames.take(10.0)) is not None:
+                indexes.append(captured.frame.index)
+            assert capture.withheld == 15 - len(indexes)
+            # From the ninth waiting frame on; the first may be out of the queue already or not.
+            assert len(indexes) in (8, 9)
+        pen.allowed.set()
+    assert pen.written == list(range(15))
+    assert recording.lost == 0
+
+
+def test_the_delay_goes_by_the_frames_own_clock(path):
+    pen = Pen()
+    config = RecordConfig(file="x.mcap", delay_s=0.5)
+    with QueuedRecording(path, pen, config, free_bytes=lambda _: LARGE) as recording:
+        for index in range(30):
+            recording.put(small_frame(index))
+    assert pen.written == list(range(15, 30))
+    assert recording.lost == 0
+
+
+def test_recording_stops_before_the_disk_is_full_and_the_file_can_be_replayed(tmp_path):
+    path = tmp_path / "run.mcap"
+    left = iter([LARGE] * 6)
+    config = RecordConfig(file=str(path), space_min_mb=100)
+    recording = open_recording(config, ScriptedSource([]), free_bytes=lambda _: next(left, 99_000_000))
+    with recording:
+        for index in range(12):
+            recording.put(small_frame(index))
+    # One of the six answers was given when the recording began.
+    assert recording.frames == 5
+    assert recording.frames + recording.lost == 12
+    assert recording.ended
+    with pytest.raises(RecordError, match=r"run\.mcap: recording stopped: only 99 MB .* 5 frames before"):
+        tell_recorded(recording)
+    assert len(recorded(path)) == 5
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device"), "No space left on device"),
+        (ValueError("depth: expected 640x480"), "expected 640x480"),
+        (RuntimeError("the encoder broke"), "the encoder broke"),
+    ],
+)
+def test_a_write_that_fails_ends_the_recording_but_not_the_run(path, error, words):
+    pen = Pen(fails_at=3, error=error)
+    recording = QueuedRecording(path, pen, RecordConfig(), free_bytes=lambda _: LARGE)
+    for index in range(4):
+        recording.put(small_frame(index))
+    assert pen.closed.wait(10)
+    recording.put(small_frame(4))
+    recording.close()
+    assert words in recording.failure
+    assert (recording.frames, recording.lost) == (3, 2)
+
+
+def test_too_little_space_to_begin_with_is_refused(tmp_path):
+    config = RecordConfig(file=str(tmp_path / "run.mcap"), space_min_mb=500)
+    with pytest.raises(RecordError, match="only 400 MB of disk space are left"):
+        open_recording(config, ScriptedSource([]), free_bytes=lambda _: 400_000_000)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_existing_file_is_never_replaced(tmp_path):
+    path = tmp_path / "run.mcap"
+    path.write_bytes(b"precious")
+    with pytest.raises(RecordError, match="exists already"):
+        open_recording(RecordConfig(file=str(path)), ScriptedSource([]))
+    assert path.read_bytes() == b"precious"
+
+
+def test_a_folder_that_cannot_be_made_is_an_error_that_names_the_file(tmp_path):
+    (tmp_path / "folder").touch()
+    with pytest.raises(RecordError, match=r"run\.mcap: cannot be written"):
+        open_recording(RecordConfig(file=str(tmp_path / "folder/run.mcap")), ScriptedSource([]))
+
+
+def test_a_recording_without_frames_leaves_no_file(tmp_path):
+    path = tmp_path / "run.mcap"
+    with open_recording(RecordConfig(file=str(path)), ScriptedSource([])) as recording:
+        assert path.exists()
+    assert not path.exists()
+    assert recording.figures()["frames"] == 0
+
+
+def test_closing_gives_up_on_what_cannot_be_written_in_time_and_counts_it(path):
+    pen = Pen(waits=True)
+    recording = QueuedRecording(path, pen, RecordConfig(), free_bytes=lambda _: LARGE)
+    for index in range(5):
+        recording.put(small_frame(index))
+    assert pen.began.wait(10)
+    closing = threading.Thread(target=recording.close, args=(0.05,))
+    closing.start()
+    closing.join(0.5)
+    pen.allowed.set()
+    closing.join(10)
+    assert pen.written == [0]
+    assert (recording.frames, recording.lost) == (1, 4)
+
+
+def test_figures_tell_what_the_report_needs(tmp_path):
+    path = tmp_path / "run.mcap"
+    with open_recording(RecordConfig(file=str(path)), ScriptedSource([])) as recording:
+        recording.put(small_frame(0))
+    assert recording.figures() == {
+        "file": str(path),
+        "files": [str(path)],
+        "frames": 1,
+        "lost": 0,
+        "megabytes": pytest.approx(path.stat().st_size / 1e6, abs=0.1),
+        "failure": "",
+    }
+
+
+class Recorder(ScriptedSource):
+    """A camera with a recorder of its own, that is lost after its last frame."""
+
+    def __init__(self, *frames, refusal=""):
+        super().__init__(list(frames), live=True)
+        self._refusal = refusal
+
+    def start_recording(self, path, *, lossy=False):
+        if self._refusal:
+            raise DriverError(self._refusal)
+        path.write_bytes(bytes(1000))
+
+    def stop_recording(self):
+        pass
+
+    def _read(self, timeout_s):
+        try:
+            return super()._read(timeout_s)
+        except EndOfRecordingError as err:
+            raise DeviceLostError("unplugged") from err
+
+
+def test_the_files_of_a_camera_that_was_away_are_all_told(tmp_path, caplog):
+    path = tmp_path / "run.oni"
+    cameras = [Recorder(small_frame(0)), Recorder(small_frame(0)), Recorder(small_frame(0), refusal="full")]
+    with (
+        caplog.at_level("INFO"),
+        Reconnecting(cameras.pop(0), lambda: cameras.pop(0)) as camera,
+        open_recording(RecordConfig(file=str(path)), camera) as recording,
+    ):
+        for _ in range(2):
+            recording.put(camera.read())
+        assert recording.figures()["files"] == [str(path), str(tmp_path / "run-2.oni")]
+        tell_recorded(recording)
+        assert "run-2.oni" in caplog.text
+        recording.put(camera.read())
+        assert (recording.frames, recording.ended) == (2, True)
+        with pytest.raises(RecordError, match="does not go on as the camera is back: full"):
+            tell_recorded(recording)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"file": "run.avi"}, r"\.mcap or \.oni"),
+        ({"only": True}, "expected a file"),
+        ({"file": "x.mcap", "delay_s": -1.0}, "delay_s: expected at least"),
+        ({"file": "x.mcap", "color": "gif"}, "color: expected one of"),
+    ],
+)
+def test_wrong_settings_are_refused(settings, words):
+    with pytest.raises(ValueError, match=words):
+        RecordConfig(**settings)
+
+
+@pytest.mark.parametrize("words", [["--export", "out"], ["--save", "out.rrd"]])
+def test_recording_only_and_results_exclude_each_other(words, capsys):
+    with pytest.raises(SystemExit) as ended:
+        parse_arguments(["--record", "x.mcap", "--record-only", *words])
+    assert ended.value.code == 2
+    assert "nothing is segmented" in capsys.readouterr().err
+
+
+def test_the_flags_of_a_recording_are_a_section_of_the_configuration():
+    words = [
+        "--record",
+        "x.mcap",
+        "--record-delay",
+        "2.5",
+        "--record-color",
+        "png",
+        "--record-space-min",
+        "50",
+    ]
+    config = parse_arguments(words).config.record
+    assert config == RecordConfig(file="x.mcap", delay_s=2.5, color="png", space_min_mb=50)
+
+
+def test_the_space_is_that_of_the_files_own_disk(tmp_path):
+    assert disk_space.free_space(tmp_path / "x.mcap") > 0
+    assert isinstance(disk_space.free_space(Path("x.mcap")), int)

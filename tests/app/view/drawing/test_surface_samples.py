@@ -1,0 +1,60 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nurbseg.app.view.drawing.surface_samples import Lattices, evaluate_vertices
+from nurbseg.segmentation.surfaces.bspline import averaged_knots
+from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate_lattice
+
+
+def surface(
+    rng: np.random.Generator, window: tuple[int, int, int, int], rows: int, columns: int, *, degree: int = 3
+) -> NurbsSurface:
+    top, left, bottom, right = window
+    return NurbsSurface(
+        degree=(degree, degree),
+        knots_u=averaged_knots(np.arange(left, right, dtype=float), columns, degree),
+        knots_v=averaged_knots(np.arange(top, bottom, dtype=float), rows, degree),
+        control_points_m=rng.normal(size=(rows, columns, 3)),
+        weights=rng.uniform(0.5, 2.0, size=(rows, columns)),
+        window=window,
+    )
+
+
+def test_vertices_are_where_the_surfaces_own_evaluation_puts_them() -> None:
+    rng = np.random.default_rng(3)
+    surfaces = [
+        surface(rng, (0, 0, 120, 160), 12, 20),
+        surface(rng, (30, 40, 52, 61), 4, 5),
+        surface(rng, (7, 9, 8, 30), 4, 7),
+    ]
+    lattices = Lattices.over(surfaces, 5.0)
+    wanted = np.ones(lattices.vertices, dtype=bool)
+    points = evaluate_vertices(surfaces, lattices, wanted)
+    ends = [*lattices.start, lattices.vertices]
+    for number, each in enumerate(surfaces):
+        top, left, bottom, right = each.window
+        rows, columns = lattices.count[number]
+        v, u = np.linspace(top, bottom - 1, rows), np.linspace(left, right - 1, columns)
+        assert points[ends[number] : ends[number + 1]].reshape(rows, columns, 3) == pytest.approx(
+            evaluate_lattice(each, u, v), abs=2e-6, rel=2e-5
+        )
+    some = rng.random(wanted.size) < 0.3
+    np.testing.assert_array_equal(evaluate_vertices(surfaces, lattices, some), points[some])
+
+
+def test_a_lattice_spans_its_window_with_steps_near_the_one_asked_for() -> None:
+    rng = np.random.default_rng(4)
+    lattices = Lattices.over([surface(rng, (10, 20, 71, 141), 5, 5)], 6.0)
+    assert lattices.first.tolist() == [[10.0, 20.0]]
+    assert lattices.count.tolist() == [[11, 21]]
+    assert lattices.step.tolist() == [[6.0, 6.0]]
+
+
+def test_surfaces_of_two_degrees_are_refused() -> None:
+    rng = np.random.default_rng(5)
+    surfaces = [surface(rng, (0, 0, 20, 20), 4, 4), surface(rng, (0, 0, 20, 20), 4, 4, degree=2)]
+    lattices = Lattices.over(surfaces, 5.0)
+    with pytest.raises(ValueError, match=r"expected one degree, got \[\(2, 2\), \(3, 3\)\]"):
+        evaluate_vertices(surfaces, lattices, np.ones(lattices.vertices, dtype=bool))

@@ -1,0 +1,395 @@
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+
+import cv2
+import numpy as np
+import psutil
+import pytest
+from rerun.chunk import RrdReader
+
+from nurbseg.app.live.worker import FrameResult, process_frame
+from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.view.drawing.palette import INNER_COLOR, STOP_COLORS
+from nurbseg.app.view.view import NullView, ViewError, open_view
+from nurbseg.app.view.viewer import viewer_executable
+from nurbseg.drivers.frame import Calibration, Intrinsics
+from tests.fakes.fair_clock import FairClock
+from tests.fakes.saved_view import SavedView, read_saved_view
+from tests.fakes.small_scene import CONFIG, HEIGHT, WIDTH, small_frame, small_result
+
+FRAMES = 12
+
+
+@pytest.fixture(autouse=True, scope="module")
+def strict() -> Iterator[None]:
+    """Make an error of what Rerun would only warn of, in the process that shows and saves."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RERUN_STRICT", "1")
+        yield
+
+
+@pytest.fixture(scope="module")
+def results() -> list[FrameResult]:
+    return [small_result(index) for index in range(FRAMES)]
+
+
+@pytest.fixture(scope="module")
+def saved(results: list[FrameResult], tmp_path_factory: pytest.TempPathFactory) -> SavedView:
+    path = tmp_path_factory.mktemp("view") / "all.rrd"
+    config = ViewConfig(mode="none", save=str(path), points_max=2000)
+    logger = logging.getLogger("nurbseg.test_view")
+    logger.setLevel(logging.INFO)
+    with open_view(
+        config, CONFIG, {"name": "a camera", "serial": "B0042", "seed": "0"}, logger=logger
+    ) as view:
+        for result in results:
+            view.show(result)
+            logger.info("frame %d is shown", result.frame.index)
+        logger.warning("that was all")
+    logger.info("nobody sees this")
+    return read_saved_view(path)
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "world/camera/image/color",
+        "world/camera/image/depth",
+        "world/camera/image/labels",
+        "world/camera/ground_truth",
+        "world/points",
+        "world/surfaces",
+        "tree",
+        "tree_table",
+        "plots/segments",
+        "plots/metric/worst",
+        "plots/metric/mean",
+        "plots/latency/register",
+        "plots/latency/segment",
+    ],
+)
+def test_every_entity_is_in_the_file_for_every_frame(saved: SavedView, path: str) -> None:
+    assert saved.frames(path) == list(range(FRAMES))
+
+
+def test_the_rate_is_known_from_the_second_frame_on(saved: SavedView) -> None:
+    rates = saved.by_frame["plots/rate"]["Scalars:scalars"]
+    assert sorted(rates) == list(range(1, FRAMES))
+    assert all(rate[0] > 0 for rate in rates.values())
+
+
+def test_images_come_back_as_they_were(saved: SavedView, results: list[FrameResult]) -> None:
+    for index in (0, FRAMES - 1):
+        result = results[index]
+        depth = saved.by_frame["world/camera/image/depth"]
+        image = np.frombuffer(bytes(depth["DepthImage:buffer"][index][0]), np.uint16)
+        assert (image.reshape(HEIGHT, WIDTH) == result.frame.depth_mm).all()
+        assert depth["DepthImage:meter"][index] == [1000.0]
+
+        blob = bytes(saved.by_frame["world/camera/image/color"]["EncodedImage:blob"][index][0])
+        color = cv2.imdecode(np.frombuffer(blob, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+        assert color.shape == result.frame.color.shape
+        assert np.abs(color.astype(int) - result.frame.color).mean() < 4.0
+
+        for path, labels in (
+            ("world/camera/image/labels", result.tree.label_image()),
+            ("world/camera/ground_truth", result.frame.labels),
+        ):
+            values = saved.by_frame[path]["SegmentationImage:buffer"][index][0]
+            assert (np.frombuffer(bytes(values), np.uint16).reshape(HEIGHT, WIDTH) == labels).all()
+
+
+def test_points_are_colored_by_label(saved: SavedView, results: list[FrameResult]) -> None:
+    points = saved.by_frame["world/points"]
+    positions = np.array(points["Points3D:positions"][3])
+    classes = np.array(points["Points3D:class_ids"][3])
+    assert 1000 < len(positions) <= 2000
+    camera = results[3].frame.calibration.depth
+    u = np.rint(camera.fx * positions[:, 0] / positions[:, 2] + camera.cx).astype(int)
+    v = np.rint(camera.fy * positions[:, 1] / positions[:, 2] + camera.cy).astype(int)
+    assert (results[3].tree.label_image()[v, u] == classes).all()
+    assert (classes > 0).all()
+
+
+def test_surfaces_are_one_mesh_with_a_color_for_each_vertex(saved: SavedView) -> None:
+    mesh = {name: values[0] for name, values in saved.by_frame["world/surfaces"].items()}
+    vertices = len(mesh["Mesh3D:vertex_positions"])
+    assert vertices > 100
+    assert len(mesh["Mesh3D:vertex_colors"]) == len(mesh["Mesh3D:vertex_normals"]) == vertices
+    assert np.max(mesh["Mesh3D:triangle_indices"]) == vertices - 1
+
+
+def test_the_trees_nodes_are_filled_by_stop_reason(saved: SavedView, results: list[FrameResult]) -> None:
+    tree = {name: values[5] for name, values in saved.by_frame["tree"].items()}
+    segments = results[5].tree.segments
+    names = tree["GraphNodes:node_ids"]
+    assert names[: len(segments)] == [f"P{each.name}" for each in segments]
+    fills = [
+        ((each >> 24) & 255, (each >> 16) & 255, (each >> 8) & 255) for each in tree["GraphNodes:colors"]
+    ]
+    assert fills[: len(segments)] == [
+        INNER_COLOR if each.stop is None else STOP_COLORS[each.stop] for each in segments
+    ]
+    edges = {(edge["first"], edge["second"]) for edge in tree["GraphEdges:edges"]}
+    assert edges == {(f"P{each.parent}", f"P{each.name}") for each in segments if each.parent is not None}
+    assert len(tree["GraphNodes:positions"]) == len(names) == len(segments) + len(results[5].tree.leaves())
+
+
+def test_the_table_tells_of_every_segment(saved: SavedView, results: list[FrameResult]) -> None:
+    text = saved.by_frame["tree_table"]["TextDocument:text"][0][0]
+    tree = results[0].tree
+    assert f"**small0**: {len(tree.leaves())} final segments of {len(tree.segments)}" in text
+    label = 0
+    for each in tree.segments:
+        label += each.is_leaf
+        cells = next(line for line in text.splitlines() if line.startswith(f"| P{each.name} |")).split("|")
+        assert cells[2].strip() == (str(label) if each.is_leaf else "")
+        assert cells[3].strip() == f"{each.pixels.size:,}"
+        if each.is_leaf or "mse" in each.fit.values:
+            assert float(cells[4]) == pytest.approx(each.fit.values["mse"], rel=0.01)
+        else:  # a method may fit the final segments only
+            assert cells[4].strip() == ""
+        assert cells[6].strip() == (each.stop or "")
+
+
+def test_what_holds_for_the_recording_is_static(saved: SavedView) -> None:
+    assert saved.static["world"]["ViewCoordinates:xyz"] == [[3, 2, 5]]  # right, down, forward
+    pinhole = saved.static["world/camera"]
+    assert pinhole["Pinhole:resolution"] == [[WIDTH, HEIGHT]]
+    assert np.reshape(pinhole["Pinhole:image_from_camera"], (3, 3)).T[0] == pytest.approx([131.0, 0.0, 79.5])
+    context = saved.static["world"]["AnnotationContext:context"][0]
+    assert len(context) == 1024
+    assert "distance between surface and data" in saved.static["legend"]["TextDocument:text"][0]
+
+
+def test_device_settings_and_versions_are_kept_with_the_recording(saved: SavedView) -> None:
+    assert saved.static["__properties/device"]["serial"] == ["B0042"]
+    assert saved.static["__properties/segmentation"]["segment_pixels_min"] == ["400"]
+    assert saved.static["__properties/versions"]["numpy"] == [np.__version__]
+
+
+def test_the_programs_log_is_kept_until_the_view_closes(saved: SavedView) -> None:
+    assert sorted(saved.texts) == sorted(
+        [*(("INFO", f"frame {index} is shown") for index in range(FRAMES)), ("WARN", "that was all")]
+    )
+
+
+def test_an_unregistered_pair_shows_both_cameras(tmp_path: Path) -> None:
+    camera = Intrinsics(WIDTH, HEIGHT, 131.0, 131.0, 79.5, 59.5)
+    transform = np.eye(4)
+    transform[0, 3] = -0.025
+    path = tmp_path / "pair.rrd"
+    with open_view(ViewConfig(mode="none", save=str(path)), CONFIG) as view:
+        view.show(small_result(calibration=Calibration(camera, camera, transform)))
+    saved = read_saved_view(path)
+    assert saved.frames("world/color_camera/image") == saved.frames("world/camera/image/color") == [0]
+    assert saved.static["world/color_camera"]["Transform3D:translation"][0] == pytest.approx([-0.025, 0, 0])
+
+
+def test_a_frame_without_depth_is_shown_too(tmp_path: Path) -> None:
+    frame = small_frame(truth=False)
+    frame = replace(frame, depth_mm=np.zeros_like(frame.depth_mm))
+    path = tmp_path / "blind.rrd"
+    with open_view(ViewConfig(mode="none", save=str(path)), CONFIG) as view:
+        view.show(process_frame(frame, CONFIG))
+    saved = read_saved_view(path)
+    assert saved.frames("world/camera/image/color") == saved.frames("world/surfaces") == [0]
+    assert saved.frames("world/camera/ground_truth") == []
+
+
+def test_a_date_as_the_device_clock_stays_one(tmp_path: Path) -> None:
+    result = small_result()
+    frame = replace(result.frame, timestamp_ns=1_305_031_102_175_304_000)
+    path = tmp_path / "date.rrd"
+    with open_view(ViewConfig(mode="none", save=str(path)), CONFIG) as view:
+        view.show(replace(result, frame=frame))
+    moments = {
+        moment
+        for chunk in RrdReader(str(path)).stream()
+        if "device_time" in chunk.timeline_names
+        for moment in chunk.to_record_batch().column("device_time").to_numpy()
+    }
+    assert moments == {np.datetime64(1_305_031_102_175_304_000, "ns")}
+
+
+def test_a_file_that_cannot_be_created_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "nowhere" / "a.rrd"
+    with pytest.raises(ViewError, match=r"nowhere/a\.rrd: cannot be created"):
+        open_view(ViewConfig(mode="none", save=str(path)), CONFIG)
+
+
+def _start(script: str, path: Path) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(script), str(path)],
+        cwd=Path(__file__).parents[2],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+
+
+_LIMITED_SAVER = """
+    import psutil, sys, time
+    from nurbseg.app.view.view import ViewError, open_view
+    from nurbseg.app.view.config import ViewConfig
+    from tests.fakes.small_scene import CONFIG, small_result
+
+    result = small_result()
+    view = open_view(ViewConfig(mode="none", save=sys.argv[1]), CONFIG)
+    (saver,) = psutil.Process().children()
+    saver.rlimit(psutil.RLIMIT_FSIZE, (300_000, 300_000))
+    deadline_s = time.monotonic() + 20.0
+    try:
+        while time.monotonic() < deadline_s:
+            view.show(result)
+    except ViewError as err:
+        print(err)
+    try:
+        view.close()
+    except ViewError as err:
+        print(err)
+"""
+
+
+def test_a_full_disk_is_told_instead_of_losing_frames_silently(tmp_path: Path) -> None:
+    path = tmp_path / "full.rrd"
+    with _start(_LIMITED_SAVER, path) as process:
+        printed, _ = process.communicate(timeout=60.0)
+    assert printed.count(f"{path}: cannot be written: File too large") == 2
+
+
+def test_a_full_disk_is_told_at_once_and_nothing_is_left_waiting(results: list[FrameResult]) -> None:
+    view = open_view(ViewConfig(mode="none", save="/dev/full"), CONFIG)
+    with FairClock() as clock, pytest.raises(ViewError, match="cannot be written: No space left on device"):
+        while True:
+            view.show(results[0])
+            assert clock.lap_s() < 10.0
+    with FairClock() as clock, pytest.raises(ViewError, match="No space left on device"):
+        view.close()
+    assert clock.elapsed_s < 2.0
+
+
+def test_nothing_to_show_and_nothing_to_save_costs_nothing(results: list[FrameResult]) -> None:
+    with open_view(ViewConfig(mode="none"), CONFIG) as view:
+        assert isinstance(view, NullView)
+        view.show(results[0])
+
+
+def test_without_a_display_auto_says_how_to_look(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with open_view(ViewConfig(), CONFIG) as view:
+        for way in ("--view serve", "--connect HOST", "--save FILE.rrd"):
+            assert way in view.how_to_look
+
+
+def test_saving_listens_nowhere(tmp_path: Path) -> None:
+    with open_view(ViewConfig(mode="none", save=str(tmp_path / "a.rrd")), CONFIG) as view:
+        view.show(small_result())
+        connections = psutil.Process().net_connections("inet")
+        assert [each for each in connections if each.status == psutil.CONN_LISTEN] == []
+
+
+def test_showing_twice_after_closing_is_refused(tmp_path: Path, results: list[FrameResult]) -> None:
+    view = open_view(ViewConfig(mode="none", save=str(tmp_path / "a.rrd")), CONFIG)
+    view.close()
+    view.close()
+    with pytest.raises(ViewError, match="the view is closed"):
+        view.show(results[0])
+
+
+def test_stages_that_come_later_are_plotted_too(tmp_path: Path, results: list[FrameResult]) -> None:
+    path = tmp_path / "stages.rrd"
+    with open_view(ViewConfig(mode="none", save=str(path)), CONFIG) as view:
+        view.show(results[0])
+        view.show(replace(results[1], elapsed_ms=MappingProxyType({"register": 1.0, "merge_leaves": 4.0})))
+    saved = read_saved_view(path)
+    assert saved.by_frame["plots/latency/merge_leaves"]["Scalars:scalars"] == {1: [4.0]}
+    assert saved.static["plots/latency/merge_leaves"]["SeriesLines:names"] == ["merge leaves"]
+
+
+# As the command does: a handler that notes the signal, so that no destructor can swallow the interruption
+# and no foreign thread can keep it from the main one.
+_SAVER = """
+    import signal, sys, threading, time
+    from nurbseg.app.view.view import open_view
+    from nurbseg.app.view.config import ViewConfig
+    from tests.fakes.small_scene import CONFIG, small_result
+
+    interrupted = threading.Event()
+    signal.signal(signal.SIGINT, lambda *_: interrupted.set())
+    result = small_result()
+    with open_view(ViewConfig(mode="none", save=sys.argv[1]), CONFIG) as view:
+        for _ in range(5):
+            view.show(result)
+        print("shown", flush=True)
+        deadline_s = time.monotonic() + 60.0
+        while not interrupted.wait(0.02) and time.monotonic() < deadline_s:
+            pass
+        raise KeyboardInterrupt
+"""
+
+
+def test_ctrl_c_leaves_a_whole_file_within_two_seconds(tmp_path: Path) -> None:
+    path = tmp_path / "interrupted.rrd"
+    with _start(_SAVER, path) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "shown\n"
+        with FairClock(process.pid) as clock:
+            process.send_signal(signal.SIGINT)
+            process.wait(timeout=60.0)
+        assert clock.elapsed_s < 2.0
+    assert read_saved_view(path).frames("world/camera/image/depth") == [0]
+    subprocess.run([viewer_executable(), "rrd", "verify", path], check=True, capture_output=True, timeout=60)
+
+
+def test_a_killed_process_leaves_what_it_saved_until_then(tmp_path: Path) -> None:
+    path = tmp_path / "killed.rrd"
+    with _start(_SAVER, path) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "shown\n"
+        deadline_s = time.monotonic() + 60.0
+        while not _holds_a_frame(path):
+            assert time.monotonic() < deadline_s
+            time.sleep(0.1)
+        (saver,) = psutil.Process(process.pid).children()
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait(timeout=60.0)
+        saver.wait(timeout=60.0)
+    # The process that saves outlives it for as long as the file takes to be whole.
+    assert read_saved_view(path).frames("world/camera/image/depth") == [0]
+
+
+def test_both_processes_killed_leave_what_was_saved_until_then(tmp_path: Path) -> None:
+    path = tmp_path / "killed.rrd"
+    with _start(_SAVER, path) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "shown\n"
+        deadline_s = time.monotonic() + 60.0
+        while not _holds_a_frame(path):
+            assert time.monotonic() < deadline_s
+            time.sleep(0.1)
+        (saver,) = psutil.Process(process.pid).children()
+        for number in (saver.pid, process.pid):
+            os.kill(number, signal.SIGKILL)
+        process.wait(timeout=60.0)
+        saver.wait(timeout=60.0)
+    assert read_saved_view(path, indexed=False).frames("world/camera/image/depth") == [0]
+
+
+def _holds_a_frame(path: Path) -> bool:
+    try:
+        return bool(read_saved_view(path, indexed=False).frames("world/camera/image/depth"))
+    except RuntimeError:
+        return False  # caught in the middle of a write

@@ -1,0 +1,192 @@
+"""The view's own process: what becomes of each when the other is late, stopped or gone."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from nurbseg.app.live.worker import FrameResult, process_frame
+from nurbseg.app.view import isolated as view_isolated
+from nurbseg.app.view import process as view_process
+from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.view.isolated import IsolatedView
+from nurbseg.app.view.memory import SLOTS, SharedSlots
+from nurbseg.app.view.process import begin_view
+from nurbseg.app.view.view import ViewError, open_view
+from nurbseg.drivers.registry import open_source
+from nurbseg.segmentation.config import SegmentationConfig
+from tests.fakes.own_children import own_children
+from tests.fakes.saved_view import read_saved_view
+from tests.fakes.small_scene import CONFIG, small_result
+
+
+@pytest.fixture(scope="module")
+def result() -> FrameResult:
+    return small_result()
+
+
+def opened(path: Path) -> tuple[IsolatedView, psutil.Process]:
+    view = open_view(ViewConfig(mode="none", save=str(path)), CONFIG)
+    assert isinstance(view, IsolatedView)
+    (program,) = own_children()
+    return view, program
+
+
+def numbered(result: FrameResult, index: int) -> FrameResult:
+    return replace(result, frame=replace(result.frame, index=index))
+
+
+def test_a_killed_process_is_told_of_and_nothing_waits_for_it(tmp_path: Path, result: FrameResult) -> None:
+    view, program = opened(tmp_path / "a.rrd")
+    program.kill()
+    began_s = time.monotonic()
+    with pytest.raises(ViewError, match="the process that shows and saves ended by signal 9"):
+        while time.monotonic() < began_s + 30.0:
+            view.show(result)
+    with pytest.raises(ViewError, match="ended by signal 9"):
+        view.close()
+    view.close()
+    assert own_children() == []
+
+
+def test_signals_for_the_program_do_not_end_the_process_before_it(
+    tmp_path: Path, result: FrameResult
+) -> None:
+    path = tmp_path / "a.rrd"
+    view, program = opened(path)
+    assert os.getpgid(program.pid) != os.getpgid(0)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        program.send_signal(number)
+        view.show(result)
+    view.close()
+    assert read_saved_view(path).frames("tree") == [0]
+
+
+def test_a_stopped_process_fails_a_run_that_is_saved_and_costs_closing_no_more_than_its_limit(
+    tmp_path: Path, result: FrameResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(view_isolated, "_STUCK_S", 0.5)
+    view, program = opened(tmp_path / "a.rrd")
+    program.suspend()
+    with pytest.raises(ViewError, match=r"a\.rrd: took no frame for 0\.5 s"):
+        for _ in range(20):
+            view.show(result)
+    began_s = time.monotonic()
+    with pytest.raises(ViewError, match=r"a\.rrd: not written in time; its last frames are missing"):
+        view.close()
+    assert time.monotonic() - began_s < 5.0
+    assert own_children() == []
+
+
+def test_a_stopped_process_costs_a_run_that_only_shows_nothing_but_frames(result: FrameResult) -> None:
+    view = open_view(ViewConfig(mode="connect", connect="127.0.0.1:9"), CONFIG)
+    assert isinstance(view, IsolatedView)
+    (program,) = own_children()
+    program.suspend()
+    for index in range(30):
+        view.show(numbered(result, index))
+    assert view.dropped > 20
+    view.close()
+    assert own_children() == []
+
+
+def test_frames_of_another_size_get_room_and_none_is_lost(tmp_path: Path, result: FrameResult) -> None:
+    path = tmp_path / "a.rrd"
+    with open_source("synthetic:?width=320&height=240&frames=1") as source:
+        large = process_frame(source.read(), SegmentationConfig())
+    with open_view(ViewConfig(mode="none", save=str(path)), CONFIG) as view:
+        for index, each in enumerate([result, result, large, result, large, large]):
+            view.show(numbered(each, index))
+    saved = read_saved_view(path)
+    assert saved.frames("world/surfaces") == list(range(6))
+    sizes = [len(saved.by_frame["world/camera/image/depth"]["DepthImage:buffer"][n][0]) for n in range(6)]
+    assert sizes == [2 * 160 * 120 if n in (0, 1, 3) else 2 * 320 * 240 for n in range(6)]
+
+
+def test_cameras_are_told_once_and_again_when_they_change(tmp_path: Path, result: FrameResult) -> None:
+    path = tmp_path / "a.rrd"
+    other = replace(result.frame.calibration.depth, fx=99.0)
+    changed = replace(result.frame.calibration, depth=other, color=other)
+    with open_view(ViewConfig(mode="none", save=str(path)), CONFIG) as view:
+        view.show(result)
+        view.show(numbered(result, 1))
+        view.show(replace(result, frame=replace(result.frame, index=2, calibration=changed)))
+    pinhole = read_saved_view(path).static["world/camera"]["Pinhole:image_from_camera"]
+    assert np.reshape(pinhole, (3, 3)).T[0, 0] == 99.0
+
+
+def test_a_process_begun_for_nothing_is_ended() -> None:
+    process = begin_view(ViewConfig(mode="none", save="never.rrd"))
+    assert process is not None
+    with process:
+        assert len(own_children()) == 1
+    process.close()
+    assert own_children() == []
+    assert begin_view(ViewConfig(mode="none")) is None
+
+
+def test_a_process_that_cannot_be_started_is_named_and_leaves_nothing_open(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(view_process.sys, "executable", "/nowhere/python")
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    with pytest.raises(ViewError, match=r"cannot be started: .*/nowhere/python"):
+        begin_view(ViewConfig(mode="none", save="never.rrd"))
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
+
+
+def test_a_killed_process_takes_the_page_that_it_serves_with_it(result: FrameResult) -> None:
+    view = open_view(ViewConfig(mode="serve", port=0, web_port=0), CONFIG)
+    (program,) = own_children()
+    (server,) = program.children()
+    program.kill()
+    with pytest.raises(ViewError, match="ended by signal 9"):
+        view.close()
+    server.wait(5.0)
+
+
+def test_an_address_of_another_computer_is_named() -> None:
+    with pytest.raises(ViewError, match=r"bind 192\.0\.2\.1.*: nothing can listen there"):
+        open_view(ViewConfig(mode="serve", bind="192.0.2.1"), CONFIG)
+    assert own_children() == []
+
+
+def test_a_frame_that_cannot_be_shown_is_told_with_its_cause(tmp_path: Path, result: FrameResult) -> None:
+    path = tmp_path / "a.rrd"
+    view, _ = opened(path)
+    # The process has never been told of the cameras.
+    view._known = result.frame.calibration
+    with pytest.raises(ViewError, match=r"a frame cannot be shown \(ValueError\): calibration"), view:
+        view.show(result)
+    assert own_children() == []
+
+
+def test_the_memory_of_the_process_is_known(tmp_path: Path, result: FrameResult) -> None:
+    with opened(tmp_path / "a.rrd")[0] as view:
+        view.show(result)
+        assert view.peak_memory_mb() > 20.0
+
+
+def test_slots_hold_what_was_put_into_them_whatever_their_size() -> None:
+    rng = np.random.default_rng(1)
+    descriptor = os.memfd_create("test")
+    try:
+        ours, theirs = SharedSlots(descriptor), SharedSlots(descriptor)
+        for size in (1000, 3_000_000, 500):
+            ours.make_room(size)
+            theirs.follow(ours.slot_bytes)
+            parts = [[rng.bytes(size // 4), b"", rng.bytes(size // 2)] for _ in range(SLOTS)]
+            for slot in range(SLOTS):
+                ours.write(slot, [memoryview(part) for part in parts[slot]])
+            for slot in range(SLOTS):
+                read = theirs.read(slot, [len(part) for part in parts[slot]])
+                assert [each.tobytes() for each in read] == parts[slot]
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,306 @@
+"""Calibration files: each form is read, ours is written, and an unusable value is named."""
+
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from recorded_scene import APART, CAMERA, REGISTERED
+
+from nurbseg.drivers import Calibration, CalibrationError
+from nurbseg.drivers.calibration.file import read_calibration, read_camera_file, write_calibration
+
+MATRIX = "52.5 0 31.5\n0 52.6 23.5\n0 0 1\n"
+TOML = """
+color_from_depth = [[1, 0, 0, -0.025], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+[depth]
+width = 64
+height = 48
+fx = 57.6
+fy = 57.6
+cx = 31.5
+cy = 23.1
+distortion = [0.1, 0.2, 0.0, 0.0, 0.3]
+[color]
+width = 64
+height = 48
+fx = 52.5
+fy = 52.5
+cx = 31.5
+cy = 23.5
+"""
+ROS = """
+image_width: 64
+image_height: 48
+camera_name: head_camera
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [52.5, 0, 31.5, 0, 52.6, 23.5,
+         0, 0, 1]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [0.07, -0.03, -0.01, 0.0, -0.14]
+rectification_matrix:
+  rows: 3
+  cols: 3
+  data: [1, 0, 0, 0, 1, 0, 0, 0, 1]
+projection_matrix:
+  rows: 3
+  cols: 4
+  data: [52.5, 0, 31.5, 0, 0, 52.6, 23.5, 0, 0, 0, 1, 0]
+"""
+
+
+def assert_same(one: Calibration, other: Calibration) -> None:
+    np.testing.assert_allclose(one.color_from_depth, other.color_from_depth, atol=1e-12)
+    for name in ("depth", "color"):
+        a, b = getattr(one, name), getattr(other, name)
+        assert (a.width, a.height) == (b.width, b.height)
+        np.testing.assert_array_equal(a.matrix, b.matrix)
+        np.testing.assert_array_equal(a.distortion, b.distortion)
+
+
+@pytest.mark.parametrize("calibration", [REGISTERED, APART], ids=["registered", "apart"])
+@pytest.mark.parametrize("name", ["a.toml", "a.xml", "a.yml", "a.yaml"])
+def test_what_is_written_is_read_back(tmp_path: Path, calibration: Calibration, name: str) -> None:
+    write_calibration(tmp_path / name, calibration)
+    again = read_calibration(tmp_path / name)
+    assert_same(again, calibration)
+    assert again.is_registered == calibration.is_registered
+
+
+def test_a_camera_info_is_written_for_registered_images_only(tmp_path: Path) -> None:
+    path = tmp_path / "camera_info.yaml"
+    write_calibration(path, REGISTERED, form="ros")
+    camera = read_calibration(path).color
+    np.testing.assert_array_equal(camera.matrix, CAMERA.matrix)
+    with pytest.raises(ValueError, match="one camera"):
+        write_calibration(path, APART, form="ros")
+
+
+def test_the_depth_scale_is_kept_in_toml(tmp_path: Path) -> None:
+    write_calibration(tmp_path / "a.toml", APART, depth_scale=5000)
+    assert read_camera_file(tmp_path / "a.toml").depth_scale == 5000
+    write_calibration(tmp_path / "b.toml", APART)
+    assert read_camera_file(tmp_path / "b.toml").depth_scale is None
+
+
+def test_a_ros_camera_info_stands_for_both_cameras(tmp_path: Path) -> None:
+    (tmp_path / "camera.yaml").write_text(ROS)
+    calibration = read_calibration(tmp_path / "camera.yaml")
+    assert calibration.is_registered
+    assert calibration.color.fy == 52.6
+    assert calibration.color.distortion.tolist() == [0.07, -0.03, -0.01, 0.0, -0.14]
+
+
+def test_a_message_printed_by_ros_is_understood(tmp_path: Path) -> None:
+    (tmp_path / "info.yaml").write_text(
+        "header:\n  frame_id: optical\nheight: 48\nwidth: 64\ndistortion_model: plumb_bob\n"
+        "d:\n- 0.1\n- -0.2\n- 0.0\n- 0.0\n- 0.0\n"
+        "k:\n- 52.5\n- 0.0\n- 31.5\n- 0.0\n- 52.6\n- 23.5\n- 0.0\n- 0.0\n- 1.0\n---\nheight: 48\n"
+    )
+    camera = read_calibration(tmp_path / "info.yaml").depth
+    assert (camera.width, camera.fy, camera.distortion[1]) == (64, 52.6, -0.2)
+
+
+def test_a_calibration_of_one_camera_by_opencv_stands_for_both(tmp_path: Path) -> None:
+    storage = cv2.FileStorage(str(tmp_path / "a.yml"), cv2.FILE_STORAGE_WRITE)
+    storage.write("image_width", 64)
+    storage.write("image_height", 48)
+    storage.write("camera_matrix", CAMERA.matrix)
+    storage.release()
+    assert_same(read_calibration(tmp_path / "a.yml"), REGISTERED)
+
+
+@pytest.mark.parametrize("text", [MATRIX, MATRIX.replace(" ", ", "), f"# pixels\n\n{MATRIX}"])
+def test_a_matrix_as_text_needs_the_images_size(tmp_path: Path, text: str) -> None:
+    (tmp_path / "intrinsics.txt").write_text(text)
+    calibration = read_calibration(tmp_path / "intrinsics.txt", depth_size=(64, 48), color_size=(64, 48))
+    assert calibration.is_registered
+    assert calibration.depth.fy == 52.6
+    with pytest.raises(
+        CalibrationError, match=r"intrinsics\.txt: camera matrix: width and height are missing"
+    ):
+        read_calibration(tmp_path / "intrinsics.txt")
+
+
+def test_open3d_lists_its_matrix_by_columns(tmp_path: Path) -> None:
+    (tmp_path / "camera.json").write_text(
+        '{"width": 64, "height": 48, "intrinsic_matrix": [52.5, 0, 0, 0, 52.6, 0, 31.5, 23.5, 1]}'
+    )
+    camera = read_calibration(tmp_path / "camera.json").depth
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (52.5, 52.6, 31.5, 23.5)
+
+
+def test_the_grabbers_xml_has_two_roots_and_a_scale(tmp_path: Path) -> None:
+    camera = "<focal_length_x>52</focal_length_x><focal_length_y>53</focal_length_y>"
+    camera += "<principal_point_x>32</principal_point_x><principal_point_y>24</principal_point_y>"
+    depth = f"{camera}<z_multiplication_factor>0.0002</z_multiplication_factor>"
+    path = tmp_path / "frame.xml"
+    path.write_text(f'<?xml version="1.0" encoding="utf-8"?>\n<rgb>{camera}</rgb>\n<depth>{depth}</depth>\n')
+    read = read_camera_file(path)
+    assert read.depth_scale == pytest.approx(5000)
+    assert read.calibration(depth_size=(64, 48), color_size=(64, 48)).is_registered
+    path.write_text(path.read_text().replace("0.0002", "nan"))
+    with pytest.raises(CalibrationError, match=r"frame\.xml: depth/z_multiplication_factor: .*nan"):
+        read_camera_file(path)
+
+
+@pytest.mark.parametrize(
+    ("depth", "color", "rotation", "translation"),
+    [
+        (
+            ("IR_intrinsic_params", "IR_distortion_coefficients"),
+            ("RGB_intrinsic_params", "RGB_distortion_coefficients"),
+            "Rotation",
+            "Translation",
+        ),
+        (("M1", "D1"), ("M2", "D2"), "R", "T"),
+        (("cameraMatrix1", "distCoeffs1"), ("cameraMatrix2", "distCoeffs2"), "R", "T"),
+        (("depth_intrinsics", "depth_distortion"), ("rgb_intrinsics", "rgb_distortion"), "R", "T"),
+    ],
+)
+@pytest.mark.parametrize("unit", [1.0, 1000.0], ids=["m", "mm"])
+@pytest.mark.parametrize("vector", [False, True], ids=["matrix", "vector"])
+def test_a_stereo_calibration_of_opencv_is_read_under_its_many_names(
+    tmp_path: Path, depth, color, rotation: str, translation: str, unit: float, vector: bool
+) -> None:
+    path = tmp_path / "calib.yml"
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for (matrix_name, distortion_name), camera in ((depth, APART.depth), (color, APART.color)):
+        storage.write(matrix_name, camera.matrix)
+        storage.write(distortion_name, camera.distortion.reshape(1, -1))
+    turn = APART.color_from_depth[:3, :3].copy()
+    storage.write(rotation, cv2.Rodrigues(turn)[0] if vector else turn)
+    storage.write(translation, APART.color_from_depth[:3, 3:] * unit)
+    storage.release()
+    assert_same(read_calibration(path, depth_size=(64, 48), color_size=(80, 60)), APART)
+
+
+def test_intrinsics_are_scaled_to_images_of_the_same_shape_and_refused_for_others(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text(TOML)
+    scaled = read_calibration(tmp_path / "a.toml", depth_size=(32, 24), color_size=(640, 480))
+    assert scaled.depth.fx == 28.8
+    assert scaled.depth.cx == 15.5
+    assert scaled.color.fx == 525.0
+    with pytest.raises(CalibrationError, match=r"a\.toml: color: the camera of 64x48 images .* 1280x1024"):
+        read_calibration(tmp_path / "a.toml", depth_size=(64, 48), color_size=(1280, 1024))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ("fx = 57.6", "fx = nan", r"depth\.fx: expected a finite number, got nan"),
+        ("cy = 23.5", "cy = inf", r"color\.cy: expected a finite number, got inf"),
+        ("fx = 57.6", "fx = '57.6'", r"depth\.fx: expected a finite number, got '57\.6'"),
+        ("fx = 57.6", "fx = -57.6", "depth: fx, fy: expected focal lengths"),
+        ("fx = 57.6\n", "", r"depth\.fx: missing"),
+        ("fx = 57.6", "fx = 57.6\nskew = 0.1", r"depth\.skew: unknown; expected one of cx, cy"),
+        (
+            "width = 64\nheight = 48\nfx = 57.6",
+            "width = 64\nfx = 57.6",
+            r"depth\.height: expected pixels, got None",
+        ),
+        ("[0.1, 0.2, 0.0, 0.0, 0.3]", "[0.1, 0.2, nan, 0.0, 0.3]", r"depth\.distortion: expected a finite"),
+        ("[0.1, 0.2, 0.0, 0.0, 0.3]", "[0.1, 0.2]", "depth: distortion: expected .* got 2"),
+        ("[[1, 0, 0, -0.025]", "[[1, 0, 0, nan]", "color_from_depth: expected a finite number"),
+        ("[[1, 0, 0, -0.025]", "[[1, 0, 0]", "color_from_depth: expected 4 rows of 4"),
+        ("[[1, 0, 0, -0.025]", "[[2, 0, 0, -0.025]", "color_from_depth: expected a rigid transform"),
+        ("[color]", "[colour]", "colour: unknown"),
+        (
+            "color_from_depth",
+            "registered = true\ncolor_from_depth",
+            "color_from_depth: registered images have none",
+        ),
+        (
+            "color_from_depth",
+            "depth_scale = 0\ncolor_from_depth",
+            "depth_scale: expected units per metre over 0",
+        ),
+        ("color_from_depth", "registered = 1\ncolor_from_depth", "registered: expected true or false"),
+        ("[depth]", "[depth", "not valid TOML"),
+    ],
+)
+def test_an_unusable_value_in_toml_is_named_by_file_and_field(
+    tmp_path: Path, old: str, new: str, text: str
+) -> None:
+    assert old in TOML
+    (tmp_path / "camera.toml").write_text(TOML.replace(old, new, 1))
+    with pytest.raises(CalibrationError, match=rf"camera\.toml: {text}"):
+        read_calibration(tmp_path / "camera.toml")
+
+
+@pytest.mark.parametrize(
+    ("lines", "text"),
+    [
+        ("", "color: the table is missing"),
+        (
+            "[color]\nfx = 1\nfy = 1\ncx = 1\ncy = 1\n",
+            "depth: the table is missing; one camera needs registered",
+        ),
+        ("color = 3\n", r"color: expected a table \[color\]"),
+    ],
+)
+def test_a_table_that_is_missing_is_named(tmp_path: Path, lines: str, text: str) -> None:
+    (tmp_path / "camera.toml").write_text(lines)
+    with pytest.raises(CalibrationError, match=text):
+        read_calibration(tmp_path / "camera.toml")
+
+
+def test_two_cameras_without_a_transform_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "camera.toml").write_text("\n".join(TOML.splitlines()[2:]))
+    with pytest.raises(CalibrationError, match="color_from_depth: missing"):
+        read_calibration(tmp_path / "camera.toml")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "text"),
+    [
+        ("a.txt", MATRIX.replace("52.6", "nan"), "camera matrix: expected finite"),
+        ("a.txt", "52.5 0 31.5\n", "camera matrix: expected 3 rows of 3"),
+        ("a.txt", "hello world\n", "camera matrix: expected 3 rows of 3"),
+        ("a.txt", MATRIX.replace("0 0 1", "0 0 2"), "camera matrix: expected the last row 0 0 1"),
+        ("a.json", "{", "not valid JSON"),
+        ("a.json", "{}", "intrinsic_matrix: expected 9 numbers"),
+        ("a.json", '{"intrinsic_matrix": [NaN, 0, 0, 0, 1, 0, 0, 0, 1]}', "intrinsic_matrix: .*finite"),
+        ("a.yaml", ROS.replace("52.6, 23.5,", ".nan, 23.5,"), "camera_matrix: expected a finite"),
+        ("a.yaml", ROS.replace("plumb_bob", "equidistant"), "distortion_model: .*'equidistant'"),
+        ("a.yaml", ROS.replace("rows: 3", "rows: 4", 1), "camera_matrix: expected rows, cols and as many"),
+        (
+            "a.yaml",
+            ROS.replace("52.5, 0, 31.5, 0, 52.6, 23.5,", "0, 0, 0, 0, 0, 0,").replace(
+                "0, 0, 1]", "0, 0, 0]", 1
+            ),
+            "camera_matrix: the camera is not calibrated",
+        ),
+        ("a.yaml", ROS.replace("image_width: 64", ""), "image_width: missing"),
+        ("a.yaml", "hello: 1\n", "camera_matrix: missing; expected camera_matrix or k, K"),
+        ("a.yaml", "camera_matrix: 7\n", "camera_matrix: expected a list of numbers, got 7"),
+        ("a.yaml", "k: [1, 2]\n", "k: expected 9 numbers, got 2"),
+        ("a.yaml", "- 1\n", "expected the fields of a camera_info, got list"),
+        ("a.yaml", "a: [\n", "not valid YAML"),
+        ("a.yml", "%YAML:1.0\n---\nM1: 7\n", "M1: expected a matrix"),
+        ("a.yml", "%YAML:1.0\n---\nhello: 7\n", "depth_camera_matrix: missing"),
+        ("a.yml", "%YAML:1.0\n---\n  a: [\n", "not a file of OpenCV"),
+        ("a.xml", "<rgb><depth>", "not valid XML"),
+        ("a.xml", "<rgb></rgb>", "rgb/focal_length_x: expected a number"),
+        ("a.xml", '<?xml version="1.0"?><opencv_storage><a>', "not a file of OpenCV"),
+        ("a.xml", '<?xml version="1.0"?><opencv_storage></opencv_storage>', "depth_camera_matrix: missing"),
+    ],
+)
+def test_an_unusable_file_is_named_with_the_field(tmp_path: Path, name: str, content: str, text: str) -> None:
+    (tmp_path / name).write_text(content)
+    with pytest.raises(CalibrationError, match=rf"{re.escape(name)}: {text}"):
+        read_calibration(tmp_path / name, depth_size=(64, 48), color_size=(64, 48))
+
+
+def test_a_file_that_is_not_there_or_not_text_is_named(tmp_path: Path) -> None:
+    with pytest.raises(CalibrationError, match=r"none\.toml: the calibration cannot be read"):
+        read_calibration(tmp_path / "none.toml")
+    (tmp_path / "a.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(CalibrationError, match="not UTF-8"):
+        read_calibration(tmp_path / "a.toml")

@@ -1,0 +1,244 @@
+"""Folders of image pairs: names, calibration, ground truth, and what can be wrong with them."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from recorded_scene import APART, CAMERA, scene, scenes, write_image, write_pairs
+
+from nurbseg.drivers import (
+    CalibrationError,
+    FrameFormatError,
+    RecordingFormatError,
+    SourceOptions,
+    open_source,
+)
+from nurbseg.drivers.datasets.pairs import find_pairs, key_and_role
+
+GIVEN = SourceOptions(intrinsics=(52.5, 52.5, 31.5, 23.5))
+
+
+@pytest.mark.parametrize(
+    ("color", "depth", "name"),
+    [
+        ("learn0_color.png", "learn0_depth.png", "learn0"),
+        ("a_b_color.jpg", "a_b_depth.png", "a_b"),
+        ("frame-000001.color.jpg", "frame-000001.depth.png", "frame-000001"),
+        ("rgb_0.png", "depth_0.png", "0"),
+        ("rgb.png", "depth.png", "rgb"),
+        ("x_rgb.tiff", "x_depth.tiff", "x"),
+        ("NYU_color.ppm", "NYU_depth.pgm", "NYU"),
+        ("A_RGB.PNG", "A_Depth.PNG", "A"),
+        ("color/7.png", "depth/7.png", "7"),
+        ("rgb/s-1.jpg", "depth/s-1.png", "s-1"),
+    ],
+)
+def test_pairs_are_found_by_the_names_people_give_them(
+    tmp_path: Path, color: str, depth: str, name: str
+) -> None:
+    frame = scene(0)
+    write_image(tmp_path / color, frame.color)
+    write_image(tmp_path / depth, frame.depth_mm)
+    (tmp_path / "README.md").write_text("of something else")
+    with open_source(tmp_path, GIVEN) as source:
+        (read,) = list(source)
+    np.testing.assert_array_equal(read.depth_mm, frame.depth_mm)
+    assert read.name == name
+    assert read.labels is None
+    if not color.endswith("jpg"):
+        np.testing.assert_array_equal(read.color, frame.color)
+
+
+@pytest.mark.parametrize("stem", ["colorful", "depths", "my-deep", "label7x", "camera", "coloring_1", ""])
+def test_names_that_only_resemble_are_left_alone(stem: str) -> None:
+    assert key_and_role(stem) == ("", None)
+
+
+def test_frames_are_in_natural_order_and_a_thirtieth_of_a_second_apart(tmp_path: Path) -> None:
+    for number in (10, 9, 100, 1):
+        write_image(tmp_path / f"shot{number}_color.png", scene(0).color)
+        write_image(tmp_path / f"shot{number}_depth.png", scene(0).depth_mm)
+    with open_source(tmp_path, GIVEN) as source:
+        frames = list(source)
+    assert [frame.name for frame in frames] == ["shot1", "shot9", "shot10", "shot100"]
+    assert [frame.timestamp_ns for frame in frames] == [0, 33_333_333, 66_666_666, 99_999_999]
+
+
+def test_the_time_in_the_names_is_used(tmp_path: Path) -> None:
+    for moment in ("20121214T142255.814212", "20121214T142256.068683"):
+        write_image(tmp_path / f"frame_{moment}_rgb.png", scene(0).color)
+        write_image(tmp_path / f"frame_{moment}_depth.png", scene(0).depth_mm)
+    with open_source(tmp_path, GIVEN) as source:
+        assert [frame.timestamp_ns for frame in source] == [1355494975814212000, 1355494976068683000]
+
+
+def test_ground_truth_is_read_where_there_is_one(tmp_path: Path) -> None:
+    frames = [scene(0), scene(1, labels=False), scene(2)]
+    with open_source(write_pairs(tmp_path, frames)) as source:
+        again = list(source)
+    assert [frame.labels is None for frame in again] == [False, True, False]
+    np.testing.assert_array_equal(again[2].labels, frames[2].labels)
+
+
+def test_images_without_a_partner_are_dropped_and_counted(tmp_path: Path) -> None:
+    write_pairs(tmp_path, scenes(4))
+    (tmp_path / "shot1_color.png").unlink()
+    (tmp_path / "shot3_depth.png").unlink()
+    with open_source(tmp_path) as source:
+        assert source.metadata["dropped"] == "2"
+        assert [frame.name for frame in source] == ["shot0", "shot2"]
+
+
+def test_two_files_for_one_place_are_refused(tmp_path: Path) -> None:
+    write_pairs(tmp_path, scenes(1))
+    write_image(tmp_path / "shot0_color.jpg", scene(0).color)
+    with pytest.raises(RecordingFormatError, match=r"shot0_color.*is the color image of 'shot0' already"):
+        find_pairs(tmp_path)
+
+
+def test_a_depth_scale_applies_from_the_file_or_the_user(tmp_path: Path) -> None:
+    write_pairs(tmp_path, scenes(1), calibration=False)
+    depth_mm = scene(0).depth_mm.astype(float)
+    (tmp_path / "camera.toml").write_text(
+        "registered = true\ndepth_scale = 5000\n[color]\nfx = 52.5\nfy = 52.5\ncx = 31.5\ncy = 23.5\n"
+    )
+    with open_source(tmp_path) as source:
+        np.testing.assert_array_equal(source.read().depth_mm, np.rint(depth_mm / 5))
+    with open_source(tmp_path, SourceOptions(depth_scale=10_000)) as source:
+        np.testing.assert_array_equal(source.read().depth_mm, np.rint(depth_mm / 10))
+    with open_source(tmp_path, SourceOptions(depth_scale=1.0)) as source:
+        # Kilometres do not fit.
+        assert not source.read().depth_mm.any()
+
+
+def test_color_of_another_size_and_the_same_shape_has_its_intrinsics_scaled(tmp_path: Path) -> None:
+    frame = scene(0)
+    write_image(tmp_path / "a_color.png", cv2.resize(frame.color, (128, 96)))
+    write_image(tmp_path / "a_depth.png", frame.depth_mm)
+    (tmp_path / "intrinsics.txt").write_text("52.5 0 31.5\n0 52.5 23.5\n0 0 1\n")
+    with open_source(tmp_path) as source:
+        assert source.calibration.color.fx == 105.0
+        assert source.calibration.color.cx == 63.5
+        assert source.calibration.depth.fx == 52.5
+        assert not source.calibration.is_registered
+        assert source.read().color.shape == (96, 128, 3)
+
+
+def test_color_of_another_shape_is_refused_and_says_what_would_help(tmp_path: Path) -> None:
+    frame = scene(0)
+    write_image(tmp_path / "a_color.png", frame.color[:40])
+    write_image(tmp_path / "a_depth.png", frame.depth_mm)
+    with pytest.raises(
+        RecordingFormatError, match=r"a_color\.png \(64x40\) and a_depth\.png \(64x48\).*another shape"
+    ):
+        open_source(tmp_path, GIVEN)
+
+
+def test_two_cameras_with_sizes_of_their_own_are_right(tmp_path: Path) -> None:
+    with open_source(write_pairs(tmp_path, scenes(2, APART))) as source:
+        assert source.calibration.color.width == 80
+        np.testing.assert_array_equal(source.calibration.color_from_depth, APART.color_from_depth)
+
+
+def test_no_calibration_is_an_error_that_says_how_to_give_one(tmp_path: Path) -> None:
+    write_pairs(tmp_path, scenes(1), calibration=False)
+    with pytest.raises(CalibrationError, match=r"no calibration: add camera\.toml .* --intrinsics"):
+        open_source(tmp_path)
+
+
+def test_intrinsics_that_are_none_are_named_after_the_flag(tmp_path: Path) -> None:
+    write_pairs(tmp_path, scenes(1), calibration=False)
+    for wrong in ((float("nan"), 1.0, 1.0, 1.0), (0.0, 1.0, 1.0, 1.0)):
+        with pytest.raises(RecordingFormatError, match=r"--intrinsics.*fx"):
+            open_source(tmp_path, SourceOptions(intrinsics=wrong))
+
+
+def spoil(folder: Path, kind: str) -> None:
+    """Make the second of three frames unusable."""
+    color, depth, label = (folder / f"shot1_{role}.png" for role in ("color", "depth", "label"))
+    if kind == "cut color":
+        color.write_bytes(color.read_bytes()[:-300])
+    elif kind == "cut depth":
+        depth.write_bytes(depth.read_bytes()[:-5])
+    elif kind == "damaged depth":
+        content = bytearray(depth.read_bytes())
+        content[len(content) // 2] ^= 1
+        depth.write_bytes(content)
+    elif kind == "empty depth":
+        depth.write_bytes(b"")
+    elif kind == "text":
+        color.write_text("not an image")
+    elif kind == "8-bit depth":
+        write_image(depth, (scene(1).depth_mm >> 8).astype(np.uint8))
+    elif kind == "color depth":
+        write_image(depth, scene(1).color)
+    elif kind == "other size":
+        write_image(depth, scene(1).depth_mm[:24])
+    elif kind == "label size":
+        write_image(label, scene(1).depth_mm[:24])
+    elif kind == "label colors":
+        write_image(label, scene(1).color)
+    elif kind == "directory":
+        depth.unlink()
+        depth.symlink_to(folder / "nowhere.png")
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        ("cut color", r"shot1_color\.png: the PNG is cut off"),
+        ("cut depth", r"shot1_depth\.png: the PNG is cut off"),
+        ("damaged depth", r"shot1_depth\.png: the PNG is damaged"),
+        ("empty depth", r"shot1_depth\.png: the image is empty"),
+        ("text", r"shot1_color\.png: not an image"),
+        ("8-bit depth", r"shot1_depth\.png: expected a depth image of 1 channel of 16 bits, got 1 of 8"),
+        ("color depth", r"shot1_depth\.png: expected a depth image of 1 channel of 16 bits, got 3 of 8"),
+        ("other size", r"shot1_color\.png \(64x48\) and shot1_depth\.png \(64x24\)"),
+        ("label size", r"shot1_label\.png: expected the depth image's size 64x48, got 64x24"),
+        ("label colors", r"shot1_label\.png: expected labels of 1 channel"),
+        ("directory", r"shot1_depth\.png: the image cannot be read"),
+    ],
+)
+def test_one_bad_frame_is_named_and_the_run_goes_on(tmp_path: Path, kind: str, text: str) -> None:
+    write_pairs(tmp_path, scenes(3))
+    spoil(tmp_path, kind)
+    with open_source(tmp_path) as source:
+        assert source.read().index == 0
+        with pytest.raises(FrameFormatError, match=text):
+            source.read()
+        assert source.read().index == 2
+
+
+def test_a_bad_first_frame_does_not_keep_the_rest_from_being_replayed(tmp_path: Path) -> None:
+    write_pairs(tmp_path, scenes(3))
+    (tmp_path / "shot0_color.png").write_bytes(b"")
+    with open_source(tmp_path) as source:
+        with pytest.raises(FrameFormatError, match="shot0"):
+            source.read()
+        assert source.read().index == 1
+
+
+def test_a_folder_of_nothing_but_bad_frames_is_refused_with_the_first_reason(tmp_path: Path) -> None:
+    write_pairs(tmp_path, scenes(2))
+    for path in tmp_path.glob("*_depth.png"):
+        path.write_bytes(path.read_bytes()[:40])
+    with pytest.raises(RecordingFormatError, match=r"none of the 2 frames.*shot0_depth\.png: the PNG is cut"):
+        open_source(tmp_path)
+
+
+def test_a_folder_of_color_images_only_says_which_names_are_expected(tmp_path: Path) -> None:
+    write_image(tmp_path / "a_color.png", scene(0).color)
+    with pytest.raises(RecordingFormatError, match=r"no image pairs \(1 images lack.*NAME_color\.png"):
+        open_source(tmp_path, GIVEN)
+
+
+def test_the_users_calibration_counts_before_the_folders(tmp_path: Path) -> None:
+    write_pairs(tmp_path, scenes(1))
+    with open_source(tmp_path, SourceOptions(intrinsics=(60.0, 61.0, 30.0, 20.0))) as source:
+        assert source.metadata["calibration"] == "given"
+        assert source.calibration.depth.fx == 60.0
+    with open_source(tmp_path, SourceOptions(calibration=APART)) as source:
+        assert source.calibration.color_from_depth[0, 3] == -0.025
+        assert source.calibration.color.width == 64
+    assert CAMERA.fx == 52.5

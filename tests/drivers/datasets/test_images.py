@@ -1,0 +1,107 @@
+"""Decoding one image: encodings of depth, and what is cut off or damaged."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from recorded_scene import scene
+
+from nurbseg.drivers import FrameFormatError
+from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_labels, millimetres
+
+DEPTH_MM = scene(0).depth_mm
+COLOR = scene(0).color
+
+
+def encoded(extension: str, image: np.ndarray, *parameters: int) -> bytes:
+    return cv2.imencode(extension, image, parameters)[1].tobytes()
+
+
+COMPLETE = {
+    "png": encoded(".png", DEPTH_MM),
+    "pgm": encoded(".pgm", DEPTH_MM),
+    "jpeg": encoded(".jpg", COLOR[..., ::-1]),
+    "ppm": encoded(".ppm", COLOR[..., ::-1]),
+}
+
+
+@pytest.mark.parametrize("extension", [".png", ".pgm", ".tiff"])
+def test_depth_of_16_bits_is_exact(extension: str) -> None:
+    np.testing.assert_array_equal(decode_depth(encoded(extension, DEPTH_MM), "a"), DEPTH_MM)
+
+
+def test_floating_point_depth_is_in_metres() -> None:
+    metres = DEPTH_MM.astype(np.float32) / 1000
+    metres[0, :3] = np.nan, np.inf, -1.0
+    expected = DEPTH_MM.copy()
+    expected[0, :3] = 0
+    np.testing.assert_array_equal(decode_depth(encoded(".tiff", metres), "a"), expected)
+
+
+def test_raw_disparity_of_a_kinect_in_swapped_pgm_becomes_depth() -> None:
+    disparity = np.full((48, 64), 2047, np.uint16)
+    disparity[10:20] = 700
+    disparity[20:30] = 1050
+    disparity[30:40] = 1090
+    depth_mm = decode_depth(encoded(".pgm", disparity.byteswap()), "a")
+    assert depth_mm[0, 0] == 0
+    assert depth_mm[15, 0] == round(351_300 / (1092.5 - 700))
+    assert depth_mm[25, 0] == round(351_300 / (1092.5 - 1050))
+    # Farther than the sensor measures.
+    assert depth_mm[35, 0] == 0
+
+
+def test_millimetres_rotated_by_three_bits_are_turned_back() -> None:
+    depth_mm = DEPTH_MM * 4
+    rotated = ((depth_mm << 3) | (depth_mm >> 13)).astype(np.uint16)
+    assert rotated.max() > 16_384
+    np.testing.assert_array_equal(decode_depth(encoded(".png", rotated), "a", units_per_metre=5000), depth_mm)
+
+
+def test_depth_that_does_not_fit_becomes_none() -> None:
+    depth = np.array([[0.0, 65.535, 65.6, 70_000.0, -0.1]])
+    np.testing.assert_array_equal(millimetres(depth, units_per_metre=1.0), [[0, 65535, 0, 0, 0]])
+
+
+def test_color_is_red_green_blue_and_gray_is_spread() -> None:
+    np.testing.assert_array_equal(decode_color(encoded(".png", COLOR[..., ::-1]), "a"), COLOR)
+    gray = COLOR[..., 0]
+    np.testing.assert_array_equal(decode_color(encoded(".png", gray), "a"), np.dstack([gray] * 3))
+    alpha = np.dstack([COLOR[..., ::-1], gray])
+    np.testing.assert_array_equal(decode_color(encoded(".png", alpha), "a"), COLOR)
+
+
+def test_labels_of_8_and_16_bits_are_read() -> None:
+    np.testing.assert_array_equal(decode_labels(encoded(".png", COLOR[..., 0]), "a"), COLOR[..., 0])
+    np.testing.assert_array_equal(decode_labels(encoded(".png", DEPTH_MM), "a"), DEPTH_MM)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.sampled_from(sorted(COMPLETE)), st.floats(0, 1))
+def test_an_image_cut_off_anywhere_is_refused(kind: str, part: float) -> None:
+    content = COMPLETE[kind]
+    cut = content[: min(int(part * len(content)), len(content) - 1)]
+    decode = decode_color if kind in ("jpeg", "ppm") else decode_depth
+    with pytest.raises(FrameFormatError, match=r"^a: "):
+        decode(cut, "a")
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.integers(0, len(COMPLETE["png"]) - 1), st.integers(1, 255))
+def test_no_changed_byte_of_a_png_goes_unnoticed(place: int, change: int) -> None:
+    content = bytearray(COMPLETE["png"])
+    content[place] ^= change
+    with pytest.raises(FrameFormatError):
+        decode_depth(bytes(content), "a")
+
+
+@pytest.mark.parametrize(
+    ("image", "got"),
+    [(COLOR[..., 0], "1 of 8 bits"), (COLOR, "3 of 8 bits"), (COLOR.astype(np.uint16), "3 of 16")],
+)
+def test_what_is_no_depth_image_says_what_it_is(image: np.ndarray, got: str) -> None:
+    with pytest.raises(
+        FrameFormatError, match=f"shelf: expected a depth image of 1 channel of 16 bits, got {got}"
+    ):
+        decode_depth(encoded(".png", image), "shelf")

@@ -1,0 +1,191 @@
+"""Organised point clouds: the three forms, the camera found from the points, and damaged files."""
+
+import contextlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from recorded_scene import CAMERA, back_projected, lzf_literals, scene, write_pcd
+
+from nurbseg.drivers import (
+    CalibrationError,
+    FrameFormatError,
+    RecordingFormatError,
+    SourceOptions,
+    open_source,
+)
+from nurbseg.drivers.datasets import lzf
+from nurbseg.drivers.datasets.pcd import fit_camera
+from nurbseg.drivers.datasets.pcd_file import read_pcd
+
+FRAME = scene(0)
+POINTS_M = back_projected(FRAME)
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary", "binary_compressed"])
+def test_each_form_gives_the_images_it_was_made_from(tmp_path: Path, form) -> None:
+    path = write_pcd(tmp_path / "a.pcd", POINTS_M, FRAME.color, form)
+    with open_source(path) as source:
+        (frame,) = list(source)
+    np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
+    np.testing.assert_array_equal(frame.color, FRAME.color)
+    assert frame.calibration.is_registered
+    assert frame.name == "a"
+    for name in ("fx", "fy", "cx", "cy"):
+        assert getattr(frame.calibration.depth, name) == pytest.approx(getattr(CAMERA, name), abs=1e-4)
+
+
+def test_other_fields_padding_and_counts_are_passed_over(tmp_path: Path) -> None:
+    table = np.zeros(
+        (48, 64),
+        [("_", "u1", 4), ("normal", "<f4", 3), ("x", "<f8"), ("y", "<f4"), ("z", "<f4"), ("rgba", "<u4")],
+    )
+    for axis, name in enumerate("xyz"):
+        table[name] = POINTS_M[..., axis]
+    table["rgba"] = 0xFF102030
+    head = (
+        "VERSION .7\nFIELDS _ normal x y z rgba\nSIZE 1 4 8 4 4 4\nTYPE U F F F F U\nCOUNT 4 3 1 1 1 1\n"
+        "WIDTH 64\nHEIGHT 48\nPOINTS 3072\nDATA binary\n"
+    )
+    (tmp_path / "a.pcd").write_bytes(head.encode() + table.tobytes())
+    cloud = read_pcd(tmp_path / "a.pcd")
+    np.testing.assert_allclose(cloud.points_m, POINTS_M)
+    assert cloud.color is not None
+    assert (cloud.color == (0x10, 0x20, 0x30)).all()
+    columns = b"".join(np.ascontiguousarray(table[name]).tobytes() for name in table.dtype.names)
+    packed = lzf_literals(columns)
+    head = head.replace("DATA binary", "DATA binary_compressed")
+    sizes = len(packed).to_bytes(4, "little") + len(columns).to_bytes(4, "little")
+    (tmp_path / "b.pcd").write_bytes(head.encode() + sizes + packed)
+    np.testing.assert_array_equal(read_pcd(tmp_path / "b.pcd").points_m, cloud.points_m)
+
+
+def test_clouds_without_color_are_gray(tmp_path: Path) -> None:
+    head = (
+        "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 64\nHEIGHT 48\nPOINTS 3072\nDATA binary\n"
+    )
+    (tmp_path / "a.pcd").write_bytes(head.encode() + POINTS_M.tobytes())
+    with open_source(tmp_path / "a.pcd") as source:
+        frame = source.read()
+    assert (frame.color == 128).all()
+    np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
+
+
+def test_a_flipped_camera_has_a_negative_fy() -> None:
+    assert fit_camera(POINTS_M * np.float32([1, -1, 1]), "a").fy == pytest.approx(-CAMERA.fy, abs=1e-4)
+
+
+def test_points_that_no_pinhole_camera_sees_are_refused() -> None:
+    rng = np.random.default_rng(0)
+    with pytest.raises(CalibrationError, match=r"a: x: the points do not lie on .* --intrinsics"):
+        fit_camera(rng.uniform(0.5, 1, (48, 64, 3)).astype(np.float32), "a")
+
+
+def test_too_few_points_for_a_camera_are_said_and_a_given_one_is_taken(tmp_path: Path) -> None:
+    points_m = np.full_like(POINTS_M, np.nan)
+    points_m[0, :50] = POINTS_M[0, :50]
+    path = write_pcd(tmp_path / "a.pcd", points_m, FRAME.color, "binary")
+    with pytest.raises(CalibrationError, match=r"a\.pcd: .*points with z > 0 are too few.*--intrinsics"):
+        open_source(path)
+    with open_source(path, SourceOptions(intrinsics=(52.5, 52.5, 31.5, 23.5))) as source:
+        assert source.read().calibration.depth.fx == 52.5
+
+
+def replaced(path: Path, old: str, new: str) -> None:
+    content = path.read_bytes()
+    assert old.encode() in content
+    path.write_bytes(content.replace(old.encode(), new.encode(), 1))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ("WIDTH 64\nHEIGHT 48", "WIDTH 3072\nHEIGHT 1", r"HEIGHT: the cloud is not organised \(3072x1\)"),
+        ("HEIGHT 48", "HEIGHT many", "HEIGHT: expected a number"),
+        ("POINTS 3072", "POINTS 3000", "POINTS: expected WIDTH x HEIGHT = 3072"),
+        ("FIELDS x y z rgb", "FIELDS x y w rgb", "FIELDS: z missing"),
+        ("SIZE 4 4 4 4", "SIZE 4 4 4", "FIELDS, SIZE, TYPE, COUNT"),
+        ("SIZE 4 4 4 4", "SIZE 4 4 3 4", "TYPE, SIZE: z: unknown number F of 3"),
+        ("COUNT 1 1 1 1", "COUNT 1 1 2 1", "FIELDS: z: expected once"),
+        ("DATA binary", "DATA hexdump", "DATA: expected ascii, binary"),
+        ("TYPE F F F F\n", "", "TYPE: missing"),
+    ],
+)
+def test_a_header_that_is_wrong_is_named_by_its_field(tmp_path: Path, old: str, new: str, text: str) -> None:
+    path = write_pcd(tmp_path / "a.pcd", POINTS_M, FRAME.color, "binary")
+    replaced(path, old, new)
+    with pytest.raises(FrameFormatError, match=rf"a\.pcd: {text}"):
+        read_pcd(path)
+    with pytest.raises(RecordingFormatError, match=rf"none of the 1 clouds.*a\.pcd: {text}"):
+        open_source(path)
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary", "binary_compressed"])
+@pytest.mark.parametrize("part", [0.02, 0.5, 0.99])
+def test_a_cloud_that_is_cut_off_is_refused(tmp_path: Path, form, part: float) -> None:
+    path = write_pcd(tmp_path / "a.pcd", POINTS_M, FRAME.color, form)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(part * len(content))])
+    with pytest.raises(FrameFormatError, match=r"a\.pcd: DATA"):
+        read_pcd(path)
+
+
+def test_one_bad_cloud_of_a_folder_is_named_and_the_run_goes_on(tmp_path: Path) -> None:
+    for number in (0, 1, 2, 10):
+        write_pcd(tmp_path / f"c{number}.pcd", POINTS_M, FRAME.color, "binary")
+    (tmp_path / "c1.pcd").write_bytes((tmp_path / "c1.pcd").read_bytes()[:500])
+    with open_source(tmp_path) as source:
+        assert source.read().name == "c0"
+        with pytest.raises(FrameFormatError, match=r"c1\.pcd"):
+            source.read()
+        assert [frame.name for frame in source] == ["c2", "c10"]
+
+
+def test_references_back_repeat_what_was_written() -> None:
+    # Two literals, then 9 bytes from 2 back; then, long, 264 bytes from 1 back.
+    assert lzf.decompress(b"\x01ab\xe0\x00\x01", 11) == b"ab" + b"ababababa"
+    assert lzf.decompress(b"\x00z\xe0\xff\x00", 265) == b"z" * 265
+    assert lzf.decompress(b"\x03abcd\x20\x03\x00x", 8) == b"abcdabcx"
+
+
+def compressed(content: bytes) -> bytes:
+    """Compress by references, as greedily as a few lines can."""
+    out, literals, place = b"", b"", 0
+
+    def flushed() -> bytes:
+        return b"".join(lzf_literals(literals[n : n + 32]) for n in range(0, len(literals), 32))
+
+    while place < len(content):
+        best, back = 0, 0
+        for distance in range(1, min(place, 64) + 1):
+            length = 0
+            while place + length < len(content) and length < 264:
+                if content[place + length] != content[place + length - distance]:
+                    break
+                length += 1
+            if length > best:
+                best, back = length, distance
+        if best < 3:
+            literals += content[place : place + 1]
+            place += 1
+            continue
+        out += flushed()
+        literals = b""
+        size, offset = best - 2, back - 1
+        head = bytes([min(size, 7) << 5 | offset >> 8]) + (bytes([size - 7]) if size >= 7 else b"")
+        out += head + bytes([offset & 255])
+        place += best
+    return out + flushed()
+
+
+@given(st.lists(st.sampled_from([b"a", b"ab", b"abc" * 5, bytes(300), b"xyz"]), max_size=20).map(b"".join))
+def test_what_is_compressed_comes_back(content: bytes) -> None:
+    assert lzf.decompress(compressed(content), len(content)) == content
+
+
+@given(st.binary(max_size=60), st.integers(0, 200))
+def test_any_bytes_are_decompressed_or_refused(content: bytes, size: int) -> None:
+    with contextlib.suppress(ValueError):
+        assert len(lzf.decompress(content, size)) == size

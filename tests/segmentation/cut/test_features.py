@@ -1,0 +1,55 @@
+import numpy as np
+from numpy.testing import assert_allclose
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.cut.features import features, lab
+
+
+def exact_lab(rgb):
+    """CIELab by its definition (IEC 61966-2-1, D65), in double precision."""
+    c = np.asarray(rgb, dtype=float) / 255
+    linear = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+    to_xyz = [[0.412453, 0.357580, 0.180423], [0.212671, 0.715160, 0.072169], [0.019334, 0.119193, 0.950227]]
+    xyz = linear @ np.array(to_xyz).T / [0.950456, 1.0, 1.088754]
+    f = np.where(xyz > (6 / 29) ** 3, np.cbrt(xyz), xyz / (3 * (6 / 29) ** 2) + 4 / 29)
+    return np.stack([116 * f[:, 1] - 16, 500 * (f[:, 0] - f[:, 1]), 200 * (f[:, 1] - f[:, 2])], axis=1)
+
+
+def test_lab_follows_its_definition():
+    rng = np.random.default_rng(0)
+    rgb = rng.integers(0, 256, (500, 3)).astype(np.uint8)
+    # OpenCV interpolates in tables.
+    assert_allclose(lab(rgb), exact_lab(rgb), atol=0.3)
+    assert_allclose(lab(np.array([[255, 255, 255], [0, 0, 0]], dtype=np.uint8))[:, 0], [100, 0], atol=0.01)
+
+
+def test_vectors_follow_equation_3(cloud_of):
+    rng = np.random.default_rng(1)
+    depth = rng.uniform(1, 2, (20, 30))
+    depth[3, 4] = np.nan
+    cloud = cloud_of(depth, rng.integers(0, 256, (20, 30, 3)))
+    vectors = features(cloud, SegmentationConfig(geometry_weight=2.5))
+    assert vectors.shape == (599, 6)
+    assert vectors.dtype == np.float32
+    color = exact_lab(cloud.color[cloud.valid])
+    points = cloud.points_m[cloud.valid].astype(float)
+    expected = np.hstack([color / color.std(axis=0).mean(), 2.5 * points / points.std(axis=0).mean()])
+    expected -= expected.mean(axis=0)
+    assert_allclose(vectors, expected, atol=0.01)
+
+
+def test_a_constant_color_gives_zeros_and_not_its_rounding(cloud_of):
+    cloud = cloud_of(np.random.default_rng(2).uniform(1, 2, (40, 40)), (17, 200, 83))
+    vectors = features(cloud, SegmentationConfig())
+    assert (vectors[:, :3] == 0).all()
+    assert vectors[:, 3:].std() > 0.5
+
+
+def test_no_points_have_no_vectors(cloud_of):
+    assert features(cloud_of(np.full((4, 5), np.nan)), SegmentationConfig()).shape == (0, 6)
+
+
+def test_a_lambda_of_zero_leaves_color_alone(cloud_of):
+    rng = np.random.default_rng(3)
+    cloud = cloud_of(rng.uniform(1, 2, (9, 9)), rng.integers(0, 256, (9, 9, 3)))
+    assert (features(cloud, SegmentationConfig(geometry_weight=0.0))[:, 3:] == 0).all()

@@ -1,0 +1,171 @@
+"""The cut held against the exact generalized eigenproblem and against trying every partition."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+
+from nurbseg.segmentation.cut.ncut import affinity, normalized_cut, normalized_cuts
+
+
+def dense_affinity(vectors: NDArray[np.float32], scale: float = 1.0) -> NDArray[np.float64]:
+    x = vectors.astype(float)
+    return np.exp(-((x[:, None] - x[None]) ** 2).sum(axis=2) / (2 * scale**2))
+
+
+def dense_indicator(vectors: NDArray[np.float32], scale: float = 1.0) -> NDArray[np.float64]:
+    """The second generalized eigenvector of (D - W) y = lambda D y (SM00)."""
+    W = dense_affinity(vectors, scale)
+    D = np.diag(W.sum(axis=1))
+    return eigh(D - W, D)[1][:, 1]
+
+
+def ncut_of(W: NDArray[np.float64], side: NDArray[np.bool_]) -> float:
+    between = W[side][:, ~side].sum()
+    return float(between / W[side].sum() + between / W[~side].sum())
+
+
+def two_clusters(n: int, seed: int, gap: float = 2.5) -> NDArray[np.float32]:
+    rng = np.random.default_rng(seed)
+    vectors = rng.normal(0, 0.6, (n, 6))
+    vectors[: n // 3, 0] += gap
+    return vectors.astype(np.float32)
+
+
+def same_partition(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> bool:
+    return bool((a == b).all() or (a == ~b).all())
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_with_every_point_in_the_sample_the_cut_is_the_exact_one(seed):
+    vectors = two_clusters(120, seed)
+    cut = normalized_cut(vectors, samples=120, rng=np.random.default_rng(seed))
+    exact = dense_indicator(vectors)
+    # A point whose exact indicator is at rounding level may fall on either side.
+    clear = np.abs(exact) > 1e-3 * np.abs(exact).max()
+    assert clear.sum() >= 118
+    assert same_partition(cut.side[clear], exact[clear] > 0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_sample_of_a_third_finds_the_partition_of_the_exact_eigenproblem(seed):
+    vectors = two_clusters(300, seed, gap=4.0)
+    cut = normalized_cut(vectors, samples=100, rng=np.random.default_rng(seed))
+    exact = dense_indicator(vectors) > 0
+    agreeing = (cut.side == exact).mean()
+    assert max(agreeing, 1 - agreeing) >= 0.99
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_least_ncut_of_all_partitions_is_found_for_ten_points(seed):
+    vectors = two_clusters(10, seed, gap=4.0)
+    W = dense_affinity(vectors)
+    partitions = (np.array((False, *rest)) for rest in product([False, True], repeat=9))
+    best = min((p for p in partitions if p.any()), key=lambda p: ncut_of(W, p))
+    for splitting_point in ("zero", "kmeans", "ncut"):
+        cut = normalized_cut(
+            vectors, samples=10, rng=np.random.default_rng(0), splitting_point=splitting_point
+        )
+        assert same_partition(cut.side, best), splitting_point
+
+
+def test_two_means_on_the_eigenvector_is_the_best_threshold():
+    vectors = two_clusters(60, 1, gap=2.0)
+    cut = normalized_cut(vectors, samples=60, rng=np.random.default_rng(0), splitting_point="kmeans")
+    values = np.sort(dense_indicator(vectors))
+    scatter = [values[:k].var() * k + values[k:].var() * (60 - k) for k in range(1, 60)]
+    best = 1 + int(np.argmin(scatter))
+    assert cut.side.sum() in (best, 60 - best)
+
+
+def test_the_least_ncut_threshold_is_no_worse_than_zero():
+    for seed in range(5):
+        vectors = np.random.default_rng(seed).gamma(1.0, 1.0, (400, 3)).astype(np.float32)
+        W = dense_affinity(vectors)
+        cuts = {
+            point: ncut_of(
+                W,
+                normalized_cut(vectors, samples=80, rng=np.random.default_rng(0), splitting_point=point).side,
+            )
+            for point in ("zero", "ncut")
+        }
+        assert cuts["ncut"] <= cuts["zero"] + 0.02
+
+
+def test_affinities_are_gaussian():
+    rng = np.random.default_rng(0)
+    points, landmarks = rng.normal(size=(50, 6)), rng.normal(size=(7, 6))
+    expected = np.exp(-((points[:, None] - landmarks[None]) ** 2).sum(axis=2) / (2 * 0.7**2))
+    found = affinity(points.astype(np.float32), landmarks.astype(np.float32), 0.7)
+    assert_allclose(found, expected, atol=1e-5)
+
+
+def test_classifying_the_points_that_were_cut_gives_their_sides():
+    vectors = two_clusters(5000, 2)
+    cut = normalized_cut(vectors, samples=60, rng=np.random.default_rng(0), points=1000)
+    assert (cut.classify(vectors) == cut.side).all()
+    assert 0.05 < cut.side.mean() < 0.95
+    assert cut.classify(np.zeros((0, 6), dtype=np.float32)).shape == (0,)
+
+
+def test_a_subset_of_the_points_sets_up_nearly_the_same_cut():
+    vectors = two_clusters(20_000, 3)
+    whole, part = (
+        normalized_cut(vectors, samples=80, rng=np.random.default_rng(0), points=points).side
+        for points in (None, 3000)
+    )
+    agreeing = (whole == part).mean()
+    assert max(agreeing, 1 - agreeing) > 0.97
+
+
+def test_affinities_that_fall_apart_are_cut_between_components():
+    rng = np.random.default_rng(0)
+    vectors = rng.normal(0, 0.3, (400, 6)).astype(np.float32)
+    vectors[250:] += 40.0
+    cut = normalized_cut(vectors, samples=50, rng=rng)
+    assert same_partition(cut.side, np.arange(400) < 250)
+
+
+def test_the_same_generator_state_gives_the_same_cut():
+    vectors = two_clusters(3000, 4)
+    first, second = (normalized_cut(vectors, samples=50, rng=np.random.default_rng(9)) for _ in range(2))
+    assert (first.side == second.side).all()
+    assert (first.coefficients == second.coefficients).all()
+
+
+@pytest.mark.parametrize("n", [0, 1])
+def test_fewer_than_two_points_have_no_cut(n):
+    cut = normalized_cut(np.zeros((n, 6), dtype=np.float32), samples=50, rng=np.random.default_rng(0))
+    assert cut.side.shape == (n,)
+    assert cut.reason == f"{n} points, 2 needed"
+
+
+def test_equal_points_have_no_cut():
+    cut = normalized_cut(np.ones((500, 6), dtype=np.float32), samples=50, rng=np.random.default_rng(0))
+    assert not cut.side.any()
+    assert cut.reason == "all points are equal"
+
+
+def test_fewer_points_than_samples_are_all_in_the_sample():
+    cut = normalized_cut(two_clusters(20, 5, gap=5.0), samples=100, rng=np.random.default_rng(0))
+    assert same_partition(cut.side, np.arange(20) < 6)
+    assert cut.landmarks.shape == (20, 6)
+
+
+def test_vectors_that_are_not_finite_are_refused():
+    vectors = np.ones((10, 6), dtype=np.float32)
+    vectors[3, 2] = np.nan
+    with pytest.raises(ValueError, match="finite"):
+        normalized_cut(vectors, samples=5, rng=np.random.default_rng(0))
+
+
+def test_points_that_are_all_far_apart_have_cuts_or_a_reason():
+    # Then the matrix is nearly the identity, and LAPACK finds fewer eigenvalues than it was asked for.
+    rng = np.random.default_rng(0)
+    vectors = (rng.normal(size=(200, 6)) * 20).astype(np.float32)
+    for cut in normalized_cuts(vectors, count=3, samples=30, rng=rng, affinity_scale=0.7):
+        assert cut.side.shape == (200,)
+        assert cut.reason or (cut.side.any() and not cut.side.all())

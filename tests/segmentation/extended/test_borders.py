@@ -1,0 +1,130 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.extended.borders import labels_of_every_pixel, refine_borders
+from nurbseg.segmentation.surfaces.inverse_depth import (
+    depth_grid,
+    fit_window,
+    inverse_depth_image,
+    inverse_depth_lattice,
+)
+
+CONFIG = SegmentationConfig()
+
+
+def fitted(cloud, truth):
+    grid = depth_grid(cloud, 1)
+    surfaces = []
+    for label in range(1, truth.max() + 1):
+        top, left, bottom, right = window = grid.points.locate(np.flatnonzero(truth == label))[2]
+        mask = (truth == label)[top:bottom, left:right]
+        surfaces.append(fit_window(grid, window, mask, CONFIG)[0].surface)
+    return surfaces
+
+
+@pytest.mark.parametrize("noise", [0.0, 2e-3])
+def test_ragged_borders_return_to_where_the_surfaces_meet(cloud_of, box_on_table, noise):
+    depth, truth = box_on_table(noise_per_m=noise)
+    cloud = cloud_of(depth)
+    rng = np.random.default_rng(0)
+    # Labels of a place up to 3 pixels away.
+    rows, columns = np.mgrid[: truth.shape[0], : truth.shape[1]]
+    shift = rng.integers(-3, 4, (2, *truth.shape))
+    ragged = truth[
+        np.clip(rows + shift[0], 0, truth.shape[0] - 1), np.clip(columns + shift[1], 0, truth.shape[1] - 1)
+    ].astype(np.int32)
+    refined = refine_borders(ragged, inverse_depth_image(cloud), fitted(cloud, truth), CONFIG)
+    assert (ragged != truth).mean() > 0.01
+    assert (refined != truth).mean() < 0.25 * (ragged != truth).mean()
+    assert ((refined > 0) == (truth > 0)).all()
+
+
+def swept(labels, per_m, explained, config, sweeps=6):
+    """Labels moved to the cheapest around them, one pixel after the other, as plainly as can be."""
+    labels, (height, width) = labels.copy(), labels.shape
+
+    def around(r, c):
+        for other in ((a, b) for a in range(r - 2, r + 3) for b in range(c - 2, c + 3)):
+            if 0 <= other[0] < height and 0 <= other[1] < width and labels[other] > 0:
+                yield other
+
+    pixels = list(zip(*np.nonzero(labels), strict=True))
+    for sweep in range(sweeps):
+        best = {}
+        for r, c in pixels if sweep < 2 else [each for each in pixels if (sum(each) + sweep) % 2 == 0]:
+            cost = {}
+            for label in {labels[other] for other in around(r, c)}:
+                cost[label] = min(((explained[label - 1][r, c] - per_m[r, c]) / config.noise_per_m) ** 2, 16)
+            for other in around(r, c):
+                apart = np.hypot(other[0] - r, other[1] - c)
+                if apart > 0:
+                    is_gap = abs(per_m[other] - per_m[r, c]) >= config.depth_gap_per_m * np.sqrt(apart)
+                    cost[labels[other]] -= (0.25 if is_gap else 1.0) * 0.7 / apart
+            cheapest = min(cost, key=lambda label: (cost[label], label))
+            if cheapest != labels[r, c]:
+                best[r, c] = cheapest
+        for place, label in best.items():
+            labels[place] = label
+        pixels = sorted({other for place in best for other in around(*place)})
+    return labels
+
+
+def test_sweeps_are_those_over_one_pixel_after_the_other(cloud_of, box_on_table):
+    depth, truth = box_on_table(noise_per_m=2e-3)
+    surfaces = fitted(cloud_of(depth), truth)
+    per_m = inverse_depth_image(cloud_of(depth))
+    rows, columns = np.mgrid[: truth.shape[0], : truth.shape[1]]
+    explained = [inverse_depth_lattice(each, columns[0] * 1.0, rows[:, 0] * 1.0)[0] for each in surfaces]
+    shift = np.random.default_rng(1).integers(-2, 3, (2, *truth.shape))
+    ragged = truth[
+        np.clip(rows + shift[0], 0, truth.shape[0] - 1), np.clip(columns + shift[1], 0, truth.shape[1] - 1)
+    ].astype(np.int32)
+    # Two parts of the box; no piece is too small.
+    config = replace(CONFIG, piece_pixels_min=1)
+    for top, left in ((70, 90), (110, 170)):
+        window = slice(top, top + 60), slice(left, left + 80)
+        labels = np.zeros_like(ragged)
+        labels[window] = ragged[window]
+        refined = refine_borders(labels, per_m, surfaces, config)
+        expected = swept(labels[window], per_m[window], [each[window] for each in explained], config)
+        assert (refined[window] == expected).all()
+        assert (refined != labels).any()
+
+
+def test_right_borders_stay(cloud_of, box_on_table):
+    depth, truth = box_on_table()
+    cloud = cloud_of(depth)
+    refined = refine_borders(truth, inverse_depth_image(cloud), fitted(cloud, truth), CONFIG)
+    assert (refined != truth).mean() < 3e-3
+
+
+def test_no_label_loses_its_last_pixel(cloud_of, box_on_table):
+    depth, truth = box_on_table()
+    cloud = cloud_of(depth)
+    labels = truth
+    labels[120:122, 160:162] = 5
+    surfaces = [*fitted(cloud, truth), None]
+    refined = refine_borders(labels, inverse_depth_image(cloud), surfaces, CONFIG)
+    assert set(np.unique(refined)) == {1, 2, 3, 4, 5}
+
+
+def test_a_single_surface_is_left_alone():
+    labels = np.ones((5, 6), np.int32)
+    assert refine_borders(labels, np.ones((5, 6), np.float32), [None], CONFIG) is labels
+
+
+@pytest.mark.parametrize("step", [1, 2, 3, 5])
+def test_every_pixel_with_a_point_gets_the_label_of_its_surface(step):
+    rng = np.random.default_rng(step)
+    truth = np.where(np.arange(61) < 30, 1, 2)[np.newaxis].repeat(47, axis=0).astype(np.int32)
+    per_m = np.where(truth == 1, np.float32(1.0), np.float32(1.3))
+    valid = rng.random(truth.shape) < 0.9
+    per_m[~valid] = 0.0
+    on_grid = np.where(valid, truth, 0)[::step, ::step].astype(np.int32)
+    labels = labels_of_every_pixel(
+        on_grid, per_m[::step, ::step], per_m, valid, SegmentationConfig(decimation=step)
+    )
+    assert (labels == np.where(valid, truth, 0)).all()

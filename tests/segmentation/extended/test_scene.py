@@ -1,0 +1,65 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.cut.features import lab
+from nurbseg.segmentation.extended.scene import node_normalization, prepare
+
+CONFIG = SegmentationConfig(method="nurbseg")
+
+
+@pytest.fixture
+def cloud(box_on_table, cloud_of):
+    depth, _ = box_on_table((61, 83), noise_per_m=1e-3)
+    depth[10:20, 30:50] = np.nan
+    color = np.random.default_rng(0).integers(0, 255, (61, 83, 3))
+    return cloud_of(depth, color)
+
+
+@pytest.mark.parametrize("step", [1, 2, 3, 4])
+def test_vectors_hold_color_position_and_normal_of_each_place(cloud, step):
+    scene = prepare(cloud, replace(CONFIG, decimation=step))
+    valid = cloud.valid[::step, ::step]
+    assert_array_equal(scene.grid.valid, valid)
+    raw = scene.raw.reshape(*valid.shape, 9)
+    colors = lab(cloud.color[::step, ::step].reshape(-1, 3)).reshape(*valid.shape, 3)
+    assert_array_equal(raw[..., :3], colors)
+    assert_array_equal(raw[valid][:, 3:6], cloud.points_m[::step, ::step][valid])
+    assert_allclose(np.linalg.norm(raw[..., 6:], axis=-1), valid, atol=1e-5)
+    # Towards the camera.
+    assert (np.sum(raw[..., 3:6] * raw[..., 6:], axis=-1)[valid] < 0).all()
+
+
+def test_there_are_no_normals_where_they_count_for_nothing(cloud):
+    assert prepare(cloud, replace(CONFIG, normal_weight=0.0)).raw.shape[1] == 6
+
+
+def test_places_without_a_point_are_joined_to_nothing(cloud):
+    scene = prepare(cloud, CONFIG)
+    valid, joined = scene.grid.valid, scene.joined
+    assert not joined.right[~valid].any()
+    assert not joined.down[~valid].any()
+    assert joined.right[valid].mean() > 0.8
+
+
+def test_vectors_are_normalised_for_the_frame_or_for_each_segment(cloud):
+    assert prepare(cloud, CONFIG).whole is None
+    scene = prepare(cloud, replace(CONFIG, normalize_nodes=False))
+    expected = node_normalization(scene.raw, np.flatnonzero(scene.grid.valid), CONFIG)
+    assert scene.whole is not None
+    assert_array_equal(scene.whole.mean, expected.mean)
+    assert_array_equal(scene.whole.factor, expected.factor)
+
+
+def test_the_smallest_segment_is_the_same_share_of_the_image_on_every_grid(cloud):
+    every, second = (prepare(cloud, replace(CONFIG, decimation=step)) for step in (1, 2))
+    assert every.places_min(CONFIG) == pytest.approx(4 * second.places_min(CONFIG))
+
+
+def test_a_frame_without_points_is_laid_out_too(cloud_of):
+    scene = prepare(cloud_of(np.full((24, 32), np.nan)), replace(CONFIG, normalize_nodes=False))
+    assert not scene.grid.valid.any()
+    assert np.isfinite(scene.raw).all()

@@ -1,0 +1,187 @@
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nurbseg.drivers.registry import SourceOptions, open_source
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.points.registration import register
+from nurbseg.segmentation.scoring.scores import (
+    object_iou,
+    rand_index,
+    region_covering,
+    variation_of_information,
+)
+from nurbseg.segmentation.stag15 import StopReason, segment
+from nurbseg.segmentation.surfaces.surface import evaluate
+
+MANY_PIECES = SegmentationConfig(
+    method="nurbseg",
+    decimation=1,
+    piece_pixels_min=1,
+    refine_borders=False,
+    merge_crease=False,
+    merge_smooth=False,
+)
+CONFIG = SegmentationConfig(method="nurbseg")
+DATA = os.environ.get("NURBSEG_DATA", "")
+
+
+def the_tree_is_sound(tree, valid) -> None:
+    names = [each.name for each in tree.segments]
+    assert names == sorted(names)
+    for each in tree.segments:
+        assert (each.stop is None) == bool(each.children)
+        if each.children:
+            parts = np.concatenate([tree[name].pixels for name in each.children])
+            assert np.array_equal(np.sort(parts), np.sort(each.pixels))
+    labels = tree.label_image()
+    assert ((labels > 0) == valid).all()
+    for label, leaf in enumerate(tree.leaves(), start=1):
+        assert np.array_equal(np.flatnonzero(labels == label), leaf.pixels)
+        assert leaf.pixels.size
+    if tree.objects:
+        together = [name for each in tree.objects for name in each.leaves]
+        assert sorted(together) == sorted(leaf.name for leaf in tree.leaves())
+        # Objects are whole leaves.
+        objects = tree.object_image()
+        for label in range(1, labels.max() + 1):
+            assert np.unique(objects[labels == label]).size == 1
+
+
+@pytest.mark.parametrize("decimation", [1, 2])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_box_on_a_table_is_two_objects_of_four_surfaces(cloud_of, box_on_table, decimation, seed):
+    depth, truth = box_on_table((480, 640), noise_per_m=1.5e-3, seed=seed)
+    cloud = cloud_of(depth)
+    tree = segment(cloud, replace(CONFIG, decimation=decimation, seed=seed))
+    the_tree_is_sound(tree, cloud.valid)
+    assert len(tree.objects) == 2
+    assert rand_index(tree.labels(), np.minimum(truth, 2)) > 0.998
+    # A surface lies on one face, though a face may be more than one surface.
+    for leaf in tree.leaves():
+        on_face = np.bincount(truth.ravel()[leaf.pixels])
+        assert on_face.max() > 0.95 * leaf.pixels.size
+    assert StopReason.NOISE in {leaf.stop for leaf in tree.leaves()}
+
+
+def test_the_level_says_what_a_label_is(cloud_of, box_on_table):
+    depth, _ = box_on_table(noise_per_m=1.5e-3)
+    cloud = cloud_of(depth)
+    objects = segment(cloud, replace(CONFIG, level="objects"))
+    surfaces = segment(cloud, replace(CONFIG, level="surfaces"))
+    assert np.array_equal(objects.labels(), objects.object_image())
+    assert np.array_equal(surfaces.labels(), surfaces.label_image())
+    assert np.array_equal(surfaces.label_image(), objects.label_image())
+    assert objects.labels().max() < surfaces.labels().max()
+
+
+@pytest.mark.parametrize(
+    "off",
+    [
+        {"normal_weight": 0.0},
+        {"normalize_nodes": False},
+        {"connected_pieces": False},
+        {"fit_of": "xyz"},
+        {"noise_stop": False},
+        {"cuts": 1},
+        {"refine_borders": False},
+        {"merge_crease": False},
+        {"merge_smooth": False},
+        {"merge_crease": False, "merge_smooth": False},
+        {"metric": "mmxc"},
+        {"smoothness": 0.0},
+        {"splitting_point": "ncut"},
+    ],
+    ids=str,
+)
+def test_every_stage_can_be_switched_off(cloud_of, box_on_table, off):
+    depth, _ = box_on_table(noise_per_m=1.5e-3)
+    depth[np.random.default_rng(0).random(depth.shape) < 0.05] = np.nan
+    cloud = cloud_of(depth)
+    tree = segment(cloud, replace(CONFIG, **off))
+    the_tree_is_sound(tree, cloud.valid)
+    assert bool(tree.objects) == (len(off) < 2)
+
+
+def test_a_contact_names_two_leaves_and_its_reason(cloud_of, box_on_table):
+    depth, _ = box_on_table(noise_per_m=1.5e-3)
+    tree = segment(cloud_of(depth), CONFIG)
+    names = {leaf.name for leaf in tree.leaves()}
+    member = {name: n for n, each in enumerate(tree.objects) for name in each.leaves}
+    assert tree.contacts
+    for each in tree.contacts:
+        assert {each.first, each.second} <= names
+        assert each.merged == (member[each.first] == member[each.second])
+        assert each.reason
+
+
+def test_surfaces_of_leaves_explain_their_points(cloud_of, box_on_table):
+    depth, _ = box_on_table(noise_per_m=1.5e-3)
+    cloud = cloud_of(depth)
+    for leaf in segment(cloud, CONFIG).leaves():
+        rows, columns = np.divmod(leaf.fit.pixels, depth.shape[1])
+        surface = evaluate(leaf.fit.surface, columns.astype(float), rows.astype(float))
+        distances = np.linalg.norm(surface - cloud.points_m[rows, columns], axis=1)
+        assert np.allclose(distances, leaf.fit.residuals_m, atol=1e-5)
+
+
+def test_the_same_seed_gives_the_same_tree(cloud_of, box_on_table):
+    depth, _ = box_on_table(noise_per_m=3e-3)
+    cloud = cloud_of(depth)
+    first, second = (segment(cloud, replace(CONFIG, seed=7)) for _ in range(2))
+    assert np.array_equal(first.label_image(), second.label_image())
+    assert first.objects == second.objects
+    assert [each.ratio for each in first.segments] == [each.ratio for each in second.segments]
+
+
+@pytest.mark.parametrize("points", [0, 1, 2, 30])
+def test_next_to_no_points_are_one_leaf(cloud_of, points):
+    depth = np.full((60, 80), np.nan)
+    depth.ravel()[np.random.default_rng(0).choice(depth.size, points, replace=False)] = 1.0
+    cloud = cloud_of(depth)
+    tree = segment(cloud, replace(CONFIG, decimation=1))
+    assert len(tree.leaves()) == 1
+    assert np.count_nonzero(tree.labels()) == points
+
+
+def test_things_apart_in_depth_are_parted_without_a_cut(cloud_of):
+    depth = np.full((120, 160), 2.0)
+    depth[30:80, 40:90] = 1.0
+    tree = segment(cloud_of(depth), CONFIG)
+    assert len(tree.leaves()) == 2
+    assert tree.root.cut is None
+    assert "not connected" in tree.root.fit.reason
+    assert len(tree.objects) == 2
+
+
+def test_a_thousand_things_apart_in_depth_are_as_many_leaves(cloud_of):
+    rows, columns = np.indices((140, 130)) // 4
+    tree = segment(cloud_of(np.where((rows + columns) % 2 == 0, 1.0, 2.0)), MANY_PIECES)
+    assert len(tree.leaves()) == 35 * 33
+    assert tree.label_image().max() == 35 * 33
+    assert {leaf.pixels.size for leaf in tree.leaves()} == {8, 16}
+
+
+@pytest.mark.skipif(not (Path(DATA) / "mosd_learn").is_dir(), reason="needs mosd_learn in NURBSEG_DATA")
+def test_real_tabletop_frames_are_segmented_well():
+    options = SourceOptions(intrinsics=(525.0, 525.0, 319.5, 239.5))
+    scores = []
+    with open_source(str(Path(DATA) / "mosd_learn"), options) as source:
+        for frame in source:
+            if frame.index % 9 or frame.labels is None:
+                continue
+            labels = segment(register(frame), CONFIG).labels()
+            scores.append(
+                [
+                    score(labels, frame.labels)
+                    for score in (rand_index, region_covering, variation_of_information, object_iou)
+                ]
+            )
+    ri, covering, voi, iou = np.mean(scores, axis=0)
+    assert ri > 0.995
+    assert covering > 0.985
+    assert voi < 0.07
+    assert iou > 0.9

@@ -1,0 +1,22 @@
+"""Tables applied to label images."""
+
+import numpy as np
+
+from nurbseg.segmentation.labels.lookup import labels_present, looked_up
+
+
+def test_every_label_is_looked_up_and_those_beyond_the_table_are_none() -> None:
+    labels = np.random.default_rng(0).integers(0, 7, (20, 30)).astype(np.uint16)
+    table = np.array([0, 9, 8, 7, 65535], np.uint16)
+    found = looked_up(table, labels)
+    assert np.array_equal(found, np.append(table, [0, 0])[labels])
+    # Part of an image will do, and one that may not be written to.
+    part = labels[::2, ::3]
+    part.flags.writeable = False
+    assert np.array_equal(looked_up(table, part), found[::2, ::3])
+
+
+def test_the_labels_that_are_there_are_told() -> None:
+    labels = np.array([[5, 5, 0], [65535, 5, 1]], np.uint16)
+    assert labels_present(labels).tolist() == [0, 1, 5, 65535]
+    assert labels_present(np.full((2, 2), 3, np.uint16)).tolist() == [3]

@@ -1,0 +1,40 @@
+"""Segments with their pixels."""
+
+import numpy as np
+
+from nurbseg.segmentation.labels.segment_pixels import by_label, finished_segments
+from nurbseg.segmentation.segments import Node, SegmentationTree, StopReason, depth_first
+from nurbseg.segmentation.surfaces.surface import Fit
+
+
+def test_places_are_sorted_by_label_and_keep_their_order_within_each() -> None:
+    labels = np.random.default_rng(1).integers(0, 9, 500)
+    labels[labels == 4] = 5
+    for dtype in (np.uint16, np.int32):
+        order, bounds = by_label(labels.astype(dtype), 10)
+        assert np.array_equal(order, np.argsort(labels, kind="stable"))
+        assert np.array_equal(np.diff(bounds), np.bincount(labels, minlength=10))
+
+
+def node(name: str, *children: Node) -> Node:
+    """A node without a surface."""
+    nothing = np.zeros(0, dtype=np.intp)
+    fit = Fit(None, np.zeros(0), {}, "", nothing)
+    stop = None if children else StopReason.NOISE
+    return Node(name, nothing, fit, children, stop=stop)  # type: ignore[arg-type]
+
+
+def test_a_segment_has_the_pixels_of_the_leaves_below_it() -> None:
+    root = node("", node("0", node("00"), node("01")), node("1"))
+    nodes = depth_first(root)
+    image = np.array([[1, 2, 0], [3, 2, 1]], np.uint16)
+    segments = finished_segments(nodes, [each for each in nodes if not each.children], image)
+    pixels = {each.name: each.pixels.tolist() for each in segments}
+    assert pixels == {"": [0, 5, 1, 4, 3], "0": [0, 5, 1, 4], "00": [0, 5], "01": [1, 4], "1": [3]}
+    assert [(each.name, each.parent, each.children) for each in segments[:2]] == [
+        ("", None, ("0", "1")),
+        ("0", "", ("00", "01")),
+    ]
+    # The image is what it would be if it had to be made of the segments.
+    assert np.array_equal(SegmentationTree(segments, (2, 3)).label_image(), image)
+    assert SegmentationTree(segments, (2, 3), image=image).label_image() is image

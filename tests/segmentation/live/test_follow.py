@@ -1,0 +1,220 @@
+"""What a frame takes over from the one before: surfaces moved, labels carried, grown and settled."""
+
+import cv2
+import numpy as np
+import pytest
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.live.borders import settled_borders, spread_to_pixels
+from nurbseg.segmentation.live.follow import grown_labels, kept_labels, moved_surfaces
+from nurbseg.segmentation.live.motion import brightness, carried, flow_back
+from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.segmentation.surfaces.inverse_depth import depth_grid, fit_window, inverse_depth_lattice
+from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
+from nurbseg.segmentation.surfaces.surface import NurbsSurface
+
+SHAPE = (96, 128)
+STEP = 2
+CONFIG = SegmentationConfig(decimation=STEP)
+
+
+def cloud_of(per_m: np.ndarray) -> PointMap:
+    """A frame of a pinhole camera from its inverse depth."""
+    rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    depth = 1.0 / per_m
+    points = np.dstack([(columns - 63.5) / 110 * depth, (rows - 47.5) / 110 * depth, depth])
+    return PointMap(points.astype(np.float32), np.zeros((*SHAPE, 3), np.uint8), np.ones(SHAPE, np.bool_))
+
+
+def wavy() -> np.ndarray:
+    """Inverse depth of a smooth scene."""
+    rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    return 0.8 + 0.001 * columns + 0.05 * np.sin(rows / 30.0)
+
+
+def fitted(per_m: np.ndarray) -> NurbsSurface:
+    """The surface of a whole frame."""
+    grid = depth_grid(cloud_of(per_m), STEP)
+    fit, _ = fit_window(grid, (0, 0, *grid.valid.shape), grid.valid, CONFIG)
+    assert fit.surface is not None
+    return fit.surface
+
+
+@pytest.fixture(scope="module")
+def surface() -> NurbsSurface:
+    """Of the smooth scene."""
+    return fitted(wavy())
+
+
+def test_the_lattice_is_what_the_surface_is(surface: NurbsSurface) -> None:
+    u, v = np.arange(0, SHAPE[1], STEP, dtype=float), np.arange(0, SHAPE[0], STEP, dtype=float)
+    exact = inverse_depth_lattice(surface, u, v)[0]
+    labels = np.full(exact.shape, 2, np.int32)
+    # Nothing is known of a label without a surface.
+    labels[10:20, 5:30], labels[30, 40] = 1, 0
+    found = SurfaceLattice([None, surface], STEP).image(labels)
+    assert found[labels == 2] == pytest.approx(exact[labels == 2], rel=1e-5)
+    assert np.isinf(found[labels < 2]).all()
+
+
+def test_the_lattice_ends_where_the_knots_do(surface: NurbsSurface) -> None:
+    reach = SurfaceLattice([surface], STEP).image(np.ones((200, 300), np.int32))
+    ends = [int(np.floor((knots[-4] + 1e-6) / STEP)) + 1 for knots in (surface.knots_v, surface.knots_u)]
+    assert np.isfinite(reach[: ends[0], : ends[1]]).all()
+    assert np.isinf(reach[ends[0] :]).all()
+    assert np.isinf(reach[:, ends[1] :]).all()
+
+
+def test_between_places_it_is_linear(surface: NurbsSurface) -> None:
+    lattice = SurfaceLattice([surface], STEP)
+    rows, columns = np.array([7.0, 30.5, 61.0, -400.0]), np.array([9.0, 77.0, 40.2, 3.0])
+    exact, slope_u, slope_v = (
+        np.array([image[0, 0] for image in values])
+        for values in zip(
+            *(
+                inverse_depth_lattice(surface, np.array([c]), np.array([r]))
+                for r, c in zip(rows[:3], columns[:3], strict=True)
+            ),
+            strict=True,
+        )
+    )
+    per_m, along_u, along_v = lattice.slopes_at(np.ones(4, np.int32), columns, rows)
+    assert per_m[:3] == pytest.approx(exact, abs=2e-4)
+    assert along_u[:3] == pytest.approx(slope_u, abs=1e-4)
+    assert along_v[:3] == pytest.approx(slope_v, abs=1e-4)
+    assert np.isnan([per_m[3], along_u[3], along_v[3]]).all()
+
+
+def test_a_surface_follows_a_linear_change(surface: NurbsSurface) -> None:
+    rows, columns = np.mgrid[: SHAPE[0] : STEP, : SHAPE[1] : STEP]
+    before = SurfaceLattice([surface], STEP).image(np.ones(rows.shape, np.int32))
+    now = (before + 0.01 + 1e-4 * columns - 2e-4 * rows).astype(np.float32)
+    labels = np.ones(rows.shape, np.int32)
+    # A thing in front of it, which has its label by mistake, does not draw it along.
+    now[10:16, 10:16] += 0.5
+    (moved,) = moved_surfaces([surface], SurfaceLattice([surface], STEP), labels, now, 2.5e-3)
+    found = SurfaceLattice([moved], STEP).image(labels)
+    now[10:16, 10:16] -= 0.5
+    # The ridge that steadies slivers holds it back by a tenth of the noise.
+    assert np.abs(found - now).max() < 5e-4
+
+
+def test_the_change_is_that_of_least_squares(surface: NurbsSurface) -> None:
+    rng = np.random.default_rng(3)
+    rows, columns = np.mgrid[: SHAPE[0] : STEP, : SHAPE[1] : STEP]
+    labels = np.ones(rows.shape, np.int32)
+    labels[:, 40:], labels[20:24, 10:14] = 2, 0
+    lattice = SurfaceLattice([surface, surface], STEP)
+    now = lattice.image(np.ones(rows.shape, np.int32)) + 0.01 * labels + 1e-4 * columns
+    now += 1e-3 * rng.standard_normal(rows.shape)
+    moved = moved_surfaces([surface, surface], lattice, labels, now.astype(np.float32), 2.5e-3)
+    found = SurfaceLattice(moved, STEP)
+    for label in (1, 2):
+        own = np.full(rows.shape, label, np.int32)
+        # Away from other labels, whose places tell nothing; noise is far within the limit.
+        inner = cv2.erode((labels == label).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        terms = np.column_stack([np.ones(inner.sum()), columns[inner], rows[inner]])
+        change = (now - lattice.image(own))[inner]
+        fitted = terms @ np.linalg.lstsq(terms, change, rcond=None)[0]
+        assert (found.image(own) - lattice.image(own))[inner] == pytest.approx(fitted, abs=2e-4)
+
+
+def test_labels_stay_and_grow_only_where_their_surface_explains() -> None:
+    lattice = SurfaceLattice([fitted(np.full(SHAPE, 0.8))], STEP)
+    limits = np.array([0, 0.025], np.float32)
+    labels = np.ones((48, 64), np.int32)
+    labels[10:18, 10:30] = 0
+    per_m = np.full(labels.shape, 0.8, np.float32)
+    per_m[15:25, 15:25] = 1.1
+    # Without a point there is no label.
+    per_m[12, 12] = 0.0
+    kept = kept_labels(labels, per_m, lattice, limits)
+    assert np.array_equal(kept, labels * (per_m == np.float32(0.8)))
+    grown = grown_labels(kept, per_m, lattice, limits)
+    assert np.array_equal(grown, per_m == np.float32(0.8))
+
+
+def test_pixels_follow_their_place_of_the_grid_where_it_was_decided_anew() -> None:
+    before = np.array([[1, 1, 2, 2, 2], [1, 2, 2, 2, 2], [1, 1, 1, 1, 2]], np.uint16)
+    on_grid = np.array([[1, 3, 2], [1, 1, 0]], np.int32)
+    per_m = np.ones(before.shape, np.float32)
+    per_m[1, 3] = 0.0
+    found = spread_to_pixels(before, on_grid, per_m, 2)
+    assert found.tolist() == [[1, 1, 3, 3, 2], [1, 2, 3, 0, 2], [1, 1, 1, 1, 0]]
+
+
+def test_borders_go_to_the_surface_that_explains_the_pixels() -> None:
+    near, far = fitted(np.full(SHAPE, 1.0)), fitted(np.full(SHAPE, 0.8))
+    columns = np.arange(SHAPE[1])
+    truth = np.broadcast_to(np.where(columns < 64, 1, 2), SHAPE).astype(np.uint16)
+    per_m = np.where(truth == 1, 1.0, 0.8).astype(np.float32)
+    labels = np.broadcast_to(np.where(columns < 61, 1, 2), SHAPE).astype(np.uint16)
+    lattice = SurfaceLattice([near, far], STEP)
+    for _ in range(3):
+        settled = settled_borders(labels, per_m, lattice, noise_per_m=2.5e-3, gap_per_m=0.025)
+        # One column in a pass, the one beside the border.
+        assert (settled != labels).sum() == SHAPE[0]
+        labels = settled
+    assert np.array_equal(labels, truth)
+
+
+def test_one_pass_takes_the_cheapest_of_three_labels() -> None:
+    rng = np.random.default_rng(5)
+    lattice = SurfaceLattice([fitted(np.full(SHAPE, value)) for value in (1.0, 1.003, 0.9)], STEP)
+    labels = rng.integers(0, 4, SHAPE).astype(np.uint16)
+    labels[:, 64:] = 2
+    per_m = (1.0 + 0.004 * rng.standard_normal(SHAPE)).astype(np.float32)
+    per_m[rng.random(SHAPE) < 0.05] = 0.0
+    settled = settled_borders(labels, per_m, lattice, noise_per_m=2.5e-3, gap_per_m=0.006)
+    for r, c in zip(*(rng.integers(0, extent, 300) for extent in SHAPE), strict=True):
+        near = [
+            (y, x)
+            for y in range(max(r - 1, 0), min(r + 2, SHAPE[0]))
+            for x in range(max(c - 1, 0), min(c + 2, SHAPE[1]))
+        ]
+        around = {int(labels[at]) for at in near} - {0}
+        expected = int(labels[r, c])
+        if per_m[r, c] > 0 and len(around) > 1:
+            cost = {}
+            for label in dict.fromkeys(each for each in (expected, max(around), min(around)) if each):
+                residual = ((1.0, 1.003, 0.9)[label - 1] - per_m[r, c]) / 2.5e-3
+                cost[label] = min(residual**2, 16.0)
+                for at in near:
+                    if at != (r, c) and labels[at] == label:
+                        vote = 1.4 / np.hypot(at[0] - r, at[1] - c)
+                        cost[label] -= vote if abs(per_m[at] - per_m[r, c]) < 0.006 else 0.25 * vote
+            expected = min(cost, key=lambda each: cost[each])
+        assert settled[r, c] == expected
+
+
+def test_values_are_carried_along_the_motion() -> None:
+    rng = np.random.default_rng(0)
+    texture = np.kron(rng.integers(0, 255, (16, 24, 1)), np.ones((8, 8, 3))).astype(np.uint8)
+    labels = np.kron(np.arange(1, 16 * 24 + 1).reshape(16, 24), np.ones((8, 8))).astype(np.uint16)
+    before, now = texture[:, :180], texture[:, 4:184]
+    flow = flow_back(
+        brightness(np.ascontiguousarray(now), STEP), brightness(np.ascontiguousarray(before), STEP)
+    )
+    found = carried(np.ascontiguousarray(labels[:, :180]), flow)
+    inside = np.s_[16:-16, 16:-16]
+    assert np.mean(found[inside] == labels[:, 4:184][inside]) > 0.9
+    # What comes into view has no label.
+    assert (carried(labels, np.full((*labels.shape, 2), 1000.0, np.float32)) == 0).all()
+
+
+def test_values_come_from_the_pixel_nearest_to_where_the_flow_points() -> None:
+    rng = np.random.default_rng(7)
+    image = rng.integers(1, 60000, (50, 70)).astype(np.uint16)
+    flow = cv2.GaussianBlur(rng.normal(0, 40, (25, 35, 2)).astype(np.float32), (0, 0), 4)
+    wide = 2 * cv2.resize(flow, (70, 50), interpolation=cv2.INTER_LINEAR)
+    rows, columns = np.mgrid[:50, :70]
+    v, u = (np.rint(at + wide[..., axis]).astype(int) for axis, at in ((1, rows), (0, columns)))
+    inside = (v >= 0) & (v < 50) & (u >= 0) & (u < 70)
+    expected = np.where(inside, image[v.clip(0, 49), u.clip(0, 69)], 0)
+    # Between two pixels either is the nearest.
+    assert np.mean(carried(image, flow) == expected) > 0.998
+
+
+def test_small_images_stand_still() -> None:
+    tiny = np.zeros((20, 20), np.uint8)
+    assert not flow_back(tiny, tiny).any()

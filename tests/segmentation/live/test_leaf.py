@@ -1,0 +1,101 @@
+"""How well the surfaces of living leaves explain their places, against plain sums."""
+
+import numpy as np
+import pytest
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.live.leaf import LiveLeaf, misfit, remeasured
+from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.segmentation.segments import Node
+from nurbseg.segmentation.surfaces.inverse_depth import DepthGrid, depth_grid, fit_window
+from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
+from nurbseg.segmentation.surfaces.surface import evaluate
+
+SHAPE = (60, 80)
+NOISE = 2.5e-3
+CONFIG = SegmentationConfig(decimation=2, noise_per_m=NOISE, large_error_m=0.004)
+
+
+@pytest.fixture
+def grid() -> DepthGrid:
+    """A noisy slope with some points far off, and some missing."""
+    rng = np.random.default_rng(0)
+    rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    per_m = 0.8 + 1e-3 * columns + NOISE * rng.standard_normal(SHAPE)
+    per_m[rng.random(SHAPE) < 0.1] += 0.05
+    per_m[50:54, 20:30] = np.nan
+    depth = 1.0 / per_m
+    points = np.dstack([(columns - 39.5) / 70 * depth, (rows - 29.5) / 70 * depth, depth])
+    return depth_grid(
+        PointMap(points.astype(np.float32), np.zeros((*SHAPE, 3), np.uint8), np.ones(SHAPE, np.bool_)), 2
+    )
+
+
+@pytest.fixture
+def labels(grid: DepthGrid) -> np.ndarray:
+    """Two halves, a line that is rim all over, and nothing where there is no point."""
+    labels = np.where(np.arange(40) < 20, 1, 2) * np.ones((30, 1), np.int32)
+    labels[:, 30] = 3
+    return (labels * grid.valid).astype(np.int32)
+
+
+def leaves_of(grid: DepthGrid, labels: np.ndarray) -> list[LiveLeaf]:
+    """Leaves with their surfaces; the last has one that does not reach them."""
+    leaves = []
+    for label in (1, 2, 3):
+        mask = labels == (label if label < 3 else 1)
+        mask[:, 15:20] &= label < 3
+        columns = np.flatnonzero(mask.any(axis=0))
+        window = (0, int(columns[0]), 30, int(columns[-1]) + 1)
+        fit, _ = fit_window(grid, window, mask[:, window[1] : window[3]], CONFIG)
+        leaves.append(LiveLeaf(Node(str(label), np.flatnonzero(mask), fit), label))
+    return leaves
+
+
+def test_misfits_are_means_over_the_inner_places_or_all_where_there_are_few(
+    grid: DepthGrid, labels: np.ndarray
+) -> None:
+    lattice = SurfaceLattice([leaf.surface for leaf in leaves_of(grid, labels)], 2)
+    found = misfit(labels, lattice, grid, NOISE, 3)
+    padded = np.pad(labels, 1, mode="edge")
+    inner = labels > 0
+    for down in range(3):
+        for across in range(3):
+            inner &= padded[down : down + 30, across : across + 40] == labels
+    assert np.array_equal(found.inner, inner)
+    residual = np.where(labels > 0, np.abs(lattice.image(labels) - grid.per_m), 0) / NOISE
+    assert found.deviations == pytest.approx(np.minimum(residual, 4.0), rel=1e-4)
+    for label in (1, 2, 3):
+        own = labels == label
+        assert found.places[label] == own.sum()
+        judged = np.minimum(residual[own & inner if label < 3 else own], 4.0)
+        assert found.square[label] == pytest.approx(np.mean(judged**2), rel=1e-3)
+        assert found.far[label] == pytest.approx(np.mean(judged > 3), rel=1e-3)
+        assert found.unreached[label] == pytest.approx(np.mean(np.isinf(residual[own])))
+    assert found.unreached[3] == 1.0
+
+
+def test_leaves_are_measured_along_the_rays(grid: DepthGrid, labels: np.ndarray) -> None:
+    leaves = leaves_of(grid, labels)
+    lattice = SurfaceLattice([leaf.surface for leaf in leaves], 2)
+    remeasured(leaves, labels, lattice, grid, CONFIG)
+    points = grid.points.coordinates_m.reshape(3, -1).T
+    for leaf in leaves:
+        places = np.flatnonzero(labels == leaf.number)
+        assert np.array_equal(leaf.node.places, places)
+        fit = leaf.node.fit
+        assert np.array_equal(fit.pixels, (places // 40 * 80 + places % 40) * 2)
+        if leaf.number < 3:
+            assert leaf.surface is not None
+            on_surface = evaluate(leaf.surface, fit.pixels % 80, fit.pixels // 80)
+            expected = np.linalg.norm(on_surface - points[places], axis=1)
+            per_m = np.abs(1 / on_surface[:, 2] - grid.per_m.ravel()[places])
+        else:
+            expected = points[places, 2] ** 2 * 4 * NOISE
+            per_m = np.full(places.size, 4 * NOISE)
+        assert fit.residuals_m == pytest.approx(expected, abs=1e-6)
+        assert leaf.rms_per_m == pytest.approx(np.sqrt(np.mean(np.minimum(per_m, 4 * NOISE) ** 2)), rel=1e-4)
+        assert fit.values["mae"] == pytest.approx(expected.mean(), rel=1e-4)
+        assert fit.values["mse"] == pytest.approx(np.mean(expected**2), rel=1e-4)
+        assert fit.values["ve"] == pytest.approx(expected.var(), rel=1e-3)
+        assert fit.values["nle"] == np.count_nonzero(fit.residuals_m > 0.004)

@@ -1,0 +1,228 @@
+"""The live tree: what stays, what comes and goes, and what makes it begin anew."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.live.tree import Budget, LiveTree, lives
+from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.segmentation.stag15 import SegmentationTree, segment
+
+SHAPE = (120, 160)
+FOCAL = 130.0
+CONFIG = SegmentationConfig(method="nurbseg", level="surfaces", samples=60)
+Box = tuple[int, int, int, int]
+
+
+def scene(*boxes: Box, noise: int | None = 0, wall_m: float = 1.6, shift: int = 0) -> PointMap:
+    """Boxes (left, top, width, height) 1 m away, before a tilted wall; a pattern tells the motion."""
+    rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
+    depth = wall_m + 0.001 * (columns + shift)
+    pattern = 110 + 50 * np.sin((columns + shift) / 5.0) * np.cos(rows / 4.0)
+    color = np.repeat(pattern[..., np.newaxis], 3, axis=2)
+    for left, top, width, height in boxes:
+        left -= shift
+        inside = (columns >= left) & (columns < left + width) & (rows >= top) & (rows < top + height)
+        depth[inside] = 1.0
+        color[inside] = (200, 60, 40)
+        color[inside, 1] += 40 * np.sin((columns - left) / 3.0)[inside]
+    if noise is not None:
+        depth = 1 / (1 / depth + 1e-3 * np.random.default_rng(noise).standard_normal(SHAPE))
+    points = np.dstack([(columns - 79.5) / FOCAL * depth, (rows - 59.5) / FOCAL * depth, depth])
+    return PointMap(
+        points.astype(np.float32), color.clip(0, 255).astype(np.uint8), np.ones(SHAPE, dtype=np.bool_)
+    )
+
+
+BOX = (40, 40, 40, 40)
+
+
+def inside(box: Box, shift: int = 0) -> tuple[slice, slice]:
+    """The pixels of a box but for its rim."""
+    left, top, width, height = box
+    return slice(top + 3, top + height - 3), slice(left - shift + 3, left - shift + width - 3)
+
+
+def only(values: np.ndarray) -> int:
+    """The one value of an image."""
+    (value,) = np.unique(values)
+    return int(value)
+
+
+@pytest.fixture
+def tree() -> LiveTree:
+    """A live tree that has seen a wall and a box."""
+    live = LiveTree(CONFIG)
+    live.segment(scene(BOX))
+    assert live.revision.cold == "the first frame"
+    return live
+
+
+def test_the_first_frame_is_that_of_a_frame_alone() -> None:
+    found = LiveTree(CONFIG).segment(scene(BOX))
+    alone = segment(scene(BOX), CONFIG)
+    assert np.array_equal(found.label_image(), alone.label_image())
+    assert [each.name for each in found.segments] == [each.name for each in alone.segments]
+
+
+def test_a_scene_that_stands_still_keeps_its_labels(tree: LiveTree) -> None:
+    first = tree.segment(scene(BOX))
+    for _ in range(5):
+        again = tree.segment(scene(BOX))
+        assert np.array_equal(again.label_image(), first.label_image())
+        assert tree.revision.cold == ""
+        assert tree.revision.splits == tree.revision.folds == 0
+
+
+def test_noise_moves_no_more_than_the_rims(tree: LiveTree) -> None:
+    first = tree.segment(scene(BOX)).label_image()
+    for noise in range(1, 6):
+        labels = tree.segment(scene(BOX, noise=noise)).label_image()
+        assert np.mean(labels == first) > 0.99
+
+
+def test_labels_go_with_the_camera(tree: LiveTree) -> None:
+    box = only(tree.segment(scene(BOX)).label_image()[inside(BOX)])
+    for shift in range(2, 22, 2):
+        labels = tree.segment(scene(BOX, noise=shift, shift=shift)).label_image()
+        assert tree.revision.cold == ""
+        assert only(labels[inside(BOX, shift)]) == box
+        assert labels[60, 5] != box
+
+
+def test_surfaces_move_with_what_they_explain(tree: LiveTree) -> None:
+    for frame in range(1, 8):
+        found = tree.segment(scene(BOX, noise=frame, wall_m=1.6 - 0.01 * frame), Budget(refits=0, trials=0))
+        assert tree.revision.cold == ""
+        assert tree.revision.refits == 0
+        for leaf in found.leaves():
+            # A thousandth of inverse depth is the noise: 1 mm at the box, 3 mm at the wall.
+            assert np.sqrt(leaf.fit.values["mse"]) < 5e-3
+
+
+def test_what_appears_gets_a_leaf_of_its_own_and_what_goes_loses_it(tree: LiveTree) -> None:
+    new = (100, 30, 30, 50)
+    with_one = tree.segment(scene(BOX, noise=1))
+    box = only(with_one.label_image()[inside(BOX)])
+    found = tree.segment(scene(BOX, new, noise=2))
+    assert tree.revision.cold == ""
+    assert len(found.leaves()) == len(with_one.leaves()) + 1
+    labels = found.label_image()
+    assert only(labels[inside(new)]) not in (only(labels[inside(BOX)]), labels[10, 10])
+    for noise in range(3, 6):
+        found = tree.segment(scene(BOX, noise=noise))
+    assert tree.revision.cold == ""
+    assert len(found.leaves()) == len(with_one.leaves())
+    labels = found.label_image()
+    assert only(labels[inside(BOX)]) == box
+    assert only(labels[inside(new)]) == labels[10, 10]
+    consistent(found)
+
+
+def consistent(tree: SegmentationTree) -> None:
+    """Hold a tree against its own rules."""
+    names = {each.name: each for each in tree.segments}
+    assert len(names) == len(tree.segments)
+    for each in tree.segments:
+        assert each.parent is None or each.name in names[each.parent].children
+        if each.children:
+            sizes = [names[child].pixels.size for child in each.children]
+            assert each.pixels.size == sum(sizes)
+            assert each.stop is None
+        else:
+            assert each.stop is not None
+    assert tree.segments[0].name == ""
+
+
+@pytest.mark.parametrize("turn", range(3))
+def test_the_tree_stays_one_whatever_comes_and_goes(turn: int) -> None:
+    rng = np.random.default_rng(turn)
+    live = LiveTree(CONFIG)
+    for frame in range(12):
+        boxes = [
+            (int(rng.integers(5, 100)), int(rng.integers(5, 70)), 35, 35)
+            for _ in range(int(rng.integers(0, 3)))
+        ]
+        found = live.segment(scene(*boxes, noise=frame))
+        consistent(found)
+        labels = found.label_image()
+        assert (labels > 0).all()
+        assert set(np.unique(labels)) == set(range(1, len(found.leaves()) + 1))
+
+
+def test_another_scene_is_segmented_anew(tree: LiveTree) -> None:
+    other = scene((10, 10, 120, 90), noise=5, wall_m=3.0)
+    found = tree.segment(other)
+    assert tree.revision.cold == "another scene"
+    assert np.array_equal(found.label_image(), segment(other, CONFIG).label_image())
+    tree.segment(other)
+    assert tree.revision.cold == ""
+
+
+@pytest.mark.parametrize("step", [1, 3])
+def test_a_frame_is_segmented_anew_on_the_grid_of_the_budget(tree: LiveTree, step: int) -> None:
+    other = scene((10, 10, 120, 90), noise=5, wall_m=3.0)
+    found = tree.segment(other, Budget(decimation=step))
+    assert (tree.revision.cold, tree.revision.step) == ("another scene", step)
+    alone = segment(other, replace(CONFIG, decimation=step))
+    assert np.array_equal(found.label_image(), alone.label_image())
+    # The tree lives on from there, on that grid and on another one.
+    for following in (step, 2):
+        again = tree.segment(other, Budget(decimation=following))
+        assert (tree.revision.cold, tree.revision.step) == ("", following)
+        assert np.mean(again.label_image() == found.label_image()) > 0.98
+
+
+def test_images_of_another_size_are_segmented_anew(tree: LiveTree) -> None:
+    whole = scene(BOX)
+    part = PointMap(
+        *(np.ascontiguousarray(each[:100]) for each in (whole.points_m, whole.color, whole.colored))
+    )
+    assert tree.segment(part).shape == (100, 160)
+    assert tree.revision.cold == "images of another size"
+
+
+@pytest.mark.parametrize("refits", [0, 1, 2])
+def test_the_budget_is_kept(tree: LiveTree, refits: int) -> None:
+    for frame in range(4):
+        tree.segment(scene(BOX, noise=frame), Budget(refits=refits, trials=0, folds=0))
+        assert tree.revision.refits <= refits
+        assert tree.revision.trials == tree.revision.folds == 0
+
+
+def test_the_same_frames_give_the_same_trees() -> None:
+    def run() -> list[np.ndarray]:
+        live = LiveTree(CONFIG)
+        return [live.segment(scene(BOX, noise=n, shift=n)).label_image() for n in range(5)]
+
+    for one, two in zip(run(), run(), strict=True):
+        assert np.array_equal(one, two)
+
+
+def test_a_frame_without_depth_is_survived(tree: LiveTree) -> None:
+    whole = scene(BOX)
+    nothing = PointMap(np.full_like(whole.points_m, np.nan), whole.color, whole.colored)
+    assert not tree.segment(nothing).label_image().any()
+    assert (tree.segment(whole).label_image() > 0).all()
+
+
+def test_only_the_default_method_lives() -> None:
+    assert lives(CONFIG)
+    for config in (replace(CONFIG, method="stag15"), replace(CONFIG, fit_of="xyz")):
+        assert not lives(config)
+        with pytest.raises(ValueError, match="nurbseg"):
+            LiveTree(config)
+
+
+def test_a_split_that_one_surface_explains_is_undone() -> None:
+    flat = scene(noise=1, wall_m=1.2)
+    live = LiveTree(CONFIG)
+    alone = live.segment(flat)
+    before = len(alone.leaves())
+    live.segment(scene(BOX, noise=2, wall_m=1.2))
+    live.segment(scene(BOX, noise=3, wall_m=1.2))
+    for frame in range(4, 20):
+        found = live.segment(scene(noise=frame, wall_m=1.2))
+    assert len(found.leaves()) <= before

@@ -1,0 +1,63 @@
+import cv2
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.interpolate import BSpline
+
+from nurbseg.segmentation.points.rays import rays_of
+from nurbseg.segmentation.points.registration import PointMap
+
+SIZE = (60, 80)
+
+
+def test_rays_of_a_perfect_lens_are_found_to_rounding(cloud_of):
+    rng = np.random.default_rng(0)
+    depth = rng.uniform(0.5, 3.0, SIZE)
+    depth[rng.random(SIZE) < 0.3] = np.nan
+    rays = rays_of(cloud_of(depth))
+    assert rays.focal_px == pytest.approx((64.0, 64.0), rel=1e-5)
+    x, y = rays.lattice(np.arange(80.0), np.arange(60.0))
+    assert_allclose(x, np.broadcast_to((np.arange(80) - 39.5) / 64, SIZE), atol=1e-6)
+    assert_allclose(y, np.broadcast_to((np.arange(60)[:, np.newaxis] - 29.5) / 64, SIZE), atol=1e-6)
+    assert not rays.coefficients[:, 2:].any()
+
+
+def test_rays_of_a_real_lens_are_followed_to_a_fraction_of_a_pixel():
+    camera = np.array([[525.0, 0, 319.5], [0, 525.0, 239.5], [0, 0, 1]])
+    rows, columns = np.mgrid[:480, :640]
+    pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2).astype(np.float64)
+    lens = np.array([0.05, -0.12, 0.001, -0.0008])
+    straight = cv2.undistortPoints(pixels, camera, lens).reshape(*rows.shape, 2)
+    points = np.dstack([straight, np.ones((480, 640))]).astype(np.float32)
+    cloud = PointMap(points, np.zeros((480, 640, 3), np.uint8), np.isfinite(points[..., 2]))
+    x, y = rays_of(cloud).lattice(np.arange(640.0), np.arange(480.0))
+    error_px = 525 * np.hypot(x - straight[..., 0], y - straight[..., 1])
+    assert error_px.max() < 0.5
+    assert np.sqrt(np.mean(error_px**2)) < 0.05
+
+
+def test_control_values_make_splines_that_are_the_rays(cloud_of):
+    rays = rays_of(cloud_of(np.ones(SIZE)))
+    rng = np.random.default_rng(1)
+    cubic = np.zeros((2, 6, 6))
+    cubic[:, :4, :4] = rng.normal(size=(2, 4, 4))
+    rays = type(rays)(cubic, rays.center, rays.scale)
+    knots_u = np.array([0.0, 0, 0, 0, 11, 30, 30.5, 79, 79, 79, 79])
+    knots_v = np.array([-3.0, -2, 1, 5, 20, 44, 60, 61, 64])
+    control = rays.control_values(knots_u, knots_v)
+    u, v = np.linspace(0, 79, 31), np.linspace(5, 44, 23)
+    for image, expected in zip(control, rays.lattice(u, v), strict=True):
+        along_v = BSpline(knots_v, image, 3)(v)
+        assert_allclose(BSpline(knots_u, along_v.T, 3)(u).T, expected, atol=1e-9)
+
+
+def test_scattered_rays_agree_with_those_of_the_lattice(cloud_of):
+    rays = rays_of(cloud_of(np.ones(SIZE)))
+    u, v = np.arange(5.0), np.arange(5.0) * 3
+    for scattered, lattice in zip(rays.at(u, v), rays.lattice(u, v), strict=True):
+        assert_allclose(scattered, np.diagonal(lattice))
+
+
+def test_a_frame_without_points_has_no_focal_length(cloud_of):
+    rays = rays_of(cloud_of(np.full(SIZE, np.nan)))
+    assert rays.focal_px == (np.inf, np.inf)

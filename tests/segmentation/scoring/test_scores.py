@@ -1,0 +1,173 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from nurbseg.segmentation.scoring.boundaries import boundary_scores
+from nurbseg.segmentation.scoring.scores import (
+    Contingency,
+    object_iou,
+    rand_index,
+    region_covering,
+    variation_of_information,
+)
+
+
+@st.composite
+def label_pairs(draw):
+    shape = draw(st.tuples(st.integers(1, 20), st.integers(2, 20)))
+    maps = []
+    for _ in range(2):
+        most = draw(st.integers(1, 12))
+        maps.append(draw(arrays.arrays(np.uint16, shape, elements=st.integers(0, most))))
+    labels, truth = maps
+    labels[0, :2], truth[0, :2] = 1, 1
+    return labels, truth
+
+
+def both_labelled(labels, truth):
+    both = (labels > 0) & (truth > 0)
+    return labels[both], truth[both]
+
+
+def direct_overlaps(labels, truth):
+    labels, truth = both_labelled(labels, truth)
+    regions = []
+    for region in np.unique(truth):
+        best = 0.0
+        for segment in np.unique(labels):
+            common = np.sum((truth == region) & (labels == segment))
+            best = max(best, common / np.sum((truth == region) | (labels == segment)))
+        regions.append((np.sum(truth == region), best))
+    return regions
+
+
+@settings(max_examples=200, deadline=None)
+@given(label_pairs())
+def test_scores_agree_with_independent_computations(pair):
+    from skimage.metrics import variation_of_information as peer_information
+    from sklearn.metrics import rand_score
+
+    labels, truth = pair
+    left = both_labelled(labels, truth)
+    assert rand_index(labels, truth) == pytest.approx(rand_score(*left), abs=1e-9)
+    over, under = peer_information(left[1], left[0])
+    counts = Contingency.between(labels, truth)
+    assert variation_of_information(labels, truth) == pytest.approx(under + over, abs=1e-9)
+    assert counts.over_segmentation_bits() == pytest.approx(over, abs=1e-9)
+    assert counts.under_segmentation_bits() == pytest.approx(under, abs=1e-9)
+    regions = direct_overlaps(labels, truth)
+    covering = sum(size * best for size, best in regions) / sum(size for size, _ in regions)
+    assert region_covering(labels, truth) == pytest.approx(covering, abs=1e-9)
+    largest = max(range(len(regions)), key=lambda i: regions[i][0])
+    others = [best for i, (_, best) in enumerate(regions) if i != largest]
+    expected = np.mean(others) if others else np.nan
+    assert object_iou(labels, truth) == pytest.approx(expected, abs=1e-9, nan_ok=True)
+
+
+@settings(max_examples=50, deadline=None)
+@given(label_pairs(), st.randoms(use_true_random=False))
+def test_scores_do_not_depend_on_what_labels_are_called(pair, random):
+    labels, truth = pair
+    names = list(range(1, 60_000, 977))
+    random.shuffle(names)
+    renamed = np.array([0, *names], dtype=np.uint16)[labels]
+    for score in (rand_index, region_covering, variation_of_information):
+        assert score(renamed, truth) == pytest.approx(score(labels, truth), abs=1e-12)
+
+
+def test_equal_maps_score_best():
+    truth = np.array([[1, 1, 2], [3, 3, 0]], dtype=np.uint16)
+    assert rand_index(truth, truth) == 1.0
+    assert region_covering(truth, truth) == 1.0
+    assert variation_of_information(truth, truth) == 0.0
+    assert object_iou(truth, truth) == 1.0
+
+
+def test_scores_of_a_map_worked_out_by_hand():
+    truth = np.array([[1, 1, 1, 1, 2, 2, 0]])
+    labels = np.array([[5, 5, 7, 7, 7, 7, 9]])
+    # Pairs: 15; apart or joined in both: {12}, {34}, {56}, and 1-2 against 5-6: 3 + 4.
+    assert rand_index(labels, truth) == pytest.approx(7 / 15)
+    assert region_covering(labels, truth) == pytest.approx((4 * 0.5 + 2 * 0.5) / 6)
+    assert object_iou(labels, truth) == pytest.approx(0.5)
+    assert variation_of_information(labels, truth) == pytest.approx(4 / 6 + 4 / 6)
+    counts = Contingency.between(labels, truth)
+    assert counts.over_segmentation_bits() == pytest.approx(4 / 6)
+    assert counts.under_segmentation_bits() == pytest.approx(4 / 6)
+    assert counts.found_regions() == 0
+    assert counts.found_regions(overlap_min=0.4) == 2
+
+
+def test_over_and_under_segmentation_are_told_apart():
+    whole, torn = np.ones((4, 4), dtype=np.uint16), np.arange(1, 17, dtype=np.uint16).reshape(4, 4)
+    assert Contingency.between(torn, whole).over_segmentation_bits() == pytest.approx(4.0)
+    assert Contingency.between(torn, whole).under_segmentation_bits() == pytest.approx(0.0)
+    assert Contingency.between(whole, torn).under_segmentation_bits() == pytest.approx(4.0)
+
+
+def test_one_pixel_is_a_perfect_partition():
+    assert rand_index(np.array([[3]]), np.array([[8]])) == 1.0
+
+
+def test_a_single_region_has_no_objects():
+    assert np.isnan(object_iou(np.array([[1, 2]]), np.array([[1, 1]])))
+
+
+def test_very_large_labels_take_no_memory_of_their_size():
+    labels = np.array([[1, 2**40, 2**40]])
+    assert rand_index(labels, np.array([[1, 2, 2]])) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("labels", "truth", "message"),
+    [
+        (np.ones((2, 2), np.uint16), np.ones((2, 3), np.uint16), "one shape"),
+        (np.ones((2, 2)), np.ones((2, 2), np.uint16), "labels: expected integers"),
+        (np.ones((2, 2), np.int32), -np.ones((2, 2), np.int32), "truth: expected labels from 0"),
+        (np.array([[1, 0]]), np.array([[0, 1]]), "labelled in both"),
+    ],
+)
+def test_unusable_maps_are_refused(labels, truth, message):
+    with pytest.raises(ValueError, match=message):
+        rand_index(labels, truth)
+
+
+def halves(column):
+    image = np.ones((20, 40), dtype=np.uint16)
+    image[:, column:] = 2
+    return image
+
+
+@pytest.mark.parametrize(("shift", "expected"), [(0, 1.0), (2, 1.0), (3, 0.0)])
+def test_a_boundary_counts_up_to_two_pixels_away(shift, expected):
+    scores = boundary_scores(halves(20 + shift), halves(20))
+    assert scores == (expected, expected)
+
+
+def test_a_boundary_too_many_lowers_precision_only():
+    labels = halves(20)
+    labels[:, 35:] = 3
+    assert boundary_scores(labels, halves(20)) == (0.5, 1.0)
+
+
+def test_without_boundaries_there_is_nothing_to_judge():
+    flat = np.ones((20, 40), dtype=np.uint16)
+    precision, recall = boundary_scores(flat, halves(20))
+    assert np.isnan(precision) and recall == 0.0
+
+
+def test_boundaries_beside_unlabelled_pixels_are_not_judged():
+    truth = halves(20)
+    truth[:, 8:12] = 0
+    labels = halves(20)
+    labels[:, :10] = 3
+    assert boundary_scores(labels, truth) == (1.0, 1.0)
+
+
+def test_boundaries_of_maps_that_do_not_match_are_refused():
+    with pytest.raises(ValueError, match="one shape"):
+        boundary_scores(halves(3), halves(3)[:, 1:])
+    with pytest.raises(ValueError, match="tolerance_px"):
+        boundary_scores(halves(3), halves(3), tolerance_px=-1)

@@ -1,0 +1,92 @@
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.segmentation.surfaces.curvature import all_metrics, curvatures_at_pixels, principal_curvatures
+from nurbseg.segmentation.surfaces.metrics import METRICS
+from nurbseg.segmentation.surfaces.surface import NurbsSurface, fit_surface
+
+
+def graph_cloud(height_of, size: int = 81, half_m: float = 0.1) -> PointMap:
+    """Points (x, y, f(x, y)) + 1 m in front of the camera, on a regular grid of x and y."""
+    axis = np.linspace(-half_m, half_m, size)
+    x, y = np.meshgrid(axis, axis)
+    points = np.stack([x, y, 1.0 + height_of(x, y)], axis=-1).astype(np.float32)
+    return PointMap(points, np.zeros((size, size, 3), dtype=np.uint8), np.ones((size, size), dtype=bool))
+
+
+def interior(size: int = 81) -> np.ndarray:
+    rows, columns = np.mgrid[10 : size - 10, 10 : size - 10]
+    return (rows * size + columns).ravel()
+
+
+def curvatures_of(height_of) -> tuple[np.ndarray, np.ndarray]:
+    cloud = graph_cloud(height_of)
+    fit = fit_surface(cloud, np.arange(81 * 81), SegmentationConfig())
+    assert fit.surface is not None
+    return curvatures_at_pixels(fit.surface, interior(), 81)
+
+
+def test_a_sphere_has_one_over_its_radius_everywhere():
+    k1, k2 = curvatures_of(lambda x, y: 0.3 - np.sqrt(0.09 - x**2 - y**2))
+    assert_allclose(np.abs(k1), 1 / 0.3, rtol=0.01)
+    assert_allclose(np.abs(k2), 1 / 0.3, rtol=0.01)
+    assert_allclose(k1 * k2, 1 / 0.09, rtol=0.01)
+
+
+def test_a_cylinder_has_one_over_its_radius_and_zero():
+    k1, k2 = curvatures_of(lambda x, y: 0.2 - np.sqrt(0.04 - x**2))
+    largest, least = np.maximum(np.abs(k1), np.abs(k2)), np.minimum(np.abs(k1), np.abs(k2))
+    assert_allclose(largest, 5.0, rtol=0.01)
+    assert_allclose(least, 0.0, atol=0.02)
+
+
+def test_a_saddle_has_opposite_curvatures_in_its_middle():
+    cloud = graph_cloud(lambda x, y: 2.0 * (x**2 - y**2))
+    fit = fit_surface(cloud, np.arange(81 * 81), SegmentationConfig())
+    assert fit.surface is not None
+    k1, k2 = principal_curvatures(fit.surface, np.array([40.0]), np.array([40.0]))
+    assert_allclose([k1[0], k2[0]], [4.0, -4.0], rtol=1e-3)
+
+
+def test_a_rational_cylinder_is_exact():
+    arc = np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * 0.25
+    control = np.zeros((2, 3, 3))
+    control[..., :2] = arc
+    control[1, :, 2] = 2.0
+    weights = np.tile([1.0, np.sqrt(0.5), 1.0], (2, 1))
+    knots_u, knots_v = np.array([0.0, 0, 0, 1, 1, 1]), np.array([0.0, 0, 1, 1])
+    surface = NurbsSurface((2, 1), knots_u, knots_v, control, weights, (0, 0, 2, 2))
+    k1, k2 = principal_curvatures(surface, np.linspace(0, 1, 11), np.linspace(0, 1, 11))
+    assert_allclose(np.maximum(np.abs(k1), np.abs(k2)), 4.0, rtol=1e-10)
+    assert_allclose(np.minimum(np.abs(k1), np.abs(k2)), 0.0, atol=1e-10)
+
+
+def test_pixels_and_scattered_parameters_agree():
+    cloud = graph_cloud(lambda x, y: 0.5 * x * y + x**3)
+    fit = fit_surface(cloud, np.arange(81 * 81), SegmentationConfig())
+    assert fit.surface is not None
+    pixels = np.array([5, 400, 3000, 6000])
+    at_pixels = curvatures_at_pixels(fit.surface, pixels, 81)
+    scattered = principal_curvatures(fit.surface, pixels % 81, pixels // 81)
+    assert_allclose(at_pixels, scattered, atol=1e-9)
+
+
+def test_a_surface_without_a_tangent_plane_has_no_curvature():
+    knots = np.array([0.0, 0, 0, 0, 1, 1, 1, 1])
+    surface = NurbsSurface((3, 3), knots, knots, np.ones((4, 4, 3)), np.ones((4, 4)), (0, 0, 2, 2))
+    k1, k2 = principal_curvatures(surface, np.array([0.5]), np.array([0.5]))
+    assert np.isnan(k1).all()
+    assert np.isnan(k2).all()
+
+
+def test_all_nine_metrics_of_a_sphere():
+    cloud = graph_cloud(lambda x, y: 0.05 - np.sqrt(0.0025 - np.minimum(x**2 + y**2, 0.001)), half_m=0.02)
+    fit = fit_surface(cloud, interior(), SegmentationConfig())
+    values = all_metrics(fit, 81, SegmentationConfig(large_curvature_per_m=15.0))
+    assert tuple(values) == METRICS
+    assert values["mmxc"] == pytest.approx(20.0, rel=0.03)
+    assert values["nlc"] == interior().size
+    assert values["vmxc"] < 1.0

@@ -1,0 +1,111 @@
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.points.rays import rays_of
+from nurbseg.segmentation.surfaces.bspline import averaged_knots, basis_matrix
+from nurbseg.segmentation.surfaces.inverse_depth import (
+    depth_grid,
+    fit_window,
+    inverse_depth_lattice,
+    rational_surface,
+)
+from nurbseg.segmentation.surfaces.surface import evaluate, evaluate_lattice
+
+SIZE = (60, 80)
+WHOLE = (0, 0, *SIZE)
+CONFIG = SegmentationConfig(decimation=1)
+
+
+def plane(slope_u: float = 0.004, slope_v: float = -0.003) -> np.ndarray:
+    rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
+    return 1.0 / (0.8 + slope_u * columns + slope_v * rows)
+
+
+def test_a_plane_is_held_exactly(cloud_of):
+    cloud = cloud_of(plane())
+    fit, residuals = fit_window(depth_grid(cloud, 1), WHOLE, cloud.valid, CONFIG)
+    assert np.abs(residuals).max() < 1e-6
+    assert fit.residuals_m.max() < 1e-6
+    points = evaluate_lattice(fit.surface, np.arange(80.0), np.arange(60.0))
+    assert_allclose(points, cloud.points_m, atol=2e-6)
+
+
+def test_a_plane_goes_on_beyond_its_segment(cloud_of):
+    cloud = cloud_of(plane())
+    mask = np.zeros(SIZE, dtype=bool)
+    mask[20:40, 30:45] = True
+    window = (20, 30, 40, 45)
+    fit, _ = fit_window(depth_grid(cloud, 1), window, mask[20:40, 30:45], CONFIG)
+    points = evaluate_lattice(fit.surface, np.arange(27.0, 48), np.arange(17.0, 43))
+    assert_allclose(points, cloud.points_m[17:43, 27:48], atol=1e-4)
+
+
+def test_the_surface_is_the_ray_over_the_spline(cloud_of):
+    rays = rays_of(cloud_of(plane()))
+    rng = np.random.default_rng(0)
+    control = rng.uniform(0.5, 2.0, (6, 7))
+    knots_u = averaged_knots(np.arange(80.0), 7)
+    knots_v = averaged_knots(np.arange(60.0), 6)
+    surface = rational_surface(control, knots_u, knots_v, rays, WHOLE)
+    u, v = rng.uniform(0, 79, 200), rng.uniform(0, 59, 200)
+    d = np.einsum("na,ab,nb->n", basis_matrix(knots_v, 3, v), control, basis_matrix(knots_u, 3, u))
+    x, y = rays.at(u, v)
+    assert_allclose(evaluate(surface, u, v), np.stack([x, y, np.ones(200)], axis=1) / d[:, np.newaxis])
+
+
+def test_slopes_are_those_of_finite_differences(cloud_of):
+    rng = np.random.default_rng(3)
+    knots_u, knots_v = averaged_knots(np.arange(80.0), 7), averaged_knots(np.arange(60.0), 6)
+    rays = rays_of(cloud_of(plane()))
+    rational = rational_surface(rng.uniform(0.5, 2.0, (6, 7)), knots_u, knots_v, rays, WHOLE)
+    cloud = cloud_of(plane() + 0.01 * rng.normal(size=SIZE))
+    config = SegmentationConfig(decimation=1, fit_of="xyz")
+    polynomial = fit_window(depth_grid(cloud, 1), WHOLE, cloud.valid, config)[0].surface
+    u, v = np.linspace(5, 70, 9), np.linspace(4, 50, 9)
+    for surface in (rational, polynomial):
+        per_m, slope_u, slope_v = inverse_depth_lattice(surface, u, v)
+        assert_allclose(per_m, 1.0 / evaluate_lattice(surface, u, v)[..., 2], rtol=1e-12)
+        h = 1e-4
+        for slope, du, dv in ((slope_u, h, 0.0), (slope_v, 0.0, h)):
+            after, before = (inverse_depth_lattice(surface, u + s * du, v + s * dv)[0] for s in (1, -1))
+            assert_allclose(slope, (after - before) / (2 * h), atol=1e-8)
+
+
+@pytest.mark.parametrize("fit_of", ["inverse-depth", "xyz"])
+@pytest.mark.parametrize("step", [1, 2])
+def test_residuals_are_distances_to_the_surface_that_is_returned(cloud_of, fit_of, step):
+    rng = np.random.default_rng(1)
+    depth = plane() + 0.01 * rng.normal(size=SIZE)
+    depth[rng.random(SIZE) < 0.2] = np.nan
+    cloud = cloud_of(depth)
+    config = SegmentationConfig(decimation=step, fit_of=fit_of)
+    grid = depth_grid(cloud, step)
+    fit, residuals = fit_window(grid, (0, 0, *grid.valid.shape), grid.valid, config)
+    rows, columns = np.divmod(fit.pixels, SIZE[1])
+    points = cloud.points_m[rows, columns]
+    on_surface = evaluate(fit.surface, columns.astype(float), rows.astype(float))
+    assert_allclose(fit.residuals_m, np.linalg.norm(points - on_surface, axis=1), atol=2e-6)
+    assert_allclose(residuals, 1 / on_surface[:, 2] - 1 / points[:, 2], atol=2e-6)
+    assert fit.values["mse"] == pytest.approx(np.mean(fit.residuals_m**2))
+
+
+def test_a_surface_never_passes_through_infinity_where_nothing_holds_it(cloud_of):
+    rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
+    per_m = np.where(columns < 12, 1.6 - 0.13 * columns, 0.05)
+    cloud = cloud_of(1 / per_m)
+    mask = (columns < 12) | ((rows < 3) & (columns > 70))
+    fit, _ = fit_window(depth_grid(cloud, 1), WHOLE, mask, CONFIG)
+    assert (fit.surface.weights > 0).all()
+    assert np.isfinite(evaluate_lattice(fit.surface, np.arange(80.0), np.arange(60.0))).all()
+
+
+def test_points_that_are_nowhere_leave_no_surface_but_a_reason(cloud_of):
+    cloud = cloud_of(plane())
+    grid = depth_grid(cloud, 1)
+    broken = type(grid)(grid.points, np.full(SIZE, np.nan, np.float32), grid.rays)
+    fit, residuals = fit_window(broken, WHOLE, cloud.valid, CONFIG)
+    assert fit.surface is None
+    assert "least-squares" in fit.reason
+    assert np.isinf(residuals).all()

@@ -1,0 +1,135 @@
+"""Fits held against the dense system of the paper: one row for each point, solved by SVD."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.surfaces import leastsquares
+from nurbseg.segmentation.surfaces.bspline import basis_matrix, pixel_knots
+from nurbseg.segmentation.surfaces.knot_lattice import lattice_basis
+
+
+def pixel_basis(size: int, count: int) -> NDArray[np.float64]:
+    return basis_matrix(pixel_knots(size, count), 3, np.arange(float(size)))
+
+
+def fit_control_points(values, mask: NDArray[np.bool_], counts: tuple[int, int]) -> NDArray[np.float64]:
+    """Fit single precision images of a window that is not the first of its image."""
+    images = np.full((len(values), mask.shape[0] + 3, mask.shape[1] + 2), np.nan, dtype=np.float32)
+    images[:, 2:-1, 1:-1] = values
+    return leastsquares.fit_control_points(images, mask, (2, 1), counts)
+
+
+def dense_system(mask: NDArray[np.bool_], nu: int, nv: int) -> NDArray[np.float64]:
+    Bu, Bv = pixel_basis(mask.shape[1], nu), pixel_basis(mask.shape[0], nv)
+    rows, columns = np.nonzero(mask)
+    return np.einsum("ka,kb->kab", Bv[rows], Bu[columns]).reshape(rows.size, nv * nu)
+
+
+def dense_solution(values: NDArray[np.float64], mask: NDArray[np.bool_], nu: int, nv: int):
+    """The least-squares solution of least norm about the mean, by numpy's SVD: control, fitted, rank."""
+    system = dense_system(mask, nu, nv)
+    points = values[:, mask].T
+    center = points.mean(axis=0)
+    solution, _, rank, _ = np.linalg.lstsq(system, points - center, rcond=1e-10)
+    return (solution + center).T.reshape(-1, nv, nu), (system @ (solution + center)).T, rank
+
+
+def single(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Round to single precision, in which images are."""
+    return values.astype(np.float32).astype(np.float64)
+
+
+def ring(seed: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Noise on a ring: control points in its middle and in the corners have no data, or hardly any."""
+    rows, columns = np.mgrid[:40, :50]
+    radius = np.hypot(rows - 19.5, columns - 24.5)
+    mask = (radius > 14) & (radius < 19)
+    return single(np.random.default_rng(seed).normal(2.0, 0.1, (3, 40, 50))), mask
+
+
+@pytest.mark.parametrize(("height", "width", "nu", "nv"), [(30, 40, 7, 5), (40, 30, 5, 9), (12, 60, 11, 4)])
+def test_a_full_window_has_the_control_points_of_the_dense_system(height, width, nu, nv):
+    rng = np.random.default_rng(3)
+    values = single(rng.normal(1.0, 0.3, (3, height, width)))
+    mask = np.ones((height, width), dtype=bool)
+    expected, _, rank = dense_solution(values, mask, nu, nv)
+    assert rank == nu * nv
+    assert_allclose(fit_control_points(values, mask, (nu, nv)), expected, atol=1e-7)
+
+
+def test_an_irregular_mask_leaves_the_residuals_of_the_dense_system():
+    values, mask = ring(4)
+    _, expected, rank = dense_solution(values, mask, 10, 9)
+    assert rank < 90
+    control = fit_control_points(values, mask, (10, 9))
+    ours = (pixel_basis(40, 9) @ control @ pixel_basis(50, 10).T)[:, mask]
+    rms, least_rms = (np.sqrt(np.mean((fitted - values[:, mask]) ** 2)) for fitted in (ours, expected))
+    # White noise is the worst case: what hardly any data decide, the ridge holds back.
+    assert least_rms <= rms <= 1.02 * least_rms
+
+
+def test_what_the_data_leave_open_stays_at_the_mean():
+    values, mask = ring(5)
+    control = fit_control_points(values, mask, (10, 9))
+    without_data = ~dense_system(mask, 10, 9).any(axis=0).reshape(9, 10)
+    assert without_data.sum() > 3
+    means = values[:, mask].mean(axis=1)
+    assert_allclose(control[:, without_data], np.tile(means, (without_data.sum(), 1)).T, atol=1e-12)
+
+
+def test_the_ridge_is_the_one_that_is_declared():
+    values, mask = ring(6)
+    system = dense_system(mask, 10, 9)
+    points = values[:, mask].T - values[:, mask].mean(axis=1)
+    ridge = 1e-10 * np.square(system).sum(axis=0).max()
+    stacked = np.vstack([system, np.sqrt(ridge) * np.eye(90)])
+    solution = np.linalg.lstsq(stacked, np.vstack([points, np.zeros((90, 3))]), rcond=None)[0]
+    control = fit_control_points(values, mask, (10, 9)).reshape(3, 90) - values[:, mask].mean(axis=1)[:, None]
+    assert_allclose(control, solution.T, rtol=1e-4, atol=1e-4 * np.abs(solution).max())
+
+
+def test_a_spline_of_the_same_space_is_recovered():
+    rng = np.random.default_rng(5)
+    control = rng.normal(size=(2, 6, 8))
+    values = pixel_basis(50, 6) @ control @ pixel_basis(70, 8).T
+    found = fit_control_points(values, np.ones((50, 70), dtype=bool), (8, 6))
+    assert_allclose(found, control, atol=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (2, 3)])
+def test_windows_smaller_than_the_basis_are_interpolated(shape):
+    rng = np.random.default_rng(6)
+    values = single(rng.normal(size=(3, *shape)))
+    mask = np.ones(shape, dtype=bool)
+    control = fit_control_points(values, mask, (4, 4))
+    fitted = pixel_basis(shape[0], 4) @ control @ pixel_basis(shape[1], 4).T
+    _, expected, _ = dense_solution(values, mask, 4, 4)
+    assert_allclose(fitted[:, mask], expected, atol=1e-5)
+
+
+@pytest.mark.parametrize(("spacing", "margin"), [(6.0, 2), (11.5, 9), (25.0, 1)])
+def test_smooth_fits_solve_the_penalised_normal_equations(spacing: float, margin: int):
+    rng = np.random.default_rng(2)
+    mask = rng.random((23, 31)) < 0.5
+    mask[:, 20:] = False
+    values = single(rng.normal(size=(23, 31)))
+    rows, knots_v = lattice_basis(7, 30, margin, spacing)
+    columns, knots_u = lattice_basis(4, 35, margin, spacing)
+    assert knots_u[3] <= 4 - margin
+    assert knots_u[-4] > 34 + margin
+    Bu, Bv = basis_matrix(knots_u, 3, np.arange(4.0, 35.0)), basis_matrix(knots_v, 3, np.arange(7.0, 30.0))
+    at = np.nonzero(mask)
+    A = np.einsum("na,nb->nab", Bv[at[0]], Bu[at[1]])
+    bends = [np.diff(np.eye(count), n=2, axis=0) for count in (rows.count, columns.count)]
+    penalty = [np.kron(np.eye(rows.count), bends[1]), np.kron(bends[0], np.eye(columns.count))]
+    weight = 2.5
+    stacked = np.concatenate([A.reshape(len(A), -1), *(np.sqrt(weight) * each for each in penalty)])
+    right = np.zeros(len(stacked))
+    right[: len(A)] = values[mask]
+    expected = np.linalg.lstsq(stacked, right, rcond=None)[0].reshape(rows.count, columns.count)
+    images = values.astype(np.float32)[np.newaxis]
+    control, held = leastsquares.fit_splines(images, mask, (0, 0), rows, columns, weight)
+    assert_allclose(control[0], expected, atol=1e-5)
+    assert_allclose(held, np.square(A).sum(axis=0), atol=1e-12)

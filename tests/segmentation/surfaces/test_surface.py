@@ -1,0 +1,151 @@
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.interpolate import BSpline
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.surfaces.surface import (
+    NurbsSurface,
+    control_point_count,
+    evaluate,
+    evaluate_lattice,
+    fit_surface,
+    normals,
+)
+
+ROOT = np.sqrt(0.5)
+
+
+def quarter_cylinder(radius: float = 0.25, length: float = 2.0) -> NurbsSurface:
+    """The exact rational quarter circle, swept along z."""
+    arc = np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * radius
+    control = np.zeros((2, 3, 3))
+    control[..., :2] = arc
+    control[1, :, 2] = length
+    weights = np.tile([1.0, ROOT, 1.0], (2, 1))
+    return NurbsSurface(
+        (2, 1), np.array([0.0, 0, 0, 1, 1, 1]), np.array([0.0, 0, 1, 1]), control, weights, (0, 0, 2, 2)
+    )
+
+
+def wavy_rational() -> NurbsSurface:
+    rng = np.random.default_rng(0)
+    knots = np.array([0.0, 0, 0, 0, 4, 10, 10, 10, 10])
+    return NurbsSurface(
+        (3, 3), knots, knots, rng.normal(size=(5, 5, 3)), rng.uniform(0.5, 2.0, (5, 5)), (0, 0, 11, 11)
+    )
+
+
+def test_a_rational_quarter_circle_is_exact():
+    u = np.linspace(0, 1, 41)
+    points = evaluate(quarter_cylinder(), u, np.linspace(0, 1, 41))
+    assert_allclose(np.hypot(points[:, 0], points[:, 1]), 0.25, atol=1e-14)
+    assert_allclose(points[:, 2], np.linspace(0, 2, 41), atol=1e-14)
+
+
+def test_normals_of_a_cylinder_are_radial():
+    u, v = np.linspace(0, 1, 9), np.linspace(0, 1, 9)
+    points = evaluate(quarter_cylinder(), u, v)
+    radial = points / 0.25
+    radial[:, 2] = 0
+    found = normals(quarter_cylinder(), u, v)
+    assert_allclose(np.abs((found * radial).sum(axis=1)), 1.0, atol=1e-12)
+
+
+def test_unit_weights_give_the_spline_of_scipy():
+    cloud = wavy_rational()
+    spline = NurbsSurface(
+        (3, 3), cloud.knots_u, cloud.knots_v, cloud.control_points_m, np.ones((5, 5)), cloud.window
+    )
+    u, v = np.linspace(0, 10, 30), np.linspace(10, 0, 30)
+    along_u = BSpline(spline.knots_u, spline.control_points_m.transpose(1, 0, 2), 3)(u)
+    expected = [BSpline(spline.knots_v, along_u[k], 3)(v[k]) for k in range(30)]
+    assert_allclose(evaluate(spline, u, v), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("order", [(1, 0), (0, 1), (2, 0), (1, 1), (0, 2)])
+def test_rational_derivatives_agree_with_finite_differences(order):
+    surface = wavy_rational()
+    u, v, h = np.linspace(0.5, 9.5, 17), np.linspace(9.5, 0.5, 17) * 0.97, 1e-4
+
+    def lower(du: float, dv: float):
+        first = (1, 0) if order[0] else (0, 1)
+        rest = (order[0] - first[0], order[1] - first[1])
+        return evaluate(surface, u + du * first[0], v + dv * first[1], *rest)
+
+    differences = (lower(h, h) - lower(-h, -h)) / (2 * h)
+    assert_allclose(evaluate(surface, u, v, *order), differences, rtol=1e-4, atol=1e-4)
+
+
+def test_a_lattice_has_the_points_of_its_places():
+    surface = wavy_rational()
+    u, v = np.linspace(0, 10, 4), np.linspace(0, 10, 3)
+    lattice = evaluate_lattice(surface, u, v, 1, 1)
+    columns, rows = np.meshgrid(u, v)
+    scattered = evaluate(surface, columns.ravel(), rows.ravel(), 1, 1)
+    assert lattice.shape == (3, 4, 3)
+    assert_allclose(lattice.reshape(-1, 3), scattered, atol=1e-12)
+
+
+def test_third_derivatives_and_unequal_parameters_are_refused():
+    with pytest.raises(ValueError, match="orders of 0 to 2"):
+        evaluate(wavy_rational(), np.zeros(1), np.zeros(1), 2, 1)
+    with pytest.raises(ValueError, match="equal length"):
+        evaluate(wavy_rational(), np.zeros(2), np.zeros(1))
+
+
+def test_a_surface_says_which_of_its_arrays_does_not_match():
+    good = wavy_rational()
+    with pytest.raises(ValueError, match="knots_v"):
+        NurbsSurface((3, 3), good.knots_u, good.knots_v[1:], good.control_points_m, good.weights, good.window)
+    with pytest.raises(ValueError, match="weights"):
+        NurbsSurface((3, 3), good.knots_u, good.knots_v, good.control_points_m, 0 * good.weights, good.window)
+
+
+def test_control_points_are_in_proportion_to_the_extent():
+    config = SegmentationConfig()
+    assert control_point_count(640, 640, config) == 20
+    assert control_point_count(320, 640, config) == 10
+    assert control_point_count(30, 640, config) == 4
+    assert control_point_count(1, 640, config) == 4
+
+
+def test_a_fit_has_its_parameters_in_pixels_of_the_full_image(cloud_of):
+    rows, columns = np.mgrid[:60, :80]
+    cloud = cloud_of(1.0 + 0.002 * rows + 1e-5 * (columns - 40.0) ** 2)
+    mask = np.zeros((60, 80), dtype=bool)
+    mask[12:52, 7:71] = np.hypot(rows - 30, columns - 40)[12:52, 7:71] < 30
+    pixels = np.flatnonzero(mask)
+    fit = fit_surface(cloud, pixels, SegmentationConfig())
+    assert fit.surface is not None
+    assert fit.surface.window == (12, 11, 52, 70)
+    assert (fit.surface.knots_u[0], fit.surface.knots_u[-1]) == (11, 69)
+    assert (fit.surface.knots_v[0], fit.surface.knots_v[-1]) == (12, 51)
+    found = evaluate(fit.surface, pixels % 80, pixels // 80)
+    points = cloud.points_m.reshape(-1, 3)[pixels]
+    assert_allclose(np.linalg.norm(found - points, axis=1), fit.residuals_m, atol=1e-9)
+    assert fit.residuals_m.max() < 1e-5
+    assert fit.reason == ""
+
+
+def test_nothing_to_fit_is_a_result_with_a_reason(cloud_of):
+    cloud = cloud_of(np.ones((8, 8)))
+    fit = fit_surface(cloud, np.zeros(0, dtype=np.intp), SegmentationConfig())
+    assert fit.surface is None
+    assert fit.reason == "0 points, 1 needed"
+
+
+def test_fitting_a_pixel_without_a_point_is_refused(cloud_of):
+    depth = np.ones((8, 8))
+    depth[2, 2] = np.nan
+    with pytest.raises(ValueError, match="have a point"):
+        fit_surface(cloud_of(depth), np.array([18]), SegmentationConfig())
+
+
+@pytest.mark.parametrize("pixels", [[5], [5, 6, 7], [5, 13, 21]])
+def test_a_few_pixels_in_a_row_have_a_surface_through_them(cloud_of, pixels):
+    rows, columns = np.mgrid[:8, :8]
+    cloud = cloud_of(1 + 0.1 * rows + 0.05 * columns)
+    fit = fit_surface(cloud, np.array(pixels), SegmentationConfig())
+    assert fit.surface is not None
+    assert fit.residuals_m.max() < 1e-5

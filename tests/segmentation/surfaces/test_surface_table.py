@@ -1,0 +1,69 @@
+import numpy as np
+import pytest
+
+from nurbseg.segmentation.surfaces.inverse_depth import inverse_depth_lattice
+from nurbseg.segmentation.surfaces.surface import NurbsSurface
+from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
+
+
+def surface(rng, *, even, plain, size=(6, 9)):
+    knots = []
+    for count in size:
+        inner = 7.3 * np.arange(1, count - 3) if even else np.sort(rng.uniform(5, 40, count - 4))
+        start, end = 4, 50
+        if even:
+            knots.append(7.3 * np.arange(-3, count + 1) + 2.0)
+        else:
+            knots.append(np.concatenate([np.full(4, start), inner, np.full(4, end)]).astype(np.float64))
+    weights = rng.uniform(0.3, 2.0, size)
+    z = 1.3 / weights if plain else rng.uniform(0.5, 1.0, size)
+    points = np.stack([np.zeros(size), np.zeros(size), z], axis=-1)
+    return NurbsSurface((3, 3), knots[1], knots[0], points, weights, (0, 0, 60, 60))
+
+
+@pytest.mark.parametrize("even", [True, False])
+@pytest.mark.parametrize("plain", [True, False])
+def test_places_of_many_surfaces_are_those_of_each(even, plain):
+    rng = np.random.default_rng(3)
+    known = [
+        surface(rng, even=even, plain=plain),
+        surface(rng, even=not even, plain=plain, size=(4, 7)),
+        surface(rng, even=even, plain=not plain, size=(8, 5)),
+    ]
+    table = SurfaceTable([known[0], None, *known[1:]])
+    labels = rng.integers(1, 5, 400).astype(np.int32)
+    # Beyond the knots too.
+    rows, columns = rng.integers(-3, 58, (2, 400)).astype(np.int32)
+    between = rows + rng.random(400), columns + rng.random(400)
+    per_m = table.inverse_depths(labels, rows, columns)
+    slopes = np.stack(table.slopes(labels, between[1], between[0]))
+    for n, label in enumerate(labels):
+        if label == 2:
+            assert np.isnan([per_m[n], *slopes[:, n]]).all()
+            continue
+        own = known[max(0, label - 2)]
+        at = inverse_depth_lattice(own, columns[n : n + 1].astype(float), rows[n : n + 1].astype(float))[0]
+        assert per_m[n] == pytest.approx(at.item(), rel=1e-5, abs=1e-6)
+        expected = [
+            each.item() for each in inverse_depth_lattice(own, between[1][n : n + 1], between[0][n : n + 1])
+        ]
+        assert slopes[:, n] == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+def test_a_label_without_a_surface_has_no_inverse_depth():
+    zero = np.zeros(1, np.int32)
+    assert np.isnan(SurfaceTable([]).inverse_depths(zero, zero, zero)).all()
+    assert np.isnan(SurfaceTable([None]).inverse_depths(zero + 1, zero, zero)).all()
+
+
+def test_surfaces_of_another_degree_are_refused():
+    flat = NurbsSurface(
+        (1, 1),
+        np.array([0.0, 0.0, 9.0, 9.0]),
+        np.array([0.0, 0.0, 9.0, 9.0]),
+        np.ones((2, 2, 3)),
+        np.ones((2, 2)),
+        (0, 0, 10, 10),
+    )
+    with pytest.raises(ValueError, match="bicubic"):
+        SurfaceTable([flat])
