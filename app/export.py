@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from nurbseg.app.atomic_file import write_atomically
 from nurbseg.app.live.worker import FrameResult
 from nurbseg.segmentation.config import Metric
-from nurbseg.segmentation.stag15 import Segment, SegmentationTree
+from nurbseg.segmentation.segments import Segment, SegmentationTree, Trial
 
 
 class ExportError(Exception):
@@ -73,8 +73,8 @@ class Exporter:
         tree = result.tree
         contents = {f"{stem}_labels.png": _png(result.labels())}
         if tree.objects:
-            contents[f"{stem}_surfaces.png"] = _png(result.surface_image())
-            contents[f"{stem}_objects.png"] = _png(result.object_image())
+            contents[f"{stem}_surfaces.png"] = _png(result.labels("surfaces"))
+            contents[f"{stem}_objects.png"] = _png(result.labels("objects"))
         if self._surfaces:
             contents[f"{stem}_surfaces.npz"] = surfaces_npz(tree)
         document = tree_document(result, self._metric)
@@ -151,9 +151,22 @@ def _segment_document(each: Segment, metric: Metric) -> dict[str, Any]:
         "value": _number(each.fit.values.get(metric, math.nan)),
         "values": {name: _number(value) for name, value in each.fit.values.items()},
         "ratio": None if each.ratio is None else _number(each.ratio),
+        "trial": None if each.trial is None else _trial_document(each.trial),
+        "division": None if each.division is None else each.division.value,
         "stop": None if each.stop is None else each.stop.value,
+        "points": int(each.fit.pixels.size),
         "surface": each.fit.surface is not None,
         "reason": each.fit.reason,
+    }
+
+
+def _trial_document(trial: Trial) -> dict[str, Any]:
+    return {
+        "metric": trial.metric,
+        "value": _number(trial.value),
+        "points": trial.points,
+        "parts": [{"value": _number(value), "points": points} for value, points in trial.parts],
+        "kept": trial.kept,
     }
 
 

@@ -21,6 +21,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,7 @@ from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.registry import SourceOptions, open_source
 from nurbseg.drivers.source import FrameSource
 from nurbseg.drivers.synthetic.source import SyntheticSource
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import Level, SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.scoring.scores import variation_of_information
 from nurbseg.segmentation.stag15 import SegmentationTree, segment
@@ -142,7 +143,7 @@ def best_agreement(before: Labels, after: Labels, pairs: tuple[NDArray[np.intp],
 
 def levels(tree: SegmentationTree) -> dict[str, Labels]:
     """Return both label images of a tree."""
-    return {"surfaces": tree.label_image(), "objects": tree.object_image()}
+    return {level: tree.labels(level) for level in get_args(Level)}
 
 
 def measure(source: FrameSource, motion: Motion, config: SegmentationConfig, count: int, every: int) -> None:
@@ -159,7 +160,7 @@ def measure(source: FrameSource, motion: Motion, config: SegmentationConfig, cou
         if result.revision is not None and result.revision.cold:
             cold[result.revision.cold] += 1
         events.update(event.kind for event in result.events)
-        live = {"surfaces": result.surface_image(), "objects": result.object_image()}
+        live = {level: result.labels(level) for level in get_args(Level)}
         if before is not None:
             pairs = carried_pixels(before[0], before[1], cloud, motion(place - 1, place))
             for level, labels in live.items():

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.config import Level, SegmentationConfig
+from nurbseg.segmentation.config import Level, Metric, SegmentationConfig
+from nurbseg.segmentation.labels.lookup import looked_up
+from nurbseg.segmentation.surfaces.metrics import acceptance_ratio
 
 if TYPE_CHECKING:
     from nurbseg.segmentation.cut.ncut import Cut
@@ -34,6 +36,45 @@ class StopReason(StrEnum):
     NOISE = "noise"
 
 
+class Division(StrEnum):
+    """How a segment falls into its parts.
+
+    ``cut``: by a normalized cut that the ratio kept. ``gap``: its pixels are not connected, nothing was cut.
+    """
+
+    CUT = "cut"
+    GAP = "gap"
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A split that was tried: the metric before and after it (eq. 5).
+
+    Parameters
+    ----------
+    metric : str
+        Which of the nine decided.
+    value, points : float, int
+        Metric of the segment, and the number of points that it was measured on.
+    parts : tuple of (float, int)
+        The same for each of its parts: two in the paper; in the default method as many as the two sides of
+        the cut have connected pieces.
+    kept : bool
+        Whether the split was kept.
+    """
+
+    metric: Metric
+    value: float
+    points: int
+    parts: tuple[tuple[float, int], ...]
+    kept: bool
+
+    @property
+    def ratio(self) -> float:
+        """Metric of the parts over that of the whole."""
+        return acceptance_ratio(self.metric, (self.value, self.points), *self.parts)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Segment:
     """One segment of the tree.
@@ -50,12 +91,14 @@ class Segment:
         Flat indices into the image: leaf by leaf, in the order of leaves, and ascending within each.
     fit : Fit
         The surface that explains it, fitted on the grid on which splits are decided.
-    ratio : float or None
-        Metric of the parts over that of the whole (eq. 5) where a split was tried, kept or not.
+    division : Division or None
+        How it falls into its children; None for a leaf.
+    trial : Trial or None
+        The split that was kept or, of a leaf, the best that was rejected; None where none came to be judged.
     stop : StopReason or None
         Why it is a leaf; None where it is not.
     cut : Cut or None
-        The cut between its children; None for a leaf, and where its parts are not connected.
+        The cut between its children; None for a leaf, at a gap, and where one side of the cut was too small.
     """
 
     name: str
@@ -63,7 +106,8 @@ class Segment:
     children: tuple[str, str] | tuple[()]
     pixels: NDArray[np.intp]
     fit: Fit
-    ratio: float | None
+    division: Division | None
+    trial: Trial | None
     stop: StopReason | None
     cut: Cut | None = None
 
@@ -74,6 +118,11 @@ class Segment:
     def depth(self) -> int:
         """Number of splits between the root and this segment."""
         return len(self.name)
+
+    @property
+    def ratio(self) -> float | None:
+        """Metric of the parts over that of the whole (eq. 5) where a split was tried, kept or not."""
+        return None if self.trial is None else self.trial.ratio
 
     @property
     def is_leaf(self) -> bool:
@@ -121,30 +170,30 @@ class SegmentationTree:
         """Return the final segments; the label of each is its place here plus one."""
         return tuple(each for each in self.segments if each.is_leaf)
 
-    def label_image(self) -> NDArray[np.uint16]:
-        """Return the label of every pixel, (H, W) uint16; 0 where there is no depth."""
+    def labels(self, level: Level | None = None) -> NDArray[np.uint16]:
+        """Return the label of every pixel.
+
+        Parameters
+        ----------
+        level : {"surfaces", "objects"}, optional
+            What a label stands for; the tree's own level without it.
+
+        Returns
+        -------
+        (H, W) uint16
+            0 where there is no depth. A surface's label is its place among the leaves plus one, an object's
+            its place in `objects` plus one; without objects each surface is one.
+        """
+        if (level or self.level) == "objects" and self.objects:
+            number = {name: n for n, each in enumerate(self.objects, start=1) for name in each.leaves}
+            of_label = np.array([0, *(number[leaf.name] for leaf in self.leaves())], dtype=np.uint16)
+            return looked_up(of_label, self.labels("surfaces"))
         if self.image is not None:
             return self.image
         labels = np.zeros(self.shape[0] * self.shape[1], dtype=np.uint16)
         for label, leaf in enumerate(self.leaves(), start=1):
             labels[leaf.pixels] = label
         return labels.reshape(self.shape)
-
-    def object_image(self) -> NDArray[np.uint16]:
-        """Return the number of every pixel's object, (H, W) uint16; 0 where there is no depth.
-
-        An object's number is its place in `objects` plus one; without objects it is the leaf's label.
-        """
-        if not self.objects:
-            return self.label_image()
-        number = {name: n for n, each in enumerate(self.objects, start=1) for name in each.leaves}
-        of_label = np.array([0, *(number[leaf.name] for leaf in self.leaves())], dtype=np.uint16)
-        image: NDArray[np.uint16] = of_label[self.label_image()]
-        return image
-
-    def labels(self) -> NDArray[np.uint16]:
-        """Return the answer at the tree's level, (H, W) uint16: surfaces or objects; 0 for no depth."""
-        return self.object_image() if self.level == "objects" else self.label_image()
 
     def __getitem__(self, name: str) -> Segment:
         """Return the segment of a name."""
@@ -162,7 +211,8 @@ class Node:
     places: NDArray[np.intp]
     fit: Fit
     children: tuple[Node, Node] | tuple[()] = ()
-    ratio: float | None = None
+    division: Division | None = None
+    trial: Trial | None = None
     stop: StopReason | None = None
     cut: Cut | None = None
     cuts_above: int = 0
@@ -182,4 +232,4 @@ def depth_first(root: Node) -> list[Node]:
     return nodes
 
 
-__all__ = ["Node", "Segment", "SegmentationTree", "StopReason", "depth_first"]
+__all__ = ["Division", "Node", "Segment", "SegmentationTree", "StopReason", "Trial", "depth_first"]

@@ -17,13 +17,15 @@ from nurbseg.segmentation.cut.ncut import Cut, normalized_cut
 from nurbseg.segmentation.extended.splitting import segment_nurbseg
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
 from nurbseg.segmentation.labels.upsample import Split, settle
-from nurbseg.segmentation.points.grid import PixelGrid, decimated_grid
+from nurbseg.segmentation.points.grid import PixelGrid, decimated_grid, step_with_points
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import (
+    Division,
     Node,
     Segment,
     SegmentationTree,
     StopReason,
+    Trial,
     depth_first,
 )
 from nurbseg.segmentation.shared import SharedWork
@@ -68,6 +70,7 @@ def segment_stag15(
 ) -> SegmentationTree:
     """Segment a frame as the paper does; as `segment`, whatever the method set."""
     shared = shared or SharedWork()
+    config = replace(config, decimation=step_with_points(cloud.valid, config.decimation))
     grid = shared.once(config, "grid", lambda: decimated_grid(cloud, config.decimation))
     places = np.flatnonzero(grid.valid)
     raw = shared.once(config, "raw vectors", lambda: raw_vectors(cloud, grid.pixels(places)))
@@ -146,15 +149,14 @@ def grow(
             for name, part in zip((f"{node.name}0", f"{node.name}1"), parts, strict=True)
         )
         first, second = children
-        node.ratio = acceptance_ratio(
-            config.metric,
-            *((each.value(config), each.places.size) for each in (node, first, second)),
-        )
-        is_first = node is root and config.first_split == "kept"
-        if not (node.ratio < config.ratio_max or is_first):
+        whole, *halves = ((each.value(config), each.places.size) for each in (node, first, second))
+        ratio = acceptance_ratio(config.metric, whole, *halves)
+        kept = ratio < config.ratio_max or (node is root and config.first_split == "kept")
+        node.trial = Trial(config.metric, *whole, tuple(halves), kept)
+        if not kept:
             node.stop = StopReason.CRITERION
             continue
-        node.children, node.cut = (first, second), cut
+        node.children, node.division, node.cut = (first, second), Division.CUT, cut
         splits += 1
         for child in children:
             heapq.heappush(waiting, (-child.value(config), child.name, child))

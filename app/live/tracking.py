@@ -84,7 +84,7 @@ class Segmenter:
         """
         started_s = time.perf_counter()
         tree = result.tree
-        labels = tree.label_image()
+        labels = tree.labels("surfaces")
         self._surfaces = carry_identities(self._surfaces, labels, result.cloud, before=before)
         object_of_label = _object_of_label(tree)
         if tree.objects:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.frame import RGBDFrame
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import Level, SegmentationConfig
 from nurbseg.segmentation.labels.lookup import looked_up
 from nurbseg.segmentation.live.identity import Event, Identities
 from nurbseg.segmentation.live.tree import Revision
@@ -62,17 +62,17 @@ class FrameResult:
         label = {name: label for label, each in numbered for name in each.leaves}
         return np.array([0, *(label[leaf.name] for leaf in self.tree.leaves())], dtype=np.uint16)
 
-    def surface_image(self) -> NDArray[np.uint16]:
-        """Return the label of every pixel's surface, (H, W) uint16; 0 where there is no depth."""
-        return looked_up(self.surface_of_leaf, self.tree.label_image())
+    def labels(self, level: Level | None = None) -> NDArray[np.uint16]:
+        """Return the label of every pixel, (H, W) uint16; 0 where there is no depth.
 
-    def object_image(self) -> NDArray[np.uint16]:
-        """Return the label of every pixel's object, or surface without objects; (H, W) uint16."""
-        return looked_up(self.object_of_leaf, self.tree.label_image())
-
-    def labels(self) -> NDArray[np.uint16]:
-        """Return the answer at the tree's level, (H, W) uint16: surfaces or objects; 0 for no depth."""
-        return self.object_image() if self.tree.level == "objects" else self.surface_image()
+        Parameters
+        ----------
+        level : {"surfaces", "objects"}, optional
+            What a label stands for; the tree's own level without it.
+        """
+        objects = (level or self.tree.level) == "objects"
+        of_leaf = self.object_of_leaf if objects else self.surface_of_leaf
+        return looked_up(of_leaf, self.tree.labels("surfaces"))
 
     @property
     def surface_labels(self) -> tuple[int, ...]:

@@ -18,11 +18,14 @@ from nurbseg.segmentation.extended.merge import merge_surfaces
 from nurbseg.segmentation.extended.scene import Scene, node_normalization, prepare
 from nurbseg.segmentation.labels.regions import large_pieces
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
+from nurbseg.segmentation.points.grid import step_with_points
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import (
+    Division,
     Node,
     SegmentationTree,
     StopReason,
+    Trial,
     depth_first,
 )
 from nurbseg.segmentation.surfaces.curvature import all_metrics
@@ -54,6 +57,7 @@ def segment_nurbseg(cloud: PointMap, config: SegmentationConfig) -> Segmentation
     SegmentationTree
         Its leaves are surfaces; its objects, none where merging is off, are merged leaves.
     """
+    config = replace(config, decimation=step_with_points(cloud.valid, config.decimation))
     scene = prepare(cloud, config)
     root = grow(scene, config)
     nodes = depth_first(root)
@@ -108,8 +112,7 @@ def grow(scene: Scene, config: SegmentationConfig) -> Node:
             continue
         splits += 1
         node.children = children_of(node, sides)
-        if all(sides):
-            node.cut = cut
+        node.division, node.cut = Division.CUT, cut if all(sides) else None
         node.stop = None
         for child in node.children:
             _push_open(waiting, child, config)
@@ -183,7 +186,7 @@ def best_split(
     scene : Scene
         The frame; its vectors are read at the node's places.
     node : Node
-        Gets the ratio of the last split tried and, where none is kept, the reason.
+        Gets the trial of the split that is kept or else of the best one and, where none is, the reason.
     config : SegmentationConfig
         Thresholds and choices.
     thin_from : int
@@ -201,7 +204,7 @@ def best_split(
     drawn = points.every_second(node.places) if node.places.size >= thin_from else node.places
     scale = scene.whole or node_normalization(scene.raw, drawn, config)
     rng = np.random.default_rng([config.seed, int(f"1{node.name}", 2)])
-    node.stop = StopReason.NO_CUT
+    node.stop, node.trial = StopReason.NO_CUT, None
     for cut in normalized_cuts(
         normalized(scene.raw, scale, drawn),
         count=config.cuts,
@@ -220,13 +223,20 @@ def best_split(
             continue
         parts = [measured(scene, piece, config) for piece in pieces]
         values = [(part[1].values.get(config.metric, 0.0), part[0].size) for part in parts]
-        node.ratio = acceptance_ratio(config.metric, (node.value(config), node.places.size), *values)
-        if node.ratio < config.ratio_max:
+        whole = node.value(config), node.places.size
+        ratio = acceptance_ratio(config.metric, whole, *values)
+        kept = ratio < config.ratio_max
+        if kept or node.trial is None or ratio < node.trial.ratio:
+            node.trial = Trial(config.metric, *whole, tuple(values), kept)
+        if kept:
             sides = (
                 [part for part, side in zip(parts, side_of, strict=True) if side == 1],
                 [part for part, side in zip(parts, side_of, strict=True) if side == 2],
             )
             return sides, cut
+        node.stop = StopReason.CRITERION
+    if node.trial is not None:
+        # What a later eigenvector came to does not undo what the ratio said of an earlier one.
         node.stop = StopReason.CRITERION
     return ([], []), None
 
@@ -331,7 +341,7 @@ def _held_together(name: str, parts: list[Part], cuts_above: int) -> Node:
         own = Node(f"{inner}0", *parts[largest][:2], stop=parts[largest][2], cuts_above=cuts_above)
         rest = node
         node = Node(inner, places, fit, cuts_above=cuts_above)
-        node.children = (own, rest)
+        node.children, node.division = (own, rest), Division.GAP
     return node
 
 

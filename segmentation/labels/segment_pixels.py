@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.segments import Node, Segment
+from nurbseg.segmentation.surfaces.surface import Fit
 
 
 def by_label(labels: NDArray[np.integer], count: int) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
@@ -56,7 +59,7 @@ def _sort_by_label(labels: NDArray[np.integer], order: NDArray[np.intp], bounds:
 def finished_segments(
     nodes: list[Node], leaves: list[Node], labels: NDArray[np.uint16]
 ) -> tuple[Segment, ...]:
-    """Give every node the pixels of the leaves below it.
+    """Give every node the pixels of the leaves below it, and its surface a window that holds them.
 
     Parameters
     ----------
@@ -72,27 +75,63 @@ def finished_segments(
     """
     order, bounds = by_label(labels.reshape(-1), len(leaves) + 1)
     label = {leaf.name: number for number, leaf in enumerate(leaves, start=1)}
+    boxes = np.empty((len(leaves) + 1, 4), dtype=np.int64)
+    _bounding_boxes(labels, boxes)
     # Leaves come depth first, so those below a node stand side by side in the order of labels.
     reach: dict[str, tuple[int, int]] = {}
+    box: dict[str, NDArray[np.int64]] = {}
     for node in reversed(nodes):
         if node.children:
-            first, second = (reach[child.name] for child in node.children)
-            reach[node.name] = first[0], second[1]
+            first, second = (child.name for child in node.children)
+            reach[node.name] = reach[first][0], reach[second][1]
+            box[node.name] = _union(box[first], box[second])
         else:
-            reach[node.name] = bounds[label[node.name]], bounds[label[node.name] + 1]
+            number = label[node.name]
+            reach[node.name] = bounds[number], bounds[number + 1]
+            box[node.name] = boxes[number]
     return tuple(
         Segment(
             name=node.name,
             parent=node.name[:-1] if node.name else None,
             children=tuple(child.name for child in node.children),  # type: ignore[arg-type]
             pixels=order[slice(*reach[node.name])],
-            fit=node.fit,
-            ratio=node.ratio,
+            fit=_reaching(node.fit, box[node.name]),
+            division=node.division,
+            trial=node.trial,
             stop=node.stop,
             cut=node.cut,
         )
         for node in nodes
     )
+
+
+@compiled
+def _bounding_boxes(labels: NDArray[np.uint16], boxes: NDArray[np.int64]) -> None:
+    """Find the first row and column of each label, and one past the last of each."""
+    height, width = labels.shape
+    boxes[:, 0], boxes[:, 1], boxes[:, 2:] = height, width, 0
+    for row in range(height):
+        for column in range(width):
+            box = boxes[labels[row, column]]
+            box[0] = min(box[0], row)
+            box[1] = min(box[1], column)
+            box[2] = row + 1
+            box[3] = max(box[3], column + 1)
+
+
+def _union(first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the box around two boxes; one without pixels is all limits, and changes nothing."""
+    return np.concatenate([np.minimum(first[:2], second[:2]), np.maximum(first[2:], second[2:])])
+
+
+def _reaching(fit: Fit, box: NDArray[np.int64]) -> Fit:
+    """Return a fit whose surface's window holds a box of pixels: borders move after surfaces are fitted."""
+    if fit.surface is None or box[2] == 0:
+        return fit
+    top, left, bottom, right = (int(each) for each in _union(np.array(fit.surface.window), box))
+    if (top, left, bottom, right) == fit.surface.window:
+        return fit
+    return replace(fit, surface=replace(fit.surface, window=(top, left, bottom, right)))
 
 
 __all__ = ["by_label", "finished_segments"]

@@ -150,7 +150,7 @@ class Growth:
         depth = node.cuts_above + 1
         rest = Node(f"{node.name}0", node.places, node.fit, stop=node.stop, cuts_above=depth)
         new = Node(f"{node.name}1", places, fit, stop=stop or StopReason.CRITERION, cuts_above=depth)
-        node.children, node.stop, node.cut, node.ratio = (rest, new), None, None, None
+        node.children, node.stop, node.cut, node.trial = (rest, new), None, None, None
         leaf.node = rest
         self.labels.ravel()[places] = self.adopt(new)
 
@@ -208,7 +208,8 @@ class Growth:
                 (kept,) = (child for child in node.children if child is not gone)
                 holder = next((leaf for leaf in self.by_number.values() if leaf.node is kept), None)
                 node.places, node.fit, node.stop = kept.places, kept.fit, kept.stop
-                node.ratio, node.cut, node.children = kept.ratio, kept.cut, kept.children
+                node.trial, node.cut, node.children = kept.trial, kept.cut, kept.children
+                node.division = kept.division
                 if holder is not None:
                     holder.node = node
                 _rename(node.children, node.name)

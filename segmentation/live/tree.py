@@ -159,7 +159,8 @@ class LiveTree:
                 each.name,
                 np.zeros(0, dtype=np.intp),
                 each.fit,
-                ratio=each.ratio,
+                division=each.division,
+                trial=each.trial,
                 stop=each.stop,
                 cut=each.cut,
                 cuts_above=each.depth,
@@ -173,7 +174,7 @@ class LiveTree:
         self._reviser = Reviser()
         self._leaves = [self._reviser.leaf(nodes[leaf.name]) for leaf in tree.leaves()]
         self.labels_before = np.zeros(tree.shape, dtype=np.uint16)
-        self._labels = tree.label_image().copy()
+        self._labels = tree.labels("surfaces").copy()
         self._lattice = SurfaceLattice([leaf.surface for leaf in self._leaves], step)
         self._gray = brightness(cloud.color, step)
         self._objects = ObjectMemory()

@@ -185,4 +185,17 @@ def full_grid(cloud: PointMap) -> PixelGrid:
     return PixelGrid(1, (height, width), np.moveaxis(cloud.points_m, -1, 0), cloud.valid)
 
 
-__all__ = ["PixelGrid", "Window", "decimated_grid", "full_grid"]
+def step_with_points(valid: NDArray[np.bool_], step: int) -> int:
+    """Return the step of a grid that holds a point where the image does: 1 where that asked for holds none.
+
+    Parameters
+    ----------
+    valid : (H, W) bool
+        Pixels that have a point.
+    step : int
+        Pixels from one row or column of the grid to the next.
+    """
+    return step if valid[::step, ::step].any() or not valid.any() else 1
+
+
+__all__ = ["PixelGrid", "Window", "decimated_grid", "full_grid", "step_with_points"]

@@ -1,5 +1,4 @@
 import json
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,7 @@ from nurbseg.app.atomic_file import write_atomically
 from nurbseg.app.export import Exporter, ExportError, surfaces_npz, tree_document
 from nurbseg.app.live.worker import FrameResult, process_frame
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.stag15 import SegmentationTree
+from nurbseg.segmentation.segments import SegmentationTree, Trial
 from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate
 
 
@@ -136,7 +135,7 @@ def empty_result() -> Callable[[FrameResult], FrameResult]:
 
 def test_infinite_values_become_null(small_result: FrameResult) -> None:
     segments = list(small_result.tree.segments)
-    segments[0] = replace(segments[0], ratio=math.inf)
+    segments[0] = replace(segments[0], trial=Trial("mse", 0.0, 9, ((0.0, 4), (0.0, 5)), kept=False))
     result = replace(small_result, tree=SegmentationTree(tuple(segments), small_result.tree.shape))
     document = tree_document(result, "mse")
     assert document["segments"][0]["ratio"] is None

@@ -57,7 +57,7 @@ def the_tree_is_sound(tree: SegmentationTree, valid) -> None:
             assert (np.concatenate(parts) == each.pixels).all()
         else:
             assert (np.diff(each.pixels) > 0).all()
-    labels = tree.label_image()
+    labels = tree.labels("surfaces")
     assert labels.dtype == np.uint16
     assert ((labels > 0) == valid).all()
     for label, leaf in enumerate(tree.leaves(), start=1):
@@ -68,7 +68,7 @@ def the_tree_is_sound(tree: SegmentationTree, valid) -> None:
 def test_a_step_comes_out_as_its_two_surfaces(cloud_of, decimation):
     cloud, truth = step_scene(cloud_of)
     tree = segment(cloud, stag15(decimation=decimation))
-    labels = tree.label_image()
+    labels = tree.labels("surfaces")
     the_tree_is_sound(tree, cloud.valid)
     assert len(tree.leaves()) == 2
     assert (labels == truth).all() or (labels == 3 - truth).all()
@@ -102,7 +102,7 @@ def test_one_plane_stays_whole(cloud_of):
     cloud = cloud_of(1.0 / (0.6 + 0.001 * rows - 0.0005 * columns))
     tree = segment(cloud, stag15())
     assert [each.stop for each in tree.segments] == [StopReason.CRITERION]
-    assert (tree.label_image() == 1).all()
+    assert (tree.labels("surfaces") == 1).all()
 
 
 def test_one_sphere_is_recovered(cloud_of):
@@ -156,10 +156,10 @@ def test_no_segment_is_smaller_than_the_limit(cloud_of):
 def test_the_same_seed_gives_the_same_tree_and_another_seed_may_not(cloud_of):
     cloud = cluttered_scene(cloud_of)
     first, second, other = (segment(cloud, stag15(seed=seed)) for seed in (4, 4, 5))
-    assert (first.label_image() == second.label_image()).all()
+    assert (first.labels("surfaces") == second.labels("surfaces")).all()
     assert [each.name for each in first.segments] == [each.name for each in second.segments]
     assert [each.ratio for each in first.segments] == [each.ratio for each in second.segments]
-    assert (first.label_image() != other.label_image()).any()
+    assert (first.labels("surfaces") != other.labels("surfaces")).any()
 
 
 _CHILD = """
@@ -172,7 +172,7 @@ loaded = np.load(sys.argv[1])
 cloud = PointMap(loaded["points"], loaded["color"], np.ones(loaded["color"].shape[:2], dtype=bool))
 for method, seed in (("stag15", 0), ("stag15", 1), ("nurbseg", 0)):
     tree = segment(cloud, SegmentationConfig(method=method, seed=seed))
-    print(hashlib.sha256(tree.label_image().tobytes()).hexdigest())
+    print(hashlib.sha256(tree.labels("surfaces").tobytes()).hexdigest())
     print([(s.name, str(s.stop), s.ratio and round(s.ratio, 9)) for s in tree.segments])
 """
 
@@ -207,7 +207,7 @@ def test_a_frame_without_depth_is_one_leaf_without_pixels(cloud_of):
     assert root.stop is StopReason.NO_POINTS
     assert root.fit.surface is None
     assert root.fit.reason == "0 points, 1 needed"
-    assert not tree.label_image().any()
+    assert not tree.labels("surfaces").any()
 
 
 @pytest.mark.parametrize("where", [(slice(40, 44), slice(60, 64)), (slice(41, 42), slice(61, 62))])
@@ -218,7 +218,7 @@ def test_fewer_points_than_the_limit_are_one_leaf(cloud_of, where):
     tree = segment(cloud, stag15())
     (root,) = tree.segments
     assert root.stop in (StopReason.TOO_SMALL, StopReason.NO_POINTS)
-    assert ((tree.label_image() == 1) == cloud.valid).all()
+    assert ((tree.labels("surfaces") == 1) == cloud.valid).all()
 
 
 def test_points_that_are_all_equal_are_one_leaf(cloud_of):
@@ -242,7 +242,7 @@ def replace_points(cloud, points):
 
 def test_a_constant_color_is_split_by_geometry(cloud_of):
     cloud, truth = step_scene(cloud_of, noise_m=0.001, far_m=5.0, colors=((0, 0, 0), (0, 0, 0)))
-    labels = segment(cloud, stag15(ratio_max=0.8)).label_image()
+    labels = segment(cloud, stag15(ratio_max=0.8)).labels("surfaces")
     # No segment reaches over the step.
     for label in range(1, int(labels.max()) + 1):
         inside = truth[labels == label]
@@ -255,7 +255,7 @@ def test_fewer_points_than_samples_can_be_split(cloud_of):
         *(image[50:60, 80:90].copy() for image in (cloud.points_m, cloud.color, cloud.colored))
     )
     config = stag15(decimation=1, samples=2000, segment_pixels_min=10_000)
-    labels = segment(small, config).label_image()
+    labels = segment(small, config).labels("surfaces")
     assert np.unique(labels - truth[50:60, 80:90].astype(np.uint16)).size == 1
 
 
@@ -273,7 +273,7 @@ def test_the_first_split_is_kept_as_in_the_paper_or_judged(cloud_of):
 
 def test_the_grid_of_decision_does_not_move_the_border_of_clear_surfaces(cloud_of):
     cloud, _ = step_scene(cloud_of)
-    images = [segment(cloud, stag15(decimation=step)).label_image() for step in (1, 2, 4)]
+    images = [segment(cloud, stag15(decimation=step)).labels("surfaces") for step in (1, 2, 4)]
     for first, second in pairwise(images):
         assert (first == second).all() or (first == 3 - second).all()
 

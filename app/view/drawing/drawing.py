@@ -48,7 +48,7 @@ def drawn(
     """
     frame, tree = result.frame, result.tree
     # Meshes go with the tree's own labels; what is seen bears those that last.
-    labels = tree.label_image()
+    labels = tree.labels("surfaces")
     surfaces = looked_up(result.surface_of_leaf, labels)
     objects = looked_up(result.object_of_leaf, labels) if tree.objects else None
     points_m, point_labels = _some_points(

@@ -37,7 +37,7 @@ def test_labels_are_identities_and_the_tree_tells_them(method: str) -> None:
         assert "identify" in result.elapsed_ms
         document = tree_document(result, "mse")
         surfaces = {each["leaf"] for each in document["segments"] if not each["children"]}
-        assert set(np.unique(result.surface_image())) - {0} == surfaces - {0}
+        assert set(np.unique(result.labels("surfaces"))) - {0} == surfaces - {0}
         assert set(np.unique(result.labels())) - {0} == {
             each["label"] for each in document["segments"] if each["label"]
         }

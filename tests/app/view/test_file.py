@@ -103,7 +103,7 @@ def test_images_come_back_as_they_were(saved: SavedView, results: list[FrameResu
         assert np.abs(color.astype(int) - result.frame.color).mean() < 4.0
 
         for path, labels in (
-            ("world/camera/image/labels", result.tree.label_image()),
+            ("world/camera/image/labels", result.tree.labels("surfaces")),
             ("world/camera/ground_truth", result.frame.labels),
         ):
             values = saved.by_frame[path]["SegmentationImage:buffer"][index][0]
@@ -118,7 +118,7 @@ def test_points_are_colored_by_label(saved: SavedView, results: list[FrameResult
     camera = results[3].frame.calibration.depth
     u = np.rint(camera.fx * positions[:, 0] / positions[:, 2] + camera.cx).astype(int)
     v = np.rint(camera.fy * positions[:, 1] / positions[:, 2] + camera.cy).astype(int)
-    assert (results[3].tree.label_image()[v, u] == classes).all()
+    assert (results[3].tree.labels("surfaces")[v, u] == classes).all()
     assert (classes > 0).all()
 
 

@@ -37,7 +37,7 @@ def the_tree_is_sound(tree, valid) -> None:
         if each.children:
             parts = np.concatenate([tree[name].pixels for name in each.children])
             assert np.array_equal(np.sort(parts), np.sort(each.pixels))
-    labels = tree.label_image()
+    labels = tree.labels("surfaces")
     assert ((labels > 0) == valid).all()
     for label, leaf in enumerate(tree.leaves(), start=1):
         assert np.array_equal(np.flatnonzero(labels == label), leaf.pixels)
@@ -46,7 +46,7 @@ def the_tree_is_sound(tree, valid) -> None:
         together = [name for each in tree.objects for name in each.leaves]
         assert sorted(together) == sorted(leaf.name for leaf in tree.leaves())
         # Objects are whole leaves.
-        objects = tree.object_image()
+        objects = tree.labels("objects")
         for label in range(1, labels.max() + 1):
             assert np.unique(objects[labels == label]).size == 1
 
@@ -72,9 +72,9 @@ def test_the_level_says_what_a_label_is(cloud_of, box_on_table):
     cloud = cloud_of(depth)
     objects = segment(cloud, replace(CONFIG, level="objects"))
     surfaces = segment(cloud, replace(CONFIG, level="surfaces"))
-    assert np.array_equal(objects.labels(), objects.object_image())
-    assert np.array_equal(surfaces.labels(), surfaces.label_image())
-    assert np.array_equal(surfaces.label_image(), objects.label_image())
+    assert np.array_equal(objects.labels(), objects.labels("objects"))
+    assert np.array_equal(surfaces.labels(), surfaces.labels("surfaces"))
+    assert np.array_equal(surfaces.labels("surfaces"), objects.labels("surfaces"))
     assert objects.labels().max() < surfaces.labels().max()
 
 
@@ -132,7 +132,7 @@ def test_the_same_seed_gives_the_same_tree(cloud_of, box_on_table):
     depth, _ = box_on_table(noise_per_m=3e-3)
     cloud = cloud_of(depth)
     first, second = (segment(cloud, replace(CONFIG, seed=7)) for _ in range(2))
-    assert np.array_equal(first.label_image(), second.label_image())
+    assert np.array_equal(first.labels("surfaces"), second.labels("surfaces"))
     assert first.objects == second.objects
     assert [each.ratio for each in first.segments] == [each.ratio for each in second.segments]
 
@@ -161,7 +161,7 @@ def test_a_thousand_things_apart_in_depth_are_as_many_leaves(cloud_of):
     rows, columns = np.indices((140, 130)) // 4
     tree = segment(cloud_of(np.where((rows + columns) % 2 == 0, 1.0, 2.0)), MANY_PIECES)
     assert len(tree.leaves()) == 35 * 33
-    assert tree.label_image().max() == 35 * 33
+    assert tree.labels("surfaces").max() == 35 * 33
     assert {leaf.pixels.size for leaf in tree.leaves()} == {8, 16}
 
 

@@ -36,5 +36,5 @@ def test_a_segment_has_the_pixels_of_the_leaves_below_it() -> None:
         ("0", "", ("00", "01")),
     ]
     # The image is what it would be if it had to be made of the segments.
-    assert np.array_equal(SegmentationTree(segments, (2, 3)).label_image(), image)
-    assert SegmentationTree(segments, (2, 3), image=image).label_image() is image
+    assert np.array_equal(SegmentationTree(segments, (2, 3)).labels("surfaces"), image)
+    assert SegmentationTree(segments, (2, 3), image=image).labels("surfaces") is image

@@ -63,7 +63,7 @@ def tree() -> LiveTree:
 def test_the_first_frame_is_that_of_a_frame_alone() -> None:
     found = LiveTree(CONFIG).segment(scene(BOX))
     alone = segment(scene(BOX), CONFIG)
-    assert np.array_equal(found.label_image(), alone.label_image())
+    assert np.array_equal(found.labels("surfaces"), alone.labels("surfaces"))
     assert [each.name for each in found.segments] == [each.name for each in alone.segments]
 
 
@@ -71,22 +71,22 @@ def test_a_scene_that_stands_still_keeps_its_labels(tree: LiveTree) -> None:
     first = tree.segment(scene(BOX))
     for _ in range(5):
         again = tree.segment(scene(BOX))
-        assert np.array_equal(again.label_image(), first.label_image())
+        assert np.array_equal(again.labels("surfaces"), first.labels("surfaces"))
         assert tree.revision.cold == ""
         assert tree.revision.splits == tree.revision.folds == 0
 
 
 def test_noise_moves_no_more_than_the_rims(tree: LiveTree) -> None:
-    first = tree.segment(scene(BOX)).label_image()
+    first = tree.segment(scene(BOX)).labels("surfaces")
     for noise in range(1, 6):
-        labels = tree.segment(scene(BOX, noise=noise)).label_image()
+        labels = tree.segment(scene(BOX, noise=noise)).labels("surfaces")
         assert np.mean(labels == first) > 0.99
 
 
 def test_labels_go_with_the_camera(tree: LiveTree) -> None:
-    box = only(tree.segment(scene(BOX)).label_image()[inside(BOX)])
+    box = only(tree.segment(scene(BOX)).labels("surfaces")[inside(BOX)])
     for shift in range(2, 22, 2):
-        labels = tree.segment(scene(BOX, noise=shift, shift=shift)).label_image()
+        labels = tree.segment(scene(BOX, noise=shift, shift=shift)).labels("surfaces")
         assert tree.revision.cold == ""
         assert only(labels[inside(BOX, shift)]) == box
         assert labels[60, 5] != box
@@ -105,17 +105,17 @@ def test_surfaces_move_with_what_they_explain(tree: LiveTree) -> None:
 def test_what_appears_gets_a_leaf_of_its_own_and_what_goes_loses_it(tree: LiveTree) -> None:
     new = (100, 30, 30, 50)
     with_one = tree.segment(scene(BOX, noise=1))
-    box = only(with_one.label_image()[inside(BOX)])
+    box = only(with_one.labels("surfaces")[inside(BOX)])
     found = tree.segment(scene(BOX, new, noise=2))
     assert tree.revision.cold == ""
     assert len(found.leaves()) == len(with_one.leaves()) + 1
-    labels = found.label_image()
+    labels = found.labels("surfaces")
     assert only(labels[inside(new)]) not in (only(labels[inside(BOX)]), labels[10, 10])
     for noise in range(3, 6):
         found = tree.segment(scene(BOX, noise=noise))
     assert tree.revision.cold == ""
     assert len(found.leaves()) == len(with_one.leaves())
-    labels = found.label_image()
+    labels = found.labels("surfaces")
     assert only(labels[inside(BOX)]) == box
     assert only(labels[inside(new)]) == labels[10, 10]
     consistent(found)
@@ -147,7 +147,7 @@ def test_the_tree_stays_one_whatever_comes_and_goes(turn: int) -> None:
         ]
         found = live.segment(scene(*boxes, noise=frame))
         consistent(found)
-        labels = found.label_image()
+        labels = found.labels("surfaces")
         assert (labels > 0).all()
         assert set(np.unique(labels)) == set(range(1, len(found.leaves()) + 1))
 
@@ -156,7 +156,7 @@ def test_another_scene_is_segmented_anew(tree: LiveTree) -> None:
     other = scene((10, 10, 120, 90), noise=5, wall_m=3.0)
     found = tree.segment(other)
     assert tree.revision.cold == "another scene"
-    assert np.array_equal(found.label_image(), segment(other, CONFIG).label_image())
+    assert np.array_equal(found.labels("surfaces"), segment(other, CONFIG).labels("surfaces"))
     tree.segment(other)
     assert tree.revision.cold == ""
 
@@ -167,12 +167,12 @@ def test_a_frame_is_segmented_anew_on_the_grid_of_the_budget(tree: LiveTree, ste
     found = tree.segment(other, Budget(decimation=step))
     assert (tree.revision.cold, tree.revision.step) == ("another scene", step)
     alone = segment(other, replace(CONFIG, decimation=step))
-    assert np.array_equal(found.label_image(), alone.label_image())
+    assert np.array_equal(found.labels("surfaces"), alone.labels("surfaces"))
     # The tree lives on from there, on that grid and on another one.
     for following in (step, 2):
         again = tree.segment(other, Budget(decimation=following))
         assert (tree.revision.cold, tree.revision.step) == ("", following)
-        assert np.mean(again.label_image() == found.label_image()) > 0.98
+        assert np.mean(again.labels("surfaces") == found.labels("surfaces")) > 0.98
 
 
 def test_images_of_another_size_are_segmented_anew(tree: LiveTree) -> None:
@@ -195,7 +195,7 @@ def test_the_budget_is_kept(tree: LiveTree, refits: int) -> None:
 def test_the_same_frames_give_the_same_trees() -> None:
     def run() -> list[np.ndarray]:
         live = LiveTree(CONFIG)
-        return [live.segment(scene(BOX, noise=n, shift=n)).label_image() for n in range(5)]
+        return [live.segment(scene(BOX, noise=n, shift=n)).labels("surfaces") for n in range(5)]
 
     for one, two in zip(run(), run(), strict=True):
         assert np.array_equal(one, two)
@@ -204,8 +204,8 @@ def test_the_same_frames_give_the_same_trees() -> None:
 def test_a_frame_without_depth_is_survived(tree: LiveTree) -> None:
     whole = scene(BOX)
     nothing = PointMap(np.full_like(whole.points_m, np.nan), whole.color, whole.colored)
-    assert not tree.segment(nothing).label_image().any()
-    assert (tree.segment(whole).label_image() > 0).all()
+    assert not tree.segment(nothing).labels("surfaces").any()
+    assert (tree.segment(whole).labels("surfaces") > 0).all()
 
 
 def test_only_the_default_method_lives() -> None:

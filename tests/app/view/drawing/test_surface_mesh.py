@@ -13,7 +13,7 @@ from tests.fakes.small_scene import small_frame, small_result
 
 def test_vertices_lie_on_the_scene_and_normals_look_at_the_camera() -> None:
     result = small_result()
-    labels = result.tree.label_image()
+    labels = result.tree.labels("surfaces")
     mesh = surface_mesh(result.tree, labels, 3.0)
     camera = result.frame.calibration.depth
     u = np.rint(camera.fx * mesh.vertices_m[:, 0] / mesh.vertices_m[:, 2] + camera.cx).astype(int)
@@ -30,7 +30,7 @@ def test_vertices_lie_on_the_scene_and_normals_look_at_the_camera() -> None:
 
 def test_triangles_cover_the_segments_and_nothing_else() -> None:
     result = small_result()
-    labels = result.tree.label_image()
+    labels = result.tree.labels("surfaces")
     step = 2.0
     mesh = surface_mesh(result.tree, labels, step)
     counts = np.bincount(mesh.labels[mesh.triangles[:, 0]], minlength=labels.max() + 1)[1:]
@@ -47,7 +47,7 @@ def test_vertices_carry_the_residuals_around_them() -> None:
     residuals = np.where(rows < 60, 0.001, 0.015)
     marked = replace(leaf, fit=replace(leaf.fit, residuals_m=residuals))
     segments = tuple(marked if each is leaf else each for each in result.tree.segments)
-    labels = result.tree.label_image()
+    labels = result.tree.labels("surfaces")
     mesh = surface_mesh(SegmentationTree(segments, result.tree.shape), labels, 4.0)
     of_leaf = mesh.labels == labels.reshape(-1)[leaf.pixels[0]]
     upper = mesh.vertices_m[of_leaf, 1] / mesh.vertices_m[of_leaf, 2] < -0.05
@@ -59,7 +59,7 @@ def test_vertices_carry_the_residuals_around_them() -> None:
 
 def test_residuals_beyond_a_surface_s_window_touch_no_other_surface() -> None:
     result = small_result()
-    labels = result.tree.label_image()
+    labels = result.tree.labels("surfaces")
     before = surface_mesh(result.tree, labels, 4.0)
     leaf = min(result.tree.leaves(), key=lambda each: each.pixels.size)
     pixels = np.arange(labels.size)
@@ -77,7 +77,7 @@ def test_a_leaf_without_a_surface_is_left_out() -> None:
     bare = replace(leaf, fit=Fit(None, np.zeros(0), {}, "too few points", leaf.pixels))
     segments = tuple(bare if each is leaf else each for each in result.tree.segments)
     tree = SegmentationTree(segments, result.tree.shape)
-    assert 1 not in surface_mesh(tree, tree.label_image(), 4.0).labels
+    assert 1 not in surface_mesh(tree, tree.labels("surfaces"), 4.0).labels
 
 
 def test_a_frame_without_surfaces_gives_an_empty_mesh() -> None:
@@ -85,5 +85,5 @@ def test_a_frame_without_surfaces_gives_an_empty_mesh() -> None:
     bare = replace(root, children=(), fit=Fit(None, np.zeros(0), {}, "0 points", root.pixels), cut=None)
     frame = small_frame()
     tree = SegmentationTree((bare,), frame.depth_mm.shape)
-    mesh = surface_mesh(tree, tree.label_image(), 4.0)
+    mesh = surface_mesh(tree, tree.labels("surfaces"), 4.0)
     assert mesh.vertices_m.shape == mesh.triangles.shape == (0, 3)

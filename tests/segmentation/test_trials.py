@@ -1,0 +1,98 @@
+"""What a tree says of its splits can be recomputed from its segments, by both methods."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.segments import Division, Segment, SegmentationTree
+from nurbseg.segmentation.stag15 import segment
+from nurbseg.segmentation.surfaces.surface import evaluate
+
+BOTH = pytest.mark.parametrize("method", ["stag15", "nurbseg"])
+
+
+def mean_square(each: Segment, cloud) -> float:
+    """Mean squared distance of the fitted points to the exported surface, m^2."""
+    rows, columns = np.unravel_index(each.fit.pixels, cloud.valid.shape)
+    assert each.fit.surface is not None
+    on_surface = evaluate(each.fit.surface, columns.astype(float), rows.astype(float))
+    beside = on_surface - cloud.points_m[rows, columns].astype(float)
+    return float(np.mean(np.sum(beside**2, axis=1)))
+
+
+def parts_of(tree: SegmentationTree, each: Segment) -> list[Segment]:
+    """The parts of a split: what is not connected hangs below nodes of its own."""
+    found, waiting = [], [tree[name] for name in each.children]
+    while waiting:
+        part = waiting.pop(0)
+        if part.division is Division.GAP:
+            waiting[:0] = [tree[name] for name in part.children]
+        else:
+            found.append(part)
+    return found
+
+
+@BOTH
+def test_ratios_follow_from_the_surfaces_and_the_pixels_that_were_fitted(cloud_of, box_on_table, method):
+    cloud = cloud_of(box_on_table((240, 320), noise_per_m=1.5e-3, seed=1)[0])
+    tree = segment(cloud, SegmentationConfig(method=method, segment_pixels_min=600, splits_max=8))
+    splits = [each for each in tree.segments if each.division is Division.CUT]
+    assert len(splits) > 2
+    for each in splits:
+        parts = parts_of(tree, each)
+        assert np.array_equal(
+            np.sort(np.concatenate([part.fit.pixels for part in parts])), np.sort(each.fit.pixels)
+        )
+        after = sum(mean_square(part, cloud) * part.fit.pixels.size for part in parts)
+        before = mean_square(each, cloud) * each.fit.pixels.size
+        assert each.ratio == pytest.approx(after / before, rel=1e-3)
+        assert each.trial is not None
+        assert each.trial.kept
+    rejected = [each for each in tree.leaves() if each.trial is not None]
+    for each in rejected:
+        assert each.trial is not None
+        assert not each.trial.kept
+        assert each.trial.value == pytest.approx(mean_square(each, cloud), rel=1e-3)
+        assert each.trial.points == each.fit.pixels.size == sum(points for _, points in each.trial.parts)
+
+
+@BOTH
+def test_only_gaps_have_no_trial(cloud_of, method):
+    depth = np.full((120, 160), 1.0)
+    depth[:, 80:] = 2.0
+    tree = segment(cloud_of(depth), SegmentationConfig(method=method, segment_pixels_min=300))
+    for each in tree.segments:
+        if each.division is Division.GAP:
+            assert each.trial is None
+            assert each.cut is None
+            assert each.fit.surface is None
+        assert (each.division is None) == (not each.children)
+    divisions = {"stag15": Division.CUT, "nurbseg": Division.GAP}
+    assert tree.root.division is divisions[method]
+
+
+@BOTH
+def test_the_window_of_a_surface_holds_all_pixels_of_its_segment(cloud_of, box_on_table, method):
+    cloud = cloud_of(box_on_table((241, 321), noise_per_m=1.5e-3, seed=2)[0])
+    tree = segment(cloud, SegmentationConfig(method=method, segment_pixels_min=600, splits_max=8))
+    for each in tree.segments:
+        if each.fit.surface is None or not each.pixels.size:
+            continue
+        rows, columns = np.unravel_index(np.concatenate([each.pixels, each.fit.pixels]), tree.shape)
+        top, left, bottom, right = each.fit.surface.window
+        assert top <= rows.min() <= rows.max() < bottom
+        assert left <= columns.min() <= columns.max() < right
+
+
+@BOTH
+@pytest.mark.parametrize("rows", [[7], [7, 9, 31]])
+def test_points_between_the_rows_of_the_grid_have_labels(cloud_of, method, rows):
+    depth = np.full((48, 64), np.nan)
+    depth[rows] = 1.0
+    cloud = cloud_of(depth)
+    config = SegmentationConfig(method=method, decimation=2)
+    labels = segment(cloud, config).labels("surfaces")
+    assert np.array_equal(labels > 0, cloud.valid)
+    assert np.array_equal(labels, segment(cloud, replace(config, decimation=1)).labels("surfaces"))
