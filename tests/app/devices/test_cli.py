@@ -126,8 +126,8 @@ def test_without_a_camera_the_list_names_the_doctor(virtual_cameras, capsys):
 def test_a_driver_that_hangs_does_not_hang_the_list():
     code = (
         "import sys, time\n"
-        "from nurbseg.app import devices\n"
-        "from nurbseg.drivers import camera_list\n"
+        "from nurbseg.app.devices import cli as devices\n"
+        "from nurbseg.drivers.doctor import camera_list\n"
         "devices._TIME_LIMIT_S = 0.2\n"
         "camera_list.list_cameras = lambda: time.sleep(50)\n"
         "sys.exit(devices.main(['list']))\n"

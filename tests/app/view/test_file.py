@@ -232,7 +232,7 @@ def test_a_file_that_cannot_be_created_is_named(tmp_path: Path) -> None:
 def _start(script: str, path: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-c", textwrap.dedent(script), str(path)],
-        cwd=Path(__file__).parents[2],
+        cwd=Path(__file__).parents[3],
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,

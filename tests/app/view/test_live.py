@@ -270,7 +270,7 @@ def test_ctrl_c_ends_the_process_in_time_though_the_viewer_is_frozen(tmp_path: P
     with stand_in(port) as viewer:
         with subprocess.Popen(
             [sys.executable, "-c", textwrap.dedent(_SHOWS_AND_ENDS), f"{LOCAL}:{port}", str(path)],
-            cwd=Path(__file__).parents[2],
+            cwd=Path(__file__).parents[3],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
