@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import hashlib
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
 from typing import ParamSpec, TypeVar
 
 import numba
+from numba.core import config
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -13,15 +20,20 @@ _R = TypeVar("_R")
 #: What the compiler may reorder: sums, and products within them. Comparisons know a NaN and an infinity, but
 #: `isfinite` of a sum does not: it looks at the number less itself, which is then 0.
 _FASTMATH = {"reassoc", "contract", "nsz"}
+#: What marks a file whose functions are compiled.
+_MARKS = (b"\n@compiled", b"\n@inlined")
+_PACKAGES = Path(__file__).resolve().parent.parent
+#: Folders of machine code that are kept, those used last: of this version and of some before it.
+_KEPT = 3
 
 
 def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Compile a function of arrays and numbers for the types that it is called with.
 
-    The code is kept beside the source file, or in the user's cache directory where that cannot be written, so
-    that only the first call on a computer waits for the compiler. What is kept is held against the source
-    file of the function alone: a compiled function calls compiled functions, and reads constants, of its own
-    file only; others are handed to it. Indices are not checked.
+    The code is kept beside the package, or in the user's cache directory where that cannot be written, so
+    that only the first call on a computer waits for the compiler. It is kept by the content of all files that
+    hold compiled functions: these may call each other, and read each other's constants. Indices are not
+    checked.
 
     Parameters
     ----------
@@ -34,14 +46,15 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
         The same, compiled.
     """
     try:
-        return _compiled(function, cache=True)
+        with _code_folder():
+            return _compiled(function, cache=True)
     except RuntimeError:
         # Nowhere to keep it: each process compiles for itself.
         return _compiled(function, cache=False)
 
 
 def inlined(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Compile a step of compiled functions of the same file into each of them.
+    """Compile a step of compiled functions into each of them.
 
     A call hands arrays over one by one, which can cost more than a short step itself.
     """
@@ -52,4 +65,65 @@ def _compiled(function: Callable[_P, _R], *, cache: bool) -> Callable[_P, _R]:
     return numba.njit(cache=cache, nogil=True, error_model="numpy", fastmath=_FASTMATH)(function)
 
 
-__all__ = ["compiled", "inlined"]
+@contextmanager
+def _code_folder() -> Iterator[None]:
+    """Let Numba look for a function's code in our folder; it chooses where when the function is decorated."""
+    # Numba makes this attribute when it reads its environment variables.
+    before: str = config.CACHE_DIR  # type: ignore[attr-defined]
+    config.CACHE_DIR = str(_folder(before))  # type: ignore[attr-defined]
+    try:
+        yield
+    finally:
+        config.CACHE_DIR = before  # type: ignore[attr-defined]
+
+
+@cache
+def _folder(wanted: str) -> Path | str:
+    """Return the folder of this version's code, made if need be; `wanted` where none can be written."""
+    name = f"loops-{content_digest(_PACKAGES)}"
+    cache_home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    beside = Path(__file__).parent / "__pycache__"
+    for above in (Path(wanted),) if wanted else (beside, cache_home / "nurbseg"):
+        folder = above / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            # Says when it was last used, and fails where it cannot be written.
+            (folder / "used").touch()
+        except OSError:
+            continue
+        _remove_old(above)
+        return folder
+    return wanted
+
+
+def content_digest(packages: Path) -> str:
+    """Return a digest of all files with compiled functions.
+
+    Parameters
+    ----------
+    packages : Path
+        The folder of ``drivers``, ``segmentation`` and ``app``.
+    """
+    digest = hashlib.sha256()
+    for package in ("app", "drivers", "segmentation"):
+        for path in sorted((packages / package).rglob("*.py")):
+            content = path.read_bytes()
+            if any(mark in content for mark in _MARKS):
+                digest.update(path.relative_to(packages).as_posix().encode() + b"\0" + content)
+    return digest.hexdigest()[:16]
+
+
+def _remove_old(above: Path) -> None:
+    """Remove all folders of code but those that were used last."""
+
+    def used_ns(folder: Path) -> int:
+        try:
+            return (folder / "used").stat().st_mtime_ns
+        except OSError:
+            return 0
+
+    for old in sorted(above.glob("loops-*"), key=used_ns, reverse=True)[_KEPT:]:
+        shutil.rmtree(old, ignore_errors=True)
+
+
+__all__ = ["compiled", "content_digest", "inlined"]

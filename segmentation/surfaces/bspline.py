@@ -8,8 +8,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.compiled import compiled, inlined
+
 #: The paper's surfaces are cubic in both directions.
 CUBIC = 3
+
+#: The values of the four cubic functions that are not 0 at a place.
+Four = tuple[float, float, float, float]
 
 
 def averaged_knots(parameters: NDArray[np.float64], count: int, degree: int = CUBIC) -> NDArray[np.float64]:
@@ -118,14 +123,13 @@ def _even_basis(
     values = np.zeros((parameters.size, count))
     at = np.arange(parameters.size) * count + (span - CUBIC)
     flat = values.reshape(-1)
-    for step, piece in enumerate(even_functions(place - span, spacing, derivative)):
-        flat[at + step] = piece
+    functions = even_functions(place - span, spacing, derivative)
+    for step in range(CUBIC + 1):
+        flat[at + step] = functions[:, step]
     return values
 
 
-def even_functions(
-    t: NDArray[np.float64], spacing: float, derivative: int = 0
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def even_functions(t: NDArray[np.float64], spacing: float, derivative: int = 0) -> NDArray[np.float64]:
     """Evaluate the four cubic functions on a span of evenly spaced knots.
 
     Parameters
@@ -139,17 +143,71 @@ def even_functions(
 
     Returns
     -------
-    four of (M,) float64
+    (M, 4) float64
         In the order in which the functions begin.
     """
-    if derivative == 0:
-        s, cube = 1.0 - t, t * t * t
-        low = s * s * s / 6.0
-        third = 2.0 / 3.0 - t * t * (1.0 - 0.5 * t)
-        return low, third, 1.0 - low - third - cube / 6.0, cube / 6.0
-    low, third = -0.5 * (1.0 - t) ** 2 / spacing, t * (1.5 * t - 2.0) / spacing
-    high = 0.5 * t * t / spacing
-    return low, third, -low - third - high, high
+    values = np.empty((t.size, CUBIC + 1))
+    _fill_even(t, 1.0 / spacing, derivative, values)
+    return values
+
+
+@compiled
+def _fill_even(
+    t: NDArray[np.float64], per_spacing: float, derivative: int, values: NDArray[np.float64]
+) -> None:
+    """Evaluate the functions, or their slopes, at every place."""
+    for n in range(t.size):
+        four = even_values(t[n]) if derivative == 0 else even_slopes(t[n], per_spacing)
+        for k in range(4):
+            values[n, k] = four[k]
+
+
+@inlined
+def even_values(t: float) -> Four:
+    """Evaluate the four cubic functions on a span of evenly spaced knots, 0 <= t < 1 on the span itself."""
+    s = 1.0 - t
+    low, high = s * s * s / 6.0, t * t * t / 6.0
+    third = 2.0 / 3.0 - t * t * (1.0 - 0.5 * t)
+    return low, third, 1.0 - low - third - high, high
+
+
+@inlined
+def even_slopes(t: float, per_spacing: float) -> Four:
+    """Evaluate the slopes of `even_values`, for knots that are one over `per_spacing` apart."""
+    s = 1.0 - t
+    low, third, high = -0.5 * s * s, t * (1.5 * t - 2.0), 0.5 * t * t
+    return low * per_spacing, third * per_spacing, -(low + third + high) * per_spacing, high * per_spacing
+
+
+@inlined
+def knot_span(knots: NDArray[np.float64], start: int, count: int, t: float) -> int:
+    """Return the span that holds t, from `start` on; the end spans also hold what lies beyond them."""
+    span = CUBIC
+    while (
+        span < count - 1 and knots[start + span + 1] <= t and knots[start + span + 1] < knots[start + count]
+    ):
+        span += 1
+    return span
+
+
+@inlined
+def cubic_functions(knots: NDArray[np.float64], span: int, t: float) -> tuple[Four, Four]:
+    """Evaluate the four cubic functions on a span between any knots, and their slopes.
+
+    References
+    ----------
+    .. [1] L. Piegl and W. Tiller, "The NURBS Book", 2nd ed., 1997, algorithm A2.2 and eq. 2.7.
+    """
+    after_1, after_2, after_3 = knots[span + 1] - t, knots[span + 2] - t, knots[span + 3] - t
+    before_1, before_2, before_3 = t - knots[span], t - knots[span - 1], t - knots[span - 2]
+    # Of degree 1, of degree 2, and these over the widths of their supports.
+    a = 1.0 / (after_1 + before_1)
+    b, c = after_1 * a / (after_1 + before_2), before_1 * a / (after_2 + before_1)
+    d = after_1 * b / (after_1 + before_3)
+    e = (before_2 * b + after_2 * c) / (after_2 + before_2)
+    f = before_1 * c / (after_3 + before_1)
+    values = after_1 * d, before_3 * d + after_2 * e, before_2 * e + after_3 * f, before_1 * f
+    return values, (-CUBIC * d, CUBIC * (d - e), CUBIC * (e - f), CUBIC * f)
 
 
 @lru_cache(maxsize=256)
@@ -223,10 +281,15 @@ def pixel_basis(size: int, count: int) -> SpanBasis:
 
 __all__ = [
     "CUBIC",
+    "Four",
     "SpanBasis",
     "averaged_knots",
     "basis_matrix",
+    "cubic_functions",
     "even_functions",
+    "even_slopes",
+    "even_values",
+    "knot_span",
     "pixel_basis",
     "pixel_knots",
 ]

@@ -47,7 +47,7 @@ def _table(spacing: float, blocks: int) -> tuple[NDArray[np.intp], NDArray[np.fl
     """Tabulate span and functions at every place of an image's whole extent."""
     place = np.arange(blocks * _TABLE_PLACES, dtype=np.float64) / spacing
     span = np.floor(place)
-    values = np.stack(even_functions(place - span, spacing), axis=1)
+    values = even_functions(place - span, spacing)
     values.flags.writeable = False
     return span.astype(np.intp), values
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled
-from nurbseg.segmentation.surfaces.bspline import CUBIC
+from nurbseg.segmentation.surfaces.bspline import CUBIC, even_values
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 #: Part of a place by which a knot on the grid may be off it.
@@ -144,11 +144,7 @@ def _evaluate(
 def _cubic(place: float, count: int, basis: NDArray[np.float32]) -> int:
     """Fill in the four cubic functions that are not zero at a place; return the number of the first."""
     span = min(max(int(np.floor(place)), 3), count - 1)
-    t = place - span
-    s = 1.0 - t
-    low, high = s * s * s / 6.0, t * t * t / 6.0
-    third = 2.0 / 3.0 - t * t * (1.0 - 0.5 * t)
-    basis[0], basis[1], basis[2], basis[3] = low, third, 1.0 - low - third - high, high
+    basis[0], basis[1], basis[2], basis[3] = even_values(place - span)
     return span - 3
 
 

@@ -9,14 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled, inlined
-from nurbseg.segmentation.surfaces.bspline import CUBIC
+from nurbseg.segmentation.surfaces.bspline import (
+    CUBIC,
+    Four,
+    cubic_functions,
+    even_slopes,
+    even_values,
+    knot_span,
+)
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 _ORDER = CUBIC + 1
 #: Knots count as evenly spaced up to this share of a space.
 _EVEN = 1e-9
-
-_Four = tuple[float, float, float, float]
 
 
 class _Axis(NamedTuple):
@@ -149,62 +154,22 @@ def _divide(nets: _Nets) -> None:
 
 
 @inlined
-def _functions(axis: _Axis, label: int, t: float) -> tuple[int, _Four, _Four]:
+def _functions(axis: _Axis, label: int, t: float) -> tuple[int, Four, Four]:
     """Evaluate the basis functions that are not 0 at t: number of the first, values and derivatives."""
     start, count = axis.starts[label], axis.counts[label]
     per_spacing = axis.per_spacing[label]
     if per_spacing == 0:
-        span = _span(axis.knots, start, count, t)
-        values, derivatives = _uneven(axis.knots, start + span, t)
+        span = knot_span(axis.knots, start, count, t)
+        values, derivatives = cubic_functions(axis.knots, start + span, t)
         return span - CUBIC, values, derivatives
     # The same four polynomials on every span.
     place = (t - axis.knots[start]) * per_spacing
     span = min(max(int(place), CUBIC), count - 1)
-    s = place - span
-    r = 1.0 - s
-    values = (
-        r * r * r * (1.0 / 6.0),
-        2.0 / 3.0 - s * s * (1.0 - 0.5 * s),
-        2.0 / 3.0 - r * r * (1.0 - 0.5 * r),
-        s * s * s * (1.0 / 6.0),
-    )
-    derivatives = (
-        -0.5 * r * r * per_spacing,
-        s * (1.5 * s - 2.0) * per_spacing,
-        -r * (1.5 * r - 2.0) * per_spacing,
-        0.5 * s * s * per_spacing,
-    )
-    return span - CUBIC, values, derivatives
+    return span - CUBIC, even_values(place - span), even_slopes(place - span, per_spacing)
 
 
 @inlined
-def _span(knots: NDArray[np.float64], start: int, count: int, t: float) -> int:
-    """Return the knot span that holds t; the end spans also hold what lies beyond them."""
-    span = CUBIC
-    while (
-        span < count - 1 and knots[start + span + 1] <= t and knots[start + span + 1] < knots[start + count]
-    ):
-        span += 1
-    return span
-
-
-@inlined
-def _uneven(knots: NDArray[np.float64], span: int, t: float) -> tuple[_Four, _Four]:
-    """Evaluate the four functions on a span between any knots (The NURBS Book, A2.2 and eq. 2.7)."""
-    after_1, after_2, after_3 = knots[span + 1] - t, knots[span + 2] - t, knots[span + 3] - t
-    before_1, before_2, before_3 = t - knots[span], t - knots[span - 1], t - knots[span - 2]
-    # Of degree 1, of degree 2, and these over the widths of their supports.
-    a = 1.0 / (after_1 + before_1)
-    b, c = after_1 * a / (after_1 + before_2), before_1 * a / (after_2 + before_1)
-    d = after_1 * b / (after_1 + before_3)
-    e = (before_2 * b + after_2 * c) / (after_2 + before_2)
-    f = before_1 * c / (after_3 + before_1)
-    values = after_1 * d, before_3 * d + after_2 * e, before_2 * e + after_3 * f, before_1 * f
-    return values, (-CUBIC * d, CUBIC * (d - e), CUBIC * (e - f), CUBIC * f)
-
-
-@inlined
-def _dot(B: _Four, values: NDArray[np.float64], first: int, step: int) -> float:
+def _dot(B: Four, values: NDArray[np.float64], first: int, step: int) -> float:
     """Add up four values that are a step apart, weighted by a basis."""
     return float(
         (B[0] * values[first] + B[1] * values[first + step])
@@ -252,7 +217,7 @@ def _evaluate(
 
 @inlined
 def _sums(
-    net: NDArray[np.float64], first: int, length: int, Bu: _Four, Du: _Four, Bv: _Four, Dv: _Four
+    net: NDArray[np.float64], first: int, length: int, Bu: Four, Du: Four, Bv: Four, Dv: Four
 ) -> tuple[float, float, float]:
     """Add up the sixteen control values at `first` and beside it: a spline and its slopes."""
     value, along_u, along_v = 0.0, 0.0, 0.0

@@ -2,20 +2,21 @@ import ast
 import importlib
 import inspect
 import pkgutil
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import nurbseg.app.view.drawing
 import nurbseg.drivers
 import nurbseg.segmentation
-from nurbseg.drivers.compiled import compiled
-
-#: The degree of a cubic does not change.
-LASTING = {"CUBIC"}
+from nurbseg.drivers.compiled import compiled, content_digest
 
 
 def modules():
-    for package in (nurbseg.drivers, nurbseg.segmentation):
+    for package in (nurbseg.drivers, nurbseg.segmentation, nurbseg.app.view.drawing):
         for info in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             yield importlib.import_module(info.name)
 
@@ -33,17 +34,15 @@ every_module = pytest.mark.parametrize(
 
 
 @every_module
-def test_compiled_functions_take_nothing_from_other_files(module):
-    """What is kept of them is not compiled anew when another file changes."""
-    tree = ast.parse(inspect.getsource(module))
-    elsewhere = {
-        each.asname or each.name
-        for node in tree.body
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("nurbseg")
-        for each in node.names
-    }
+def test_compiled_functions_take_names_only_from_files_by_whose_content_their_code_is_kept(module):
+    elsewhere = {}
+    for node in ast.parse(inspect.getsource(module)).body:
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("nurbseg"):
+            elsewhere |= {each.asname or each.name: node.module for each in node.names}
     for name, code in compiled_in(module):
-        assert not elsewhere.intersection(code.co_names) - LASTING, name
+        for used in elsewhere.keys() & set(code.co_names):
+            source = inspect.getsource(importlib.import_module(elsewhere[used]))
+            assert "\n@compiled" in source or "\n@inlined" in source, (name, used)
 
 
 @every_module
@@ -64,3 +63,60 @@ def _finite_sums(a, b):
     for n in range(a.size):
         finite[n] = abs(a[n] + b[n]) < np.inf
     return finite
+
+
+INNER = """
+from nurbseg.drivers.compiled import compiled
+
+@compiled
+def inner(x):
+    return x + {number}
+"""
+OUTER = """
+from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.inner import inner
+
+@compiled
+def outer(x):
+    return 10 * inner(x)
+"""
+PROGRAM = """
+import sys
+from pathlib import Path
+import nurbseg.drivers, nurbseg.segmentation
+nurbseg.segmentation.__path__.append(sys.argv[1] + "/segmentation")
+from nurbseg.drivers import compiled
+compiled._PACKAGES = Path(sys.argv[1])
+from nurbseg.segmentation.outer import outer
+print(outer(1), sum(outer.stats.cache_hits.values()))
+"""
+
+
+def test_code_is_compiled_anew_when_a_function_of_another_file_changes(tmp_path: Path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "code"))
+    (tmp_path / "segmentation").mkdir()
+    (tmp_path / "segmentation/outer.py").write_text(OUTER)
+
+    def run(number: int) -> list[str]:
+        (tmp_path / "segmentation/inner.py").write_text(INNER.format(number=number))
+        command = [sys.executable, "-c", PROGRAM, str(tmp_path)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+        return done.stdout.split()
+
+    assert run(1) == ["20", "0"]
+    assert run(1) == ["20", "1"]
+    assert run(2) == ["30", "0"]
+    assert [run(number)[0] for number in (3, 4, 5)] == ["40", "50", "60"]
+    kept = sorted(path.name for path in (tmp_path / "code").glob("loops-*"))
+    assert len(kept) == 3
+    assert f"loops-{content_digest(tmp_path)}" in kept
+
+
+def test_only_files_with_compiled_functions_count(tmp_path: Path):
+    (tmp_path / "segmentation").mkdir()
+    (tmp_path / "segmentation/inner.py").write_text(INNER.format(number=1))
+    before = content_digest(tmp_path)
+    (tmp_path / "segmentation/other.py").write_text("x = 1\n")
+    assert content_digest(tmp_path) == before
+    (tmp_path / "segmentation/inner.py").write_text(INNER.format(number=2))
+    assert content_digest(tmp_path) != before

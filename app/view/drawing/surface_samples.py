@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import compiled, inlined
+from nurbseg.segmentation.surfaces.bspline import CUBIC, cubic_functions, knot_span
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 
@@ -56,12 +57,12 @@ class Lattices:
 def evaluate_vertices(
     surfaces: Sequence[NurbsSurface], lattices: Lattices, wanted: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
-    """Evaluate surfaces of one degree at vertices of their lattices.
+    """Evaluate bicubic surfaces at vertices of their lattices.
 
     Parameters
     ----------
     surfaces : sequence of NurbsSurface
-        All of the same degree.
+        Bicubic.
     lattices : Lattices
         Of these surfaces.
     wanted : (V,) bool
@@ -75,26 +76,23 @@ def evaluate_vertices(
     Raises
     ------
     ValueError
-        If the degrees differ.
+        If a surface is not bicubic.
 
     References
     ----------
     .. [1] L. Piegl and W. Tiller, "The NURBS Book", 2nd ed., 1997, algorithms A2.2 and A4.3.
     """
-    degrees = {each.degree for each in surfaces}
-    if len(degrees) > 1:
-        raise ValueError(f"surfaces: expected one degree, got {sorted(degrees)}")
+    for surface in surfaces:
+        if surface.degree != (CUBIC, CUBIC):
+            raise ValueError(f"surfaces: expected bicubic ones, got degree {surface.degree}")
     points = np.empty((np.count_nonzero(wanted), 3), dtype=np.float32)
     if surfaces:
-        degree_u, degree_v = degrees.pop()
         _evaluate(
             np.concatenate([each.knots_u for each in surfaces]),
             np.concatenate([each.knots_v for each in surfaces]),
             np.concatenate([each.control_points_m.reshape(-1, 3) for each in surfaces]),
             np.concatenate([each.weights.ravel() for each in surfaces]),
             np.array([each.weights.shape for each in surfaces], dtype=np.intp),
-            degree_u,
-            degree_v,
             lattices.first,
             lattices.step,
             lattices.count,
@@ -111,8 +109,6 @@ def _evaluate(
     control: NDArray[np.float64],
     weights: NDArray[np.float64],
     shapes: NDArray[np.intp],
-    degree_u: int,
-    degree_v: int,
     first: NDArray[np.float64],
     step: NDArray[np.float64],
     count: NDArray[np.intp],
@@ -121,22 +117,22 @@ def _evaluate(
 ) -> None:
     """Fill `points`: for each lattice row a curve of homogeneous points, evaluated at the columns."""
     widest, most_columns = shapes[:, 1].max(), count[:, 1].max()
-    basis_v = np.empty(degree_v + 1)
-    bases_u = np.empty((most_columns, degree_u + 1))
+    basis_v = np.empty(CUBIC + 1)
+    bases_u = np.empty((most_columns, CUBIC + 1))
     spans_u = np.empty(most_columns, dtype=np.intp)
     curve = np.empty((widest, 4))
     at_u = at_v = net = vertex = done = 0
     for surface in range(shapes.shape[0]):
         height, width = shapes[surface]
-        own_u = knots_u[at_u : at_u + width + degree_u + 1]
-        own_v = knots_v[at_v : at_v + height + degree_v + 1]
+        own_u = knots_u[at_u : at_u + width + CUBIC + 1]
+        own_v = knots_v[at_v : at_v + height + CUBIC + 1]
         for column in range(count[surface, 1]):
             u = first[surface, 1] + column * step[surface, 1]
-            spans_u[column] = _basis(own_u, degree_u, u, bases_u[column])
+            spans_u[column] = _basis(own_u, u, bases_u[column])
         for row in range(count[surface, 0]):
-            span_v = _basis(own_v, degree_v, first[surface, 0] + row * step[surface, 0], basis_v)
+            span_v = _basis(own_v, first[surface, 0] + row * step[surface, 0], basis_v)
             curve[:width] = 0.0
-            for a in range(degree_v + 1):
+            for a in range(CUBIC + 1):
                 begin = net + (span_v + a) * width
                 for b in range(width):
                     share = basis_v[a] * weights[begin + b]
@@ -146,7 +142,7 @@ def _evaluate(
             for column in range(count[surface, 1]):
                 if wanted[vertex]:
                     x = y = z = w = 0.0
-                    for b in range(degree_u + 1):
+                    for b in range(CUBIC + 1):
                         at = curve[spans_u[column] + b]
                         x += bases_u[column, b] * at[0]
                         y += bases_u[column, b] * at[1]
@@ -155,28 +151,17 @@ def _evaluate(
                     points[done, 0], points[done, 1], points[done, 2] = x / w, y / w, z / w
                     done += 1
                 vertex += 1
-        at_u += width + degree_u + 1
-        at_v += height + degree_v + 1
+        at_u += width + CUBIC + 1
+        at_v += height + CUBIC + 1
         net += height * width
 
 
-@compiled
-def _basis(knots: NDArray[np.float64], degree: int, at: float, values: NDArray[np.float64]) -> int:
-    """Fill in the basis functions that are not 0 at a parameter; return the index of the first."""
-    span = degree
-    while span < knots.size - degree - 2 and at >= knots[span + 1]:
-        span += 1
-    values[0] = 1.0
-    for order in range(1, degree + 1):
-        saved = 0.0
-        for r in range(order):
-            right, left = knots[span + r + 1], knots[span + r + 1 - order]
-            # Knots that coincide enclose nothing: their function is 0.
-            share = values[r] / (right - left) if right > left else 0.0
-            values[r] = saved + (right - at) * share
-            saved = (at - left) * share
-        values[order] = saved
-    return span - degree
+@inlined
+def _basis(knots: NDArray[np.float64], at: float, values: NDArray[np.float64]) -> int:
+    """Fill in the cubic functions that are not 0 at a parameter; return the number of the first."""
+    span = knot_span(knots, 0, knots.size - CUBIC - 1, at)
+    values[0], values[1], values[2], values[3] = cubic_functions(knots, span, at)[0]
+    return span - CUBIC
 
 
 __all__ = ["Lattices", "evaluate_vertices"]

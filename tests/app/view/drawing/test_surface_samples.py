@@ -52,9 +52,9 @@ def test_a_lattice_spans_its_window_with_steps_near_the_one_asked_for() -> None:
     assert lattices.step.tolist() == [[6.0, 6.0]]
 
 
-def test_surfaces_of_two_degrees_are_refused() -> None:
+def test_surfaces_of_another_degree_are_refused() -> None:
     rng = np.random.default_rng(5)
     surfaces = [surface(rng, (0, 0, 20, 20), 4, 4), surface(rng, (0, 0, 20, 20), 4, 4, degree=2)]
     lattices = Lattices.over(surfaces, 5.0)
-    with pytest.raises(ValueError, match=r"expected one degree, got \[\(2, 2\), \(3, 3\)\]"):
+    with pytest.raises(ValueError, match=r"expected bicubic ones, got degree \(2, 2\)"):
         evaluate_vertices(surfaces, lattices, np.ones(lattices.vertices, dtype=bool))
