@@ -18,6 +18,7 @@ FirstSplit = Literal["kept", "judged"]
 Level = Literal["surfaces", "objects"]
 FitOf = Literal["inverse-depth", "xyz"]
 ControlPoints = Literal["adaptive", "fixed"]
+LeastSquares = Literal["auto", "svd", "ridge"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +84,12 @@ class SegmentationConfig:
         "adaptive",
         "whether smaller segments get fewer control points, or all the same number (Pagnutti 2014)",
         choices=get_args(ControlPoints),
+    )
+    least_squares: LeastSquares = setting(
+        "auto",
+        "how points are fitted: svd gives the solution of least norm, as in the paper; ridge is faster and "
+        "holds back what few data decide; auto is svd where a metric of curvature decides, and else ridge",
+        choices=get_args(LeastSquares),
     )
     decimation: int = setting(
         2,
@@ -173,6 +180,7 @@ __all__ = [
     "ControlPoints",
     "FirstSplit",
     "FitOf",
+    "LeastSquares",
     "Level",
     "Method",
     "Metric",

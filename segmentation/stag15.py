@@ -31,7 +31,7 @@ from nurbseg.segmentation.segments import (
 from nurbseg.segmentation.shared import SharedWork
 from nurbseg.segmentation.surfaces.curvature import all_metrics
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, acceptance_ratio
-from nurbseg.segmentation.surfaces.surface import Fit, fit_on_grid
+from nurbseg.segmentation.surfaces.surface import Fit, fit_on_grid, has_least_norm
 
 
 def segment(
@@ -187,7 +187,8 @@ def _measured(
     grid: PixelGrid, name: str, places: NDArray[np.intp], config: SegmentationConfig, shared: SharedWork
 ) -> Fit:
     """Fit a surface, with the metric that decides among its values."""
-    fit = shared.once(config, ("fit", name), lambda: fit_on_grid(grid, places, config))
+    kind = "fit of least norm" if has_least_norm(config) else "fit"
+    fit = shared.once(config, (kind, name), lambda: fit_on_grid(grid, places, config))
     if config.metric not in CURVATURE_METRICS:
         return fit
     return shared.once(

@@ -16,7 +16,8 @@ from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.bspline import CUBIC, basis_matrix, pixel_basis, pixel_knots
 from nurbseg.segmentation.surfaces.distances import spline_distances
 from nurbseg.segmentation.surfaces.leastsquares import LinAlgError, fit_control_points
-from nurbseg.segmentation.surfaces.metrics import residual_metrics
+from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, residual_metrics
+from nurbseg.segmentation.surfaces.minimum_norm import minimum_norm_control_points
 
 _FEWEST_CONTROL_POINTS = CUBIC + 1
 #: Points evaluated at once away from a lattice, to bound the memory.
@@ -251,7 +252,7 @@ def fit_surface(cloud: PointMap, pixels: NDArray[np.intp], config: SegmentationC
     pixels : (N,) intp
         Flat indices of the segment's pixels, each of which has a point.
     config : SegmentationConfig
-        The number of control points and the limits of the metrics.
+        The number of control points, how they are solved for, and the limits of the metrics.
 
     Returns
     -------
@@ -300,7 +301,8 @@ def fit_on_grid(grid: PixelGrid, places: NDArray[np.intp], config: SegmentationC
         control_point_count(bottom - top, grid.shape[0], config),
     )
     try:
-        control = fit_control_points(grid.coordinates_m, mask, (top, left), counts)
+        solve = minimum_norm_control_points if has_least_norm(config) else fit_control_points
+        control = solve(grid.coordinates_m, mask, (top, left), counts)
     except LinAlgError as error:
         return Fit(None, np.zeros(0), {}, f"no least-squares solution: {error}", grid.pixels(places))
     rows, columns = pixel_basis(bottom - top, counts[1]), pixel_basis(right - left, counts[0])
@@ -314,6 +316,24 @@ def fit_on_grid(grid: PixelGrid, places: NDArray[np.intp], config: SegmentationC
         window=grid.full_window((top, left, bottom, right)),
     )
     return Fit(surface, residuals, residual_metrics(residuals, config), "", grid.pixels(places))
+
+
+def has_least_norm(config: SegmentationConfig) -> bool:
+    """Say whether fits are the least-squares solutions of least norm, by SVD, and not by a ridge.
+
+    Parameters
+    ----------
+    config : SegmentationConfig
+        Its `least_squares`, and where that is "auto", its metric.
+
+    Returns
+    -------
+    bool
+        Curvature takes second derivatives, which a ridge changes much more than residuals.
+    """
+    if config.least_squares == "auto":
+        return config.metric in CURVATURE_METRICS
+    return config.least_squares == "svd"
 
 
 def control_point_count(extent: int, image_extent: int, config: SegmentationConfig) -> int:
@@ -349,5 +369,6 @@ __all__ = [
     "evaluate_lattice",
     "fit_on_grid",
     "fit_surface",
+    "has_least_norm",
     "normals",
 ]

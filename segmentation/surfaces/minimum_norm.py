@@ -1,0 +1,232 @@
+"""Least-squares B-spline fits of least norm, by the singular values of a reduced design matrix."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.linalg import LinAlgError
+from numpy.typing import NDArray
+from scipy.linalg import lstsq
+
+from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.surfaces.bspline import CUBIC, pixel_basis
+
+
+def minimum_norm_control_points(
+    values: NDArray[np.float32], mask: NDArray[np.bool_], corner: tuple[int, int], counts: tuple[int, int]
+) -> NDArray[np.float64]:
+    """Fit the control points of a bicubic spline to values on part of a window of pixels, by SVD.
+
+    The parameters are the pixels' places in the window. The design matrix has a row for each pixel. Its
+    triangular factor has the same singular values, of which the smallest would be lost in the normal
+    matrix; it is reached by Householder reflections of the pixels of one row of one span, of one span of
+    rows and columns, and of one span of rows, since no others share their control points.
+
+    Parameters
+    ----------
+    values : (C, H, W) float32
+        Images to fit; read only where `mask` is set.
+    mask : (h, w) bool
+        Pixels of the window that have a value, at least one.
+    corner : (int, int)
+        First row and column of the window.
+    counts : (int, int)
+        Control points along rows' parameter u (columns of the image) and v (rows of the image): at least
+        4, and beyond that no more than there are pixels, so that no span of knots is without one.
+
+    Returns
+    -------
+    (C, nv, nu) float64
+        Control values: of all that leave the least residuals, those of least norm about each image's mean
+        over the mask. Singular values count as 0 below the machine epsilon times the greater of the
+        numbers of pixels and of control points, times the largest.
+
+    Raises
+    ------
+    ValueError
+        If there are too many control points.
+    numpy.linalg.LinAlgError
+        If the values are not finite, so that there is no solution.
+
+    References
+    ----------
+    .. [1] G. H. Golub and C. F. Van Loan, "Matrix Computations", 4th ed., 2013, sections 5.2 and 5.5.
+    """
+    height, width = mask.shape
+    if counts[0] > max(width, CUBIC + 1) or counts[1] > max(height, CUBIC + 1):
+        raise ValueError(f"counts: expected at most {(width, height)} control points, got {counts}")
+    rows, columns = pixel_basis(height, counts[1]), pixel_basis(width, counts[0])
+    window = values[:, corner[0] : corner[0] + height, corner[1] : corner[1] + width]
+    centers = window[:, mask].mean(axis=1, dtype=np.float64)
+    size = rows.count * columns.count
+    factor = _triangular_factor(
+        values,
+        np.ascontiguousarray(mask),
+        *corner,
+        rows.starts,
+        rows.values,
+        rows.count,
+        columns.starts,
+        columns.values,
+        columns.count,
+        centers,
+    )
+    if not np.isfinite(factor).all():
+        raise LinAlgError("the values are not finite")
+    cutoff = float(np.finfo(np.float64).eps) * max(int(np.count_nonzero(mask)), size)
+    solution = lstsq(factor[:, :size], factor[:, size:], cond=cutoff, check_finite=False)[0]
+    control: NDArray[np.float64] = (solution + centers).T.reshape(-1, rows.count, columns.count)
+    return control
+
+
+@compiled
+def _triangular_factor(
+    images: NDArray[np.float32],
+    mask: NDArray[np.bool_],
+    top: int,
+    left: int,
+    starts_v: NDArray[np.intp],
+    values_v: NDArray[np.float64],
+    nv: int,
+    starts_u: NDArray[np.intp],
+    values_u: NDArray[np.float64],
+    nu: int,
+    centers: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Reduce the design matrix, with the images less their centers beside it: (nv nu, nv nu + C)."""
+    height, width = mask.shape
+    count, reached, size = centers.size, 4 * nu, nv * nu
+    factor = np.zeros((size, size + count))
+    # Rows for the control points that a span of rows reaches: first what earlier spans leave of them.
+    system = np.empty((reached + 16 * nu, reached + count))
+    system[:reached] = 0.0
+    y = 0
+    while y < height:
+        end_y = _end_of_span(starts_v, y)
+        used, x = reached, 0
+        while x < width:
+            end_x = _end_of_span(starts_u, x)
+            cell = _cell(
+                images[:, top + y : top + end_y, left + x : left + end_x],
+                mask[y:end_y, x:end_x],
+                values_v[y:end_y],
+                values_u[x:end_x],
+                centers,
+            )
+            for row in cell:
+                target = system[used]
+                target[:] = 0.0
+                for i in range(4):
+                    for j in range(4):
+                        target[i * nu + starts_u[x] + j] = row[4 * i + j]
+                target[reached:] = row[16:]
+                used += 1
+            x = end_x
+        _triangularize(system[:used], reached)
+        # The first of four rows of control points is finished: the next span of rows begins at the second.
+        _put(system, nu if end_y < height else reached, factor, starts_v[y] * nu)
+        _move_up(system, nu, reached)
+        y = end_y
+    return factor
+
+
+@compiled
+def _end_of_span(starts: NDArray[np.intp], begin: int) -> int:
+    """Return one past the last place with the functions of the first."""
+    end = begin + 1
+    while end < starts.size and starts[end] == starts[begin]:
+        end += 1
+    return end
+
+
+@compiled
+def _cell(
+    images: NDArray[np.float32],
+    mask: NDArray[np.bool_],
+    values_v: NDArray[np.float64],
+    values_u: NDArray[np.float64],
+    centers: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Reduce the rows of the pixels of one span of rows and columns, to 16 functions at most: (M, 16 + C)."""
+    height, width = mask.shape
+    count = centers.size
+    cell, run = np.empty((4 * height, 16 + count)), np.empty((width, 4 + count))
+    used = 0
+    for y in range(height):
+        points = 0
+        for x in range(width):
+            if mask[y, x]:
+                run[points, :4] = values_u[x]
+                for c in range(count):
+                    run[points, 4 + c] = np.float64(images[c, y, x]) - centers[c]
+                points += 1
+        _triangularize(run[:points], 4)
+        for n in range(min(points, 4)):
+            for i in range(4):
+                for j in range(4):
+                    cell[used, 4 * i + j] = values_v[y, i] * run[n, j]
+            cell[used, 16:] = run[n, 4:]
+            used += 1
+    _triangularize(cell[:used], 16)
+    return cell[: min(used, 16)]
+
+
+@compiled
+def _put(system: NDArray[np.float64], rows: int, factor: NDArray[np.float64], first: int) -> None:
+    """Put the first rows of a reduced system where its first control point is number `first`."""
+    count = factor.shape[1] - factor.shape[0]
+    reached = system.shape[1] - count
+    for n in range(rows):
+        factor[first + n, first : first + reached] = system[n, :reached]
+        factor[first + n, factor.shape[0] :] = system[n, reached:]
+
+
+@compiled
+def _move_up(system: NDArray[np.float64], rows: int, reached: int) -> None:
+    """Leave out the first control points of a reduced system, for as many new ones at its end."""
+    for n in range(reached):
+        for m in range(reached):
+            inside = n + rows < reached and m + rows < reached
+            system[n, m] = system[n + rows, m + rows] if inside else 0.0
+        for m in range(reached, system.shape[1]):
+            system[n, m] = system[n + rows, m] if n + rows < reached else 0.0
+
+
+@compiled
+def _triangularize(A: NDArray[np.float64], columns: int) -> None:
+    """Make the first columns upper triangular by Householder reflections of the rows, in place."""
+    rows, width = A.shape
+    dots = np.empty(width)
+    for k in range(min(rows - 1, columns)):
+        square = 0.0
+        for i in range(k + 1, rows):
+            square += A[i, k] * A[i, k]
+        if square == 0.0:
+            continue
+        # The reflection that takes the column x to (alpha, 0, ...) is 1 - beta v v^T, v along x - alpha e.
+        head = A[k, k]
+        alpha = np.sqrt(head * head + square)
+        if head > 0.0:
+            alpha = -alpha
+        first = head - alpha
+        beta = -first / alpha
+        A[k, k] = alpha
+        for m in range(k + 1, width):
+            dots[m] = A[k, m]
+        for i in range(k + 1, rows):
+            v = A[i, k] / first
+            A[i, k] = v
+            if v != 0.0:
+                for m in range(k + 1, width):
+                    dots[m] += v * A[i, m]
+        for m in range(k + 1, width):
+            dots[m] *= beta
+            A[k, m] -= dots[m]
+        for i in range(k + 1, rows):
+            v = A[i, k]
+            if v != 0.0:
+                for m in range(k + 1, width):
+                    A[i, m] -= v * dots[m]
+            A[i, k] = 0.0
+
+
+__all__ = ["LinAlgError", "minimum_norm_control_points"]

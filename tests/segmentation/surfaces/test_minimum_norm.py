@@ -1,0 +1,186 @@
+"""Fits of least norm held against numpy's SVD of the whole design matrix, a row for each pixel."""
+
+from typing import get_args
+
+import numpy as np
+import pytest
+from numpy.linalg import LinAlgError
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.config import Metric, SegmentationConfig
+from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.segmentation.surfaces.bspline import averaged_knots, basis_matrix
+from nurbseg.segmentation.surfaces.curvature import all_metrics, curvatures_at_pixels
+from nurbseg.segmentation.surfaces.minimum_norm import minimum_norm_control_points
+from nurbseg.segmentation.surfaces.surface import fit_surface, has_least_norm
+
+CURVATURE = {"vmxc", "vmec", "vgc", "mmxc", "nlc"}
+
+
+def dense_system(mask: NDArray[np.bool_], nu: int, nv: int) -> NDArray[np.float64]:
+    rows, columns = np.nonzero(mask)
+    Bv, Bu = (
+        basis_matrix(averaged_knots(np.arange(float(size)), count), 3, places.astype(float))
+        for places, count, size in ((rows, nv, mask.shape[0]), (columns, nu, mask.shape[1]))
+    )
+    return np.einsum("na,nb->nab", Bv, Bu).reshape(rows.size, nv * nu)
+
+
+def dense_solution(values: NDArray[np.float64], mask: NDArray[np.bool_], nu: int, nv: int):
+    """Control values (C, nv, nu) of least norm about the mean, and the rank."""
+    points = values[:, mask].T
+    center = points.mean(axis=0)
+    solution, _, rank, _ = np.linalg.lstsq(dense_system(mask, nu, nv), points - center, rcond=None)
+    return (solution + center).T.reshape(-1, nv, nu), rank
+
+
+def ring() -> NDArray[np.bool_]:
+    rows, columns = np.mgrid[:40, :50]
+    radius = np.hypot(rows - 19.5, columns - 24.5)
+    return (radius > 14) & (radius < 19)
+
+
+def comb() -> NDArray[np.bool_]:
+    """A block with one-pixel teeth, and a pixel by itself in the far corner."""
+    mask = np.zeros((33, 61), dtype=bool)
+    mask[:9, :40] = True
+    mask[9:30, 3:40:9] = True
+    mask[-1, -1] = True
+    return mask
+
+
+def scattered() -> NDArray[np.bool_]:
+    mask = np.random.default_rng(8).random((47, 29)) < 0.04
+    mask[0, 0] = mask[-1, -1] = True
+    return mask
+
+
+@pytest.mark.parametrize(
+    ("mask", "nu", "nv", "full"),
+    [
+        (np.ones((30, 40), dtype=bool), 7, 5, True),
+        (np.ones((31, 7), dtype=bool), 7, 4, True),
+        (ring(), 10, 9, False),
+        (comb(), 11, 6, False),
+        (scattered(), 6, 11, False),
+        (np.ones((5, 20), dtype=bool), 6, 5, True),
+        (np.ones((1, 9), dtype=bool), 4, 4, False),
+        (np.ones((9, 1), dtype=bool), 4, 4, False),
+        (np.ones((1, 1), dtype=bool), 4, 4, False),
+    ],
+    ids=["full", "narrow", "ring", "comb", "scattered", "as many as rows", "row", "column", "pixel"],
+)
+def test_the_control_points_are_those_of_the_dense_svd(mask, nu: int, nv: int, full: bool):
+    values = np.random.default_rng(1).normal(2.0, 0.1, (3, *mask.shape)).astype(np.float32)
+    expected, rank = dense_solution(values.astype(float), mask, nu, nv)
+    assert (int(rank) == nu * nv) is full
+    # Of an image of which the window is a part; what the mask leaves out is not read.
+    images = np.full((3, mask.shape[0] + 3, mask.shape[1] + 2), np.nan, dtype=np.float32)
+    images[:, 2:-1, 1:-1] = np.where(mask, values, np.nan)
+    found = minimum_norm_control_points(images, mask, (2, 1), (nu, nv))
+    # Singular values reach down to 1e-10 of the largest, and rounding up to so many times its size.
+    assert_allclose(found, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
+
+
+def test_values_that_are_not_finite_have_no_solution():
+    mask = np.ones((9, 9), dtype=bool)
+    values = np.ones((1, 9, 9), dtype=np.float32)
+    values[0, 4, 4] = np.inf
+    with np.errstate(invalid="ignore"), pytest.raises(LinAlgError, match="not finite"):
+        minimum_norm_control_points(values, mask, (0, 0), (4, 4))
+
+
+def test_more_control_points_than_pixels_along_an_axis_are_refused():
+    values, mask = np.ones((1, 5, 9), dtype=np.float32), np.ones((5, 9), dtype=bool)
+    for counts in ((10, 4), (4, 6)):
+        with pytest.raises(ValueError, match=r"at most \(9, 5\)"):
+            minimum_norm_control_points(values, mask, (0, 0), counts)
+
+
+def wavy_cloud(mask: NDArray[np.bool_], size: tuple[int, int] = (120, 160)) -> PointMap:
+    """A noisy curved surface at 1 m, seen at the mask, which is put at row 30 and column 40."""
+    rng = np.random.default_rng(6)
+    rows, columns = np.mgrid[: size[0], : size[1]]
+    depth = 1.0 + 0.03 * np.sin(columns / 9) * np.cos(rows / 7) + rng.normal(0, 0.001, size)
+    points = np.stack([(columns - 80) / 140 * depth, (rows - 60) / 140 * depth, depth], axis=-1)
+    valid = np.zeros(size, dtype=bool)
+    valid[30 : 30 + mask.shape[0], 40 : 40 + mask.shape[1]] = mask
+    points[~valid] = np.nan
+    return PointMap(points.astype(np.float32), np.zeros((*size, 3), dtype=np.uint8), valid)
+
+
+def dense_curvatures(cloud: PointMap, nu: int, nv: int):
+    """Larger and smaller principal curvature at the points of a cloud, from the dense SVD's surface."""
+    rows, columns = np.nonzero(cloud.valid)
+    top, left = rows.min(), columns.min()
+    mask = cloud.valid[top : rows.max() + 1, left : columns.max() + 1]
+    window = cloud.points_m[top : rows.max() + 1, left : columns.max() + 1].astype(float)
+    control, _ = dense_solution(np.moveaxis(window, -1, 0), mask, nu, nv)
+    knots = [averaged_knots(np.arange(float(size)), n) for size, n in zip(mask.shape, (nv, nu), strict=True)]
+
+    def derivative(du: int, dv: int) -> NDArray[np.float64]:
+        Bv = basis_matrix(knots[0], 3, (rows - top).astype(float), dv)
+        Bu = basis_matrix(knots[1], 3, (columns - left).astype(float), du)
+        return np.einsum("na,cab,nb->nc", Bv, control, Bu)
+
+    Su, Sv = derivative(1, 0), derivative(0, 1)
+    normal = np.cross(Su, Sv)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    first = np.array([[(Su * Su).sum(1), (Su * Sv).sum(1)], [(Su * Sv).sum(1), (Sv * Sv).sum(1)]])
+    second = np.array(
+        [
+            [(derivative(2, 0) * normal).sum(1), (derivative(1, 1) * normal).sum(1)],
+            [(derivative(1, 1) * normal).sum(1), (derivative(0, 2) * normal).sum(1)],
+        ]
+    )
+    # The principal curvatures are the eigenvalues of the shape operator.
+    shape = np.linalg.solve(np.moveaxis(first, -1, 0), np.moveaxis(second, -1, 0))
+    return np.sort(np.linalg.eigvals(shape).real, axis=1)[:, ::-1].T
+
+
+@pytest.mark.parametrize(("mask", "nu", "nv"), [(ring(), 5, 6), (comb(), 8, 6), (scattered(), 4, 8)])
+def test_curvatures_of_irregular_segments_are_those_of_the_dense_svd(mask, nu: int, nv: int):
+    cloud = wavy_cloud(mask)
+    pixels = np.flatnonzero(cloud.valid)
+    config = SegmentationConfig(metric="vmxc")
+    fit = fit_surface(cloud, pixels, config)
+    assert fit.surface is not None
+    assert fit.surface.weights.shape == (nv, nu)
+    k1, k2 = dense_curvatures(cloud, nu, nv)
+    found = curvatures_at_pixels(fit.surface, pixels, cloud.valid.shape[1])
+    scale = np.maximum(np.abs(k1), np.abs(k2))
+    assert (np.abs(found - np.array([k1, k2])) <= 1e-4 * (1.0 + scale)).all()
+    largest = np.maximum(np.abs(k1), np.abs(k2))
+    expected = {
+        "vmxc": largest.var(),
+        "vmec": (0.5 * (k1 + k2)).var(),
+        "vgc": (k1 * k2).var(),
+        "mmxc": largest.mean(),
+        "nlc": np.count_nonzero(largest > config.large_curvature_per_m),
+    }
+    values = all_metrics(fit, cloud.valid.shape[1], config)
+    assert_allclose([values[each] for each in expected], list(expected.values()), rtol=1e-4)
+
+
+@pytest.mark.parametrize("metric", get_args(Metric))
+def test_metrics_of_curvature_are_solved_by_svd_unless_told_otherwise(metric: Metric):
+    assert has_least_norm(SegmentationConfig(metric=metric)) is (metric in CURVATURE)
+    assert has_least_norm(SegmentationConfig(metric=metric, least_squares="svd"))
+    assert not has_least_norm(SegmentationConfig(metric=metric, least_squares="ridge"))
+
+
+def test_fits_are_solved_as_the_setting_says():
+    cloud = wavy_cloud(comb())
+    pixels = np.flatnonzero(cloud.valid)
+
+    def control(metric: Metric, least_squares) -> NDArray[np.float64]:
+        fit = fit_surface(cloud, pixels, SegmentationConfig(metric=metric, least_squares=least_squares))
+        assert fit.surface is not None
+        return fit.surface.control_points_m
+
+    svd, ridge = control("mse", "svd"), control("mse", "ridge")
+    assert np.abs(svd - ridge).max() > 1.0
+    assert_array_equal(control("mse", "auto"), ridge)
+    assert_array_equal(control("vmxc", "auto"), svd)
+    assert_array_equal(control("vmxc", "ridge"), ridge)
