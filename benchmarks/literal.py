@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import heapq
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+from skimage.color import rgb2lab
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.components import give_away_small_pieces
@@ -21,7 +21,7 @@ from nurbseg.segmentation.surfaces.bspline import averaged_knots, basis_matrix
 
 def vectors(cloud: PointMap, config: SegmentationConfig) -> NDArray[np.float64]:
     """Eq. 1-3 for every valid pixel, (N, 6)."""
-    lab = cv2.cvtColor(cloud.color.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)[cloud.valid].astype(float)
+    lab = rgb2lab(cloud.color)[cloud.valid]
     points = cloud.points_m[cloud.valid].astype(float)
     sigma_c = lab.std(axis=0).mean() or 1.0
     sigma_g = points.std(axis=0).mean() or 1.0

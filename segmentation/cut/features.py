@@ -13,6 +13,16 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap
 
 
+def _linear_srgb() -> NDArray[np.float32]:
+    """Linear intensity of each of the 256 sRGB values (IEC 61966-2-1)."""
+    value = np.arange(256) / 255
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+#: OpenCV's own conversion of sRGB to Lab goes through a coarser table and is off by up to 0.5.
+_LINEAR = _linear_srgb()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Normalization:
     """What makes color and position comparable: ``vector = (raw - mean) * factor``.
@@ -43,12 +53,12 @@ def lab(color: NDArray[np.uint8]) -> NDArray[np.float32]:
     Returns
     -------
     (N, 3) float32
-        L in 0 to 100, a and b in about -127 to 127, for the white point D65.
+        L in 0 to 100, a and b in about -127 to 127, for the white point D65; to 0.03 of each color's place.
     """
     if color.shape[0] == 0:
         return np.zeros((0, 3), dtype=np.float32)
-    scaled = color[np.newaxis].astype(np.float32) * np.float32(1 / 255)
-    return np.asarray(cv2.cvtColor(scaled, cv2.COLOR_RGB2LAB)[0], dtype=np.float32)
+    linear = cv2.LUT(color[np.newaxis], _LINEAR)
+    return np.asarray(cv2.cvtColor(linear, cv2.COLOR_LRGB2LAB)[0], dtype=np.float32)
 
 
 def raw_vectors(cloud: PointMap, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
