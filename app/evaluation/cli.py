@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nurbseg.app.command.threads import one_thread_for_products
+from nurbseg.app.evaluation.computer import same_products_everywhere
 
 if TYPE_CHECKING:
     from nurbseg.app.evaluation.study import Study
@@ -103,8 +104,20 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def command() -> int:
+    """Run the command in a process of its own, with the same matrix products on most processors.
+
+    Returns
+    -------
+    int
+        As `main`.
+    """
+    same_products_everywhere()
+    return main()
+
+
 def main(words: Sequence[str] | None = None) -> int:
-    """Run the command.
+    """Run the command in this process.
 
     Parameters
     ----------
@@ -195,7 +208,9 @@ def _base_config(given: argparse.Namespace) -> SegmentationConfig:
 def _run(given: argparse.Namespace, study: Study, config: SegmentationConfig, words: Sequence[str]) -> None:
     from datetime import UTC, datetime
 
+    from nurbseg.app.evaluation.computer import versions
     from nurbseg.app.evaluation.methods.methods import check_method
+    from nurbseg.app.evaluation.report.findings import findings, means_of
     from nurbseg.app.evaluation.report.report import write_report
     from nurbseg.app.evaluation.report.tables import all_tables, as_markdown, as_text
     from nurbseg.app.evaluation.results import StudyResults, write_rows
@@ -229,12 +244,15 @@ def _run(given: argparse.Namespace, study: Study, config: SegmentationConfig, wo
     write_json(given.out / "times.json", dict(seconds))
     files = list(write_rows(results, given.out))
     tables = all_tables(results, seconds)
+    about = f"{len(results.frames)} frames. {versions()}. Computed on {'; '.join(results.computers())}."
+    sentences = findings(means_of(results))
     for caption, rows in tables:
         print(f"\n{caption}\n{as_text(rows)}")
+    print(f"\n{about}")
     markdown = given.out / "tables.md"
-    markdown.write_text(
-        "\n".join(f"**{caption}**\n\n{as_markdown(rows)}\n" for caption, rows in tables), encoding="utf-8"
-    )
+    parts = [about, "\n".join(f"- {each}" for each in sentences)]
+    parts += [f"**{caption}**\n\n{as_markdown(rows)}" for caption, rows in tables]
+    markdown.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
     files.append(markdown)
     if not given.no_report:
         files.append(
@@ -333,4 +351,4 @@ class _Progress:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(command())

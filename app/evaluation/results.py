@@ -54,6 +54,10 @@ class StudyResults:
         """Return the categories in the order of their first frames."""
         return tuple(dict.fromkeys(frame["category"] for frame in self.frames))
 
+    def computers(self) -> tuple[str, ...]:
+        """Return the processors that frames were computed on, with their kernels, in the order of frames."""
+        return tuple(dict.fromkeys(frame.get("computer", "a computer not recorded") for frame in self.frames))
+
     def values(self, variant: Variant, score: str, category: str | None = None) -> NDArray[np.float64]:
         """Return a score of every frame, (N,) float64, NaN where a frame has none.
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from nurbseg.app.evaluation.answers import Answers
 from nurbseg.app.evaluation.categories import category_of
+from nurbseg.app.evaluation.computer import computer
 from nurbseg.app.evaluation.scoring import score_frame
 from nurbseg.app.evaluation.store import StudyStore
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, Variant
@@ -270,6 +271,7 @@ def evaluate_frame(
         "index": ref.index,
         "name": frame.name or str(frame.index),
         "category": category_of(frame.name, ref.uri),
+        "computer": computer(),
     }
     if frame.labels is None:
         return FrameOutcome(ref.key, {**about, "skipped": "no ground truth"}, {})

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import base64
-import importlib.metadata
 import json
-import platform
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -16,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.evaluation.answers import Answers
+from nurbseg.app.evaluation.computer import versions
 from nurbseg.app.evaluation.report import pictures
+from nurbseg.app.evaluation.report.findings import findings, means_of
 from nurbseg.app.evaluation.report.tables import all_tables
 from nurbseg.app.evaluation.results import StudyResults
 from nurbseg.app.evaluation.store import StudyStore
@@ -31,18 +31,6 @@ _TILE_PX = 214
 _TREES = 3
 #: Residual at the red end of the error pictures.
 _ERROR_M = 0.05
-
-
-def versions() -> str:
-    """Return the versions that a result depends on, as one line."""
-    names = ("nurbseg", "numpy", "scipy", "opencv-python-headless", "scikit-image", "scikit-learn")
-    found = []
-    for name in names:
-        try:
-            found.append(f"{name} {importlib.metadata.version(name)}")
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return f"Python {platform.python_version()}, {', '.join(found)}"
 
 
 def write_report(
@@ -104,6 +92,8 @@ def write_report(
         command=command,
         date=date,
         versions=versions(),
+        computers=results.computers(),
+        findings=findings(means_of(results)),
         frames=len(results.frames),
         variants=len(results.variants),
         skipped=len(results.skipped),

@@ -1,0 +1,72 @@
+"""What a result depends on besides the program: the processor, its matrix products and the libraries."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+from collections.abc import MutableMapping
+from pathlib import Path
+
+_CPU_INFO = Path("/proc/cpuinfo")
+#: The kernel of OpenBLAS that every processor with AVX2 and FMA runs.
+_COMMON_KERNEL = "Haswell"
+
+
+def same_products_everywhere(
+    environment: MutableMapping[str, str] = os.environ, cpu_info: Path = _CPU_INFO
+) -> None:
+    """Let OpenBLAS run the kernel that most processors have, so that tables can be made again on another.
+
+    Newer processors have kernels of their own, which sum in another order. That is enough to send a pixel
+    to the other side of a cut, and now and then a tree another way. What the user has set is overruled. This
+    has an effect only before numpy is imported, on x86-64 with AVX2 and FMA, and on OpenBLAS.
+
+    Parameters
+    ----------
+    environment : mapping
+        Where OpenBLAS looks.
+    cpu_info : Path
+        Where Linux describes the processor.
+    """
+    if {"avx2", "fma"} <= set(_cpu_line("flags", cpu_info).split()):
+        environment["OPENBLAS_CORETYPE"] = _COMMON_KERNEL
+
+
+def computer() -> str:
+    """Return the processor and the kernels that compute matrix products in this process, as one line."""
+    # NumPy and SciPy each bring a library of their own.
+    import scipy.linalg.lapack  # noqa: F401
+    from threadpoolctl import threadpool_info
+
+    kernels = {
+        f"{each['internal_api']} {each.get('architecture', 'of unknown kernel')}"
+        for each in threadpool_info()
+        if each["user_api"] == "blas"
+    }
+    processor = _cpu_line("model name", _CPU_INFO) or platform.processor() or platform.machine()
+    return f"{processor}, {' and '.join(sorted(kernels)) or 'BLAS unknown'}"
+
+
+def versions() -> str:
+    """Return the versions that a result depends on, as one line."""
+    names = ("nurbseg", "numpy", "scipy", "opencv-python-headless", "scikit-image", "scikit-learn")
+    found = []
+    for name in names:
+        try:
+            found.append(f"{name} {importlib.metadata.version(name)}")
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return f"Python {platform.python_version()}, {', '.join(found)}"
+
+
+def _cpu_line(name: str, cpu_info: Path) -> str:
+    """Return what is said of the first processor under a name; nothing where there is no such line."""
+    try:
+        lines = cpu_info.read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return ""
+    return next((line.partition(":")[2].strip() for line in lines if line.split(":")[0].strip() == name), "")
+
+
+__all__ = ["computer", "same_products_everywhere", "versions"]

@@ -1,0 +1,75 @@
+"""What the tables of a study say, in sentences made from the tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from nurbseg.app.evaluation.report.tables import digits
+from nurbseg.app.evaluation.results import StudyResults
+from nurbseg.app.evaluation.scoring import SCORES
+
+
+def means_of(results: StudyResults) -> dict[str, dict[str, float]]:
+    """Return for each score the mean of each variant over all frames, by name, in the order of the tables."""
+    return {
+        score: {each.name: results.estimate(each, score).mean for each in results.variants}
+        for score in SCORES
+    }
+
+
+def findings(means: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """Say of each score how the methods rank, and of each method with several settings what they make of it.
+
+    Parameters
+    ----------
+    means : mapping of str to mapping of str to float
+        For each of `SCORES` the mean of each variant. A variant's name begins with its method.
+
+    Returns
+    -------
+    list of str
+        One sentence for each score, and one for each method with several settings.
+    """
+    methods: dict[str, list[str]] = {}
+    for name in means["ri"]:
+        methods.setdefault(name.split(" ", maxsplit=1)[0], []).append(name)
+    sentences = []
+    for score, (heading, greater) in SCORES.items():
+        best = {
+            method: _ordered(means[score], names, greater)[0]
+            for method, names in methods.items()
+            if _ordered(means[score], names, greater)
+        }
+        ranked = _ordered(means[score], list(best.values()), greater)
+        if ranked:
+            places = ", ".join(f"{name} {digits(means[score][name])}" for name in ranked)
+            sentences.append(f"{heading}, the best setting of each method first: {places}.")
+    for method, names in methods.items():
+        ranges = []
+        for score, (heading, greater) in SCORES.items():
+            ranked = _ordered(means[score], names, greater)
+            if len(ranked) > 1:
+                best_name, worst_name = ranked[0], ranked[-1]
+                ranges.append(
+                    f"{heading} from {digits(means[score][best_name])} ({_setting(best_name)}) "
+                    f"to {digits(means[score][worst_name])} ({_setting(worst_name)})"
+                )
+        if ranges:
+            sentences.append(f"{method}, from its best setting to its worst: {', '.join(ranges)}.")
+    return sentences
+
+
+def _ordered(means: Mapping[str, float], names: list[str], greater: bool) -> list[str]:
+    """Order variants with a mean, the best first; equal ones, as printed, in the order of the table."""
+    known = [name for name in names if np.isfinite(means[name])]
+    return sorted(known, key=lambda name: round(means[name], 3) * (-1 if greater else 1))
+
+
+def _setting(name: str) -> str:
+    """Return a variant's name without its method."""
+    return name.partition(" ")[2]
+
+
+__all__ = ["findings", "means_of"]
