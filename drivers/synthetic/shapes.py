@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.synthetic import rays
+from nurbseg.drivers.synthetic import intersections, rays
 
 
 class Shape:
@@ -75,7 +75,7 @@ class Shape:
 class Rectangle(Shape):
     """The part of the plane z = 0 within half a width along x and half a height along y."""
 
-    kind = rays.RECTANGLE
+    kind = intersections.RECTANGLE
 
     def __init__(self, half_width_m: float, half_height_m: float) -> None:
         half = half_width_m, half_height_m
@@ -85,7 +85,7 @@ class Rectangle(Shape):
 class Box(Shape):
     """A cuboid around the origin."""
 
-    kind, faces = rays.BOX, 6
+    kind, faces = intersections.BOX, 6
 
     def __init__(self, half_x_m: float, half_y_m: float, half_z_m: float) -> None:
         half = half_x_m, half_y_m, half_z_m
@@ -95,7 +95,7 @@ class Box(Shape):
 class Ellipsoid(Shape):
     """An ellipsoid around the origin; a sphere if its radii are equal."""
 
-    kind = rays.ELLIPSOID
+    kind = intersections.ELLIPSOID
 
     def __init__(self, radius_x_m: float, radius_y_m: float, radius_z_m: float) -> None:
         radii = radius_x_m, radius_y_m, radius_z_m
@@ -105,7 +105,7 @@ class Ellipsoid(Shape):
 class Cylinder(Shape):
     """An upright cylinder on the plane z = 0; its faces are the side and the two ends."""
 
-    kind, faces = rays.CYLINDER, 3
+    kind, faces = intersections.CYLINDER, 3
 
     def __init__(self, radius_m: float, height_m: float) -> None:
         super().__init__((radius_m, height_m), (-radius_m, -radius_m, 0.0), (radius_m, radius_m, height_m))
@@ -114,7 +114,7 @@ class Cylinder(Shape):
 class Bowl(Shape):
     """The lower part of a hollow sphere that stands on z = 0; its faces are the outside and the inside."""
 
-    kind, faces = rays.BOWL, 2
+    kind, faces = intersections.BOWL, 2
 
     def __init__(self, radius_m: float, depth_m: float) -> None:
         rim = float(np.sqrt(radius_m**2 - (radius_m - depth_m) ** 2))
@@ -129,7 +129,7 @@ class Cushion(Shape):
     then the crossing is refined.
     """
 
-    kind = rays.CUSHION
+    kind = intersections.CUSHION
 
     def __init__(self, half_x_m: float, half_y_m: float, height_m: float, folds: float = 2.5) -> None:
         # The folds add a quarter at most; the sheet lies just above what it is put on.

@@ -1,0 +1,224 @@
+"""Where one ray meets one shape of the synthetic scene, and what the shape is like there.
+
+A shape is a kind and up to four sizes, in its own frame.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from nurbseg.drivers.compiled import inlined
+
+RECTANGLE, BOX, ELLIPSOID, CYLINDER, BOWL, CUSHION = range(6)
+#: Numbers in the precision of the rays: a plain one would draw all that it meets into double precision.
+_ZERO, _HALF, _ONE, _TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
+_NEVER, _NEAREST, _TINY = np.float32(np.inf), np.float32(1e-4), np.float32(1e-9)
+_PER_TURN = np.float32(1 / (2 * np.pi))
+#: Steps along a ray through the slab that holds a cushion.
+_STEPS = 10
+#: Halvings until the cushion is all but straight between the ends, and these with the steps of regula falsi.
+_HALVINGS, _REFINEMENTS = 3, 6
+#: Share of the folds in a cushion's height, their slant and where they begin.
+_WAVE, _SLANT, _SHIFT = np.float32(0.25), np.float32(0.6), np.float32(0.7)
+#: Over what a cushion's slope is taken, metres.
+_SLOPE_STEP = np.float32(1e-4)
+
+
+@inlined
+def meet(kind: int, size: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: Any) -> Any:
+    """Return the multiple of the direction at which a ray meets a shape, infinity if not, and the face."""
+    if kind == RECTANGLE:
+        t, face = -oz / _not_zero(dz), 0
+        t = t if (abs(ox + t * dx) <= size[0]) & (abs(oy + t * dy) <= size[1]) else _NEVER
+    elif kind == BOX:
+        t, leave, face = _box_span(size[0], size[1], size[2], ox, oy, oz, dx, dy, dz)
+        t = t if t <= leave else _NEVER
+    elif kind == ELLIPSOID:
+        a, b, c = size[0], size[1], size[2]
+        t, _, meets = _sphere_roots(ox / a, oy / b, oz / c, dx / a, dy / b, dz / c)
+        t, face = t if meets else _NEVER, 0
+    elif kind == CYLINDER:
+        t, face = _meet_cylinder(size[0], size[1], ox, oy, oz, dx, dy, dz)
+    elif kind == BOWL:
+        t, face = _meet_bowl(size[0], size[1], ox, oy, oz, dx, dy, dz)
+    else:
+        t = _meet_cushion(size, ox, oy, oz, dx, dy, dz)
+        face = 0
+    return t if t > _NEAREST else _NEVER, face
+
+
+@inlined
+def _box_span(a: Any, b: Any, c: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: Any) -> Any:
+    """Return where a ray enters the last of a box's slabs and leaves the first, and by which face."""
+    enter, leave, back = _slab(a, ox, dx)
+    face = 0 + back
+    first, last, back = _slab(b, oy, dy)
+    if first > enter:
+        enter, face = first, 2 + back
+    leave = min(leave, last)
+    first, last, back = _slab(c, oz, dz)
+    if first > enter:
+        enter, face = first, 4 + back
+    return enter, min(leave, last), face
+
+
+@inlined
+def _slab(half: Any, origin: Any, direction: Any) -> Any:
+    """Return where a ray enters and leaves a slab, and whether it comes from its upper side."""
+    inverse = _ONE / _not_zero(direction)
+    low, high = (-half - origin) * inverse, (half - origin) * inverse
+    if low > high:
+        return high, low, 1
+    return low, high, 0
+
+
+@inlined
+def _sphere_roots(ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: Any) -> Any:
+    """Return both meetings of a ray with the unit sphere, and whether there are any."""
+    a = dx * dx + dy * dy + dz * dz
+    half_b = ox * dx + oy * dy + oz * dz
+    inside = half_b * half_b - a * (ox * ox + oy * oy + oz * oz - _ONE)
+    root = math.sqrt(max(inside, _ZERO))
+    return (-half_b - root) / a, (-half_b + root) / a, inside >= _ZERO
+
+
+@inlined
+def _meet_cylinder(radius: Any, height: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: Any) -> Any:
+    a = _not_zero(dx * dx + dy * dy)
+    half_b, c = ox * dx + oy * dy, ox * ox + oy * oy - radius * radius
+    inside = half_b * half_b - a * c
+    best, face = _NEVER, 0
+    if inside >= _ZERO:
+        t = (-half_b - math.sqrt(inside)) / a
+        z = oz + t * dz
+        if t > _NEAREST and _ZERO <= z <= height:
+            best = t
+        # What passes the endless cylinder by does not meet its ends.
+        for end in range(1, 3):
+            level = height if end == 1 else _ZERO
+            t = (level - oz) / _not_zero(dz)
+            x, y = ox + t * dx, oy + t * dy
+            if _NEAREST < t < best and x * x + y * y <= radius * radius:
+                best, face = t, end
+    return best, face
+
+
+@inlined
+def _meet_bowl(radius: Any, depth: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: Any) -> Any:
+    near, far, meets = _sphere_roots(
+        ox / radius, oy / radius, oz / radius - _ONE, dx / radius, dy / radius, dz / radius
+    )
+    if meets and near > _NEAREST and oz + near * dz <= depth:
+        return near, 0
+    return far if meets and oz + far * dz <= depth else _NEVER, 1
+
+
+@inlined
+def _meet_cushion(size: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: Any) -> Any:
+    # The folds add a quarter at most: a slab up to there holds the sheet.
+    top = (_ONE + _WAVE) * size[2]
+    start, leave, _ = _box_span(size[0], size[1], top / _TWO, ox, oy, oz - top / _TWO, dx, dy, dz)
+    if start > leave or start <= _NEAREST:
+        return _NEVER
+    # A ray leaves through the lower plane or after the diagonal at most.
+    diagonal = _TWO * math.sqrt(size[0] * size[0] + size[1] * size[1]) + top
+    step = diagonal / math.sqrt(dx * dx + dy * dy + dz * dz) / np.float32(_STEPS)
+    low, above = start, _over(size, ox + start * dx, oy + start * dy, oz + start * dz)
+    for _ in range(_STEPS):
+        if low > leave:
+            break
+        high = low + step
+        below = _over(size, ox + high * dx, oy + high * dy, oz + high * dz)
+        if above >= _ZERO and below < _ZERO:
+            t = _crossing(size, (ox, oy, oz, dx, dy, dz), low, high, above, below)
+            inside = (abs(ox + t * dx) < size[0]) & (abs(oy + t * dy) < size[1])
+            return t if inside else _NEVER
+        low, above = high, below
+    return _NEVER
+
+
+@inlined
+def _crossing(size: Any, ray: Any, low: Any, high: Any, above: Any, below: Any) -> Any:
+    """Return where a ray crosses a cushion between two places, of which the first is above it."""
+    ox, oy, oz, dx, dy, dz = ray
+    t = low
+    for n in range(_REFINEMENTS):
+        t = low + (high - low) * (_HALF if n < _HALVINGS else above / _not_zero(above - below))
+        over = _over(size, ox + t * dx, oy + t * dy, oz + t * dz)
+        if over >= _ZERO:
+            low, above = t, over
+        else:
+            high, below = t, over
+    return t
+
+
+@inlined
+def _over(size: Any, x: Any, y: Any, z: Any) -> Any:
+    """Return by how much a point is over a cushion."""
+    return z - _cushion_height(size, x, y)
+
+
+@inlined
+def _cushion_height(size: Any, x: Any, y: Any) -> Any:
+    x, y = x / size[0], y / size[1]
+    rim = max(_ONE - x * x, _ZERO) * max(_ONE - y * y, _ZERO)
+    return size[2] * rim * (_ONE + _WAVE * math.sin(size[3] * (x + _SLANT * y) + _SHIFT))
+
+
+@inlined
+def surface(kind: int, size: Any, x: Any, y: Any, z: Any, face: int) -> Any:
+    """Return the unit normal and the place in the texture, in [0, 1], of a point on a shape."""
+    if kind == RECTANGLE:
+        nx, ny, nz = _ZERO, _ZERO, _ONE
+        s, t = _HALF + _HALF * x / size[0], _HALF - _HALF * y / size[1]
+    elif kind == BOX:
+        axis, sign = face // 2, _ONE if face % 2 else -_ONE
+        nx, ny, nz = sign if axis == 0 else _ZERO, sign if axis == 1 else _ZERO, sign if axis == 2 else _ZERO
+        s = _HALF + _HALF * (y / size[1] if axis == 0 else x / size[0])
+        t = _HALF - _HALF * (y / size[1] if axis == 2 else z / size[2])
+    elif kind == ELLIPSOID:
+        x, y, z = x / size[0], y / size[1], z / size[2]
+        nx, ny, nz = _unit(x / size[0], y / size[1], z / size[2])
+        s, t = _around(x, y), _HALF - _HALF * min(max(z, -_ONE), _ONE)
+    elif kind == CYLINDER:
+        x, y = x / size[0], y / size[0]
+        s = _around(x, y)
+        if face == 0:
+            nx, ny, nz, t = x, y, _ZERO, _ONE - z / size[1]
+        else:
+            # The ends show the texture's uppermost row: a plain lid.
+            nx, ny, nz, t = _ZERO, _ZERO, _ONE if face == 1 else -_ONE, _ZERO
+    elif kind == BOWL:
+        sign = -_ONE if face == 1 else _ONE
+        x, y = x / size[0], y / size[0]
+        nx, ny, nz = sign * x, sign * y, sign * (z / size[0] - _ONE)
+        s, t = _around(x, y), _ONE - z / size[1]
+    else:
+        slope_x = _cushion_height(size, x + _SLOPE_STEP, y) - _cushion_height(size, x - _SLOPE_STEP, y)
+        slope_y = _cushion_height(size, x, y + _SLOPE_STEP) - _cushion_height(size, x, y - _SLOPE_STEP)
+        nx, ny, nz = _unit(-slope_x, -slope_y, _TWO * _SLOPE_STEP)
+        s, t = _HALF + _HALF * x / size[0], _HALF - _HALF * y / size[1]
+    return nx, ny, nz, s, t
+
+
+@inlined
+def _around(x: Any, y: Any) -> Any:
+    """Return the angle about the z axis as a share of the turn, 0.5 along x."""
+    return _HALF + math.atan2(y, x) * _PER_TURN
+
+
+@inlined
+def _unit(x: Any, y: Any, z: Any) -> Any:
+    scale = _ONE / math.sqrt(x * x + y * y + z * z)
+    return x * scale, y * scale, z * scale
+
+
+@inlined
+def _not_zero(value: Any) -> Any:
+    return _TINY if abs(value) < _TINY else value
+
+
+__all__ = ["BOWL", "BOX", "CUSHION", "CYLINDER", "ELLIPSOID", "RECTANGLE", "meet", "surface"]
