@@ -149,6 +149,7 @@ def _segment_document(each: Segment, metric: Metric) -> dict[str, Any]:
         "size": int(each.pixels.size),
         "depth": each.depth,
         "value": _number(each.fit.values.get(metric, math.nan)),
+        "floor": _number(each.fit.floor),
         "values": {name: _number(value) for name, value in each.fit.values.items()},
         "ratio": None if each.ratio is None else _number(each.ratio),
         "trial": None if each.trial is None else _trial_document(each.trial),

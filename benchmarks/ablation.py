@@ -51,7 +51,7 @@ STAGES: tuple[tuple[str, dict[str, Any]], ...] = (
     ("connected pieces at depth gaps", {"connected_pieces": False}),
     ("vectors normalised in each segment", {"normalize_nodes": False}),
     ("fits of inverse depth", {"fit_of": "xyz"}),
-    ("stop within noise", {"noise_stop": False}),
+    ("stop within noise", {"noise_floor": 0.0}),
     ("further eigenvectors", {"cuts": 1}),
     ("border refinement", {"refine_borders": False}),
     ("merging at smooth borders", {"merge_smooth": False}),

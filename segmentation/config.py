@@ -108,8 +108,11 @@ class SegmentationConfig:
         unit="1/m",
         above=0.0,
     )
-    noise_stop: bool = setting(
-        True, "nurbseg: whether a segment that its surface explains within noise is not split"
+    noise_floor: float = setting(
+        1.0,
+        "nurbseg: a metric counts in the ratio (eq. 5) as no less than noise of so many times noise_per_m "
+        "leaves; 0 for the ratio alone",
+        least=0.0,
     )
     depth_gap_per_m: float = setting(
         0.025,

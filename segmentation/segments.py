@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import Level, Metric, SegmentationConfig
 from nurbseg.segmentation.labels.lookup import looked_up
-from nurbseg.segmentation.surfaces.metrics import acceptance_ratio
+from nurbseg.segmentation.surfaces.metrics import acceptance_ratio, metric_value
 
 if TYPE_CHECKING:
     from nurbseg.segmentation.cut.ncut import Cut
@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 class StopReason(StrEnum):
     """Why a segment was not split further; the first four are the colors of the paper's figure 3.
 
-    ``noise`` is the default method's own: the surface leaves no more than the sensor's noise.
+    ``noise`` is the default method's own, and foretells ``criterion``: the metric is so near to what noise
+    leaves of it that no split can have a ratio below T, and none was tried.
     """
 
     CRITERION = "criterion"
@@ -55,7 +56,7 @@ class Trial:
     metric : str
         Which of the nine decided.
     value, points : float, int
-        Metric of the segment, and the number of points that it was measured on.
+        Metric of the segment, no less than its floor, and the number of points that it was measured on.
     parts : tuple of (float, int)
         The same for each of its parts: two in the paper; in the default method as many as the two sides of
         the cut have connected pieces.
@@ -218,8 +219,8 @@ class Node:
     cuts_above: int = 0
 
     def value(self, config: SegmentationConfig) -> float:
-        """Return the metric that decides, 0 where it was not measured."""
-        return self.fit.values.get(config.metric, 0.0)
+        """Return what the metric that decides counts for, 0 where it was not measured."""
+        return metric_value(self.fit.values, config.metric, self.fit.floor)
 
 
 def depth_first(root: Node) -> list[Node]:

@@ -13,7 +13,7 @@ from nurbseg.segmentation.extended.contact import Meeting, in_contact
 from nurbseg.segmentation.labels.strips import BorderStrips
 from nurbseg.segmentation.points.grid import Window
 from nurbseg.segmentation.surfaces.inverse_depth import DepthGrid, residuals_of_fit
-from nurbseg.segmentation.surfaces.noise import explained_by_noise
+from nurbseg.segmentation.surfaces.noise import SQUARE_MOST
 
 #: The strip that is looked at on each side of a border: pixels of an image 640 wide up to a depth of 0.8 m,
 #: from there on as wide in proportion to depth, since the noise in metres grows faster than a pixel does.
@@ -24,6 +24,9 @@ _STRIP_POINTS_LEAST = 20
 #: share of its deviation, the rounding of depths) their ratio says nothing.
 _RATIO_MOST = 2.0
 _ROUNDING_SHARE = 0.3
+#: One surface leaves no more than noise up to this mean of its squared residuals, in units of the noise and
+#: each limited, and where less than this share lies beyond three deviations.
+_MEAN_MOST, _FAR_SHARE_MOST = 2.2, 0.05
 
 
 def smooth_borders(
@@ -105,8 +108,10 @@ def _squares(
     mask = np.ascontiguousarray(marked[top : top + height, left : left + width])
     top, left = window[0] + top, window[1] + left
     residuals_per_m = residuals_of_fit(grid, (top, left, top + height, left + width), mask, config)
-    explained = explained_by_noise(residuals_per_m, mask, config.noise_per_m, rim=True)
-    return float(residuals_per_m @ residuals_per_m), explained
+    squares = np.square(residuals_per_m / config.noise_per_m)
+    far = np.count_nonzero(squares > 9.0)
+    explained = np.minimum(squares, SQUARE_MOST).mean() < _MEAN_MOST and far < _FAR_SHARE_MOST * squares.size
+    return float(residuals_per_m @ residuals_per_m), bool(explained)
 
 
 __all__ = ["smooth_borders"]

@@ -30,8 +30,8 @@ from nurbseg.segmentation.segments import (
 )
 from nurbseg.segmentation.surfaces.curvature import all_metrics
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window, inverse_depth_image
-from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, acceptance_ratio
-from nurbseg.segmentation.surfaces.noise import explained_by_noise
+from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, acceptance_ratio, metric_value
+from nurbseg.segmentation.surfaces.noise import noise_floor
 from nurbseg.segmentation.surfaces.surface import Fit
 
 #: From so many places on, a segment is cut at a quarter of them.
@@ -42,7 +42,7 @@ def segment_nurbseg(cloud: PointMap, config: SegmentationConfig) -> Segmentation
     """Segment a frame into surfaces, and these into objects.
 
     The paper's tree of normalized cuts decided by surface fits, with vectors that hold normals, surfaces of
-    inverse depth, cuts that fall into connected pieces, a stop where a surface leaves no more than noise,
+    inverse depth, cuts that fall into connected pieces, metrics that count as no less than noise leaves,
     borders refined on every pixel, and surfaces merged where they meet in a convex or smooth crease.
 
     Parameters
@@ -148,7 +148,7 @@ Part = tuple[NDArray[np.intp], Fit, StopReason | None]
 
 
 def measured(scene: Scene, places: NDArray[np.intp], config: SegmentationConfig) -> Part:
-    """Fit a surface, with the metric that decides among its values, and hold it against the noise.
+    """Fit a surface, with the metric that decides among its values, and what noise leaves of that metric.
 
     Parameters
     ----------
@@ -162,18 +162,23 @@ def measured(scene: Scene, places: NDArray[np.intp], config: SegmentationConfig)
     Returns
     -------
     Part
-        The places, their fit, and why they are not to be split further, if they are not.
+        The places, their fit, and why they are not to be split further, if they are not: `NOISE` where the
+        metric is so near its floor that the ratio (eq. 5) of any split would be T or more.
     """
     if places.size == 0:
         return places, Fit(None, np.zeros(0), {}, "0 points, 1 needed", places), StopReason.NO_POINTS
     window, mask = scene.grid.points.window_mask(places)
-    fit, residuals_per_m = fit_window(scene.grid, window, mask, config)
+    fit, _ = fit_window(scene.grid, window, mask, config)
+    if fit.surface is None:
+        return places, fit, None
     if config.metric in CURVATURE_METRICS:
         fit = replace(fit, values=all_metrics(fit, scene.grid.points.image_shape[1], config))
-    explained = config.noise_stop and explained_by_noise(
-        residuals_per_m, mask, config.noise_per_m, patch_places=scene.places_min(config)
-    )
-    return places, fit, StopReason.NOISE if explained else None
+    if config.noise_floor == 0:
+        return places, fit, None
+    fit = replace(fit, floor=noise_floor(scene.grid, window, mask, config))
+    # The floors of parts weigh no less than that of the whole: no ratio is below floor over value.
+    hopeless = fit.floor >= config.ratio_max * metric_value(fit.values, config.metric, fit.floor)
+    return places, fit, StopReason.NOISE if hopeless else None
 
 
 def best_split(
@@ -222,7 +227,7 @@ def best_split(
             node.stop = StopReason.CHILD_TOO_SMALL
             continue
         parts = [measured(scene, piece, config) for piece in pieces]
-        values = [(part[1].values.get(config.metric, 0.0), part[0].size) for part in parts]
+        values = [(metric_value(fit.values, config.metric, fit.floor), own.size) for own, fit, _ in parts]
         whole = node.value(config), node.places.size
         ratio = acceptance_ratio(config.metric, whole, *values)
         kept = ratio < config.ratio_max

@@ -204,7 +204,7 @@ def remeasured(
             "nle": float(sums[label, 2]),
         }
         leaf.node.places = order[own]
-        leaf.node.fit = Fit(leaf.surface, residuals_m[own], values, "", pixels[own])
+        leaf.node.fit = Fit(leaf.surface, residuals_m[own], values, "", pixels[own], leaf.node.fit.floor)
 
 
 @compiled

@@ -226,7 +226,7 @@ class _Revision:
             if number >= m.square.size or m.places[number] <= 2.0 * self._places_min:
                 continue
             square, far = float(m.square[number]), float(m.far[number])
-            explained = config.noise_stop and square < _SQUARE_MOST and far < _FAR_MOST
+            explained = config.noise_floor > 0 and square < _SQUARE_MOST and far < _FAR_MOST
             if not explained and square > _WORSE_FACTOR * leaf.tried + _WORSE_BY:
                 waiting.append((square * float(np.sqrt(m.places[number])), number))
         waiting.sort(reverse=True)
@@ -249,7 +249,7 @@ class _Revision:
     ) -> None:
         """Let a leaf take in another of its object that its surface explains; the longest unasked first."""
         config, growth = self._config, self._growth
-        if not (config.noise_stop and most):
+        if not (config.noise_floor > 0 and most):
             return
         neighbors = growth.neighbors(self._scene.joined, _MEETING_LEAST)
         quieter = replace(config, noise_per_m=_FOLD_NOISE * config.noise_per_m)

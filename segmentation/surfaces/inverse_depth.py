@@ -231,13 +231,20 @@ class _Spline:
         )
 
 
+def knots_on(grid: DepthGrid, config: SegmentationConfig) -> tuple[float, float]:
+    """Return the distance of the knots, places of the grid, and the weight of second differences there."""
+    return (
+        config.knot_spacing_px * grid.unit_px / grid.step,
+        config.smoothness * (2.0 * grid.unit_px / grid.step) ** 2,
+    )
+
+
 def _fitted_spline(
     grid: DepthGrid, window: Window, mask: NDArray[np.bool_], config: SegmentationConfig
 ) -> _Spline:
     """Fit positive control values to the marked places of a window."""
     top, left, bottom, right = window
-    smoothness = config.smoothness * (2.0 * grid.unit_px / grid.step) ** 2
-    spacing = config.knot_spacing_px * grid.unit_px / grid.step
+    spacing, smoothness = knots_on(grid, config)
     wide = int(np.ceil(_MARGIN_PX * grid.unit_px / grid.step))
     for margin, stiffer in ((wide, 1.0), (1, 1.0), *((1, each) for each in _STIFFER)):
         rows, knots_v = lattice_basis(top, bottom, margin, spacing)
@@ -366,6 +373,7 @@ __all__ = [
     "fit_window",
     "inverse_depth_image",
     "inverse_depth_lattice",
+    "knots_on",
     "rational_surface",
     "residuals_of_fit",
 ]

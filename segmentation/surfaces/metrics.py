@@ -111,9 +111,19 @@ def acceptance_ratio(metric: Metric, parent: tuple[float, int], *parts: tuple[fl
     return sum(value * points for value, points in parts) / (parent[0] * parent[1])
 
 
-def metric_value(values: Mapping[Metric, float], metric: Metric) -> float:
-    """Return one metric of a fit, 0 where there was nothing to measure."""
-    return values.get(metric, 0.0)
+def metric_value(values: Mapping[Metric, float], metric: Metric, floor: float = 0.0) -> float:
+    """Return what one metric of a fit counts for in the ratio: its value, but no less than its floor.
+
+    Parameters
+    ----------
+    values : mapping of metric to float
+        Of the fit; what was not measured counts as 0.
+    metric : str
+        Which of the nine.
+    floor : float
+        What noise alone leaves of the metric, see `noise_floor`; 0 in the paper.
+    """
+    return max(values.get(metric, 0.0), floor)
 
 
 __all__ = [

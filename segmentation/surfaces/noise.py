@@ -1,83 +1,90 @@
-"""Sensor noise: constant in inverse depth for a camera that triangulates; measured, and held against fits."""
+"""Sensor noise, constant in inverse depth for a camera that triangulates; measured, and seen in metrics."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.points.grid import Window
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.surfaces.inverse_depth import inverse_depth_image
+from nurbseg.segmentation.surfaces.inverse_depth import DepthGrid, inverse_depth_image, knots_on
+from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS
 
 #: A squared residual in units of the noise counts as no more than this, so that flying pixels do not decide.
 SQUARE_MOST = 16.0
-#: Mean of the squared residuals up to which a surface explains its points; pure noise gives 1.
-_MEAN_MOST = 2.2
-#: Residuals beyond this many standard deviations are far off, and the share of them that is allowed.
-_FAR_DEVIATIONS = 3.0
-_FAR_SHARE_MOST = 0.05
-#: Half the side of the windows over which residuals are averaged, places, and the mean, in standard
-#: deviations, beyond which a window holds something else than noise.
-_PATCH_HALF, _PATCH_DEVIATIONS = 2, 2.5
-#: Points at a segment's rim are often mixed with what lies behind: judged without it where this much is left.
-_INNER_SHARE = 0.3
+#: Points at a segment's rim are often mixed with what lies behind: their noise is so much larger.
+_RIM_FACTOR = 3.0
 
 
-def explained_by_noise(
-    residuals_per_m: NDArray[np.float64],
-    mask: NDArray[np.bool_],
-    noise_per_m: float,
-    *,
-    rim: bool = False,
-    patch_places: float = np.inf,
-) -> bool:
-    """Say whether a surface leaves no more than noise.
+def noise_floor(
+    grid: DepthGrid, window: Window, mask: NDArray[np.bool_], config: SegmentationConfig
+) -> float:
+    """Return what noise alone leaves of the metric that decides, the least that it counts for in eq. 5.
+
+    Noise of inverse depth of deviation s moves a point at depth z and distance |p| by s z |p| along its ray.
+    Residual metrics are those expected of normal noise of that size at each of the segment's points;
+    curvature metrics, those of a plane facing the camera to which a surface is fitted through the noise.
+
+    The floor times the number of points (for counts, the floor) is a sum over points to which none
+    contributes less in a part than in the whole: a part has no fewer of its points at its rim. So with all
+    values floored the ratio of any split is at least the floor of the whole over its value.
 
     Parameters
     ----------
-    residuals_per_m : (N,) float64
-        Residuals of inverse depth at the marked places, in row order, 1/m.
+    grid : DepthGrid
+        The points.
+    window : (int, int, int, int)
+        First row and column of the grid, and one past the last of each.
     mask : (h, w) bool
-        Places that the surface was fitted to.
-    noise_per_m : float
-        Standard deviation of the inverse depth, 1/m, more than 0.
-    rim : bool
-        Whether the places at the rim of the mask are judged too.
-    patch_places : float
-        A connected patch of so many places that lie to one side of the surface is a thing of its own,
-        however small its share of a large segment; infinite for no such test.
+        Places of the window that belong to the segment, at least one.
+    config : SegmentationConfig
+        The metric, T_l and T_c, the noise and its factor `noise_floor`, and the knots of the surfaces.
 
     Returns
     -------
-    bool
-        Whether the mean of the squared residuals, in units of the noise and each limited, and the share
-        of residuals that are far off are both what noise leaves, and no patch lies off the surface.
+    float
+        In the unit of the metric.
     """
-    mask = np.ascontiguousarray(mask)
-    everywhere, inside = _noise_counts(residuals_per_m, mask, 1.0 / noise_per_m)
-    inner = not rim and inside[0] >= _INNER_SHARE * everywhere[0]
-    count, far, squares = inside if inner else everywhere
-    if not (squares < _MEAN_MOST * count and far < _FAR_SHARE_MOST * count):
-        return False
-    # Far residuals are fewer than the patch: the usual case, and the cheap one.
-    if far < patch_places:
-        return True
-    return not _has_patch(residuals_per_m / noise_per_m, mask, inner, patch_places)
+    deviation_per_m = config.noise_floor * config.noise_per_m
+    if config.metric in CURVATURE_METRICS:
+        return _curvature_floor(deviation_per_m, int(np.count_nonzero(mask)), grid, config)
+    count, total, squares, large = _noise_sums(
+        *(grid.per_m, grid.distances_m, np.ascontiguousarray(mask), window[0], window[1]),
+        *(deviation_per_m, config.large_error_m if config.metric == "nle" else 0.0),
+    )
+    # The absolute value of a normal variable: its mean, and its variance, in units of the deviation.
+    mean, variance = np.sqrt(2.0 / np.pi), 1.0 - 2.0 / np.pi
+    floors = {
+        "mse": squares / count,
+        "mae": mean * total / count,
+        "ve": variance * squares / count,
+        "nle": large,
+    }
+    return float(floors[config.metric])
 
 
 @compiled
-def _noise_counts(
-    residuals_per_m: NDArray[np.float64], mask: NDArray[np.bool_], per_noise: float
-) -> tuple[tuple[int, int, float], tuple[int, int, float]]:
-    """Count all places of a mask and those not at its rim: how many, how many far off, limited squares."""
+def _noise_sums(
+    per_m: NDArray[np.float32],
+    distances_m: NDArray[np.float32],
+    mask: NDArray[np.bool_],
+    top: int,
+    left: int,
+    deviation_per_m: float,
+    large_m: float,
+) -> tuple[int, float, float, float]:
+    """Count places; sum their noise in metres, its square, and how probably it exceeds a limit (0: none)."""
     height, width = mask.shape
-    three, inner = np.zeros(width, dtype=np.bool_), np.zeros(width, dtype=np.bool_)
-    n, far, squares = 0, 0, 0.0
-    inner_n, inner_far, inner_squares = 0, 0, 0.0
+    inner = np.zeros(width, dtype=np.bool_)
+    three = np.zeros(width, dtype=np.bool_)
+    count, total, squares, large = 0, 0.0, 0.0, 0.0
     for y in range(height):
         if 0 < y < height - 1:
             for x in range(width):
@@ -88,39 +95,75 @@ def _noise_counts(
             inner[:] = False
         for x in range(width):
             if mask[y, x]:
-                deviation = residuals_per_m[n] * per_noise
-                square = deviation * deviation
-                is_far = square > _FAR_DEVIATIONS * _FAR_DEVIATIONS
-                square = min(square, SQUARE_MOST)
-                n += 1
-                far += is_far
-                squares += square
-                inner_n += inner[x]
-                inner_far += is_far & inner[x]
-                inner_squares += square if inner[x] else 0.0
-    return (n, far, squares), (inner_n, inner_far, inner_squares)
+                noise_m = deviation_per_m * np.float64(distances_m[top + y, left + x])
+                noise_m /= np.float64(per_m[top + y, left + x])
+                if not inner[x]:
+                    noise_m *= _RIM_FACTOR
+                count += 1
+                total += noise_m
+                squares += noise_m * noise_m
+                if large_m > 0.0:
+                    large += math.erfc(large_m / (math.sqrt(2.0) * noise_m))
+    return count, total, squares, large
 
 
-def _has_patch(
-    deviations: NDArray[np.float64], mask: NDArray[np.bool_], inner: bool, patch_places: float
-) -> bool:
-    """Say whether a connected patch of places lies off the surface, noise being averaged out."""
-    image, judged = np.zeros(mask.shape, dtype=np.float32), mask
-    # Limited, so that one flying pixel does not make a patch of its window.
-    image[mask] = np.clip(deviations, -SQUARE_MOST, SQUARE_MOST)
-    if inner:
-        kernel = np.ones((3, 3), dtype=np.uint8)
-        eroded = cv2.erode(mask.view(np.uint8), kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0)
-        judged = eroded.view(np.bool_)
-        image[~judged] = 0.0
-    size = (2 * _PATCH_HALF + 1, 2 * _PATCH_HALF + 1)
-    weight = cv2.boxFilter(judged.astype(np.float32), -1, size, borderType=cv2.BORDER_CONSTANT)
-    mean = cv2.boxFilter(image, -1, size, borderType=cv2.BORDER_CONSTANT) / np.maximum(weight, 1e-6)
-    for off in (mean > _PATCH_DEVIATIONS, mean < -_PATCH_DEVIATIONS):
-        patches = cv2.connectedComponentsWithStats((off & judged).astype(np.uint8), connectivity=4)[2]
-        if patches[1:, cv2.CC_STAT_AREA].max(initial=0) >= patch_places:
-            return True
-    return False
+def _curvature_floor(
+    deviation_per_m: float, points: int, grid: DepthGrid, config: SegmentationConfig
+) -> float:
+    """Return what noise leaves of a metric of curvature on a plane that faces the camera.
+
+    There curvature is, but for its sign, f^2 times the second derivatives of inverse depth, at any depth. Of
+    an isotropic normal field these are three independent normal variables: the mean curvature H of variance
+    2 t, and two of variance t, whose length R is half the difference of the principal curvatures. So the
+    largest absolute curvature is |H| + R, and the Gaussian one H^2 - R^2.
+    """
+    fx, fy = grid.rays.focal_px
+    scale = deviation_per_m * fx * fy / grid.step**2
+    t = scale * scale * _mixed_derivative_variance(*knots_on(grid, config))
+    if not 0.0 < t < np.inf:
+        return 0.0
+    if config.metric == "vmxc":
+        return float((4.0 - 4.0 / np.pi - np.pi / 2.0) * t)
+    if config.metric == "vmec":
+        return 2.0 * t
+    if config.metric == "vgc":
+        return 12.0 * t * t
+    if config.metric == "mmxc":
+        return float((2.0 / np.sqrt(np.pi) + np.sqrt(np.pi / 2.0)) * np.sqrt(t))
+    # P(|H| + R > T_c), by integration over H.
+    most = config.large_curvature_per_m / math.sqrt(t)
+    beyond = math.erf(most / math.sqrt(12.0)) + math.erf(most / math.sqrt(3.0))
+    return points * (math.erfc(most / 2.0) + math.exp(-most * most / 6.0) / math.sqrt(3.0) * beyond)
+
+
+@lru_cache(maxsize=16)
+def _mixed_derivative_variance(spacing: float, smoothness: float) -> float:
+    """Return the variance of d_uv of a smoothing spline through noise of variance 1, far from any border.
+
+    The normal equations of even knots on every place are a convolution, and diagonal in frequency: with G the
+    products of the basis functions and P the penalty, control values have the covariance G / (G + P)^2.
+
+    Parameters
+    ----------
+    spacing : float
+        Distance of the knots, places.
+    smoothness : float
+        Weight of the squared second differences of the control values.
+
+    Returns
+    -------
+    float
+        One over places to the fourth. The variances of d_uu and d_vv are three times that, and their
+        covariance is it, to a few per cent: the field is all but isotropic.
+    """
+    cosines = np.cos(np.outer(np.arange(4), 2.0 * np.pi * np.arange(64) / 64))
+    # Integrals of products of cubic B-splines, and of their first derivatives, 0 to 3 knots apart.
+    values = spacing * (np.array([2416.0, 2382.0, 240.0, 2.0]) / 5040.0) @ cosines
+    slopes = (np.array([80.0, -30.0, -48.0, -2.0]) / 120.0) @ cosines / spacing
+    bends = (2.0 - 2.0 * cosines[1]) ** 2
+    G = np.outer(values, values)
+    covariance = G / (G + smoothness * (bends[:, np.newaxis] + bends)) ** 2
+    return float((covariance * np.outer(slopes, slopes)).mean() / spacing**2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,4 +296,4 @@ def _largest_plane(
     return (terms @ plane - d)[kept], d[kept]
 
 
-__all__ = ["SQUARE_MOST", "NoiseEstimate", "explained_by_noise", "measure_noise"]
+__all__ = ["SQUARE_MOST", "NoiseEstimate", "measure_noise", "noise_floor"]

@@ -89,6 +89,8 @@ class Fit:
     pixels : (N,) intp
         The pixels that were fitted, flat indices of the full image: those of the segment, or those of
         them on the grid on which splits are decided.
+    floor : float
+        What noise alone leaves of the deciding metric, the least that it counts for in the ratio.
     """
 
     surface: NurbsSurface | None
@@ -96,6 +98,7 @@ class Fit:
     values: Mapping[Metric, float]
     reason: str
     pixels: NDArray[np.intp]
+    floor: float = 0.0
 
     def __post_init__(self) -> None:
         self.residuals_m.flags.writeable = False

@@ -85,7 +85,7 @@ def test_the_level_says_what_a_label_is(cloud_of, box_on_table):
         {"normalize_nodes": False},
         {"connected_pieces": False},
         {"fit_of": "xyz"},
-        {"noise_stop": False},
+        {"noise_floor": 0.0},
         {"cuts": 1},
         {"refine_borders": False},
         {"merge_crease": False},

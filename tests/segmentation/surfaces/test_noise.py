@@ -1,9 +1,17 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from nurbseg.segmentation.surfaces.noise import explained_by_noise, measure_noise
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.surfaces.curvature import principal_curvatures
+from nurbseg.segmentation.surfaces.inverse_depth import depth_grid, fit_window
+from nurbseg.segmentation.surfaces.metrics import COUNTS, METRICS, curvature_metrics
+from nurbseg.segmentation.surfaces.noise import measure_noise, noise_floor
 
 SIZE = (240, 320)
+#: Steps to a place and to its eight neighbours.
+AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
 
 
 def wall(noise: float, seed: int, flying: float = 0.0) -> np.ndarray:
@@ -44,40 +52,85 @@ def test_frames_without_a_plane_are_told(cloud_of):
         measure_noise([clutter, empty])
 
 
-def test_noise_explains_noise_and_nothing_larger():
+def moved_by_noise(rays, per_m, deviation_per_m, mask, draws=400):
+    """Distances, metres, by which noise moves the marked points; three times the noise at the mask's rim."""
     rng = np.random.default_rng(0)
-    mask = np.ones((40, 50), dtype=bool)
-    residuals = 3e-3 * rng.normal(size=mask.size)
-    assert explained_by_noise(residuals, mask, 3e-3)
-    assert not explained_by_noise(residuals, mask, 1.5e-3)
-    residuals[: mask.size // 8] += 0.02
-    assert not explained_by_noise(residuals, mask, 3e-3)
+    held = np.pad(mask, 1)
+    inner = np.all(
+        [held[1 + i : held.shape[0] - 1 + i, 1 + j : held.shape[1] - 1 + j] for i, j in AROUND], axis=0
+    )
+    noise = deviation_per_m * np.where(inner, 1.0, 3.0) * rng.normal(size=(draws, *mask.shape))
+    apart = rays / (per_m + noise)[..., np.newaxis] - rays / per_m[..., np.newaxis]
+    return np.linalg.norm(apart, axis=-1)[:, mask]
 
 
-def test_flying_pixels_at_the_rim_are_forgiven():
+@pytest.mark.parametrize("depth_m", [0.6, 1.2, 2.5])
+def test_the_floor_is_what_noise_does_to_points_at_their_depth(cloud_of, rays_of_size, depth_m):
+    rows, columns = np.mgrid[:60, :80]
+    per_m = 1 / depth_m + 0.001 * (columns - 40) - 0.0005 * (rows - 30)
+    grid = depth_grid(cloud_of(1 / per_m), 1)
+    mask = (rows - 30) ** 2 + (columns - 40) ** 2 < 600
+    for deviation_per_m, factor in ((1e-3, 1.0), (1e-3, 2.0), (3e-3, 0.5)):
+        moved = moved_by_noise(rays_of_size((60, 80)), per_m, factor * deviation_per_m, mask)
+        expected = {
+            "mse": np.mean(moved**2),
+            "mae": np.mean(moved),
+            # About each point's own mean: that of the depths is no error.
+            "ve": np.mean(moved.var(axis=0)),
+        }
+        for metric, value in expected.items():
+            config = SegmentationConfig(metric=metric, noise_per_m=deviation_per_m, noise_floor=factor)
+            assert noise_floor(grid, (0, 0, 60, 80), mask, config) == pytest.approx(value, rel=0.02)
+
+
+def test_the_floor_of_large_errors_is_how_many_noise_makes(cloud_of, rays_of_size):
+    per_m = np.full((60, 80), 1 / 4.0)
+    mask = np.ones((60, 80), dtype=np.bool_)
+    moved = moved_by_noise(rays_of_size((60, 80)), per_m, 2.5e-3, mask)
+    config = SegmentationConfig(metric="nle", large_error_m=0.08)
+    expected = np.mean(np.count_nonzero(moved > 0.08, axis=1))
+    assert 100 < expected < 1000
+    floor = noise_floor(depth_grid(cloud_of(1 / per_m), 1), (0, 0, 60, 80), mask, config)
+    assert floor == pytest.approx(expected, rel=0.03)
+    near = depth_grid(cloud_of(np.full((60, 80), 0.8)), 1)
+    assert noise_floor(near, (0, 0, 60, 80), mask, config) < 1e-6
+
+
+@pytest.mark.parametrize("depth_m", [0.7, 1.5])
+def test_the_floor_of_curvature_is_that_of_surfaces_fitted_to_noise(cloud_of, depth_m):
+    config = SegmentationConfig(large_curvature_per_m=0.05)
     rng = np.random.default_rng(0)
-    mask = np.ones((40, 50), dtype=bool)
-    residuals = 3e-3 * rng.normal(size=mask.shape)
-    residuals[0], residuals[-1], residuals[:, 0], residuals[:, -1] = (0.1,) * 4
-    assert explained_by_noise(residuals[mask], mask, 3e-3)
-    assert not explained_by_noise(residuals[mask], mask, 3e-3, rim=True)
+    size, window = (240, 320), (0, 0, 240, 320)
+    mask = np.ones(size, dtype=np.bool_)
+    rows, columns = np.mgrid[80:160:4, 80:240:4].reshape(2, -1)
+    curvatures = []
+    for _ in range(40):
+        cloud = cloud_of(1 / (1 / depth_m + config.noise_per_m * rng.normal(size=size)))
+        # A step of 1 in an image half as wide as others: knots are 25 places apart, as by default.
+        fit, _ = fit_window(depth_grid(cloud, 1), window, mask, config)
+        curvatures.append(principal_curvatures(fit.surface, columns.astype(float), rows.astype(float)))
+    k1, k2 = np.concatenate(curvatures, axis=1)
+    expected = curvature_metrics(k1, k2, config)
+    assert 0.05 < expected["nlc"] / k1.size < 0.5
+    grid = depth_grid(cloud_of(np.full(size, depth_m)), 1)
+    # The field is not quite the same between knots as at them, which a variance of maxima notices most.
+    for metric, tolerance in (("mmxc", 0.05), ("vmxc", 0.2), ("vmec", 0.1), ("vgc", 0.2), ("nlc", 0.1)):
+        floor = noise_floor(grid, window, mask, replace(config, metric=metric))
+        points = mask.sum() / k1.size if metric == "nlc" else 1
+        assert floor == pytest.approx(points * expected[metric], rel=tolerance), metric
 
 
-def test_a_thin_thing_on_a_large_table_is_no_noise_however_small_its_share() -> None:
-    rng = np.random.default_rng(2)
-    mask = np.ones((240, 320), dtype=np.bool_)
-    residuals = rng.normal(0.0, 2.5e-3, mask.shape)
-    assert explained_by_noise(residuals[mask], mask, 2.5e-3, patch_places=60)
-    residuals[100:110, 100:140] += 4 * 2.5e-3
-    assert explained_by_noise(residuals[mask], mask, 2.5e-3)
-    assert not explained_by_noise(residuals[mask], mask, 2.5e-3, patch_places=60)
-    assert explained_by_noise(residuals[mask], mask, 2.5e-3, patch_places=900)
-
-
-def test_flying_pixels_are_no_patch() -> None:
-    rng = np.random.default_rng(3)
-    mask = np.ones((240, 320), dtype=np.bool_)
-    residuals = rng.normal(0.0, 2.5e-3, mask.shape)
-    flying = rng.choice(mask.size, 1500, replace=False)
-    residuals.reshape(-1)[flying] += rng.choice([-1.0, 1.0], flying.size) * 0.05
-    assert explained_by_noise(residuals[mask], mask, 2.5e-3, patch_places=60)
+@pytest.mark.parametrize("metric", METRICS)
+def test_the_floors_of_parts_weigh_no_less_than_that_of_the_whole(cloud_of, metric):
+    rng = np.random.default_rng(1)
+    grid = depth_grid(cloud_of(rng.uniform(0.5, 4.0, (40, 50))), 1)
+    config = SegmentationConfig(metric=metric, large_error_m=0.03, large_curvature_per_m=0.05)
+    for _ in range(20):
+        whole = rng.random((40, 50)) < 0.97
+        side = whole & (np.add.outer(np.arange(40), np.arange(50)) < rng.integers(15, 70))
+        floors, counts = [], []
+        for mask in (whole, side, whole & ~side):
+            floors.append(noise_floor(grid, (0, 0, 40, 50), mask, config))
+            counts.append(1 if metric in COUNTS else np.count_nonzero(mask))
+        assert floors[0] > 0
+        assert floors[1] * counts[1] + floors[2] * counts[2] >= floors[0] * counts[0] * (1 - 1e-12)

@@ -1,0 +1,169 @@
+"""The ratio of eq. 5 decides in the default method: metrics count as no less than noise leaves of them."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.cut.ncut import Cut
+from nurbseg.segmentation.extended import splitting
+from nurbseg.segmentation.extended.splitting import best_split, measured, prepare
+from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.segmentation.segments import Division, Node, SegmentationTree, StopReason
+from nurbseg.segmentation.stag15 import segment
+from nurbseg.segmentation.surfaces.surface import Fit, evaluate
+
+CONFIG = SegmentationConfig(method="nurbseg", decimation=1, refine_borders=False)
+SIZE = (120, 160)
+
+
+def roof(turn: float, noise_per_m: float = 2.5e-3, seed: int = 0) -> NDArray[np.float64]:
+    """Depth of two planes that meet in the middle; their slopes differ by so much, 1/m per pixel."""
+    rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
+    per_m = 1.6 + 0.0005 * rows - 0.5 * turn * np.abs(columns - 79.5)
+    return 1 / (per_m + noise_per_m * np.random.default_rng(seed).normal(size=SIZE))
+
+
+def weight(fit: Fit, cloud: PointMap, noise_per_m: float) -> float:
+    """Sum of squared distances to a surface (eq. 7), or of noise, three times as large at the rim."""
+    rows, columns = np.unravel_index(fit.pixels, cloud.valid.shape)
+    assert fit.surface is not None
+    points = cloud.points_m[rows, columns].astype(float)
+    squares = np.sum((evaluate(fit.surface, columns.astype(float), rows.astype(float)) - points) ** 2)
+    held = np.zeros((cloud.valid.shape[0] + 2, cloud.valid.shape[1] + 2), dtype=bool)
+    held[rows + 1, columns + 1] = True
+    inner = np.all([held[rows + i, columns + j] for i in range(3) for j in range(3)], axis=0)
+    noise = noise_per_m * np.where(inner, 1.0, 3.0) * points[:, 2] * np.linalg.norm(points, axis=1)
+    return max(float(squares), float(np.sum(noise**2)))
+
+
+def root_of(cloud: PointMap, config: SegmentationConfig) -> tuple[splitting.Scene, Node]:
+    """Return a frame of one piece and its root, not yet tried."""
+    scene = prepare(cloud, config)
+    places, fit, stop = measured(scene, np.flatnonzero(scene.grid.valid), config)
+    return scene, Node("", places, fit, stop=stop)
+
+
+def cut_at_middle(tree: SegmentationTree) -> bool:
+    """Say whether no leaf lies on both sides of the middle column, by more than a few pixels."""
+    labels = tree.labels("surfaces")
+    left, right = set(np.unique(labels[:, :76])), set(np.unique(labels[:, 84:]))
+    return not left & right
+
+
+def test_two_planes_at_an_angle_are_parted_by_their_ratio(cloud_of):
+    cloud = cloud_of(roof(0.02))
+    tree = segment(cloud, CONFIG)
+    assert cut_at_middle(tree)
+    root = tree.root
+    assert root.division is Division.CUT
+    weights = [weight(tree[name].fit, cloud, CONFIG.noise_per_m) for name in root.children]
+    assert root.ratio == pytest.approx(sum(weights) / weight(root.fit, cloud, CONFIG.noise_per_m), rel=1e-3)
+    assert root.ratio < 0.9
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_noisy_plane_stays_whole_since_its_ratio_is_one(cloud_of, seed):
+    cloud = cloud_of(roof(0.0, seed=seed))
+    tree = segment(cloud, CONFIG)
+    assert [leaf.stop for leaf in tree.leaves()] == [StopReason.NOISE]
+    # What the shortcut foretells, tried.
+    scene, root = root_of(cloud, CONFIG)
+    assert best_split(scene, root, CONFIG)[1] is None
+    assert root.stop is StopReason.CRITERION
+    assert root.trial is not None
+    # The parts' floors are the whole's, and more along the cut, where both have a rim.
+    assert 1.0 <= root.trial.ratio < 1.25
+
+
+def test_without_the_floor_the_ratio_splits_noise(cloud_of):
+    cloud = cloud_of(roof(0.0))
+    assert len(segment(cloud, replace(CONFIG, noise_floor=0.0)).leaves()) > 4
+
+
+def test_a_factor_on_the_noise_decides_what_is_noise(cloud_of):
+    cloud = cloud_of(roof(0.0, noise_per_m=4e-3))
+    tried = segment(cloud, CONFIG).root
+    assert tried.ratio is not None
+    untried = segment(cloud, replace(CONFIG, noise_floor=2.0)).root
+    assert (untried.stop, untried.ratio) == (StopReason.NOISE, None)
+
+
+def test_a_threshold_on_either_side_of_the_ratio_decides(cloud_of):
+    cloud = cloud_of(roof(0.02))
+    ratio = segment(cloud, CONFIG).root.ratio
+    assert ratio is not None
+    above = segment(cloud, replace(CONFIG, ratio_max=1.01 * ratio))
+    below = segment(cloud, replace(CONFIG, ratio_max=0.99 * ratio, cuts=1))
+    assert above.root.ratio == ratio
+    assert above.root.division is Division.CUT
+    assert below.root.stop is StopReason.CRITERION
+    assert below.root.ratio == ratio
+
+
+def test_a_ratio_that_always_accepts_splits_down_to_the_limits(cloud_of):
+    cloud = cloud_of(roof(0.0))
+    tree = segment(cloud, replace(CONFIG, ratio_max=float("inf"), depth_max=3))
+    reasons = {leaf.stop for leaf in tree.leaves()}
+    assert StopReason.DEPTH in reasons
+    assert not reasons & {StopReason.NOISE, StopReason.CRITERION}
+
+
+def test_the_metric_decides(cloud_of):
+    # One spline across the crease leaves errors of centimetres: enough for MSE, none beyond T_l for NLE.
+    cloud = cloud_of(roof(0.02))
+    assert cut_at_middle(segment(cloud, replace(CONFIG, metric="mae")))
+    few = segment(cloud, replace(CONFIG, metric="nle"))
+    assert [leaf.stop for leaf in few.leaves()] == [StopReason.NOISE]
+    assert cut_at_middle(segment(cloud, replace(CONFIG, metric="nle", large_error_m=0.01)))
+
+
+@pytest.mark.parametrize("ratio_max", [1.0, 0.7])
+@pytest.mark.parametrize("metric", ["mse", "mae", "ve", "nle", "vmec", "vgc", "mmxc"])
+def test_what_is_not_tried_for_its_noise_would_be_rejected(cloud_of, box_on_table, metric, ratio_max):
+    config = replace(CONFIG, metric=metric, ratio_max=ratio_max, decimation=2, large_error_m=0.02)
+    untried = 0
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        depth, _ = box_on_table((120, 160), noise_per_m=rng.uniform(1e-3, 4e-3), seed=seed)
+        depth[rng.random(depth.shape) < 0.02] *= 0.99
+        cloud = cloud_of(depth)
+        scene = prepare(cloud, config)
+        waiting = [splitting.grow(scene, config)]
+        while waiting:
+            node = waiting.pop()
+            waiting.extend(node.children)
+            if node.stop is StopReason.NOISE:
+                untried += 1
+                best_split(scene, node, config)
+                # To rounding: where the whole and the parts are at their floors the ratio may be just 1.
+                assert node.trial is None or node.trial.ratio >= ratio_max * (1 - 1e-12)
+    assert untried > 0
+
+
+def test_what_a_later_cut_comes_to_does_not_undo_a_rejection(cloud_of, monkeypatch):
+    scene, root = root_of(cloud_of(roof(0.0)), CONFIG)
+    rows, columns = np.divmod(root.places, SIZE[1])
+    speck = (rows < 2) & (columns < 2)
+    halves = [columns < 80, rows < 20, columns < 110]
+
+    def cuts(*_: object, **__: object) -> Iterator[Cut]:
+        for side in (*halves, speck):
+            yield Cut(side, np.zeros((1, 9), np.float32), np.zeros(1, np.float32), 1.0)
+
+    monkeypatch.setattr(splitting, "normalized_cuts", cuts)
+    assert best_split(scene, root, CONFIG, thin_from=10**9)[1] is None
+    assert root.stop is StopReason.CRITERION
+    cloud = cloud_of(roof(0.0))
+
+    def after(side: NDArray[np.bool_]) -> float:
+        parts = (measured(scene, root.places[each], CONFIG)[1] for each in (side, ~side))
+        return sum(weight(part, cloud, CONFIG.noise_per_m) for part in parts)
+
+    whole = weight(root.fit, cloud, CONFIG.noise_per_m)
+    assert root.trial is not None
+    assert root.trial.ratio == pytest.approx(min(after(side) for side in halves) / whole, rel=1e-4)
+    assert not root.trial.kept
