@@ -20,7 +20,7 @@ _STOP_TEXTS = {
     "no-cut": "violet: no cut was found",
     "no-fit": "pink: no surface could be fitted",
     "no-points": "white: no points",
-    "noise": "turquoise: the surface leaves no more than the sensor's noise",
+    "noise": "turquoise: so near to the sensor's noise that no split can be kept",
 }
 
 

@@ -104,6 +104,23 @@ def test_a_threshold_on_either_side_of_the_ratio_decides(cloud_of):
     assert below.root.ratio == ratio
 
 
+@pytest.mark.parametrize(
+    ("ratio_max", "stop"),
+    [(1.0, None), (0.9, None), (0.84, StopReason.CRITERION), (0.8, StopReason.NOISE)],
+)
+def test_what_is_tried_is_what_may_be_accepted(cloud_of, ratio_max, stop):
+    # By this crease the plane's error is little above noise: floor over value is .824, the ratio .853.
+    scene, root = root_of(cloud_of(roof(0.012)), replace(CONFIG, ratio_max=ratio_max))
+    assert root.fit.floor / root.fit.values["mse"] == pytest.approx(0.824, abs=0.002)
+    if root.stop is None:
+        best_split(scene, root, replace(CONFIG, ratio_max=ratio_max, cuts=1))
+        assert root.trial is not None
+        assert root.trial.ratio == pytest.approx(0.853, abs=0.002)
+        assert root.trial.kept == (stop is None)
+    if stop is not None:
+        assert root.stop is stop
+
+
 def test_a_ratio_that_always_accepts_splits_down_to_the_limits(cloud_of):
     cloud = cloud_of(roof(0.0))
     tree = segment(cloud, replace(CONFIG, ratio_max=float("inf"), depth_max=3))

@@ -120,6 +120,15 @@ def test_the_floor_of_curvature_is_that_of_surfaces_fitted_to_noise(cloud_of, de
         assert floor == pytest.approx(points * expected[metric], rel=tolerance), metric
 
 
+def test_the_floor_of_curvature_is_the_same_on_every_second_pixel_of_twice_as_many(cloud_of):
+    config = SegmentationConfig(metric="vmec")
+    window, mask = (0, 0, 60, 80), np.ones((60, 80), dtype=np.bool_)
+    small, large = depth_grid(cloud_of(np.ones((60, 80))), 1), depth_grid(cloud_of(np.ones((120, 160))), 2)
+    # The same points but for half a pixel, the same knots, the same smoothness.
+    floors = [noise_floor(grid, window, mask, config) for grid in (small, large)]
+    assert floors[0] == pytest.approx(floors[1], rel=1e-9)
+
+
 @pytest.mark.parametrize("metric", METRICS)
 def test_the_floors_of_parts_weigh_no_less_than_that_of_the_whole(cloud_of, metric):
     rng = np.random.default_rng(1)
