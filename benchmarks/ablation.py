@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 
 from nurbseg.app.evaluation.statistics import bootstrap_gain, bootstrap_mean
 from nurbseg.drivers.errors import DriverError
-from nurbseg.drivers.registry import SourceOptions, open_source
+from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap, register
 from nurbseg.segmentation.scoring.scores import (

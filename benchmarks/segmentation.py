@@ -29,7 +29,8 @@ import skimage
 from skimage.segmentation import felzenszwalb
 
 from nurbseg.drivers.frame import Calibration, RGBDFrame
-from nurbseg.drivers.registry import SourceOptions, open_source
+from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation import stag15 as tree
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended import splitting

@@ -30,7 +30,8 @@ from scipy.optimize import linear_sum_assignment
 from nurbseg.app.live.tracking import Segmenter
 from nurbseg.drivers.errors import EndOfRecordingError
 from nurbseg.drivers.frame import RGBDFrame
-from nurbseg.drivers.registry import SourceOptions, open_source
+from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
 from nurbseg.drivers.synthetic.source import SyntheticSource
 from nurbseg.segmentation.config import Level, SegmentationConfig

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
     from nurbseg.drivers.mcap.reader import RecordingReader
     from nurbseg.drivers.mcap.writer import RecordingWriter
-    from nurbseg.drivers.registry import SourceOptions, open_source
+    from nurbseg.drivers.options import SourceOptions
+    from nurbseg.drivers.registry import open_source
     from nurbseg.drivers.source import FrameSource, Paced
 
 # Imported on use: numpy alone would take most of the time in which a command must show its help.
@@ -39,7 +40,8 @@ _MODULES = {
     "frame": ("Calibration", "Intrinsics", "RGBDFrame"),
     "mcap.reader": ("RecordingReader",),
     "mcap.writer": ("RecordingWriter",),
-    "registry": ("SourceOptions", "open_source"),
+    "options": ("SourceOptions",),
+    "registry": ("open_source",),
     "source": ("FrameSource", "Paced"),
 }
 _HOME = {name: module for module, names in _MODULES.items() for name in names}

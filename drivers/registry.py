@@ -5,17 +5,14 @@ The modules of the formats are imported on use, so that what one of them needs i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nurbseg.drivers.errors import DeviceNotFoundError, RecordingFormatError
+from nurbseg.drivers.options import SourceOptions
 
 if TYPE_CHECKING:
-    from nurbseg.drivers.calibration.cameras import CameraFile
-    from nurbseg.drivers.frame import Calibration
-    from nurbseg.drivers.openni2.options import DeviceOptions
     from nurbseg.drivers.source import FrameSource
 
 #: URI schemes and the modules whose ``open_uri(rest, options)`` opens them.
@@ -31,56 +28,6 @@ _HEAD_BYTES = 1024
 
 _FORMATS = "an MCAP recording, an OpenNI2 recording (.oni), an organised PCD cloud, or NYU Depth v2 (.mat)"
 _FOLDERS = "pairs of color and depth images, rgb.txt and depth.txt (TUM), PCD clouds, or one recording"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SourceOptions:
-    """What a user may add to a URI or path.
-
-    Parameters
-    ----------
-    intrinsics : tuple of float or None
-        ``(fx, fy, cx, cy)`` in pixels of the registered images, for recordings that bring none.
-    depth_scale : float or None
-        Depth units per metre of a recording that does not say it; None takes the format's own.
-    association_limit_s : float
-        Largest difference between the stamps of a depth image and its color image, seconds.
-    calibration : Calibration, CameraFile or None
-        Counts before `intrinsics`, and both before what a recording brings. What a file says
-        (`nurbseg.drivers.calibration.file.read_camera_file`) may leave the images' sizes open. A camera is
-        told by ``device.calibration``.
-    device : DeviceOptions or None
-        Settings of a camera; None leaves them as they are.
-
-    Raises
-    ------
-    ValueError
-        If `depth_scale` or `association_limit_s` is not over 0.
-    """
-
-    intrinsics: tuple[float, float, float, float] | None = None
-    depth_scale: float | None = None
-    association_limit_s: float = 0.02
-    calibration: Calibration | CameraFile | None = None
-    device: DeviceOptions | None = None
-
-    def __post_init__(self) -> None:
-        if self.intrinsics is not None and len(self.intrinsics) != 4:
-            raise ValueError(f"intrinsics: expected fx, fy, cx, cy, got {self.intrinsics}")
-        if self.depth_scale is not None and not 0 < self.depth_scale < float("inf"):
-            raise ValueError(f"depth_scale: expected units per metre over 0, got {self.depth_scale}")
-        if not self.association_limit_s > 0:
-            raise ValueError(f"association_limit_s: expected more than 0, got {self.association_limit_s}")
-
-    def given_cameras(self) -> CameraFile | None:
-        """Return the cameras that the user gives, as if a file said so; None where the user gives none."""
-        from nurbseg.drivers.calibration.cameras import CameraFile
-
-        if isinstance(self.calibration, CameraFile):
-            return self.calibration
-        if self.calibration is not None:
-            return CameraFile.of_calibration(self.calibration, Path("--calibration"))
-        return None if self.intrinsics is None else CameraFile.of_intrinsics(self.intrinsics)
 
 
 def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameSource:
@@ -183,4 +130,4 @@ def _open_with(module: str, function: str, *arguments: object) -> FrameSource:
     return source
 
 
-__all__ = ["SCHEMES", "SourceOptions", "open_source"]
+__all__ = ["SCHEMES", "open_source"]

@@ -167,7 +167,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 def _study(given: argparse.Namespace) -> Study:
     from nurbseg.app.evaluation.study import Study
-    from nurbseg.drivers.registry import SourceOptions
+    from nurbseg.drivers.options import SourceOptions
 
     intrinsics = None
     if given.intrinsics is not None:

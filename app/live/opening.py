@@ -14,7 +14,8 @@ from nurbseg.drivers.calibration.file import read_camera_file
 from nurbseg.drivers.doctor.diagnosis import explain_no_camera
 from nurbseg.drivers.errors import BackendMissingError, DeviceNotFoundError, RecordingFormatError
 from nurbseg.drivers.openni2.options import DeviceOptions
-from nurbseg.drivers.registry import SourceOptions, open_source
+from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.settings import described_fields
 from nurbseg.drivers.source import FrameSource, Paced
 

@@ -17,7 +17,7 @@ from nurbseg.drivers.errors import CalibrationError, FrameFormatError, Recording
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 
 if TYPE_CHECKING:
-    from nurbseg.drivers.registry import SourceOptions
+    from nurbseg.drivers.options import SourceOptions
 
 #: Where a folder's calibration is looked for; the first found counts.
 _CALIBRATION_PATTERNS = (

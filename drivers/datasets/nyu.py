@@ -26,7 +26,7 @@ from nurbseg.drivers.source import FrameSource
 
 if TYPE_CHECKING:
     from nurbseg.drivers.calibration.cameras import CameraFile
-    from nurbseg.drivers.registry import SourceOptions
+    from nurbseg.drivers.options import SourceOptions
 
 #: The color camera to which the labelled set's depth is registered, as its toolbox gives it.
 NYU_COLOR_CAMERA = Intrinsics(

@@ -15,7 +15,7 @@ from nurbseg.drivers.errors import CalibrationError, FrameFormatError, Recording
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 
 if TYPE_CHECKING:
-    from nurbseg.drivers.registry import SourceOptions
+    from nurbseg.drivers.options import SourceOptions
 
 #: Color of clouds that have none.
 _GRAY = 128

@@ -19,7 +19,7 @@ from nurbseg.drivers.errors import RecordingFormatError
 from nurbseg.drivers.frame import RGBDFrame
 
 if TYPE_CHECKING:
-    from nurbseg.drivers.registry import SourceOptions
+    from nurbseg.drivers.options import SourceOptions
 
 _SCENE = re.compile(r"scene[ _-]?\d+", re.IGNORECASE)
 

@@ -13,7 +13,7 @@ from nurbseg.drivers.errors import RecordingFormatError
 from nurbseg.drivers.frame import RGBDFrame
 
 if TYPE_CHECKING:
-    from nurbseg.drivers.registry import SourceOptions
+    from nurbseg.drivers.options import SourceOptions
 
 _UNITS_PER_METRE = 5000.0
 COLOR_LIST, DEPTH_LIST = "rgb.txt", "depth.txt"

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from nurbseg.drivers.registry import SourceOptions
+    from nurbseg.drivers.options import SourceOptions
 
 _log = logging.getLogger(__name__)
 

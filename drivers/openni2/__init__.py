@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from nurbseg.drivers.openni2.options import DeviceOptions
 
 if TYPE_CHECKING:
-    from nurbseg.drivers.registry import SourceOptions
+    from nurbseg.drivers.options import SourceOptions
     from nurbseg.drivers.source import FrameSource
 
 __all__ = ["DeviceOptions", "open_uri"]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.errors import EndOfRecordingError, RecordingFormatError
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
-from nurbseg.drivers.registry import SourceOptions
+from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.settings import check_settings, setting
 from nurbseg.drivers.source import FrameSource
 from nurbseg.drivers.synthetic.render import Renderer, Rendering

@@ -37,7 +37,7 @@ from nurbseg.drivers.source import FrameSource
 
 if TYPE_CHECKING:
     from nurbseg.drivers.calibration.cameras import CameraFile
-    from nurbseg.drivers.registry import SourceOptions
+    from nurbseg.drivers.options import SourceOptions
 
 logger = logging.getLogger(__name__)
 

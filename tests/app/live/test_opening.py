@@ -16,7 +16,8 @@ from nurbseg.drivers.errors import (
     RecordingFormatError,
 )
 from nurbseg.drivers.openni2.options import DeviceOptions
-from nurbseg.drivers.registry import SourceOptions, open_source
+from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
 
 SMALL = "synthetic:?width=32&height=24&frames=5"

@@ -11,7 +11,8 @@ import scipy.io
 from nurbseg.drivers.datasets.nyu import NyuLabelledSource, depth_to_mm, open_path
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.frame import Calibration, Intrinsics
-from nurbseg.drivers.registry import SourceOptions, open_source
+from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.registry import open_source
 
 
 def labelled_set(path: Path, frames: int = 3, **left_out: None) -> Path:

@@ -8,7 +8,8 @@ import pytest
 
 from nurbseg.drivers.datasets.scenes import ScenesSource
 from nurbseg.drivers.errors import CalibrationError, RecordingFormatError
-from nurbseg.drivers.registry import SourceOptions, open_source
+from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.registry import open_source
 
 MATRIX = np.array([[300.0, 0, 31.5], [0, 300.0, 23.5], [0, 0, 1]])
 

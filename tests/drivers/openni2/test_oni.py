@@ -28,7 +28,8 @@ from nurbseg.drivers.openni2.oni import player_process
 from nurbseg.drivers.openni2.oni.file import read_structure
 from nurbseg.drivers.openni2.oni.playback import OniSource
 from nurbseg.drivers.openni2.options import DeviceOptions
-from nurbseg.drivers.registry import SourceOptions, open_source
+from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.registry import open_source
 
 
 def record(path, options=None, frames=12, lossy=False):

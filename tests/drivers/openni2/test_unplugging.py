@@ -17,8 +17,8 @@ from nurbseg.drivers.openni2 import open_uri
 from nurbseg.drivers.openni2.device import DeviceSource
 from nurbseg.drivers.openni2.isolated.source import IsolatedCamera
 from nurbseg.drivers.openni2.options import DeviceOptions
+from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.reconnect import Reconnecting
-from nurbseg.drivers.registry import SourceOptions
 
 
 def read_until_lost(source, limit_s=30.0):

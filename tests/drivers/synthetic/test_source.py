@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from nurbseg.drivers.errors import EndOfRecordingError, RecordingFormatError
-from nurbseg.drivers.registry import SourceOptions, open_source
+from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.synthetic.scene import PERIOD
 from nurbseg.drivers.synthetic.source import SyntheticOptions, SyntheticSource, open_uri
 
