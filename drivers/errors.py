@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import reprlib
+
 
 class DriverError(Exception):
     """Base of every error raised by `nurbseg.drivers`."""
@@ -37,3 +39,25 @@ class CalibrationError(RecordingFormatError):
 
 class FrameFormatError(RecordingFormatError):
     """One frame of a recording is unusable; the source skips to the next frame at the next read."""
+
+
+_QUOTED_CHARACTERS = 80
+
+
+class _ShortRepr(reprlib.Repr):
+    def repr_int(self, x: int, level: int) -> str:
+        try:
+            return super().repr_int(x, level)
+        except ValueError:
+            # Python does not print thousands of digits.
+            return f"an integer of {x.bit_length()} bits"
+
+
+_short = _ShortRepr()
+_short.maxlevel, _short.maxstring, _short.maxother = 3, _QUOTED_CHARACTERS, _QUOTED_CHARACTERS
+
+
+def quoted(value: object) -> str:
+    """Return what a file says as an error quotes it: 80 characters at most, however large the value."""
+    text = _short.repr(value)
+    return text if len(text) <= _QUOTED_CHARACTERS else f"{text[: _QUOTED_CHARACTERS - 3]}..."

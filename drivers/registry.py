@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nurbseg.drivers.errors import DeviceNotFoundError, RecordingFormatError
+from nurbseg.drivers.files import open_regular
 from nurbseg.drivers.options import SourceOptions
 
 if TYPE_CHECKING:
@@ -69,11 +70,11 @@ def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameS
 
 
 def _open_file(path: Path, options: SourceOptions) -> FrameSource:
-    try:
-        with path.open("rb") as stream:
+    with open_regular(path) as stream:
+        try:
             head = stream.read(_HEAD_BYTES)
-    except OSError as err:
-        raise RecordingFormatError(f"{path}: cannot be read ({err.strerror})") from err
+        except OSError as err:
+            raise RecordingFormatError(f"{path}: the recording cannot be read ({err.strerror})") from err
     if head.startswith(_MCAP_MAGIC):
         return _open_with("nurbseg.drivers.mcap.reader", "open_path", path, options)
     if head.startswith(_ONI_MAGIC):

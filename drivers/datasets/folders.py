@@ -14,7 +14,9 @@ from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_l
 from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, ImagePair, find_pairs
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource
 from nurbseg.drivers.errors import CalibrationError, FrameFormatError, RecordingFormatError
+from nurbseg.drivers.files import read_file
 from nurbseg.drivers.frame import Calibration, RGBDFrame
+from nurbseg.drivers.limits import FRAME_BYTES_MAX
 
 if TYPE_CHECKING:
     from nurbseg.drivers.options import SourceOptions
@@ -185,10 +187,7 @@ class FolderSource(SequenceSource):
 
 
 def _content(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as err:
-        raise FrameFormatError(f"{path}: the image cannot be read ({err.strerror})") from err
+    return read_file(path, FRAME_BYTES_MAX, what="image", error=FrameFormatError)
 
 
 def _size(shape: tuple[int, ...]) -> str:

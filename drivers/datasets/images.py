@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import zlib
 from typing import Any
 
@@ -10,20 +9,51 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.errors import FrameFormatError
+from nurbseg.drivers.datasets.image_header import JPEG_MAGIC, PNG_MAGIC, check_size, pnm_header
+from nurbseg.drivers.errors import FrameFormatError, quoted
 
-PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
-JPEG_MAGIC = b"\xff\xd8\xff"
 #: Bytes after the end-of-image marker that some cameras add.
 _JPEG_TRAILER = 4096
+#: Texts, profiles and animation of a PNG, which may be far larger decompressed and are of no use here.
+_PNG_PASSED_OVER = frozenset((b"tEXt", b"zTXt", b"iTXt", b"iCCP", b"eXIf", b"acTL", b"fcTL", b"fdAT"))
+#: Encoders make parts of 8 kB or more.
+_PNG_PARTS_MAX = 65_536
 #: A Kinect's 11-bit disparity for "nothing measured".
 _RAW_DISPARITY_NONE = 2047
 _RAW_DEPTH_MAX_MM = 10_000
 
 
-def _check_png(content: bytes, name: str) -> None:
+def check_complete(content: bytes, name: str) -> bytes:
+    """Find out that an encoded image is too large, cut off or damaged, which decoders may pass over.
+
+    Returns
+    -------
+    bytes
+        The image to be decoded: a PNG without its texts and animation.
+
+    Raises
+    ------
+    FrameFormatError
+        If it is of no known form or has too many pixels, a PNG, JPEG, PGM or PPM does not reach its end, or
+        a PNG's checksums do not hold.
+    """
+    if not content:
+        raise FrameFormatError(f"{name}: the image is empty (0 bytes)")
+    check_size(content, name)
+    if content.startswith(PNG_MAGIC):
+        return _checked_png(content, name)
+    if content.startswith(JPEG_MAGIC) and b"\xff\xd9" not in content[-_JPEG_TRAILER:]:
+        raise FrameFormatError(f"{name}: the JPEG is cut off after {len(content)} bytes")
+    if content[:2] in (b"P5", b"P6"):
+        _check_pnm(content, name)
+    return content
+
+
+def _checked_png(content: bytes, name: str) -> bytes:
     place = len(PNG_MAGIC)
     kind = b""
+    parts = [PNG_MAGIC]
+    number = 0
     while kind != b"IEND":
         length, kind = int.from_bytes(content[place : place + 4]), content[place + 4 : place + 8]
         end = place + 12 + length
@@ -31,48 +61,30 @@ def _check_png(content: bytes, name: str) -> None:
             raise FrameFormatError(f"{name}: the PNG is cut off after {len(content)} bytes")
         if zlib.crc32(content[place + 4 : end - 4]) != int.from_bytes(content[end - 4 : end]):
             raise FrameFormatError(f"{name}: the PNG is damaged (checksum of its part {kind!r})")
+        if kind not in _PNG_PASSED_OVER:
+            parts.append(content[place:end])
+        number += 1
+        if number > _PNG_PARTS_MAX:
+            raise FrameFormatError(f"{name}: the PNG has more than {_PNG_PARTS_MAX} parts")
         place = end
+    return content if len(parts) == 1 + number else b"".join(parts)
 
 
 def _check_pnm(content: bytes, name: str) -> None:
-    header = re.match(rb"P[56]\s(?:\s*#[^\n]*\n)*\s*(\d+)\s+(\d+)\s+(\d+)\s", content)
-    if header is None:
-        raise FrameFormatError(f"{name}: expected a binary PGM or PPM with width, height and maximum")
-    width, height, maximum = map(int, header.groups())
+    width, height, maximum, start = pnm_header(content, name)
     expected = width * height * (3 if content[1:2] == b"6" else 1) * (2 if maximum > 255 else 1)
-    if len(content) - header.end() < expected:
-        raise FrameFormatError(
-            f"{name}: the image is cut off: {len(content) - header.end()} bytes of {expected}"
-        )
-
-
-def check_complete(content: bytes, name: str) -> None:
-    """Find out that an encoded image is cut off or damaged, which decoders may pass over in silence.
-
-    Raises
-    ------
-    FrameFormatError
-        If a PNG, JPEG, PGM or PPM does not reach its end, or a PNG's checksums do not hold.
-    """
-    if not content:
-        raise FrameFormatError(f"{name}: the image is empty (0 bytes)")
-    if content.startswith(PNG_MAGIC):
-        _check_png(content, name)
-    elif content.startswith(JPEG_MAGIC):
-        if b"\xff\xd9" not in content[-_JPEG_TRAILER:]:
-            raise FrameFormatError(f"{name}: the JPEG is cut off after {len(content)} bytes")
-    elif content[:2] in (b"P5", b"P6"):
-        _check_pnm(content, name)
+    if len(content) - start < expected:
+        raise FrameFormatError(f"{name}: the image is cut off: {len(content) - start} bytes of {expected}")
 
 
 def _decode(content: bytes, flags: int, name: str) -> NDArray[Any]:
-    check_complete(content, name)
+    checked = check_complete(content, name)
     try:
-        image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+        image = cv2.imdecode(np.frombuffer(checked, np.uint8), flags)
     except cv2.error as err:
-        raise FrameFormatError(f"{name}: the image cannot be decoded ({err.err})") from err
+        raise FrameFormatError(f"{name}: the image cannot be decoded ({quoted(err.err)})") from err
     if image is None:
-        raise FrameFormatError(f"{name}: not an image that can be decoded (PNG, JPEG, TIFF, PGM, PPM)")
+        raise FrameFormatError(f"{name}: the image is damaged and cannot be decoded")
     return image
 
 

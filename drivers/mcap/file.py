@@ -11,13 +11,13 @@ References
 from __future__ import annotations
 
 import logging
+import math
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import lz4.frame
 import zstandard
@@ -26,7 +26,9 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema, Statistics
 
-from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError
+from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError, quoted
+from nurbseg.drivers.files import open_regular
+from nurbseg.drivers.limits import CHUNK_BYTES_MAX, CHUNK_RECORDS_MAX, RECORD_BYTES_MAX
 
 _log = logging.getLogger(__name__)
 
@@ -34,8 +36,9 @@ MAGIC = b"\x89MCAP0\r\n"
 _RECORD_HEAD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
-#: A larger chunk is taken for damage; writers make them of some megabytes.
-_CHUNK_BYTES_MAX = 1 << 30
+
+
+_LEARNT = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.STATISTICS))
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,10 +85,7 @@ class McapFile:
         self.whole = False
         #: Places and lengths of the chunks and of messages outside of chunks.
         self._entries: list[tuple[int, int, int]] = []
-        try:
-            self._file = path.open("rb")
-        except OSError as err:
-            raise RecordingFormatError(f"{path}: cannot be read ({err.strerror})") from err
+        self._file = open_regular(path)
         try:
             self._walk()
         except BaseException:
@@ -102,28 +102,45 @@ class McapFile:
         """Close the file; safe to call twice."""
         self._file.close()
 
-    def messages(self) -> Iterator[McapMessage | FrameFormatError]:
-        """Yield the messages in the file's order; an error in place of a chunk that is damaged."""
+    def messages(self, most_bytes: int | None = None) -> Iterator[McapMessage | FrameFormatError]:
+        """Yield the messages in the file's order; an error in place of a chunk that is damaged.
+
+        Parameters
+        ----------
+        most_bytes : int, optional
+            Ends after this many bytes of messages, decompressed.
+        """
+        left = math.inf if most_bytes is None else most_bytes
         for opcode, place, length in self._entries:
-            self._file.seek(place)
-            content = self._file.read(length)
+            if left < 0:
+                return
+            name = f"{self.path}: the {Opcode(opcode).name.lower()} at byte {place}"
+            if length > CHUNK_BYTES_MAX:
+                yield FrameFormatError(f"{name}: {length} bytes; expected {CHUNK_BYTES_MAX} at most")
+                continue
+            try:
+                self._file.seek(place)
+                content = self._file.read(length)
+            except OSError as err:
+                raise RecordingFormatError(f"{name}: cannot be read ({err.strerror})") from err
+            left -= length
             if opcode == Opcode.MESSAGE:
                 message = self._message(content)
                 if message is not None:
                     yield message
                 continue
             try:
-                records = _chunk_records(content, f"{self.path}: the chunk at byte {place}")
+                content = _chunk_content(content, name)
+                left -= len(content)
+                for kind, record in _records(content, name):
+                    if kind == Opcode.MESSAGE:
+                        message = self._message(record)
+                        if message is not None:
+                            yield message
+                    else:
+                        self._learn(kind, record)
             except FrameFormatError as err:
                 yield err
-                continue
-            for kind, record in _records(records):
-                if kind == Opcode.MESSAGE:
-                    message = self._message(record)
-                    if message is not None:
-                        yield message
-                else:
-                    self._learn(kind, record)
 
     def _walk(self) -> None:
         size = self._file.seek(0, 2)
@@ -135,13 +152,19 @@ class McapFile:
             self._file.seek(place)
             opcode, length = _RECORD_HEAD.unpack(self._file.read(_RECORD_HEAD.size))
             place += _RECORD_HEAD.size
+            if opcode == 0:
+                # There is no such record: the file was made longer than what was written.
+                return
             if opcode == Opcode.FOOTER:
                 self.whole = place + length + len(MAGIC) <= size
                 return
             present = min(length, size - place)
             if opcode == Opcode.CHUNK or (opcode == Opcode.MESSAGE and present == length):
                 self._entries.append((opcode, place, present))
-            elif present == length:
+            elif present == length and opcode in _LEARNT:
+                if length > RECORD_BYTES_MAX:
+                    name = f"{self.path}: {Opcode(opcode).name}"
+                    raise RecordingFormatError(f"{name}: {length} bytes; expected {RECORD_BYTES_MAX} at most")
                 self._learn(opcode, self._file.read(length))
             place += length
 
@@ -175,51 +198,61 @@ def _stream(content: bytes) -> ReadDataStream:
     return ReadDataStream(BytesIO(content))
 
 
-def _records(content: bytes) -> Iterator[tuple[int, bytes]]:
+def _records(content: bytes, name: str) -> Iterator[tuple[int, bytes]]:
     """Yield the whole records in a chunk's content."""
     place = 0
+    number = 0
     while place + _RECORD_HEAD.size <= len(content):
         opcode, length = _RECORD_HEAD.unpack_from(content, place)
         place += _RECORD_HEAD.size
         if place + length > len(content):
             return
+        number += 1
+        if number > CHUNK_RECORDS_MAX or opcode == 0:
+            raise FrameFormatError(
+                f"{name}: records: expected {CHUNK_RECORDS_MAX} at most and none of the kind 0, "
+                f"got the kind {opcode} in place {number}"
+            )
         yield opcode, content[place : place + length]
         place += length
 
 
-def _chunk_records(content: bytes, name: str) -> bytes:
+def _chunk_content(content: bytes, name: str) -> bytes:
     """Return the uncompressed records of a chunk, or of as much of it as there is."""
     if len(content) < _CHUNK_HEAD.size:
         return b""
-    _, _, uncompressed, crc, word = _CHUNK_HEAD.unpack_from(content)
+    _, _, size, crc, word = _CHUNK_HEAD.unpack_from(content)
     place = _CHUNK_HEAD.size + word
     if len(content) < place + 8:
         return b""
     compression = content[_CHUNK_HEAD.size : place].decode(errors="replace")
-    if uncompressed > _CHUNK_BYTES_MAX:
-        raise FrameFormatError(f"{name}: uncompressed_size: {uncompressed} bytes are taken for damage")
+    if size > CHUNK_BYTES_MAX:
+        raise FrameFormatError(f"{name}: uncompressed_size: {size} bytes; expected {CHUNK_BYTES_MAX} at most")
     length = int.from_bytes(content[place : place + 8], "little")
     compressed = content[place + 8 : place + 8 + length]
     cut_off = len(compressed) < length
-    expanders: dict[str, Callable[[], Any] | None] = {
-        "zstd": lambda: zstandard.ZstdDecompressor().decompressobj(),
-        "lz4": lz4.frame.LZ4FrameDecompressor,
-        "": None,
-    }
-    if compression not in expanders:
-        raise FrameFormatError(f"{name}: compression: expected zstd, lz4 or none, got {compression!r}")
-    expander = expanders[compression]
     try:
-        if expander is None:
-            records = compressed
-        elif compression == "zstd" and not cut_off:
-            records = zstandard.decompress(compressed, uncompressed)
-        else:
-            records = expander().decompress(compressed)
+        records = _decompressed(compressed, compression, size, name, cut_off=cut_off)
     except (zstandard.ZstdError, RuntimeError, EOFError) as err:
         if cut_off:
             return b""
         raise FrameFormatError(f"{name}: cannot be decompressed ({err})") from err
+    if len(records) > size or (not cut_off and len(records) < size):
+        there = "more" if len(records) > size else f"{len(records)} bytes"
+        raise FrameFormatError(f"{name}: uncompressed_size: {size} bytes are declared, {there} are there")
     if not cut_off and crc and zlib.crc32(records) != crc:
         raise FrameFormatError(f"{name}: damaged (checksum)")
-    return bytes(records)
+    return records
+
+
+def _decompressed(content: bytes, compression: str, size: int, name: str, *, cut_off: bool) -> bytes:
+    """Return at most one byte more than `size`, whatever the content would become."""
+    if compression == "":
+        return content
+    if compression == "lz4":
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(content, max_length=size + 1))
+    if compression != "zstd":
+        raise FrameFormatError(f"{name}: compression: expected zstd, lz4 or none, got {quoted(compression)}")
+    if not cut_off and zstandard.frame_content_size(content) in (-1, size):
+        return zstandard.decompress(content, size)
+    return zstandard.ZstdDecompressor().stream_reader(content).read(size + 1)

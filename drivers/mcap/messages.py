@@ -1,4 +1,4 @@
-"""The ROS 2 messages of a recording: their definitions, and what they say as arrays and calibrations."""
+"""The ROS 2 messages of a recording: what they say as arrays and calibrations, and how they are made."""
 
 from __future__ import annotations
 
@@ -13,31 +13,7 @@ from nurbseg.drivers.calibration.cameras import CameraModel, camera_of_matrix
 from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_labels, millimetres
 from nurbseg.drivers.errors import CalibrationError, FrameFormatError
 from nurbseg.drivers.frame import Intrinsics
-
-IMAGE = "sensor_msgs/msg/Image"
-COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
-CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-TRANSFORMS = "tf2_msgs/msg/TFMessage"
-
-_RULE = "=" * 80
-_TIME = f"{_RULE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
-_HEADER = f"{_RULE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n{_TIME}"
-#: The message definitions as a recording states them.
-DEFINITIONS = {
-    IMAGE: "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\n"
-    f"uint32 step\nuint8[] data\n{_HEADER}",
-    COMPRESSED_IMAGE: f"std_msgs/Header header\nstring format\nuint8[] data\n{_HEADER}",
-    CAMERA_INFO: "std_msgs/Header header\nuint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\n"
-    "float64[9] k\nfloat64[9] r\nfloat64[12] p\nuint32 binning_x\nuint32 binning_y\n"
-    f"sensor_msgs/RegionOfInterest roi\n{_HEADER}{_RULE}\nMSG: sensor_msgs/RegionOfInterest\n"
-    "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify\n",
-    TRANSFORMS: "geometry_msgs/TransformStamped[] transforms\n"
-    f"{_RULE}\nMSG: geometry_msgs/TransformStamped\nstd_msgs/Header header\nstring child_frame_id\n"
-    f"geometry_msgs/Transform transform\n{_RULE}\nMSG: geometry_msgs/Transform\n"
-    f"geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n{_RULE}\n"
-    f"MSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n{_RULE}\n"
-    f"MSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n{_HEADER}",
-}
+from nurbseg.drivers.mcap.definitions import COMPRESSED_IMAGE
 
 DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
 COLOR_ENCODINGS = ("rgb8", "bgr8", "rgba8", "bgra8", "mono8", "8UC3")

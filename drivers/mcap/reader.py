@@ -7,13 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mcap_ros2.decoder import DecoderFactory
-
 from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.frame import Calibration, RGBDFrame
+from nurbseg.drivers.limits import LOOK_BYTES_MAX, STAMP_END_NS
+from nurbseg.drivers.mcap import definitions, names
 from nurbseg.drivers.mcap import messages as ros
-from nurbseg.drivers.mcap import names
 from nurbseg.drivers.mcap.file import McapFile, McapMessage
 from nurbseg.drivers.mcap.pairing import StampedPair, StampPairing
 from nurbseg.drivers.mcap.topics import Topics, TopicSample, choose_topics, recorded_cameras
@@ -21,6 +20,7 @@ from nurbseg.drivers.source import FrameSource
 
 if TYPE_CHECKING:
     import numpy as np
+    from mcap.records import Schema
     from numpy.typing import NDArray
 
     from nurbseg.drivers.options import SourceOptions
@@ -63,14 +63,15 @@ class RecordingReader(FrameSource):
         super().__init__()
         self._path = path
         self._units_per_metre = options.depth_scale
-        self._decoders = DecoderFactory()
+        self._not_understood: dict[int, str] = {}
+        self._understood: set[int] = set()
         self._pairing = StampPairing(round(options.association_limit_s * 1e9))
         self._index = 0
         self._file = McapFile(path)
         try:
             samples, transforms = self._look()
             self._topics = self._choose(samples)
-            self._schemas = {names.LABELS_TOPIC: ros.COMPRESSED_IMAGE} | {
+            self._schemas = {names.LABELS_TOPIC: definitions.COMPRESSED_IMAGE} | {
                 topic: sample.schema for topic, sample in samples.items()
             }
             self._cameras = self._camera_file(options, samples, transforms)
@@ -151,35 +152,38 @@ class RecordingReader(FrameSource):
 
     def _enter(self, message: McapMessage) -> None:
         topic, content = message.channel.topic, message.content
-        if len(content) < 12:
+        if len(content) < 12 or topic not in (self._topics.depth, self._topics.color, self._topics.labels):
             return
+        stamp_ns = ros.stamp_ns(content)
+        if not 0 <= stamp_ns < STAMP_END_NS:
+            raise FrameFormatError(f"{self._path}: {topic}: stamp: expected 1970 to 2038, got {stamp_ns} ns")
         if topic == self._topics.depth:
-            self._pairing.add_depth(ros.stamp_ns(content), content)
+            self._pairing.add_depth(stamp_ns, content)
         elif topic == self._topics.color:
-            self._pairing.add_color(ros.stamp_ns(content), content)
-        elif topic == self._topics.labels:
-            self._pairing.add_labels(ros.stamp_ns(content), content)
+            self._pairing.add_color(stamp_ns, content)
+        else:
+            self._pairing.add_labels(stamp_ns, content)
 
     def _decode(self, content: bytes, topic: str, name: str) -> Any:
-        schema = next(
-            self._file.schemas[channel.schema_id]
-            for channel in self._file.channels.values()
-            if channel.topic == topic
-        )
-        try:
-            decode = self._decoders.decoder_for("cdr", schema)
-            if decode is not None:
-                return decode(content)
-        except Exception as err:  # The decoder raises whatever a damaged message leads it to.
-            raise FrameFormatError(f"{name}: {topic}: the message is damaged ({err})") from err
-        raise FrameFormatError(f"{name}: {topic}: expected a ROS 2 message (ros2msg, cdr)")
+        return definitions.decode(content, self._schemas[topic], f"{name}: {topic}")
+
+    def _is_understood(self, schema: Schema) -> bool:
+        """Whether messages of a schema can be decoded; says once why not."""
+        if schema.id not in self._understood and schema.id not in self._not_understood:
+            try:
+                definitions.check_schema(schema, str(self._path))
+                self._understood.add(schema.id)
+            except RecordingFormatError as err:
+                self._not_understood[schema.id] = str(err)
+                _log.warning("%s; its messages are passed over", self._not_understood[schema.id])
+        return schema.id in self._understood
 
     def _look(self) -> tuple[dict[str, TopicSample], list[tuple[str, str, NDArray[np.float64]]]]:
         """Return the first message of each topic and the transforms, of the recording's first seconds."""
         samples: dict[str, TopicSample] = {}
         transforms: list[tuple[str, str, NDArray[np.float64]]] = []
         start_ns: int | None = None
-        for item in self._file.messages():
+        for item in self._file.messages(LOOK_BYTES_MAX):
             if isinstance(item, FrameFormatError):
                 continue
             start_ns = item.log_time_ns if start_ns is None else start_ns
@@ -189,16 +193,18 @@ class RecordingReader(FrameSource):
                 break
             topic = item.channel.topic
             schema = self._file.schemas.get(item.channel.schema_id)
-            known = schema is not None and schema.name in ros.DEFINITIONS
+            known = schema is not None and schema.name in definitions.DEFINITIONS
             if schema is None or not known or item.channel.message_encoding != "cdr":
                 continue
-            if topic in samples and schema.name != ros.TRANSFORMS:
+            if topic in samples and schema.name != definitions.TRANSFORMS:
+                continue
+            if not self._is_understood(schema):
                 continue
             try:
-                message = self._decode(item.content, topic, str(self._path))
+                message = definitions.decode(item.content, schema.name, f"{self._path}: {topic}")
             except FrameFormatError:
                 continue
-            if schema.name == ros.TRANSFORMS:
+            if schema.name == definitions.TRANSFORMS:
                 transforms += ros.transforms_of(message)
             samples.setdefault(topic, TopicSample(schema.name, message))
         return samples, transforms
@@ -227,6 +233,8 @@ class RecordingReader(FrameSource):
                 topics = replace(topics, labels=names.LABELS_TOPIC)
             return topics
         except RecordingFormatError as err:
+            if self._not_understood:
+                raise RecordingFormatError(f"{err}; {next(iter(self._not_understood.values()))}") from err
             if self._file.whole:
                 raise
             raise RecordingFormatError(f"{err}; the recording is cut off, perhaps before them") from err

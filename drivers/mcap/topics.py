@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel
 from nurbseg.drivers.errors import CalibrationError, RecordingFormatError
+from nurbseg.drivers.mcap import definitions
 from nurbseg.drivers.mcap import messages as ros
 
-_IMAGES = (ros.IMAGE, ros.COMPRESSED_IMAGE)
+_IMAGES = (definitions.IMAGE, definitions.COMPRESSED_IMAGE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +65,7 @@ def choose_topics(path: Path, samples: Mapping[str, TopicSample]) -> Topics:
             raise RecordingFormatError(f"{path}: no topic of {kind} images ({expected}); topics: {present}")
     depth = min(depths, key=lambda topic: (_rank(topic, ("aligned", "registered"), ("depth",)), topic))
     color = min(colors, key=lambda topic: (_rank(topic, ("color", "rgb"), ("image",)), topic))
-    infos = [topic for topic, sample in samples.items() if sample.schema == ros.CAMERA_INFO]
+    infos = [topic for topic, sample in samples.items() if sample.schema == definitions.CAMERA_INFO]
     return Topics(
         depth=depth,
         color=color,
@@ -120,13 +121,13 @@ def _form(sample: TopicSample) -> str:
 
 def _is_labels(topic: str, sample: TopicSample) -> bool:
     named = "label" in topic.lower() or "segmentation" in topic.lower()
-    if sample.schema == ros.COMPRESSED_IMAGE:
+    if sample.schema == definitions.COMPRESSED_IMAGE:
         return named and "png" in sample.message.format.lower()
     return named and sample.message.encoding in ("mono16", "16UC1", "mono8", "8UC1")
 
 
 def _is_depth(topic: str, sample: TopicSample) -> bool:
-    if sample.schema == ros.COMPRESSED_IMAGE:
+    if sample.schema == definitions.COMPRESSED_IMAGE:
         return "compressedDepth" in sample.message.format
     encoding = sample.message.encoding
     # An infrared image is "mono16" too.
@@ -134,7 +135,7 @@ def _is_depth(topic: str, sample: TopicSample) -> bool:
 
 
 def _is_color(topic: str, sample: TopicSample) -> bool:
-    if sample.schema == ros.COMPRESSED_IMAGE:
+    if sample.schema == definitions.COMPRESSED_IMAGE:
         text = sample.message.format.lower()
         return ("jpeg" in text or "jpg" in text or "png" in text) and not text.startswith(("16uc1", "32fc1"))
     return sample.message.encoding in ros.COLOR_ENCODINGS

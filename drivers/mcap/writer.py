@@ -15,6 +15,7 @@ from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.mcap import messages as ros
 from nurbseg.drivers.mcap import names
+from nurbseg.drivers.mcap.definitions import CAMERA_INFO, COMPRESSED_IMAGE, DEFINITIONS, IMAGE, TRANSFORMS
 
 ColorFormat = Literal["jpeg95", "png", "raw"]
 
@@ -71,7 +72,7 @@ class RecordingWriter:
             )
             self._writer.add_metadata(names.DEVICE_RECORD, dict(metadata or {}))
             self._schemas = {
-                name: self._writer.register_msgdef(name, text) for name, text in ros.DEFINITIONS.items()
+                name: self._writer.register_msgdef(name, text) for name, text in DEFINITIONS.items()
             }
             self._file.flush()
         except BaseException:
@@ -101,18 +102,18 @@ class RecordingWriter:
             message = ros.transform_message(
                 stamp, names.COLOR_FRAME, names.DEPTH_FRAME, self._calibration.color_from_depth
             )
-            self._add(names.TRANSFORMS_TOPIC, ros.TRANSFORMS, message, stamp)
+            self._add(names.TRANSFORMS_TOPIC, TRANSFORMS, message, stamp)
         color_info = ros.camera_info_message(stamp, names.COLOR_FRAME, self._calibration.color)
         depth_info = ros.camera_info_message(stamp, self._depth_frame, self._calibration.depth)
-        self._add(names.COLOR_INFO_TOPIC, ros.CAMERA_INFO, color_info, stamp)
-        self._add(names.DEPTH_INFO_TOPIC, ros.CAMERA_INFO, depth_info, stamp)
+        self._add(names.COLOR_INFO_TOPIC, CAMERA_INFO, color_info, stamp)
+        self._add(names.DEPTH_INFO_TOPIC, CAMERA_INFO, depth_info, stamp)
         self._add_color(frame)
         if frame.labels is not None:
             # PNG, because viewers take every plain image of one channel for depth.
             self._add_compressed(names.LABELS_TOPIC, self._depth_frame, frame, ".png", frame.labels)
         # Last, so that a frame whose depth is in the file is whole.
         depth = ros.image_message(stamp, self._depth_frame, frame.depth_mm, "16UC1")
-        self._add(names.DEPTH_TOPIC, ros.IMAGE, depth, stamp)
+        self._add(names.DEPTH_TOPIC, IMAGE, depth, stamp)
         self._file.flush()
         self.frames += 1
 
@@ -147,7 +148,7 @@ class RecordingWriter:
         stamp = frame.timestamp_ns
         if self._color_format == "raw":
             message = ros.image_message(stamp, names.COLOR_FRAME, frame.color, "rgb8")
-            self._add(names.COLOR_TOPIC, ros.IMAGE, message, stamp)
+            self._add(names.COLOR_TOPIC, IMAGE, message, stamp)
             return
         extension = ".png" if self._color_format == "png" else ".jpg"
         bgr = cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR)
@@ -163,7 +164,7 @@ class RecordingWriter:
             "format": f"{'bgr8' if image.ndim == 3 else 'mono16'}; {kind} compressed",
             "data": encoded.tobytes(),
         }
-        self._add(topic, ros.COMPRESSED_IMAGE, message, frame.timestamp_ns)
+        self._add(topic, COMPRESSED_IMAGE, message, frame.timestamp_ns)
 
     def _add(self, topic: str, schema: str, message: object, stamp: int) -> None:
         self._writer.write_message(

@@ -20,6 +20,7 @@ from nurbseg.drivers import (
 )
 from nurbseg.drivers.frame import Intrinsics
 from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap.definitions import CAMERA_INFO, COMPRESSED_IMAGE, DEFINITIONS, IMAGE, TRANSFORMS
 
 
 class Bag:
@@ -28,7 +29,7 @@ class Bag:
     def __init__(self, path: Path) -> None:
         self._stream = path.open("wb")
         self._writer = Writer(self._stream, chunk_size=20_000)
-        self._schemas = {k: self._writer.register_msgdef(k, text) for k, text in ros.DEFINITIONS.items()}
+        self._schemas = {k: self._writer.register_msgdef(k, text) for k, text in DEFINITIONS.items()}
 
     def add(self, topic: str, schema: str, message: Any, stamp_ns: int) -> None:
         # Recorded a little later than taken.
@@ -38,14 +39,14 @@ class Bag:
         )
 
     def image(self, topic: str, stamp_ns: int, frame_id: str, image: np.ndarray, encoding: str) -> None:
-        self.add(topic, ros.IMAGE, ros.image_message(stamp_ns, frame_id, image, encoding), stamp_ns)
+        self.add(topic, IMAGE, ros.image_message(stamp_ns, frame_id, image, encoding), stamp_ns)
 
     def compressed(self, topic: str, stamp_ns: int, frame_id: str, content: bytes, form: str) -> None:
         message = {"header": ros.header(stamp_ns, frame_id), "format": form, "data": content}
-        self.add(topic, ros.COMPRESSED_IMAGE, message, stamp_ns)
+        self.add(topic, COMPRESSED_IMAGE, message, stamp_ns)
 
     def info(self, topic: str, stamp_ns: int, frame_id: str, camera: Intrinsics) -> None:
-        self.add(topic, ros.CAMERA_INFO, ros.camera_info_message(stamp_ns, frame_id, camera), stamp_ns)
+        self.add(topic, CAMERA_INFO, ros.camera_info_message(stamp_ns, frame_id, camera), stamp_ns)
 
     def close(self) -> None:
         self._writer.finish()
@@ -124,13 +125,13 @@ def write_apart(path: Path, *, transforms: bool = True) -> list[RGBDFrame]:
     if transforms:
         bag.add(
             "/tf_static",
-            ros.TRANSFORMS,
+            TRANSFORMS,
             ros.transform_message(start, "link", "depth", link_from_depth),
             start,
         )
         bag.add(
             "/tf_static",
-            ros.TRANSFORMS,
+            TRANSFORMS,
             ros.transform_message(start, "link", "color", link_from_color),
             start,
         )
@@ -212,7 +213,7 @@ def test_padded_rows_and_the_other_byte_order_are_understood(tmp_path: Path) -> 
     rows = np.zeros((48, 2 * 64 + 10), np.uint8)
     rows[:, :128] = frame.depth_mm.astype(">u2").view(np.uint8).reshape(48, 128)
     message |= {"is_bigendian": 1, "step": 138, "data": rows.tobytes()[:-10]}
-    bag.add("/depth/image", ros.IMAGE, message, frame.timestamp_ns)
+    bag.add("/depth/image", IMAGE, message, frame.timestamp_ns)
     bag.close()
     with open_source(tmp_path / "bag.mcap") as source:
         np.testing.assert_array_equal(source.read().depth_mm, frame.depth_mm)
@@ -230,7 +231,7 @@ def test_one_bad_image_is_named_and_the_run_goes_on(tmp_path: Path) -> None:
         message = ros.image_message(stamp, "optical", frame.depth_mm, "16UC1")
         if frame.index == 2:
             message["data"] = message["data"][:-1]
-        bag.add("/depth/image", ros.IMAGE, message, stamp)
+        bag.add("/depth/image", IMAGE, message, stamp)
     bag.close()
     with open_source(tmp_path / "bag.mcap") as source:
         assert source.read().index == 0
@@ -267,7 +268,7 @@ def lonely(path: Path, camera: Intrinsics | None, model: str = "plumb_bob", **va
     bag = Bag(path)
     if camera is not None:
         message = ros.camera_info_message(frame.timestamp_ns, "optical", camera)
-        bag.add("/rgb/camera_info", ros.CAMERA_INFO, message | values | {"distortion_model": model}, 10)
+        bag.add("/rgb/camera_info", CAMERA_INFO, message | values | {"distortion_model": model}, 10)
     bag.image("/rgb/image", frame.timestamp_ns, "optical", frame.color, "rgb8")
     bag.image("/depth/image", frame.timestamp_ns, "optical", frame.depth_mm, "16UC1")
     bag.close()

@@ -1,0 +1,121 @@
+"""The definitions of the ROS 2 messages that a recording is read and written with."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+from mcap.records import Schema
+from mcap_ros2.decoder import DecoderFactory
+
+from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError, quoted
+
+IMAGE = "sensor_msgs/msg/Image"
+COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+
+_RULE = "=" * 80
+_TIME = f"{_RULE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+_HEADER = f"{_RULE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n{_TIME}"
+#: The message definitions as a recording states them.
+DEFINITIONS = {
+    IMAGE: "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\n"
+    f"uint32 step\nuint8[] data\n{_HEADER}",
+    COMPRESSED_IMAGE: f"std_msgs/Header header\nstring format\nuint8[] data\n{_HEADER}",
+    CAMERA_INFO: "std_msgs/Header header\nuint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\n"
+    "float64[9] k\nfloat64[9] r\nfloat64[12] p\nuint32 binning_x\nuint32 binning_y\n"
+    f"sensor_msgs/RegionOfInterest roi\n{_HEADER}{_RULE}\nMSG: sensor_msgs/RegionOfInterest\n"
+    "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify\n",
+    TRANSFORMS: "geometry_msgs/TransformStamped[] transforms\n"
+    f"{_RULE}\nMSG: geometry_msgs/TransformStamped\nstd_msgs/Header header\nstring child_frame_id\n"
+    f"geometry_msgs/Transform transform\n{_RULE}\nMSG: geometry_msgs/Transform\n"
+    f"geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n{_RULE}\n"
+    f"MSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n{_RULE}\n"
+    f"MSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n{_HEADER}",
+}
+
+#: ROS 2's libraries know it without a definition.
+_TIME_NAME = "Time"
+
+
+@functools.cache
+def _decoders() -> dict[str, Callable[[bytes], Any]]:
+    factory = DecoderFactory()
+    schemas = [
+        Schema(id=number, name=name, encoding="ros2msg", data=text.encode())
+        for number, (name, text) in enumerate(DEFINITIONS.items(), 1)
+    ]
+    found = {schema.name: factory.decoder_for("cdr", schema) for schema in schemas}
+    return {name: decoder for name, decoder in found.items() if decoder is not None}
+
+
+def decode(content: bytes, schema: str, name: str) -> Any:
+    """Decode a message by our definition of its schema, which `check_schema` found to be the recording's.
+
+    Parameters
+    ----------
+    content : bytes
+        The message, in CDR.
+    schema : str
+        One of `DEFINITIONS`.
+    name : str
+        What an error calls it.
+
+    Raises
+    ------
+    FrameFormatError
+        If the message is damaged.
+    """
+    try:
+        return _decoders()[schema](content)
+    except Exception as err:  # The decoder raises whatever a damaged message leads it to.
+        raise FrameFormatError(f"{name}: the message is damaged ({quoted(str(err))})") from err
+
+
+def check_schema(schema: Schema, name: str) -> None:
+    """Find out whether a recording means by a schema what ROS 2 does.
+
+    Parameters
+    ----------
+    schema : Schema
+        Has the name of one of `DEFINITIONS`.
+    name : str
+        What an error calls the recording.
+
+    Raises
+    ------
+    RecordingFormatError
+        If a message of it lacks a field or has another; names the field.
+    """
+    name = f"{name}: schema {schema.name}"
+    if schema.encoding != "ros2msg":
+        raise RecordingFormatError(f"{name}: encoding: expected ros2msg, got {quoted(schema.encoding)}")
+    stated = _fields(schema.data.decode(errors="replace"))
+    for message, expected in _fields(DEFINITIONS[schema.name]).items():
+        if message == _TIME_NAME and message not in stated:
+            continue
+        found = stated.get(message, [])
+        for place in range(max(len(expected), len(found))):
+            one, other = (fields[place] if place < len(fields) else "nothing" for fields in (expected, found))
+            if one != other:
+                raise RecordingFormatError(
+                    f"{name}: {message or 'field'} {place + 1}: expected {one!r}, got {quoted(other)}"
+                )
+
+
+def _fields(text: str) -> dict[str, list[str]]:
+    """Return the types and names of the fields of a definition, and of those it is made of, by message."""
+    found: dict[str, list[str]] = {"": []}
+    message = ""
+    for line in text.splitlines():
+        words = line.partition("#")[0].split()
+        if words[:1] == ["MSG:"] and len(words) == 2:
+            message = words[1].rpartition("/")[2]
+            found.setdefault(message, [])
+        # A constant is no field; a default value after the name changes nothing.
+        elif len(words) >= 2 and "=" not in words[1] and words[2:3] != ["="]:
+            # A package may be named or not. D, K, R and P of older definitions are d, k, r and p.
+            found[message].append(f"{words[0].rpartition('/')[2]} {words[1].lower()}")
+    return found
