@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import difflib
 import json
-import tomllib
 from pathlib import Path
 from typing import Any
 
 from nurbseg.app.command.config import AppConfig, sections
 from nurbseg.app.command.values import value_kinds
+from nurbseg.drivers.errors import quoted
 from nurbseg.drivers.settings import described_fields
+from nurbseg.drivers.structured_text import parse_toml
 
 _HEAD = """\
 # Configuration of nurbseg-live: `nurbseg-live --config FILE` reads it, flags come after it.
@@ -36,10 +37,10 @@ def read_config(path: Path) -> AppConfig:
         If the file cannot be read, or a section, key or value is none of ours.
     """
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        tables = parse_toml(path.read_text(encoding="utf-8"))
     except OSError as err:
         raise ConfigError(f"{path}: cannot be read: {err.strerror}") from err
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as err:
+    except ValueError as err:
         raise ConfigError(f"{path}: is not TOML: {err}") from err
     known = sections()
     values: dict[str, Any] = {}
@@ -55,7 +56,7 @@ def _read_section(path: Path, name: str, section: type[Any], table: dict[str, An
     values = {}
     for key, value in table.items():
         if key not in kinds:
-            raise ConfigError(f"{path}: unknown key {name}.{key}{_nearest(f'{name}.{key}')}")
+            raise ConfigError(f"{path}: unknown key {_short(f'{name}.{key}')}{_nearest(f'{name}.{key}')}")
         try:
             values[key] = kinds[key].from_toml(value)
         except ValueError as err:
@@ -66,10 +67,14 @@ def _read_section(path: Path, name: str, section: type[Any], table: dict[str, An
         raise ConfigError(f"{path}: {name}.{err}") from err
 
 
+def _short(key: str) -> str:
+    return quoted(key)[1:-1]
+
+
 def _unknown(name: str, table: object) -> str:
     if isinstance(table, dict):
         return f"section [{name}]: expected one of {', '.join(f'[{each}]' for each in sections())}"
-    return f"key {name}: keys stand in a section{_nearest(name)}"
+    return f"key {_short(name)}: keys stand in a section{_nearest(name)}"
 
 
 def _nearest(key: str) -> str:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
+from nurbseg.drivers.errors import quoted
+
 
 @dataclass(frozen=True, slots=True)
 class ValueKind:
@@ -48,14 +50,17 @@ class ValueKind:
         """
         if self.length:
             if not isinstance(value, list):
-                raise ValueError(f"expected {self.words}, got {value!r}")
+                raise ValueError(f"expected {self.words}, got {quoted(value)}")
             return self._checked(tuple(ValueKind(self.kind).from_toml(each) for each in value), value)
         whole = isinstance(value, int) and not isinstance(value, bool)
         if self.kind is float and (whole or isinstance(value, float)):
-            return self._finite(float(value), value)
+            try:
+                return self._finite(float(value), value)
+            except OverflowError:
+                raise ValueError(f"expected {self.words} of a float's range, got {quoted(value)}") from None
         if whole if self.kind is int else isinstance(value, self.kind):
             return value
-        raise ValueError(f"expected {self.words}, got {value!r}")
+        raise ValueError(f"expected {self.words}, got {quoted(value)}")
 
     @property
     def words(self) -> str:
@@ -77,7 +82,7 @@ class ValueKind:
 
     def _checked(self, numbers: tuple[float, ...], given: object) -> tuple[float, ...]:
         if len(numbers) != self.length:
-            raise ValueError(f"expected {self.words}, got {given!r}")
+            raise ValueError(f"expected {self.words}, got {quoted(given)}")
         return numbers
 
 

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.errors import CalibrationError
+from nurbseg.drivers.errors import CalibrationError, quoted
 from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.drivers.limits import PIXELS_MAX
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,9 +82,9 @@ class CameraModel:
                 cy=self.cy,
                 distortion=self.distortion,
             )
+            return camera if size == own else camera.scaled_to(*size)
         except ValueError as err:
             raise CalibrationError(f"{self.path}: {self.field}: {err}") from err
-        return camera if size == own else camera.scaled_to(*size)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,9 +156,35 @@ def number(path: Path, field: str, value: Any) -> float:
     CalibrationError
         If it is not one.
     """
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise CalibrationError(f"{path}: {field}: expected a finite number, got {value!r}")
-    return float(value)
+    try:
+        if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+            return float(value)
+    except OverflowError:
+        # An integer of more than 308 digits.
+        pass
+    raise CalibrationError(f"{path}: {field}: expected a finite number, got {quoted(value)}")
+
+
+def image_size(path: Path, fields: tuple[str, str], values: tuple[Any, Any]) -> tuple[int, int]:
+    """Return the width and height that a calibration file says.
+
+    Raises
+    ------
+    CalibrationError
+        If they are not whole numbers of pixels, or too many.
+    """
+    for field, value in zip(fields, values, strict=True):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 1 <= value <= PIXELS_MAX:
+            raise CalibrationError(f"{path}: {field}: expected pixels, got {quoted(value)}")
+        if value != int(value):
+            raise CalibrationError(f"{path}: {field}: expected whole pixels, got {value}")
+    width, height = int(values[0]), int(values[1])
+    if width * height > PIXELS_MAX:
+        raise CalibrationError(
+            f"{path}: {', '.join(fields)}: expected {PIXELS_MAX} pixels at most in all, "
+            f"got {width} x {height}"
+        )
+    return width, height
 
 
 def camera_of_matrix(
@@ -177,7 +204,7 @@ def camera_of_matrix(
     if matrix.shape != (3, 3):
         raise CalibrationError(f"{path}: {field}: expected a 3 x 3 camera matrix, got {matrix.shape}")
     if not np.isfinite(matrix).all():
-        raise CalibrationError(f"{path}: {field}: expected finite numbers, got {matrix.tolist()}")
+        raise CalibrationError(f"{path}: {field}: expected finite numbers, got {quoted(matrix.tolist())}")
     if not np.allclose(matrix[2], [0, 0, 1]):
         raise CalibrationError(f"{path}: {field}: expected the last row 0 0 1, got {matrix[2].tolist()}")
     return CameraModel(

@@ -6,8 +6,6 @@ The form is told from the content: our TOML, OpenCV's XML or YAML of a stereo ca
 
 from __future__ import annotations
 
-import json
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -17,9 +15,12 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.calibration import opencv as calibration_forms
 from nurbseg.drivers.calibration import ros as calibration_ros
-from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel, camera_of_matrix, number
-from nurbseg.drivers.errors import CalibrationError
+from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel, camera_of_matrix, image_size, number
+from nurbseg.drivers.errors import CalibrationError, quoted
+from nurbseg.drivers.files import read_file
 from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.drivers.limits import TEXT_BYTES_MAX
+from nurbseg.drivers.structured_text import parse_json, parse_toml
 
 Form = Literal["toml", "opencv", "ros"]
 Size = tuple[int, int]
@@ -58,10 +59,7 @@ def read_camera_file(path: Path) -> CameraFile:
     CalibrationError
         As for `read_calibration`.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as err:
-        raise CalibrationError(f"{path}: the calibration cannot be read ({err.strerror})") from err
+    content = read_file(path, TEXT_BYTES_MAX, what="calibration", error=CalibrationError)
     try:
         text = content.decode()
     except UnicodeDecodeError as err:
@@ -114,16 +112,16 @@ def write_calibration(
 
 def _from_toml(path: Path, text: str) -> CameraFile:
     try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as err:
+        table = parse_toml(text)
+    except ValueError as err:
         raise CalibrationError(f"{path}: not valid TOML ({err})") from err
     _refuse_unknown(path, "", table, _FILE_KEYS)
     registered = table.get("registered", False)
     if not isinstance(registered, bool):
-        raise CalibrationError(f"{path}: registered: expected true or false, got {registered!r}")
+        raise CalibrationError(f"{path}: registered: expected true or false, got {quoted(registered)}")
     scale = table.get("depth_scale")
     if scale is not None and number(path, "depth_scale", scale) <= 0:
-        raise CalibrationError(f"{path}: depth_scale: expected units per metre over 0, got {scale}")
+        raise CalibrationError(f"{path}: depth_scale: expected units per metre over 0, got {quoted(scale)}")
     cameras = {name: _toml_camera(path, name, table[name]) for name in ("depth", "color") if name in table}
     if not cameras:
         raise CalibrationError(f"{path}: color: the table is missing; expected [color] with fx, fy, cx, cy")
@@ -153,7 +151,7 @@ def _from_toml(path: Path, text: str) -> CameraFile:
 
 def _toml_camera(path: Path, name: str, table: Any) -> CameraModel:
     if not isinstance(table, Mapping):
-        raise CalibrationError(f"{path}: {name}: expected a table [{name}], got {table!r}")
+        raise CalibrationError(f"{path}: {name}: expected a table [{name}], got {quoted(table)}")
     _refuse_unknown(path, f"{name}.", table, _CAMERA_KEYS)
     values = {}
     for key in ("fx", "fy", "cx", "cy"):
@@ -162,13 +160,11 @@ def _toml_camera(path: Path, name: str, table: Any) -> CameraModel:
         values[key] = number(path, f"{name}.{key}", table[key])
     size = None
     if "width" in table or "height" in table:
-        for key in ("width", "height"):
-            if not isinstance(table.get(key), int) or table[key] < 1:
-                raise CalibrationError(f"{path}: {name}.{key}: expected pixels, got {table.get(key)!r}")
-        size = (table["width"], table["height"])
+        fields, values_px = (f"{name}.width", f"{name}.height"), (table.get("width"), table.get("height"))
+        size = image_size(path, fields, values_px)
     distortion = table.get("distortion", [])
     if not isinstance(distortion, list):
-        raise CalibrationError(f"{path}: {name}.distortion: expected a list, got {distortion!r}")
+        raise CalibrationError(f"{path}: {name}.distortion: expected a list, got {quoted(distortion)}")
     coefficients = [number(path, f"{name}.distortion", value) for value in distortion]
     return CameraModel(path=path, field=name, distortion=np.array(coefficients), size=size, **values)
 
@@ -180,7 +176,7 @@ def _toml_matrix(path: Path, rows: Any) -> NDArray[np.float64]:
         or len(rows) != 4
         or any(not isinstance(r, list) or len(r) != 4 for r in rows)
     ):
-        raise CalibrationError(f"{path}: {field}: expected 4 rows of 4 numbers, got {rows!r}")
+        raise CalibrationError(f"{path}: {field}: expected 4 rows of 4 numbers, got {quoted(rows)}")
     return np.array([[number(path, field, value) for value in row] for row in rows])
 
 
@@ -188,7 +184,9 @@ def _refuse_unknown(path: Path, prefix: str, table: Mapping[str, Any], known: se
     for key in table:
         if key not in known:
             expected = ", ".join(sorted(known))
-            raise CalibrationError(f"{path}: {prefix}{key}: unknown; expected one of {expected}")
+            raise CalibrationError(
+                f"{path}: {prefix}{quoted(key)[1:-1]}: unknown; expected one of {expected}"
+            )
 
 
 def _to_toml(calibration: Calibration, depth_scale: float | None) -> str:
@@ -221,19 +219,18 @@ def _toml_lines(camera: Intrinsics) -> list[str]:
 
 def _from_json(path: Path, text: str) -> CameraFile:
     try:
-        table = json.loads(text)
+        table = parse_json(text)
     except ValueError as err:
         raise CalibrationError(f"{path}: not valid JSON ({err})") from err
     values = table.get("intrinsic_matrix")
     if not isinstance(values, list) or len(values) != 9:
-        raise CalibrationError(f"{path}: intrinsic_matrix: expected 9 numbers (by columns), got {values!r}")
+        raise CalibrationError(
+            f"{path}: intrinsic_matrix: expected 9 numbers (by columns), got {quoted(values)}"
+        )
     matrix = np.array([number(path, "intrinsic_matrix", value) for value in values]).reshape(3, 3).T
     size = None
     if "width" in table or "height" in table:
-        size = (
-            int(number(path, "width", table.get("width"))),
-            int(number(path, "height", table.get("height"))),
-        )
+        size = image_size(path, ("width", "height"), (table.get("width"), table.get("height")))
     camera = camera_of_matrix(path, "intrinsic_matrix", matrix, size=size)
     return CameraFile(path=path, depth=camera, color=camera)
 
@@ -246,10 +243,13 @@ def _from_matrix_text(path: Path, text: str) -> CameraFile:
             if line.strip() and not line.lstrip().startswith("#")
         ]
     except ValueError as err:
-        raise CalibrationError(f"{path}: camera matrix: expected 3 rows of 3 numbers ({err})") from err
+        raise CalibrationError(
+            f"{path}: camera matrix: expected 3 rows of 3 numbers ({quoted(str(err))})"
+        ) from err
     if len(rows) != 3 or any(len(row) != 3 for row in rows):
         raise CalibrationError(
-            f"{path}: camera matrix: expected 3 rows of 3 numbers, got rows of {[len(row) for row in rows]}"
+            f"{path}: camera matrix: expected 3 rows of 3 numbers, "
+            f"got rows of {quoted([len(row) for row in rows])}"
         )
     camera = camera_of_matrix(path, "camera matrix", np.array(rows))
     return CameraFile(path=path, depth=camera, color=camera)

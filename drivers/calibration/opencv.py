@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel, camera_of_matrix, number
-from nurbseg.drivers.errors import CalibrationError
+from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel, camera_of_matrix, image_size, number
+from nurbseg.drivers.errors import CalibrationError, quoted
 from nurbseg.drivers.frame import Calibration
+from nurbseg.drivers.structured_text import parse_xml, parse_yaml, scalar
 
 # Names under which programs keep a stereo calibration: matrix, distortion, width, height. The first of a
 # numbered pair is the depth camera, so that R and T take its points to the color camera.
@@ -45,16 +46,17 @@ def from_xml(path: Path, text: str) -> CameraFile:
     CalibrationError
         If it is neither, or a field is missing or unusable.
     """
-    if "<opencv_storage" in text:
-        return _from_storage(path, text)
-    # The grabber's files have two roots, <rgb> and <depth>, which XML does not allow. ElementTree fetches
-    # no external entities, and expat bounds the expansion of internal ones.
     body = text.partition("?>")[2] if text.startswith("<?xml") else text
+    storage = "<opencv_storage" in text
     try:
-        root = ElementTree.fromstring(f"<cameras>{body}</cameras>")
-    except ElementTree.ParseError as err:
-        raise CalibrationError(f"{path}: not valid XML ({err})") from err
-    return _from_grabber(path, root)
+        # The grabber's files have two roots, <rgb> and <depth>, which XML does not allow.
+        root = parse_xml(f"<cameras>{body}</cameras>")
+    except ValueError as err:
+        form = "a file of OpenCV" if storage else "valid XML"
+        raise CalibrationError(f"{path}: not {form} ({err})") from err
+    if not storage:
+        return _from_grabber(path, root)
+    return _from_storage(path, {node.tag: _storage_node(node) for node in root.iterfind("opencv_storage/*")})
 
 
 def from_yaml(path: Path, text: str) -> CameraFile:
@@ -65,67 +67,78 @@ def from_yaml(path: Path, text: str) -> CameraFile:
     CalibrationError
         If it is neither, or a field is missing or unusable.
     """
-    return _from_storage(path, text)
-
-
-def _from_storage(path: Path, text: str) -> CameraFile:
     try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-    except (cv2.error, SystemError) as err:
+        # OpenCV's first line, "%YAML:1.0", is not YAML's.
+        storage = parse_yaml(text.partition("\n")[2])
+    except ValueError as err:
         raise CalibrationError(f"{path}: not a file of OpenCV ({err})") from err
-    try:
-        single = _camera(path, storage, _SINGLE_NAMES)
-        if single is not None:
-            return CameraFile(path=path, depth=single, color=single)
-        depth, color = _camera(path, storage, _DEPTH_NAMES), _camera(path, storage, _COLOR_NAMES)
-        if depth is None or color is None:
-            names = _DEPTH_NAMES if depth is None else _COLOR_NAMES
-            raise CalibrationError(
-                f"{path}: {names[0][0]}: missing; expected a matrix of that name or one of "
-                f"{', '.join(name for name, *_ in names[1:])}, or camera_matrix for registered images"
-            )
-        transform = np.eye(4)
-        transform[:3, :3] = _rotation(path, _named_matrix(path, storage, _ROTATION_NAMES))
-        translation = _named_matrix(path, storage, _TRANSLATION_NAMES)
-        if translation.size != 3:
-            raise CalibrationError(f"{path}: T: expected 3 numbers, got {translation.tolist()}")
-        in_millimetres = np.linalg.norm(translation) >= _LONGEST_BASELINE_M
-        transform[:3, 3] = translation.ravel() * (0.001 if in_millimetres else 1.0)
-        return CameraFile(path=path, depth=depth, color=color, color_from_depth=transform)
-    except (cv2.error, SystemError) as err:
-        raise CalibrationError(f"{path}: a matrix cannot be read ({err})") from err
-    finally:
-        storage.release()
+    if not isinstance(storage, dict):
+        raise CalibrationError(f"{path}: not a file of OpenCV (expected named values, got {quoted(storage)})")
+    return _from_storage(path, storage)
 
 
-def _camera(path: Path, storage: Any, names: tuple[tuple[str, str, str, str], ...]) -> CameraModel | None:
+def _storage_node(node: Element) -> Any:
+    """Return an element as YAML would give it: a matrix as a dict, its numbers as a list."""
+    if len(node):
+        return {child.tag: _storage_node(child) for child in node}
+    words = (node.text or "").split()
+    return [scalar(word) for word in words] if node.tag == "data" else scalar(" ".join(words))
+
+
+def _from_storage(path: Path, storage: dict[str, Any]) -> CameraFile:
+    single = _camera(path, storage, _SINGLE_NAMES)
+    if single is not None:
+        return CameraFile(path=path, depth=single, color=single)
+    depth, color = _camera(path, storage, _DEPTH_NAMES), _camera(path, storage, _COLOR_NAMES)
+    if depth is None or color is None:
+        names = _DEPTH_NAMES if depth is None else _COLOR_NAMES
+        raise CalibrationError(
+            f"{path}: {names[0][0]}: missing; expected a matrix of that name or one of "
+            f"{', '.join(name for name, *_ in names[1:])}, or camera_matrix for registered images"
+        )
+    transform = np.eye(4)
+    transform[:3, :3] = _rotation(path, _named_matrix(path, storage, _ROTATION_NAMES))
+    translation = _named_matrix(path, storage, _TRANSLATION_NAMES)
+    if translation.size != 3:
+        raise CalibrationError(f"{path}: T: expected 3 numbers, got {quoted(translation.tolist())}")
+    in_millimetres = np.linalg.norm(translation) >= _LONGEST_BASELINE_M
+    transform[:3, 3] = translation.ravel() * (0.001 if in_millimetres else 1.0)
+    return CameraFile(path=path, depth=depth, color=color, color_from_depth=transform)
+
+
+def _camera(
+    path: Path, storage: dict[str, Any], names: tuple[tuple[str, str, str, str], ...]
+) -> CameraModel | None:
     for matrix_name, distortion_name, width_name, height_name in names:
         matrix = _matrix(path, storage, matrix_name)
         if matrix is None:
             continue
         distortion = _matrix(path, storage, distortion_name)
-        width, height = (storage.getNode(name) for name in (width_name, height_name))
         size: tuple[int, int] | None = None
-        if not width.empty() and not height.empty():
-            size = (int(width.real()), int(height.real()))
+        if width_name in storage and height_name in storage:
+            size = image_size(path, (width_name, height_name), (storage[width_name], storage[height_name]))
         flat = None if distortion is None else distortion.ravel()
         return camera_of_matrix(path, matrix_name, matrix, flat, size)
     return None
 
 
-def _matrix(path: Path, storage: Any, name: str) -> NDArray[np.float64] | None:
-    node = storage.getNode(name)
-    if node.empty():
+def _matrix(path: Path, storage: dict[str, Any], name: str) -> NDArray[np.float64] | None:
+    if name not in storage:
         return None
-    matrix = node.mat() if node.isMap() and not node.getNode("dt").empty() else None
-    if matrix is None:
+    node = storage[name]
+    if not isinstance(node, dict) or not all(key in node for key in ("rows", "cols", "dt", "data")):
         raise CalibrationError(f"{path}: {name}: expected a matrix")
-    if not np.isfinite(matrix).all():
-        raise CalibrationError(f"{path}: {name}: expected finite numbers, got {matrix.tolist()}")
-    return np.asarray(matrix, dtype=np.float64)
+    rows, columns, data = node["rows"], node["cols"], node["data"]
+    counts = all(isinstance(count, int) and count > 0 for count in (rows, columns))
+    if not counts or not isinstance(data, list) or len(data) != rows * columns:
+        raise CalibrationError(
+            f"{path}: {name}: expected rows x cols numbers in data, got {quoted(rows)} x {quoted(columns)} "
+            f"and {len(data) if isinstance(data, list) else quoted(data)}"
+        )
+    return np.array([number(path, name, value) for value in data]).reshape(rows, columns)
 
 
-def _named_matrix(path: Path, storage: Any, names: tuple[str, ...]) -> NDArray[np.float64]:
+def _named_matrix(path: Path, storage: dict[str, Any], names: tuple[str, ...]) -> NDArray[np.float64]:
     for name in names:
         matrix = _matrix(path, storage, name)
         if matrix is not None:
@@ -141,7 +154,7 @@ def _rotation(path: Path, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     return matrix
 
 
-def _from_grabber(path: Path, root: ElementTree.Element) -> CameraFile:
+def _from_grabber(path: Path, root: Element) -> CameraFile:
     def value(camera: str, key: str) -> float:
         text = root.findtext(f"{camera}/{key}")
         try:
@@ -149,7 +162,7 @@ def _from_grabber(path: Path, root: ElementTree.Element) -> CameraFile:
         except ValueError as err:
             if isinstance(err, CalibrationError):
                 raise
-            raise CalibrationError(f"{path}: {camera}/{key}: expected a number, got {text!r}") from err
+            raise CalibrationError(f"{path}: {camera}/{key}: expected a number, got {quoted(text)}") from err
 
     def camera(name: str) -> CameraModel:
         return CameraModel(

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
-from nurbseg.drivers.calibration.cameras import CameraFile, camera_of_matrix, number
-from nurbseg.drivers.errors import CalibrationError
+from nurbseg.drivers.calibration.cameras import CameraFile, camera_of_matrix, image_size, number
+from nurbseg.drivers.errors import CalibrationError, quoted
 from nurbseg.drivers.frame import Calibration
+from nurbseg.drivers.structured_text import parse_yaml
 
 #: ROS's names of OpenCV's distortion model; others, as "equidistant", are different models.
 _DISTORTION_MODELS = ("plumb_bob", "rational_polynomial", "thin_prism_fisheye")
@@ -32,9 +32,9 @@ def from_yaml(path: Path, text: str) -> CameraFile:
     """
     try:
         # A printed message may be followed by more, after "---".
-        table = next(yaml.safe_load_all(text), None)
-    except yaml.YAMLError as err:
-        raise CalibrationError(f"{path}: not valid YAML ({' '.join(str(err).split())})") from err
+        table = parse_yaml(text)
+    except ValueError as err:
+        raise CalibrationError(f"{path}: not valid YAML ({err})") from err
     if not isinstance(table, Mapping):
         raise CalibrationError(f"{path}: expected the fields of a camera_info, got {type(table).__name__}")
     name, values = _field(path, table, _MATRIX_NAMES)
@@ -46,14 +46,13 @@ def from_yaml(path: Path, text: str) -> CameraFile:
     model = table.get("distortion_model") or _DISTORTION_MODELS[0]
     if model not in _DISTORTION_MODELS:
         expected = ", ".join(_DISTORTION_MODELS)
-        raise CalibrationError(f"{path}: distortion_model: expected one of {expected}, got {model!r}")
+        raise CalibrationError(f"{path}: distortion_model: expected one of {expected}, got {quoted(model)}")
     distortion = np.zeros(0)
     if any(each in table for each in _DISTORTION_NAMES):
         distortion = _numbers(path, *_field(path, table, _DISTORTION_NAMES))
-    width, height = (
-        int(number(path, *_field(path, table, names))) for names in (_WIDTH_NAMES, _HEIGHT_NAMES)
-    )
-    camera = camera_of_matrix(path, name, matrix.reshape(3, 3), distortion, (width, height))
+    sizes = [_field(path, table, names) for names in (_WIDTH_NAMES, _HEIGHT_NAMES)]
+    size = image_size(path, (sizes[0][0], sizes[1][0]), (sizes[0][1], sizes[1][1]))
+    camera = camera_of_matrix(path, name, matrix.reshape(3, 3), distortion, size)
     return CameraFile(path=path, depth=camera, color=camera)
 
 
@@ -100,8 +99,13 @@ def _numbers(path: Path, name: str, values: Any) -> NDArray[np.float64]:
     """Return the numbers of a list, or of a matrix with rows, cols and data."""
     if isinstance(values, Mapping):
         rows, columns, values = values.get("rows"), values.get("cols"), values.get("data")
-        if not isinstance(values, list) or rows is None or columns is None or len(values) != rows * columns:
+        if (
+            not isinstance(rows, int)
+            or not isinstance(columns, int)
+            or not isinstance(values, list)
+            or len(values) != rows * columns
+        ):
             raise CalibrationError(f"{path}: {name}: expected rows, cols and as many numbers in data")
     if not isinstance(values, list):
-        raise CalibrationError(f"{path}: {name}: expected a list of numbers, got {values!r}")
+        raise CalibrationError(f"{path}: {name}: expected a list of numbers, got {quoted(values)}")
     return np.array([number(path, name, value) for value in values], dtype=np.float64)

@@ -146,3 +146,23 @@ def test_a_kind_that_a_flag_cannot_express_is_a_mistake_of_ours() -> None:
 
     with pytest.raises(TypeError, match="dict"):
         value_kinds(Wrong)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[source]\nspeed = " + "[" * 20_000, "lines of 4096"),
+        ("[source]\nspeed = " + "[\n" * 20_000, "is not TOML: nested too deeply"),
+        (f"[source]\nstart = {'9' * 5000}\n", "lines of 4096"),
+        (f"[source]\nspeed = 0x{'f' * 4000}\n", "source.speed: expected a number of a float's range, got"),
+        (f"[source]\nspeed = '{'x' * 4000}'\n", "source.speed: expected a number, got"),
+        (f"[source]\n{'x' * 4000} = 1\n", "unknown key source.xxx"),
+        ("[source]\nspeed = 2001-13-45\n", "is not TOML"),
+        ("# " + "\n# " * 100_000, "characters at most"),
+    ],
+    ids=["nested", "nested lines", "digits", "hexadecimal", "text", "key", "date", "large"],
+)
+def test_a_hostile_file_gets_a_short_typed_error(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message) as found:
+        read_config(written(tmp_path, text))
+    assert len(str(found.value)) - len(str(tmp_path)) < 300

@@ -1,0 +1,176 @@
+"""Parses TOML, JSON, YAML and XML that somebody else made, within bounds of size, number and nesting.
+
+Neither recursion nor references can make a small text large: YAML has no aliases here, XML no document type.
+Every fault is a ValueError with a short message; the caller names the file.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable
+from typing import Any, TypeVar
+from xml.etree.ElementTree import Element, TreeBuilder
+from xml.parsers import expat
+
+import yaml
+
+from nurbseg.drivers.errors import quoted
+from nurbseg.drivers.limits import TEXT_BYTES_MAX, TEXT_DEPTH_MAX, TEXT_VALUES_MAX
+
+_T = TypeVar("_T")
+#: A longer line is no setting; the parser takes time with the square of a key's parts.
+_TOML_LINE_MAX = 4096
+_NUMBER_CHARACTERS_MAX = 64
+_YAML_NULLS = ("", "~", "null")
+_YAML_NUMBERS = {".nan": float("nan"), ".inf": float("inf"), "+.inf": float("inf"), "-.inf": float("-inf")}
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return the tables of a TOML text.
+
+    Raises
+    ------
+    ValueError
+        If it is not TOML, or goes past the limits.
+    """
+    if any(len(line) > _TOML_LINE_MAX for line in text.splitlines()):
+        raise ValueError(f"expected lines of {_TOML_LINE_MAX} characters at most")
+    return _parsed(tomllib.loads, text)
+
+
+def parse_json(text: str) -> Any:
+    """Return what a JSON text says.
+
+    Raises
+    ------
+    ValueError
+        If it is not JSON, or goes past the limits.
+    """
+    return _parsed(json.loads, text)
+
+
+def _parsed(parse: Callable[[str], _T], text: str) -> _T:
+    _check_length(text)
+    try:
+        return parse(text)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+    except ValueError as err:
+        raise ValueError(_one_line(err)) from err
+
+
+def parse_yaml(text: str) -> Any:
+    """Return the first document of a YAML text: dicts, lists, numbers, texts and None.
+
+    Tags are passed over. Plain scalars that read as numbers are numbers, all others are texts.
+
+    Raises
+    ------
+    ValueError
+        If it is not YAML, has aliases, or goes past the limits.
+    """
+    _check_length(text)
+    root: list[Any] = []
+    # The containers that are open, each with the key that waits for its value.
+    stack: list[tuple[list[Any] | dict[str, Any], list[str]]] = [(root, [])]
+    values = 0
+    try:
+        for event in yaml.parse(text, Loader=getattr(yaml, "CBaseLoader", yaml.BaseLoader)):
+            if isinstance(event, yaml.DocumentEndEvent):
+                break
+            if isinstance(event, yaml.AliasEvent):
+                raise ValueError("aliases (*name) are not taken")
+            if isinstance(event, yaml.CollectionEndEvent):
+                stack.pop()
+            elif isinstance(event, yaml.NodeEvent):
+                values += 1
+                if values > TEXT_VALUES_MAX or len(stack) > TEXT_DEPTH_MAX:
+                    raise ValueError(_too_much())
+                _add_node(stack, event)
+    except yaml.YAMLError as err:
+        raise ValueError(_one_line(err)) from err
+    return root[0] if root else None
+
+
+def _add_node(stack: list[tuple[list[Any] | dict[str, Any], list[str]]], event: yaml.NodeEvent) -> None:
+    container, waiting = stack[-1]
+    if isinstance(container, dict) and not waiting:
+        if not isinstance(event, yaml.ScalarEvent):
+            raise ValueError("a key is a list or a mapping; expected a text")
+        waiting.append(event.value)
+        return
+    value: Any
+    if isinstance(event, yaml.ScalarEvent):
+        value = scalar(event.value) if event.implicit[0] else event.value
+    else:
+        value = {} if isinstance(event, yaml.MappingStartEvent) else []
+        stack.append((value, []))
+    if isinstance(container, dict):
+        container[waiting.pop()] = value
+    else:
+        container.append(value)
+
+
+def scalar(text: str) -> int | float | str | None:
+    """Return the number that a plain word says, else the word; None where it says nothing."""
+    if text.lower() in _YAML_NULLS:
+        return None
+    if len(text) <= _NUMBER_CHARACTERS_MAX:
+        for kind in (int, float):
+            try:
+                return kind(text)
+            except ValueError:
+                continue
+    return _YAML_NUMBERS.get(text.lower(), text)
+
+
+def parse_xml(text: str) -> Element:
+    """Return the root of an XML text.
+
+    Raises
+    ------
+    ValueError
+        If it is not XML, has a document type, or goes past the limits.
+    """
+    _check_length(text)
+    builder = TreeBuilder()
+    parser = expat.ParserCreate()
+    depth = values = 0
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal depth, values
+        depth, values = depth + 1, values + 1
+        if depth > TEXT_DEPTH_MAX or values > TEXT_VALUES_MAX:
+            raise ValueError(_too_much())
+        builder.start(tag, attributes)
+
+    def end(tag: str) -> None:
+        nonlocal depth
+        depth -= 1
+        builder.end(tag)
+
+    def refuse_document_type(*_: object) -> None:
+        raise ValueError("a document type (<!DOCTYPE) is not taken")
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.CharacterDataHandler = builder.data
+    parser.StartDoctypeDeclHandler = refuse_document_type
+    try:
+        parser.Parse(text, True)
+    except expat.ExpatError as err:
+        raise ValueError(_one_line(err)) from err
+    return builder.close()
+
+
+def _check_length(text: str) -> None:
+    if len(text) > TEXT_BYTES_MAX:
+        raise ValueError(f"expected {TEXT_BYTES_MAX} characters at most, got {len(text)}")
+
+
+def _too_much() -> str:
+    return f"expected {TEXT_VALUES_MAX} values at most, nested {TEXT_DEPTH_MAX} deep at most"
+
+
+def _one_line(err: Exception) -> str:
+    return quoted(" ".join(str(err).split()))[1:-1]
