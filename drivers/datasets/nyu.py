@@ -6,7 +6,6 @@ and single frames in MATLAB 5 files, which have a ``data`` structure with ``rgb`
 
 from __future__ import annotations
 
-import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,14 +13,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.datasets.images import decode_labels
+from nurbseg.drivers.datasets.mat_process import MatProcess
+from nurbseg.drivers.datasets.mat_program import SETS
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource
-from nurbseg.drivers.errors import (
-    BackendMissingError,
-    CalibrationError,
-    FrameFormatError,
-    RecordingFormatError,
-)
+from nurbseg.drivers.errors import CalibrationError, FrameFormatError, RecordingFormatError
+from nurbseg.drivers.files import open_regular, read_file
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.drivers.limits import FRAME_BYTES_MAX
 from nurbseg.drivers.source import FrameSource
 
 if TYPE_CHECKING:
@@ -41,14 +40,14 @@ _HDF5_OFFSETS = (0, 512)
 
 def is_hdf5(path: Path) -> bool:
     """Whether a file is HDF5, as MATLAB 7.3 writes it."""
-    with path.open("rb") as stream:
+    with open_regular(path) as stream:
         head = stream.read(_HDF5_OFFSETS[-1] + len(HDF5_MAGIC))
     return any(head[offset : offset + len(HDF5_MAGIC)] == HDF5_MAGIC for offset in _HDF5_OFFSETS)
 
 
 def is_matlab5(path: Path) -> bool:
     """Whether a file is a MATLAB 5 container."""
-    with path.open("rb") as stream:
+    with open_regular(path) as stream:
         return stream.read(len(_MATLAB5_MAGIC)) == _MATLAB5_MAGIC
 
 
@@ -65,7 +64,8 @@ def depth_to_mm(depth_m: NDArray[np.floating[Any]]) -> NDArray[np.uint16]:
     (H, W) uint16
         Depth, millimetres; 0 where there is none.
     """
-    depth_mm = np.rint(np.nan_to_num(depth_m, nan=0.0, posinf=0.0, neginf=0.0) * 1000.0)
+    with np.errstate(over="ignore"):
+        depth_mm = np.rint(np.nan_to_num(depth_m, nan=0.0, posinf=0.0, neginf=0.0) * 1000.0)
     depth_mm[(depth_mm < 1) | (depth_mm > 65535)] = 0
     depth: NDArray[np.uint16] = depth_mm.astype(np.uint16)
     return depth
@@ -116,51 +116,41 @@ class NyuLabelledSource(SequenceSource):
     """
 
     def __init__(self, path: Path, given: CameraFile | None = None) -> None:
+        self._process = MatProcess()
         try:
-            import h5py
-        except ImportError as err:
-            raise BackendMissingError(f"{path}: h5py is needed to read it: pip install h5py") from err
-        try:
-            self._file = h5py.File(path, "r")
-        except OSError as err:
-            raise RecordingFormatError(f"{path}: not a readable HDF5 file ({err})") from err
-        try:
-            self._sets = {name: self._set(path, name) for name in ("images", "depths", "labels", "instances")}
-            if len(self._sets["depths"].shape) != 3:
+            shapes = {name: tuple(shape) for name, shape in self._answer(path)["shapes"].items()}
+            if len(shapes["depths"]) != 3 or not all(shapes["depths"]):
                 raise RecordingFormatError(
-                    f"{path}: depths: expected (frames, columns, rows), got {self._sets['depths'].shape}"
+                    f"{path}: depths: expected (frames, columns, rows), got {shapes['depths']}"
                 )
-            frames, width, height = self._sets["depths"].shape
+            frames, width, height = shapes["depths"]
             flat = frames, width, height
             for name, shape in (
                 ("images", (frames, 3, width, height)),
                 ("labels", flat),
                 ("instances", flat),
             ):
-                if self._sets[name].shape != shape:
+                if shapes[name] != shape:
                     raise RecordingFormatError(
-                        f"{path}: {name}: expected {shape} as for depths, got {self._sets[name].shape}"
+                        f"{path}: {name}: expected {shape} as for depths, got {shapes[name]}"
                     )
             calibration = _calibration(given, width, height)
         except BaseException:
-            self._file.close()
+            self._process.close()
             raise
         super().__init__(path, frames)
         self.calibration = calibration
         self.metadata = {"format": "NYU Depth v2, labelled", "frames": str(frames)}
 
-    def _set(self, path: Path, name: str) -> Any:
-        if name not in self._file:
-            raise RecordingFormatError(f"{path}: the set {name!r} is missing, as in nyu_depth_v2_labeled.mat")
-        return self._file[name]
+    def _answer(self, path: Path) -> dict[str, Any]:
+        try:
+            return self._process.read(path, "hdf5")[0]
+        except FrameFormatError as err:
+            raise RecordingFormatError(str(err)) from err
 
     def _load(self, index: int) -> RGBDFrame:
-        try:
-            color, depth_m, labels, instances = (
-                self._sets[name][index] for name in ("images", "depths", "labels", "instances")
-            )
-        except (OSError, ValueError) as err:
-            raise FrameFormatError(f"{self._path}: frame {index + 1}: cannot be read ({err})") from err
+        sets = self._process.read(self._path, "hdf5", index)[1]
+        color, depth_m, labels, instances = (sets[name] for name in SETS)
         # MATLAB stores by columns: HDF5 shows every image transposed.
         return RGBDFrame(
             index=index,
@@ -173,7 +163,7 @@ class NyuLabelledSource(SequenceSource):
         )
 
     def _close(self) -> None:
-        self._file.close()
+        self._process.close()
 
 
 class NyuFrameSource(SequenceSource):
@@ -202,7 +192,12 @@ class NyuFrameSource(SequenceSource):
         super().__init__(paths[0].parent, len(paths))
         self._paths = paths
         self._given = given
-        self.calibration = self._first_calibration()
+        self._process = MatProcess()
+        try:
+            self.calibration = self._first_calibration()
+        except BaseException:
+            self._process.close()
+            raise
         self.metadata = {"format": "NYU Depth v2, single frames", "frames": str(len(paths))}
 
     def _first_calibration(self) -> Calibration:
@@ -217,16 +212,12 @@ class NyuFrameSource(SequenceSource):
         ) from first_error
 
     def _load(self, index: int) -> RGBDFrame:
-        import scipy.io
-
         path = self._paths[index]
         try:
-            record = scipy.io.loadmat(path)["data"][0, 0]
-            color, depth_m = record["rgb"], record["realDepth"]
-        except (KeyError, IndexError, ValueError, TypeError, NotImplementedError, OSError, zlib.error) as err:
-            raise FrameFormatError(
-                f"{path}: expected a structure 'data' with 'rgb' and 'realDepth' ({err})"
-            ) from err
+            record = self._process.read(path, "matlab5")[1]
+        except FrameFormatError as err:
+            raise FrameFormatError(f"{err}; expected a structure 'data' with 'rgb' and 'realDepth'") from err
+        color, depth_m = record["rgb"], record["realDepth"]
         if depth_m.ndim != 2 or color.shape != (*depth_m.shape, 3):
             raise FrameFormatError(
                 f"{path}: data.rgb: expected {(*depth_m.shape, 3)} as for realDepth, got {color.shape}"
@@ -246,18 +237,21 @@ class NyuFrameSource(SequenceSource):
             name=path.stem,
         )
 
+    def _close(self) -> None:
+        self._process.close()
+
 
 def _class_regions(path: Path, width: int, height: int) -> NDArray[np.uint16] | None:
     number = path.stem.rpartition("_")[2]
-    if not number.isdigit():
+    if not number.isdecimal():
         return None
     labels_path = path.with_name(f"new_nyu_class13_{int(number):04d}.png")
     if not labels_path.exists():
         return None
-    classes = cv2.imread(str(labels_path), cv2.IMREAD_UNCHANGED)
-    if classes is None or classes.ndim != 2:
-        raise FrameFormatError(f"{labels_path}: expected a readable PNG of one channel")
-    classes = cv2.resize(classes, (width, height), interpolation=cv2.INTER_NEAREST)
+    content = read_file(labels_path, FRAME_BYTES_MAX, what="image", error=FrameFormatError)
+    classes = cv2.resize(
+        decode_labels(content, str(labels_path)), (width, height), interpolation=cv2.INTER_NEAREST
+    )
     regions = np.zeros((height, width), np.uint16)
     count = 0
     for value in np.unique(classes[classes > 0]):
@@ -290,4 +284,4 @@ def open_path(path: Path, options: SourceOptions | None = None) -> FrameSource:
 
 def _frame_number(path: Path) -> tuple[int, str]:
     number = path.stem.rpartition("_")[2]
-    return (int(number) if number.isdigit() else 0, path.name)
+    return (int(number) if number.isdecimal() else 0, path.name)

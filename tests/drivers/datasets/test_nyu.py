@@ -1,5 +1,8 @@
 """NYU Depth v2 frames, from files of the set's form and from real ones."""
 
+import resource
+import signal
+import zlib
 from pathlib import Path
 
 import cv2
@@ -7,6 +10,7 @@ import h5py
 import numpy as np
 import pytest
 import scipy.io
+from own_children import own_children
 
 from nurbseg.drivers.datasets.nyu import NyuLabelledSource, depth_to_mm, open_path
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, RecordingFormatError
@@ -119,3 +123,119 @@ def test_a_matlab_file_of_something_else_is_refused(tmp_path: Path) -> None:
 def test_what_is_no_distance_becomes_no_depth() -> None:
     depth_m = np.array([[np.nan, np.inf, -1.0, 0.0, 0.0004, 70.0, 1.2344]])
     np.testing.assert_array_equal(depth_to_mm(depth_m), [[0, 0, 0, 0, 0, 0, 1234]])
+
+
+def hostile_set(path: Path, kind: str) -> Path:
+    """A labelled set of some kilobytes whose images would take gigabytes, or are somewhere else."""
+    labelled_set(path, frames=1)
+    with h5py.File(path, "a") as file:
+        del file["images"], file["depths"]
+        images = file.create_dataset("images", (1, 3, 64, 48), "u1")
+        if kind == "shape":
+            file.create_dataset("depths", (1, 60_000, 60_000), "f4", chunks=(1, 100, 100))
+        elif kind == "chunk":
+            depths = file.create_dataset(
+                "depths", (1, 64, 48), "f4", maxshape=(None,) * 3, chunks=(1, 16000, 16000)
+            )
+            assert depths.chunks[1] == 16000
+        elif kind == "strings":
+            file.create_dataset("depths", (1, 64, 48), h5py.string_dtype())
+        elif kind == "external link":
+            file["depths"] = h5py.ExternalLink("other.mat", "/depths")
+        elif kind == "soft link":
+            file["depths"] = h5py.SoftLink("/depths")
+        elif kind == "external storage":
+            file.create_dataset("depths", (1, 64, 48), "f4", external=[("/dev/zero", 0, h5py.h5f.UNLIMITED)])
+        elif kind == "virtual":
+            layout = h5py.VirtualLayout(images.shape[:1] + images.shape[2:], "f4")
+            layout[:] = h5py.VirtualSource("other.mat", "depths", (1, 64, 48))
+            file.create_virtual_dataset("depths", layout)
+        else:
+            file.create_group("depths")
+    return path
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["shape", "chunk", "strings", "external link", "soft link", "external storage", "virtual", "group"],
+)
+def test_a_set_that_is_too_large_or_elsewhere_is_refused_by_name(tmp_path: Path, kind: str) -> None:
+    path = hostile_set(tmp_path / "set.mat", kind)
+    assert path.stat().st_size < 100_000
+    with pytest.raises(RecordingFormatError, match=r"set\.mat: depths: expected"):
+        open_source(path)
+
+
+def test_a_set_that_becomes_gigabytes_costs_its_frame(tmp_path: Path) -> None:
+    path = labelled_set(tmp_path / "set.mat", frames=2)
+    with h5py.File(path, "a") as file:
+        depths = file["depths"][:]
+        del file["depths"]
+        packed = file.create_dataset("depths", data=depths, chunks=(1, 64, 48), compression=1)
+        bomb = zlib.compressobj(9)
+        head = bomb.compress(b"") + bomb.flush(zlib.Z_FULL_FLUSH)
+        # A whole block, which may be repeated; its checksum comes after gigabytes.
+        block = bomb.compress(bytes(1 << 20)) + bomb.flush(zlib.Z_FULL_FLUSH)
+        content = head + block * (4 << 10) + bomb.flush()
+        packed.id.write_direct_chunk((0, 0, 0), content)
+    with open_source(path) as source:
+        with pytest.raises(FrameFormatError, match=r"set\.mat: cannot be read"):
+            source.read()
+        assert source.read().index == 1
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    assert usage < 4 << 20
+
+
+def test_a_file_that_ends_the_process_costs_its_frame(tmp_path: Path) -> None:
+    with open_source(labelled_set(tmp_path / "set.mat")) as source:
+        (child,) = own_children()
+        child.send_signal(signal.SIGSEGV)
+        with pytest.raises(FrameFormatError, match=r"set\.mat: .* ended by signal 11"):
+            source.read()
+        assert source.read().index == 1
+    assert own_children() == []
+
+
+def changed(content: bytes, rng: np.random.Generator) -> bytes:
+    array = np.frombuffer(content, np.uint8).copy()
+    # Most of the structure is at the beginning.
+    places = rng.integers(128, min(700, len(content)), 5)
+    array[places] = rng.integers(0, 256, 5)
+    return array.tobytes()
+
+
+def test_bytes_changed_in_matlab_files_cost_frames_at_most(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    record = {"rgb": np.full((24, 32, 3), 0.5), "realDepth": np.full((24, 32), 1.5)}
+    scipy.io.savemat(tmp_path / "nyu_v2_0.mat", {"data": record})
+    content = (tmp_path / "nyu_v2_0.mat").read_bytes()
+    for number in range(1, 60):
+        (tmp_path / f"nyu_v2_{number}.mat").write_bytes(changed(content, rng))
+    read = refused = 0
+    with open_source(tmp_path) as source:
+        for _ in range(60):
+            try:
+                source.read()
+                read += 1
+            except FrameFormatError as err:
+                assert f"nyu_v2_{read + refused}.mat" in str(err)
+                refused += 1
+    assert read > 0
+    assert refused > 10
+
+
+def test_bytes_changed_in_a_labelled_set_lead_to_typed_errors_only(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    content = labelled_set(tmp_path / "set.mat", frames=1).read_bytes()
+    assert content[512:520] == b"\x89HDF\r\n\x1a\n"
+    path = tmp_path / "changed.mat"
+    refused = 0
+    for _ in range(8):
+        path.write_bytes(changed(content, rng))
+        try:
+            with open_source(path) as source:
+                source.read()
+        except RecordingFormatError as err:
+            assert "changed.mat: " in str(err)
+            refused += 1
+    assert refused > 0
