@@ -11,6 +11,8 @@ from nurbseg.drivers.calibration.lens import Lens
 
 #: Coefficients that OpenCV's distortion model accepts (k1, k2, p1, p2[, k3[, k4, k5, k6[, ...]]]).
 _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
+#: Bounds of what a focal length and a principal point can be, pixels; what is computed with them is finite.
+_FOCAL_PX_MIN, _PLACE_PX_MAX = 1e-3, 1e9
 
 
 def _read_only(array: NDArray[np.generic]) -> None:
@@ -44,7 +46,7 @@ class Intrinsics:
     Raises
     ------
     ValueError
-        If a value is not finite, a focal length is 0 or the size is not positive.
+        If a value is not finite, a focal length is 0 or the size is no positive whole number.
     """
 
     width: int
@@ -57,13 +59,17 @@ class Intrinsics:
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}: expected a positive number of pixels, got {getattr(self, name)}")
+            value = getattr(self, name)
+            if not isinstance(value, int | np.integer) or value < 1:
+                raise ValueError(f"{name}: expected a positive number of pixels, got {value}")
         for name in ("fx", "fy", "cx", "cy"):
-            if not np.isfinite(getattr(self, name)):
-                raise ValueError(f"{name}: expected a finite number of pixels, got {getattr(self, name)}")
-        if self.fx <= 0 or self.fy == 0:
+            value = getattr(self, name)
+            if not isinstance(value, int | float | np.number) or not np.isfinite(value):
+                raise ValueError(f"{name}: expected a finite number of pixels, got {value}")
+        if self.fx <= 0 or not all(_FOCAL_PX_MIN <= abs(f) <= _PLACE_PX_MAX for f in (self.fx, self.fy)):
             raise ValueError(f"fx, fy: expected focal lengths in pixels, got {self.fx}, {self.fy}")
+        if max(abs(self.cx), abs(self.cy)) > _PLACE_PX_MAX:
+            raise ValueError(f"cx, cy: expected a place in the image, got {self.cx}, {self.cy}")
         distortion = _as_distortion(self.distortion)
         _read_only(distortion)
         object.__setattr__(self, "distortion", distortion)

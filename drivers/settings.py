@@ -5,6 +5,7 @@ The command line, the configuration file and the checks are all made from these 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import Field, field, fields
 from typing import Any
@@ -68,6 +69,8 @@ def check_settings(config: Any) -> None:
         if not bounds:
             continue
         value = getattr(config, each.name)
+        if value is None and each.default is not None:
+            raise ValueError(f"{each.name}: expected a value, got None")
         if bounds["choices"] and value not in bounds["choices"]:
             raise ValueError(f"{each.name}: expected one of {', '.join(bounds['choices'])}, got {value!r}")
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -78,6 +81,8 @@ def check_settings(config: Any) -> None:
             raise ValueError(f"{each.name}: expected at most {bounds['most']}, got {value}")
         if bounds["above"] is not None and not value > bounds["above"]:
             raise ValueError(f"{each.name}: expected more than {bounds['above']}, got {value}")
+        if not math.isfinite(value):
+            raise ValueError(f"{each.name}: expected a finite number, got {value}")
 
 
 def described_fields(config_type: type[Any]) -> Iterator[Field[Any]]:

@@ -51,7 +51,7 @@ class SegmentationConfig:
         6000, "points of a segment on which its cut is set up; the others follow by extension", least=100
     )
     affinity_scale: float = setting(
-        0.7, "sigma of the Gaussian affinity, in normalised vector units", above=0.0
+        0.7, "sigma of the Gaussian affinity, in normalised vector units", least=1e-3, most=1e3
     )
     splitting_point: SplittingPoint = setting(
         "zero",
@@ -150,7 +150,7 @@ class SegmentationConfig:
         50.0,
         "nurbseg: distance of the knots of a surface, in pixels of a 640-wide image",
         unit="px",
-        above=1.0,
+        least=8.0,
     )
     smoothness: float = setting(
         1.0,

@@ -1,0 +1,44 @@
+"""Settings and values at the edge of what is possible: refused by name where they would do harm."""
+
+import re
+from typing import Any
+
+import pytest
+
+from nurbseg.drivers import Intrinsics, SourceOptions
+from nurbseg.segmentation.config import SegmentationConfig
+
+INFINITE, NAN = float("inf"), float("nan")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("knot_spacing_px", 1.0001),
+        ("knot_spacing_px", INFINITE),
+        ("knot_spacing_px", NAN),
+        ("knot_spacing_px", None),
+        ("affinity_scale", 1e300),
+        ("affinity_scale", 1e-300),
+        ("geometry_weight", INFINITE),
+        ("smoothness", NAN),
+        ("decimation", None),
+        ("method", None),
+    ],
+)
+def test_a_setting_that_cannot_be_worked_with_is_refused_by_name(name: str, value: Any) -> None:
+    with pytest.raises(ValueError, match=f"^{name}: expected .* got {re.escape(str(value))}"):
+        SegmentationConfig(**{name: value})
+
+
+@pytest.mark.parametrize("name", ["width", "height", "fx", "cy"])
+@pytest.mark.parametrize("value", [INFINITE, NAN, None, "640"])
+def test_intrinsics_that_are_no_numbers_are_refused_by_name(name: str, value: Any) -> None:
+    values: dict[str, Any] = {"width": 64, "height": 48, "fx": 1.0, "fy": 1.0, "cx": 0.0, "cy": 0.0}
+    with pytest.raises(ValueError, match=f"^{name}: expected .* got {value}"):
+        Intrinsics(**values | {name: value})
+
+
+def test_an_infinite_association_limit_is_refused() -> None:
+    with pytest.raises(ValueError, match="association_limit_s: expected seconds over 0, got inf"):
+        SourceOptions(association_limit_s=INFINITE)
