@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
@@ -10,6 +11,12 @@ from typing import Self
 
 from nurbseg.drivers.errors import DriverError, EndOfRecordingError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.frame import Calibration, RGBDFrame
+
+_log = logging.getLogger(__name__)
+
+#: Longest wait for the next frame of a replay, seconds; timestamps that jump further are damaged, or the
+#: camera was away.
+_LONGEST_PAUSE_S = 10.0
 
 
 class FrameSource(ABC):
@@ -113,7 +120,9 @@ class Paced(FrameSource):
     """Replays another source at its recorded rate, or a multiple of it.
 
     A frame is handed out at ``start + (its timestamp - first timestamp) / speed``. These moments are
-    absolute, so that delays do not add up; a reader that is late gets the frames it missed at once.
+    absolute, so that delays do not add up; a reader that is late gets the frames it missed at once. Where
+    the timestamps jump, by more than `_LONGEST_PAUSE_S` forward or back, the log says so, and the replay
+    goes on after that pause, or at once.
 
     Parameters
     ----------
@@ -151,11 +160,15 @@ class Paced(FrameSource):
         self._sleep = sleep
         self._start_s: float | None = None
         self._first_ns = 0
+        self._last_ns = 0
         self._waiting: RGBDFrame | None = None  # read, but not due within the last time limit
 
     def _read(self, timeout_s: float) -> RGBDFrame:
         if self._waiting is None:
             self._waiting = self._source.read(timeout_s)
+            if self._start_s is not None:
+                self._shorten_pause(self._waiting)
+            self._last_ns = self._waiting.timestamp_ns
         frame = self._waiting
         if self._start_s is None:
             self._start_s, self._first_ns = self._clock(), frame.timestamp_ns
@@ -167,6 +180,19 @@ class Paced(FrameSource):
             raise FrameTimeoutError(f"the next frame is due in {wait_s - timeout_s:.1f} s")
         self._waiting = None
         return frame
+
+    def _shorten_pause(self, frame: RGBDFrame) -> None:
+        gap_s = (frame.timestamp_ns - self._last_ns) * 1e-9 / self._speed
+        if abs(gap_s) <= _LONGEST_PAUSE_S:
+            return
+        pause_s = _LONGEST_PAUSE_S if gap_s > 0 else 0.0
+        _log.warning(
+            "frame %d: the timestamps jump by %.0f s; the replay goes on after %.0f s",
+            frame.index,
+            gap_s * self._speed,
+            pause_s,
+        )
+        self._first_ns += round((gap_s - pause_s) * self._speed * 1e9)
 
     @property
     def losses(self) -> Mapping[str, int]:

@@ -69,6 +69,26 @@ def test_a_frame_that_is_not_due_in_time_is_kept_for_the_next_read() -> None:
             source.read(timeout_s=1.0)
 
 
+@pytest.mark.parametrize("speed", [1.0, 4.0])
+def test_a_gap_of_hours_is_said_and_waited_for_ten_seconds_at_most(speed: float, caplog) -> None:
+    clock = Clock()
+    with paced([0.0, 0.5, 7200.0, 7200.5, 0.25, 0.75], clock, speed) as source:
+        moments = []
+        while True:
+            try:
+                source.read(timeout_s=30.0)
+            except EndOfRecordingError:
+                break
+            moments.append(clock.now_s - 100.0)
+    half = 0.5 / speed
+    # Back in time is at once; from there on it goes as before.
+    expected = [0.0, half, half + 10.0, 2 * half + 10.0, 2 * half + 10.0, 3 * half + 10.0]
+    assert moments == pytest.approx(expected)
+    forward, back = caplog.messages
+    assert forward == "frame 2: the timestamps jump by 7200 s; the replay goes on after 10 s"
+    assert back == "frame 4: the timestamps jump by -7200 s; the replay goes on after 0 s"
+
+
 def test_skipped_frames_are_not_waited_for() -> None:
     clock = Clock()
     with paced([0.0, 10.0, 20.0, 20.5], clock) as source:
