@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,7 +17,7 @@ from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource
 from nurbseg.drivers.errors import CalibrationError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.files import read_file
 from nurbseg.drivers.frame import Calibration, RGBDFrame
-from nurbseg.drivers.limits import FRAME_BYTES_MAX
+from nurbseg.drivers.limits import FRAME_BYTES_MAX, STAMP_END_NS
 
 if TYPE_CHECKING:
     from nurbseg.drivers.options import SourceOptions
@@ -121,8 +122,8 @@ def load_pair(pair: ImagePair, reading: FolderCamera, index: int, timestamp_ns: 
     )
 
 
-def first_calibration(pairs: list[ImagePair], reading: FolderCamera) -> Calibration:
-    """Return the calibration of the first frame that can be loaded.
+def first_calibration(pair: Callable[[int], ImagePair], frames: int, reading: FolderCamera) -> Calibration:
+    """Return the calibration of the first of so many frames that can be loaded.
 
     Raises
     ------
@@ -130,12 +131,12 @@ def first_calibration(pairs: list[ImagePair], reading: FolderCamera) -> Calibrat
         If none can; says what is wrong with the first.
     """
     first: FrameFormatError | None = None
-    for pair in pairs:
+    for index in range(frames):
         try:
-            return load_pair(pair, reading, 0, 0).calibration
+            return load_pair(pair(index), reading, 0, 0).calibration
         except FrameFormatError as err:
             first = first or err
-    raise RecordingFormatError(f"none of the {len(pairs)} frames can be used; the first: {first}") from first
+    raise RecordingFormatError(f"none of the {frames} frames can be used; the first: {first}") from first
 
 
 class FolderSource(SequenceSource):
@@ -168,7 +169,7 @@ class FolderSource(SequenceSource):
             raise RecordingFormatError(f"{folder}: no image pairs{alone}; expected {NAMES_EXPECTED}")
         self._reading = folder_camera(folder, options)
         super().__init__(folder, len(self._pairs), dropped=len(single))
-        self.calibration = first_calibration(self._pairs, self._reading)
+        self.calibration = first_calibration(self._pairs.__getitem__, len(self._pairs), self._reading)
         moments = [_moment_ns(pair.name) for pair in self._pairs]
         timed = all(moment is not None for moment in moments)
         self._moments_ns = [
@@ -202,4 +203,5 @@ def _moment_ns(name: str) -> int | None:
         moment = datetime.strptime(match[1], "%Y%m%dT%H%M%S.%f").replace(tzinfo=UTC)
     except ValueError:
         return None
-    return int(moment.timestamp()) * 1_000_000_000 + moment.microsecond * 1000
+    moment_ns = int(moment.timestamp()) * 1_000_000_000 + moment.microsecond * 1000
+    return moment_ns if 0 <= moment_ns < STAMP_END_NS else None

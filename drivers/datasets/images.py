@@ -194,7 +194,8 @@ def millimetres(depth: NDArray[Any], *, units_per_metre: float) -> NDArray[np.ui
     """
     if units_per_metre == 1000.0 and depth.dtype == np.uint16:
         return np.array(depth)
-    scaled = np.rint(np.nan_to_num(depth * (1000.0 / units_per_metre), nan=0.0, posinf=0.0, neginf=0.0))
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = np.rint(np.nan_to_num(depth * (1000.0 / units_per_metre), nan=0.0, posinf=0.0, neginf=0.0))
     scaled[(scaled < 0) | (scaled > 65535)] = 0
     depth_mm: NDArray[np.uint16] = scaled.astype(np.uint16)
     return depth_mm

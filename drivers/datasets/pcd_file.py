@@ -10,10 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.datasets import lzf
-from nurbseg.drivers.errors import FrameFormatError
+from nurbseg.drivers.errors import FrameFormatError, quoted
+from nurbseg.drivers.files import read_file
+from nurbseg.drivers.limits import FRAME_BYTES_MAX, PIXELS_MAX
 
 _HEADER_BYTES_MAX = 65_536
-_POINTS_MAX = 100_000_000
+_FIELDS_MAX = 256
+_COUNT_MAX = 4096
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,10 +43,7 @@ def read_pcd(path: Path) -> OrganisedCloud:
     FrameFormatError
         If the file is damaged or the cloud has no rows and columns; names the field.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as err:
-        raise FrameFormatError(f"{path}: cannot be read ({err.strerror})") from err
+    content = read_file(path, FRAME_BYTES_MAX, what="cloud", error=FrameFormatError)
     fields, start = _header(path, content)
     width, height = (_positive(path, fields, name) for name in ("WIDTH", "HEIGHT"))
     points = _positive(path, fields, "POINTS") if "POINTS" in fields else width * height
@@ -52,10 +52,19 @@ def read_pcd(path: Path) -> OrganisedCloud:
             f"{path}: HEIGHT: the cloud is not organised ({width}x{height}); expected the rows and columns "
             "of a depth image"
         )
-    if points != width * height or points > _POINTS_MAX:
+    if points != width * height:
         raise FrameFormatError(f"{path}: POINTS: expected WIDTH x HEIGHT = {width * height}, got {points}")
+    if points > PIXELS_MAX:
+        raise FrameFormatError(f"{path}: WIDTH, HEIGHT: expected {PIXELS_MAX} points at most, got {points}")
     dtype = _dtype(path, fields)
     kind = " ".join(fields["DATA"])
+    # Numbers of text become 8 bytes each.
+    point_bytes = max(dtype.itemsize, 8 * _numbers(dtype) if kind == "ascii" else 0)
+    if points * point_bytes > FRAME_BYTES_MAX:
+        raise FrameFormatError(
+            f"{path}: POINTS, SIZE, COUNT: expected {FRAME_BYTES_MAX} bytes at most, "
+            f"got {points} points of {point_bytes}"
+        )
     body = content[start:]
     if kind == "binary":
         columns = _from_binary(path, body, dtype, points)
@@ -64,7 +73,9 @@ def read_pcd(path: Path) -> OrganisedCloud:
     elif kind == "ascii":
         columns = _from_ascii(path, body, dtype, points)
     else:
-        raise FrameFormatError(f"{path}: DATA: expected ascii, binary or binary_compressed, got {kind!r}")
+        raise FrameFormatError(
+            f"{path}: DATA: expected ascii, binary or binary_compressed, got {quoted(kind)}"
+        )
     xyz = np.stack([columns[name].astype(np.float32) for name in ("x", "y", "z")], axis=-1)
     xyz[~np.isfinite(xyz).all(axis=-1)] = np.nan
     color = next((_rgb(columns[name]) for name in ("rgb", "rgba") if name in columns), None)
@@ -89,9 +100,19 @@ def _header(path: Path, content: bytes) -> tuple[dict[str, list[str]], int]:
 
 def _positive(path: Path, fields: dict[str, list[str]], name: str) -> int:
     words = fields[name]
-    if len(words) != 1 or not words[0].isdigit() or int(words[0]) < 1:
-        raise FrameFormatError(f"{path}: {name}: expected a number over 0, got {' '.join(words)!r}")
-    return int(words[0])
+    number = _whole(words[0]) if len(words) == 1 else 0
+    if number < 1:
+        raise FrameFormatError(f"{path}: {name}: expected a number over 0, got {quoted(' '.join(words))}")
+    return number
+
+
+def _whole(word: str) -> int:
+    """Return the number that a word says, 0 where it is none of up to nine digits."""
+    return int(word) if re.fullmatch(r"[0-9]{1,9}", word) else 0
+
+
+def _numbers(dtype: np.dtype[np.void]) -> int:
+    return sum(dtype[name].shape[0] for name in dtype.names or ())
 
 
 def _dtype(path: Path, fields: dict[str, list[str]]) -> np.dtype[np.void]:
@@ -99,16 +120,21 @@ def _dtype(path: Path, fields: dict[str, list[str]]) -> np.dtype[np.void]:
     counts = fields.get("COUNT", ["1"] * len(names))
     if not len(names) == len(sizes) == len(types) == len(counts):
         raise FrameFormatError(f"{path}: FIELDS, SIZE, TYPE, COUNT: expected as many of each")
+    if len(names) > _FIELDS_MAX:
+        raise FrameFormatError(f"{path}: FIELDS: expected {_FIELDS_MAX} at most, got {len(names)}")
     missing = [name for name in ("x", "y", "z") if name not in names]
     if missing:
-        raise FrameFormatError(f"{path}: FIELDS: {', '.join(missing)} missing; got {' '.join(names)}")
+        raise FrameFormatError(f"{path}: FIELDS: {', '.join(missing)} missing; got {quoted(names)}")
     parts = []
     for place, (name, size, kind, count) in enumerate(zip(names, sizes, types, counts, strict=True)):
         code = {"F": "f", "I": "i", "U": "u"}.get(kind)
         if code is None or f"{code}{size}" not in ("f4", "f8", *(f"{c}{s}" for c in "iu" for s in "1248")):
-            raise FrameFormatError(f"{path}: TYPE, SIZE: {name}: unknown number {kind} of {size} bytes")
-        if not count.isdigit() or not 1 <= int(count) <= 4096:
-            raise FrameFormatError(f"{path}: COUNT: {name}: expected 1 or more, got {count}")
+            number = quoted(f"{name}: unknown number {kind} of {size} bytes")[1:-1]
+            raise FrameFormatError(f"{path}: TYPE, SIZE: {number}")
+        if not 1 <= _whole(count) <= _COUNT_MAX:
+            raise FrameFormatError(
+                f"{path}: COUNT: {quoted(name)}: expected 1 to {_COUNT_MAX}, got {quoted(count)}"
+            )
         # Padding is called "_", many times over.
         unique = f"_{place}" if name == "_" or names.count(name) > 1 else name
         if name in "xyz" and (int(count) != 1 or unique != name):
@@ -156,15 +182,15 @@ def _from_compressed(path: Path, body: bytes, dtype: np.dtype[np.void], points: 
 
 def _from_ascii(path: Path, body: bytes, dtype: np.dtype[np.void], points: int) -> Columns:
     counts = [dtype[name].shape[0] for name in dtype.names or ()]
-    words = body.split()
-    if len(words) != points * sum(counts):
-        raise FrameFormatError(
-            f"{path}: DATA: expected {points} points of {sum(counts)} numbers, got {len(words)} numbers"
-        )
+    expected = points * sum(counts)
+    words = body.split(None, expected)
+    if len(words) != expected:
+        got = "more" if len(words) > expected else f"{len(words)} numbers"
+        raise FrameFormatError(f"{path}: DATA: expected {points} points of {sum(counts)} numbers, got {got}")
     try:
-        table = np.array(words).astype(np.float64).reshape(points, -1)
+        table = np.fromiter(map(float, words), np.float64, expected).reshape(points, -1)
     except ValueError as err:
-        raise FrameFormatError(f"{path}: DATA: not a number ({err})") from err
+        raise FrameFormatError(f"{path}: DATA: not a number ({quoted(str(err))})") from err
     columns: Columns = {}
     place = 0
     with np.errstate(invalid="ignore", over="ignore"):

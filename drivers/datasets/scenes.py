@@ -61,7 +61,7 @@ class ScenesSource(SequenceSource):
         if not self._shots:
             raise RecordingFormatError(f"{folder}: no scenes; expected the folders scene1, scene2, ...")
         super().__init__(folder, len(self._shots))
-        self.calibration = first_calibration([self._shots[0][0]], self._shots[0][1])
+        self.calibration = first_calibration(lambda index: self._shots[index][0], 1, self._shots[0][1])
         self.metadata = {"format": "folder of scenes", "frames": str(len(self._shots))}
 
     def _load(self, index: int) -> RGBDFrame:

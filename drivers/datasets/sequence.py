@@ -6,7 +6,7 @@ import re
 from abc import abstractmethod
 from pathlib import Path
 
-from nurbseg.drivers.errors import EndOfRecordingError
+from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.source import FrameSource
 
@@ -49,7 +49,15 @@ class SequenceSource(FrameSource):
             raise EndOfRecordingError(f"{self._path}: end after {self._frames} frames")
         # Counted first, so that a frame that cannot be loaded is passed by.
         self._next += 1
-        return self._load(self._next - 1)
+        try:
+            return self._load(self._next - 1)
+        except FrameFormatError as err:
+            if self._path.exists():
+                raise
+            raise RecordingFormatError(
+                f"{self._path}: the recording is gone: deleted, moved or unmounted after "
+                f"{self._next - 1} of {self._frames} frames"
+            ) from err
 
     def skip(self, frames: int) -> int:
         """Go past the next frames without loading them; return how many there were to pass."""

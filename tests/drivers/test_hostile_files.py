@@ -1,0 +1,438 @@
+"""Small files that somebody made to exhaust or crash a reader: each gets a typed error, for little memory."""
+
+import itertools
+import os
+import shutil
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import lz4.frame
+import numpy as np
+import pytest
+import zstandard
+from bounded_child import Reading, read_bounded
+from hostile_files import GIB, black_png, mcap_chunk, mcap_file, mcap_record, png_chunk, tiff, zeros
+from mcap.opcode import Opcode
+from mcap.records import Channel, DataEnd, Message, Schema
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
+from recorded_scene import scenes, write_mcap, write_pairs, write_tum
+
+from nurbseg.drivers import EndOfRecordingError, FrameFormatError, RecordingFormatError, open_source
+from nurbseg.drivers.datasets.images import decode_color, decode_depth
+from nurbseg.drivers.limits import CHUNK_BYTES_MAX, PIXELS_MAX
+from nurbseg.drivers.mcap import names
+
+#: What one hostile file may take: one decoded image of the largest size, and its copies.
+TAKEN_MAX = GIB // 2
+
+
+def refused(path: Path, text: str) -> Reading:
+    reading = read_bounded(path)
+    assert reading.frames == 0
+    assert any(text in error for error in reading.errors), reading.errors
+    assert all(len(error) < 1000 for error in reading.errors)
+    assert reading.taken_bytes < TAKEN_MAX, f"{reading.taken_bytes / 2**20:.0f} MB"
+    return reading
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+@pytest.mark.parametrize("declared", ["small", "within", "huge"])
+def test_a_chunk_that_becomes_larger_than_it_says_is_refused_before_it_is(
+    tmp_path: Path, compression: str, declared: str
+) -> None:
+    size = {"small": 1000, "within": CHUNK_BYTES_MAX, "huge": 2 * GIB}[declared]
+    chunk = mcap_chunk(zeros(2 * GIB, compression), size, compression)
+    path = mcap_file(tmp_path / "bomb.mcap", [chunk])
+    assert path.stat().st_size < 20e6
+    refused(path, "no topic of depth images")
+
+
+def test_a_chunk_whose_frame_claims_gigabytes_is_refused(tmp_path: Path) -> None:
+    # A zstd frame of one block whose header says 8 GiB.
+    content = bytearray(zstandard.ZstdCompressor().compress(bytes(1 << 17)))
+    frame = b"\x28\xb5\x2f\xfd\xc0\x60" + (8 * GIB).to_bytes(8, "little") + content[-8:]
+    path = mcap_file(tmp_path / "bomb.mcap", [mcap_chunk(frame, 8 * GIB - 1, "zstd")])
+    refused(path, "no topic of depth images")
+    path = mcap_file(tmp_path / "bomb.mcap", [mcap_chunk(frame, 1 << 17, "zstd")])
+    refused(path, "no topic of depth images")
+
+
+@pytest.mark.parametrize("pattern", [b"\0", mcap_record(Opcode.MESSAGE, bytes(23)), mcap_record(200, b"")])
+def test_millions_of_empty_records_in_a_chunk_cost_the_chunk(tmp_path: Path, pattern: bytes) -> None:
+    content = pattern * ((CHUNK_BYTES_MAX - 64) // len(pattern))
+    compressed = zstandard.ZstdCompressor(level=3).compress(content)
+    chunks = [mcap_chunk(compressed, len(content), "zstd")] * 40
+    refused(mcap_file(tmp_path / "many.mcap", chunks), "no topic of depth images")
+
+
+def test_a_chunk_that_is_refused_is_named_and_the_frames_around_it_are_read(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a.mcap", scenes(3))
+    content = path.read_bytes()
+    bomb = mcap_chunk(lz4.frame.compress(bytes(1 << 24)), 1000, "lz4")
+    end = content.rindex(mcap_record(Opcode.DATA_END, bytes(4))[:9])
+    path.write_bytes(content[:end] + bomb + content[end:])
+    reading = read_bounded(path)
+    assert reading.frames == 3
+    (error,) = reading.errors
+    assert "uncompressed_size: 1000 bytes are declared, more are there" in error
+
+
+def test_a_file_that_was_made_longer_with_zeros_ends_where_it_was_written(tmp_path: Path, caplog) -> None:
+    path = write_mcap(tmp_path / "a.mcap", scenes(2))
+    content = path.read_bytes()
+    end = content.rindex(mcap_record(Opcode.DATA_END, bytes(4))[:9])
+    path.write_bytes(content[:end])
+    os.truncate(path, 64 * GIB)
+    with open_source(path) as source:
+        assert len(list(source)) == 2
+    assert "is cut off" in caplog.text
+
+
+@pytest.mark.parametrize("kind", [Opcode.SCHEMA, Opcode.CHUNK, Opcode.MESSAGE, Opcode.ATTACHMENT])
+def test_a_record_of_gigabytes_is_not_read(tmp_path: Path, kind: int) -> None:
+    path = tmp_path / "long.mcap"
+    head = b"\x89MCAP0\r\n" + mcap_record(Opcode.HEADER, bytes(8))
+    path.write_bytes(head + bytes([kind]) + (32 * GIB).to_bytes(8, "little"))
+    os.truncate(path, len(head) + 9 + 32 * GIB)
+    refused(path, "long.mcap: ")
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        (black_png(60_000, 50_000), "expected 1 to 16777216 pixels in all, got 60000 x 50000"),
+        (tiff(60_000, 50_000), "got 60000 x 50000"),
+        (tiff(4000, 16, strip_rows=1 << 22), f"got 4000 x {1 << 22}"),
+        (tiff(64, 48, channels=1000), "up to 4 channels"),
+        (b"P5 99999 99999 65535 ", "got 99999 x 99999"),
+        (b"P5 " + b"9" * 5000 + b" 9 255 ", "expected a binary PGM"),
+        (b"\xff\xd8\xff\xc0\x00\x0b\x08" + b"\xff" * 4 + b"\x01\x01\x11\x00\xff\xd9", "got 65535 x 65535"),
+        (b"\xff\xd8\xff\xe0\x00", "cut off within its header"),
+        (b"BM" + bytes(12) + b"\x28\0\0\0" + b"\xff\xff\0\0" * 2 + bytes(40), "got 65535 x 65535"),
+        (b"RIFF\0\0\0\0WEBPVP8 ", "not an image that can be decoded"),
+    ],
+    ids=["png", "tiff", "strip", "channels", "pgm", "digits", "jpeg", "short", "bmp", "webp"],
+)
+def test_an_image_that_would_be_too_large_is_refused_by_its_header(
+    tmp_path: Path, content: bytes, text: str
+) -> None:
+    path = write_pairs(tmp_path, scenes(1))
+    (path / "shot0_depth.png").write_bytes(content)
+    refused(path, text)
+
+
+def test_an_image_of_the_largest_size_is_decoded() -> None:
+    side = int(PIXELS_MAX**0.5)
+    assert decode_depth(black_png(side, side), "a").shape == (side, side)
+
+
+def test_texts_in_a_png_are_not_decompressed(tmp_path: Path) -> None:
+    text = png_chunk(
+        b"zTXt",
+        b"a\0\0" + zlib.compress(bytes(7 << 20), 9),
+    )
+    path = write_pairs(tmp_path, scenes(1))
+    depth = scenes(1)[0].depth_mm
+    encoded = cv2.imencode(".png", depth)[1].tobytes()
+    (path / "shot0_depth.png").write_bytes(encoded[:33] + text * 400 + encoded[33:])
+    np.testing.assert_array_equal(decode_depth((path / "shot0_depth.png").read_bytes(), "a"), depth)
+    reading = read_bounded(path)
+    assert reading.frames == 1
+    assert reading.taken_bytes < TAKEN_MAX
+
+
+def test_a_progressive_jpeg_of_thousands_of_scans_is_refused() -> None:
+    parameters = [cv2.IMWRITE_JPEG_PROGRESSIVE, 1]
+    content = cv2.imencode(".jpg", scenes(1)[0].color, parameters)[1].tobytes()
+    decode_color(content, "a")
+    last = content.rindex(b"\xff\xda")
+    with pytest.raises(FrameFormatError, match="more than 100 scans"):
+        decode_color(content[:last] + content[last:-2] * 200 + content[-2:], "a")
+
+
+@pytest.mark.parametrize("special", ["fifo", "zero", "folder", "nothing"])
+def test_an_image_that_is_no_regular_file_costs_its_frame(tmp_path: Path, special: str) -> None:
+    path = write_pairs(tmp_path, scenes(2))
+    image = path / "shot0_color.png"
+    image.unlink()
+    if special == "fifo":
+        os.mkfifo(image)
+    elif special == "zero":
+        image.symlink_to("/dev/zero")
+    elif special == "folder":
+        image.mkdir()
+    else:
+        image.symlink_to("nowhere")
+    reading = read_bounded(path)
+    assert reading.frames == 1
+    if special != "folder":
+        assert "shot0_color.png: the image cannot be read" in reading.errors[0]
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "camera.toml"])
+def test_a_pipe_is_no_recording_and_no_calibration(tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / name)
+    refused(tmp_path / name, "cannot be read (not a regular file)")
+
+
+CALIBRATIONS = {
+    "brackets.yml": "[" * 100_000,
+    "nested.yml": "%YAML:1.0\n---\nM1: " + "[" * 100_000,
+    "mappings.yaml": "".join(f"{' ' * n}a:\n" for n in range(600)),
+    "aliases.yml": "a: &a [x,x,x,x,x,x,x,x,x]\n"
+    + "".join(f"{b}: &{b} [{','.join([f'*{a}'] * 9)}]\n" for a, b in itertools.pairwise("abcdefghij"))
+    + "camera_matrix: *j\n",
+    "overlap.yml": "%YAML:1.0\n---\nM1: !!opencv-matrix\n  rows: 300000\n  cols: 300\n  dt: d\n"
+    "  data: [1., 2.]\n",
+    "negative.yml": "%YAML:1.0\n---\nM1: !!opencv-matrix\n  rows: -3\n  cols: -3\n  dt: d\n"
+    "  data: [1,2,3,4,5,6,7,8,9]\n",
+    "repeated.yaml": 'camera_matrix: {rows: "a", cols: 4000000000, data: [1]}\n',
+    "digits.yaml": f"image_width: {'9' * 5000}\nimage_height: 5\nk: [1,0,0,0,1,0,0,0,1]\n",
+    "date.yaml": "k: [2001-99-99, 0,0,0,1,0,0,0,1]\nwidth: 1\nheight: 1\n",
+    "tag.yaml": "k: !!python/object/apply:os.system ['true']\n",
+    "key.yaml": "? [1, 2]\n: 3\n",
+    "long.yaml": "k: [" + "1," * 200_000 + "1]",
+    "nested.xml": "<?xml version='1.0'?><opencv_storage>" + "<a>" * 100_000,
+    "nested_grabber.xml": "<rgb>" * 50_000,
+    "overlap.xml": "<?xml version='1.0'?><opencv_storage><M1 type_id='opencv-matrix'><rows>300000</rows>"
+    "<cols>300</cols><dt>d</dt><data>1. 2.</data></M1></opencv_storage>",
+    "entities.xml": "<!DOCTYPE a [<!ENTITY a 'aaaaaaaaaa'>]><rgb>&a;</rgb>",
+    "nested.json": '{"intrinsic_matrix": ' + "[" * 100_000,
+    "digits.json": f'{{"intrinsic_matrix": [{"9" * 5000}]}}',
+    "wide.json": '{"intrinsic_matrix": [1,0,0,0,1,0,0,0,1], "width": 1e300, "height": 5}',
+    "nested.toml": "registered = " + "[" * 50_000,
+    "digits.toml": f"depth_scale = {'9' * 5000}",
+    "hexadecimal.toml": f"depth_scale = 0x{'f' * 4000}",
+    "registered.toml": f"registered = 0x{'f' * 4000}",
+    "dotted.toml": ".".join(["a"] * 120_000) + " = 1",
+    "wide.toml": "registered = true\n[color]\nwidth = 99999999999\nheight = 1\nfx=1\nfy=1\ncx=1\ncy=1\n",
+    "large.toml": "# " + "x" * 10_000_000,
+    "words.txt": "1 2 " + "x" * 200_000,
+    "rows.txt": "1\n" * 100_000,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CALIBRATIONS)
+def test_a_hostile_calibration_gets_a_short_typed_error(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.write_text(CALIBRATIONS[name])
+    reading = read_bounded(path)
+    (error,) = reading.errors
+    assert error.startswith(f"CalibrationError: {path}: ")
+    assert len(error) - len(str(path)) < 400
+    assert reading.taken_bytes < 100 << 20
+
+
+def test_a_hostile_calibration_in_a_replayed_folder_gets_the_same(tmp_path: Path) -> None:
+    path = write_pairs(tmp_path, scenes(1), calibration=False)
+    (path / "calib.yml").write_text(CALIBRATIONS["brackets.yml"])
+    refused(path, "calib.yml: not valid YAML")
+
+
+def tum_lines(folder: Path, list_name: str) -> list[list[str]]:
+    return [line.split() for line in (folder / list_name).read_text().splitlines()[1:]]
+
+
+def write_list(folder: Path, list_name: str, lines: list[list[str]]) -> None:
+    (folder / list_name).write_text("".join(f"{' '.join(line)}\n" for line in lines))
+
+
+def test_the_lists_of_a_tum_folder_lead_nowhere_else(tmp_path: Path) -> None:
+    folder = write_tum(tmp_path / "tum", scenes(6))
+    lines = tum_lines(folder, "depth.txt")
+    outside = tmp_path / "outside.png"
+    outside.write_bytes((folder / lines[0][1]).read_bytes())
+    os.mkfifo(folder / "fifo.png")
+    (folder / "zero.png").symlink_to("/dev/zero")
+    (folder / "link.png").symlink_to(outside)
+    for line, name in zip(
+        lines, [str(outside), "../outside.png", "fifo.png", "zero.png", "link.png"], strict=False
+    ):
+        line[1] = name
+    write_list(folder, "depth.txt", lines)
+    reading = read_bounded(folder)
+    assert reading.frames == 1
+    leads_out = "the image is outside the recording's folder"
+    for error, text in zip(
+        reading.errors, [leads_out, leads_out, "not a regular file", leads_out, leads_out], strict=True
+    ):
+        assert text in error
+
+
+BAD_STAMPS = ["-5.0", "1e999999999", "9" * 5000, "nan", "1e15", "0x5", "1_0e300000"]
+
+
+@pytest.mark.parametrize("stamp", BAD_STAMPS)
+def test_a_stamp_out_of_bounds_costs_its_frame(tmp_path: Path, stamp: str, caplog) -> None:
+    folder = write_tum(tmp_path, scenes(3))
+    lines = tum_lines(folder, "depth.txt")
+    lines[1][0] = stamp
+    write_list(folder, "depth.txt", lines)
+    with open_source(folder) as source:
+        assert len(list(source)) == 2
+        assert source.metadata["dropped"] == "2"
+    assert "depth.txt: line 2: expected 'seconds file', got '" in caplog.text
+    assert "1 lines are passed over" in caplog.text
+
+
+def test_a_nul_in_a_name_costs_its_frame(tmp_path: Path) -> None:
+    folder = write_tum(tmp_path, scenes(3))
+    lines = tum_lines(folder, "depth.txt")
+    lines[1][1] = "depth/\0.png"
+    write_list(folder, "depth.txt", lines)
+    reading = read_bounded(folder)
+    assert reading.frames == 2
+    assert "'depth/\\x00.png': not the name of an image" in reading.errors[0]
+
+
+def test_a_list_of_one_moment_over_and_over_takes_neither_time_nor_memory(tmp_path: Path) -> None:
+    folder = write_tum(tmp_path, scenes(2))
+    for name in ("rgb.txt", "depth.txt"):
+        ((stamp, image), last) = tum_lines(folder, name)
+        same = [[stamp, image]] * 50_000
+        near = [[f"{stamp}{n:05}", image] for n in range(50_000)]
+        write_list(folder, name, [*same, *near, last])
+    reading = read_bounded(folder, frames_most=3)
+    assert reading.frames == 3
+    assert reading.taken_bytes < TAKEN_MAX
+
+
+def test_a_list_that_is_too_long_is_refused(tmp_path: Path) -> None:
+    folder = write_tum(tmp_path, scenes(1))
+    (folder / "rgb.txt").write_text("1 a\n" * 600_000)
+    refused(folder, "rgb.txt: expected 500000 lines at most, got 600000")
+    os.truncate(folder / "rgb.txt", 8 * GIB)
+    refused(folder, "rgb.txt: the list has 8589934592 bytes; expected 16777216 at most")
+
+
+def pcd(head: str, body: bytes) -> bytes:
+    fields = {
+        "FIELDS": "x y z",
+        "SIZE": "4 4 4",
+        "TYPE": "F F F",
+        "COUNT": "1 1 1",
+        "WIDTH": "64",
+        "HEIGHT": "48",
+    }
+    for line in head.splitlines():
+        name, _, value = line.partition(" ")
+        fields[name] = value
+    lines = "".join(f"{name} {value}\n" for name, value in fields.items() if name != "DATA")
+    return f"VERSION 0.7\n{lines}DATA {fields['DATA']}\n".encode() + body
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        (pcd("WIDTH 90000\nHEIGHT 90000\nDATA binary", b""), "WIDTH, HEIGHT: expected 16777216 points"),
+        (
+            pcd("FIELDS x y z w\nSIZE 4 4 4 8\nTYPE F F F F\nCOUNT 1 1 1 4096\nWIDTH 400\nHEIGHT 300\n"
+                "DATA binary_compressed", (8 << 20).to_bytes(4, "little") + bytes(4 + (8 << 20))),
+            "POINTS, SIZE, COUNT: expected 268435456 bytes at most",
+        ),
+        (pcd("DATA ascii", b"1 " * 5_000_000), "expected 3072 points of 3 numbers, got more"),
+        (pcd("DATA ascii", b"x" * 5_000_000 + b" 1" * 9215), "DATA: not a number"),
+        (pcd(f"WIDTH {'9' * 5000}\nDATA binary", b""), "WIDTH: expected a number over 0"),
+        (pcd("WIDTH \N{SUPERSCRIPT TWO}\nDATA binary", b""), "WIDTH: expected a number over 0"),
+        (pcd(f"COUNT 1 1 {'9' * 5000}\nDATA binary", b""), "COUNT: 'z': expected 1 to 4096"),
+        (
+            pcd(f"FIELDS {'a ' * 9000}\nSIZE {'4 ' * 9000}\nTYPE {'F ' * 9000}\nCOUNT {'1 ' * 9000}\n"
+                "DATA binary", b""),
+            "the header of a PCD file is missing or cut off",
+        ),
+        (
+            pcd(f"FIELDS {'a ' * 900}\nSIZE {'4 ' * 900}\nTYPE {'F ' * 900}\nCOUNT {'1 ' * 900}\n"
+                "DATA binary", b""),
+            "FIELDS: expected 256 at most, got 900",
+        ),
+    ],
+    ids=["points", "count", "more", "word", "digits", "unicode", "counts", "header", "fields"],
+)  # fmt: skip
+def test_a_cloud_that_would_be_too_large_is_refused_by_its_header(
+    tmp_path: Path, content: bytes, text: str
+) -> None:
+    path = tmp_path / "a.pcd"
+    path.write_bytes(content)
+    refused(path, text)
+
+
+def test_a_replayed_folder_that_is_deleted_ends_the_replay_and_says_so(tmp_path: Path) -> None:
+    folder = write_pairs(tmp_path / "pairs", scenes(4))
+    with open_source(folder) as source:
+        source.read()
+        shutil.rmtree(folder)
+        with pytest.raises(
+            RecordingFormatError, match=r"pairs: the recording is gone.* after 1 of 4 frames"
+        ) as found:
+            source.read()
+    assert not isinstance(found.value, FrameFormatError)
+
+
+def rewritten(
+    path: Path,
+    *,
+    schema: Callable[[bytes], bytes] = bytes,
+    message: Callable[[int, bytes], bytes] = lambda _, content: content,
+) -> Path:
+    """Copy a recording, its schemas' texts and its depth messages (by number) changed on the way."""
+    with path.open("rb") as stream:
+        records = list(StreamReader(stream).records)
+    depth = next(each.id for each in records if isinstance(each, Channel) and each.topic == names.DEPTH_TOPIC)
+    other = path.with_name("b.mcap")
+    number = 0
+    with other.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2", library="test")
+        for record in records:
+            if isinstance(record, Schema):
+                writer.register_schema(record.name, record.encoding, schema(record.data))
+            elif isinstance(record, Channel):
+                writer.register_channel(record.topic, record.message_encoding, record.schema_id)
+            elif isinstance(record, Message):
+                data = record.data
+                if record.channel_id == depth:
+                    data = message(number, data)
+                    number += 1
+                writer.add_message(record.channel_id, record.log_time, data, record.publish_time)
+            elif isinstance(record, DataEnd):
+                break
+        writer.finish()
+    return other
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        (b"string encoding\n", b"string encodimg\n", "field 4: expected 'string encoding'"),
+        (b"uint8[] data\n", b"uint8[4] dat\n", "expected 'uint8[] data', got 'uint8[4] dat'"),
+        (b"uint32 nanosec\n", b"uint64 nanosec\n", "Time 2: expected 'uint32 nanosec', got 'uint64 nanosec'"),
+    ],
+)
+def test_a_schema_that_lacks_a_field_is_named(tmp_path: Path, old: bytes, new: bytes, text: str) -> None:
+    path = write_mcap(tmp_path / "a.mcap", scenes(1), "raw")
+    other = rewritten(path, schema=lambda content: content.replace(old, new))
+    with pytest.raises(RecordingFormatError, match=r"b\.mcap: no topic of depth images") as found:
+        open_source(other)
+    assert text in str(found.value)
+
+
+def test_a_stamp_before_1970_in_a_message_costs_its_frame(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a.mcap", scenes(3), "raw")
+    early = (-7).to_bytes(4, "little", signed=True)
+    other = rewritten(path, message=lambda number, data: data[:4] + early + data[8:] if number == 1 else data)
+    read, errors = [], []
+    with open_source(other) as source:
+        while True:
+            try:
+                read.append(source.read())
+            except FrameFormatError as err:
+                errors.append(str(err))
+            except EndOfRecordingError:
+                break
+    assert len(read) == 2
+    (error,) = errors
+    # Seven seconds before, and the nanoseconds of the second frame.
+    assert "stamp: expected 1970 to 2038, got -6966666667 ns" in error
