@@ -24,6 +24,7 @@ _log = logging.getLogger(__name__)
 _UNITS_PER_METRE = 5000.0
 #: Digits of a stamp: seconds since 1970 with nanoseconds have 20.
 _STAMP_CHARACTERS_MAX = 40
+_NAME_CHARACTERS_MAX = 1024
 #: Partners looked at for an image: more are within the limit only where a list is not one of a camera.
 _NEAR_MAX = 64
 COLOR_LIST, DEPTH_LIST = "rgb.txt", "depth.txt"
@@ -150,6 +151,8 @@ def _read_list(path: Path) -> tuple[list[tuple[int, str]], int]:
             continue
         try:
             moment_ns, name = _moment_ns(words[0]), words[1]
+            if len(name) > _NAME_CHARACTERS_MAX:
+                raise ValueError(f"expected a name of {_NAME_CHARACTERS_MAX} characters at most")
         except (InvalidOperation, IndexError, ValueError):
             bad += 1
             wrong = wrong or f"{path}: line {place}: expected 'seconds file', got {quoted(line)}"

@@ -39,6 +39,7 @@ _TO_RGB = {
 }
 #: image_transport puts the parameters of its depth quantisation before the PNG.
 _COMPRESSED_DEPTH_HEADER = 12
+_FAR_M = 1e6
 _DISTORTION_MODELS = ("plumb_bob", "rational_polynomial", "")
 
 
@@ -114,7 +115,8 @@ def transforms_of(message: Any) -> list[tuple[str, str, NDArray[np.float64]]]:
         quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
         matrix = np.eye(4)
         matrix[:3, 3] = [place.x, place.y, place.z]
-        if not np.isfinite(matrix).all() or not np.isfinite(quaternion).all() or not quaternion.any():
+        # What is neither a place nor near a unit quaternion says nothing; it may also overflow.
+        if not np.abs(matrix[:3, 3]).max() < _FAR_M or not 1e-3 < np.abs(quaternion).max() < 1e3:
             continue
         matrix[:3, :3] = _rotation(quaternion)
         parent, child = each.header.frame_id.lstrip("/"), each.child_frame_id.lstrip("/")

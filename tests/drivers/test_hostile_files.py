@@ -278,6 +278,17 @@ def test_a_stamp_out_of_bounds_costs_its_frame(tmp_path: Path, stamp: str, caplo
     assert "1 lines are passed over" in caplog.text
 
 
+def test_a_name_of_thousands_of_characters_costs_its_frame(tmp_path: Path, caplog) -> None:
+    folder = write_tum(tmp_path, scenes(3))
+    lines = tum_lines(folder, "depth.txt")
+    lines[1][1] = "x" * 5000
+    write_list(folder, "depth.txt", lines)
+    with open_source(folder) as source:
+        assert len(list(source)) == 2
+    assert "depth.txt: line 2: expected 'seconds file'" in caplog.text
+    assert len(caplog.text) < 1000
+
+
 def test_a_nul_in_a_name_costs_its_frame(tmp_path: Path) -> None:
     folder = write_tum(tmp_path, scenes(3))
     lines = tum_lines(folder, "depth.txt")
