@@ -60,7 +60,11 @@ def test_a_chunk_whose_frame_claims_gigabytes_is_refused(tmp_path: Path) -> None
     refused(path, "no topic of depth images")
 
 
-@pytest.mark.parametrize("pattern", [b"\0", mcap_record(Opcode.MESSAGE, bytes(23)), mcap_record(200, b"")])
+@pytest.mark.parametrize(
+    "pattern",
+    [b"\0", mcap_record(Opcode.MESSAGE, bytes(23)), mcap_record(200, b"")],
+    ids=["zeros", "messages", "unknown"],
+)
 def test_millions_of_empty_records_in_a_chunk_cost_the_chunk(tmp_path: Path, pattern: bytes) -> None:
     content = pattern * ((CHUNK_BYTES_MAX - 64) // len(pattern))
     compressed = zstandard.ZstdCompressor(level=3).compress(content)
