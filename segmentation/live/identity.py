@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -12,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from nurbseg.drivers.compiled import compiled
-from nurbseg.segmentation.cut.features import lab
 from nurbseg.segmentation.labels.lookup import labels_present, looked_up, read_only
+from nurbseg.segmentation.live.appearance import Appearance, appearances_of, most_alike, updated
 from nurbseg.segmentation.points.registration import PointMap
 
 #: Identities fit into a label image of 16 bits; 0 is "no segment".
@@ -22,11 +21,6 @@ _IDENTITY_MAX = np.iinfo(np.uint16).max
 _OVERLAP_MIN = 0.2
 #: Share of a segment that another must have taken over for a split or a merge to be told.
 _TAKEN_SHARE = 0.3
-#: A segment that comes back may have moved this far (metres and a share of its distance), be this many
-#: times larger, or smaller since it appears bit by bit, and differ this much in color (CIELab).
-_RETURN_M, _RETURN_SHARE, _RETURN_LARGER, _RETURN_SMALLER, _RETURN_LAB = 0.05, 0.05, 3.0, 12.0, 20.0
-#: What is left of a remembered size after a frame in which less was seen; color goes with it.
-_SIZE_KEPT = 0.97
 #: Pixels of the image are compared on a grid of about this width.
 _GRID_WIDTH = 160
 
@@ -63,28 +57,6 @@ def event_text(event: Event) -> str:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Portrait:
-    """By what a segment is known again after it was hidden.
-
-    Parameters
-    ----------
-    center_m : (3,) float64
-        Mean of its points, metres.
-    color_lab : (3,) float64
-        Its mean color, CIELab.
-    pixels : int
-        Number of its pixels on the grid.
-    unseen : int
-        Frames since it was seen; 0 while it is.
-    """
-
-    center_m: NDArray[np.float64]
-    color_lab: NDArray[np.float64]
-    pixels: int
-    unseen: int = 0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Identities:
     """The identities of one frame's segments, and of those that were there shortly before.
 
@@ -94,7 +66,7 @@ class Identities:
         Identity of each label of the frame's label image.
     grid : (h, w) uint16
         Identity of every few pixels, for the comparison with the next frame.
-    portraits : mapping of int to Portrait
+    appearances : mapping of int to Appearance
         Of every identity that is seen, or was seen not long ago.
     events : tuple of Event
         What changed since the frame before.
@@ -104,7 +76,7 @@ class Identities:
 
     of_label: Mapping[int, int]
     grid: NDArray[np.uint16]
-    portraits: Mapping[int, Portrait] = field(default_factory=dict)
+    appearances: Mapping[int, Appearance] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
     next_identity: int = 1
 
@@ -158,11 +130,11 @@ def carry_identities(
     step = max(1, round(labels.shape[1] / _GRID_WIDTH))
     coarse = np.ascontiguousarray(labels[::step, ::step])
     every = labels_present(labels)
-    seen = _portraits(labels, every, cloud, step)
+    seen = appearances_of(labels, every, cloud, step)
     between = [int(each) for each in every if each and each not in seen]
     if between:
         # Slivers that lie between the grid's pixels.
-        seen |= _portraits(labels, between, cloud, 1)
+        seen |= appearances_of(labels, between, cloud, 1)
     if previous is None or previous.grid.shape != coarse.shape:
         previous = Identities({}, np.zeros_like(coarse), {}, (), 1)
     elif before is not None:
@@ -171,7 +143,7 @@ def carry_identities(
     matched = _matched(overlap, identities, present, previous, seen)
 
     events: list[Event] = []
-    free = dict(previous.portraits)
+    free = dict(previous.appearances)
     for identity in matched.values():
         free.pop(identity, None)
     next_identity = previous.next_identity
@@ -180,80 +152,34 @@ def carry_identities(
         if label in matched:
             of_label[label] = matched[label]
             continue
-        known = _known_again(seen[label], free)
+        known = most_alike(seen[label], free)
         if known is not None:
             del free[known]
             of_label[label] = known
             events.append(Event("back", known))
             continue
-        identity, next_identity = _fresh(next_identity, previous.portraits, of_label)
+        identity, next_identity = _fresh(next_identity, previous.appearances, of_label)
         of_label[label] = identity
         parent = _mostly_from(label, overlap, identities, present)
         events.append(Event("new", identity) if parent is None else Event("split", identity, parent))
 
-    portraits = {
-        identity: _updated(previous.portraits.get(identity), seen[label])
+    appearances = {
+        identity: updated(previous.appearances.get(identity), seen[label])
         for label, identity in of_label.items()
     }
-    for identity, portrait in previous.portraits.items():
-        if identity in portraits:
+    for identity, appearance in previous.appearances.items():
+        if identity in appearances:
             continue
-        unseen = portrait.unseen + 1
-        if portrait.unseen == 0:
+        unseen = appearance.unseen + 1
+        if appearance.unseen == 0:
             into = _mostly_into(identity, overlap, identities, present, of_label)
             events.append(Event("lost", identity) if into is None else Event("merge", identity, into))
         if unseen <= remembered:
-            portraits[identity] = Portrait(portrait.center_m, portrait.color_lab, portrait.pixels, unseen)
-    found = Identities(of_label, np.zeros_like(coarse), portraits, tuple(events), next_identity)
-    return Identities(of_label, found.image(coarse), portraits, tuple(events), next_identity)
-
-
-def _updated(before: Portrait | None, now: Portrait) -> Portrait:
-    """Return a portrait with its place now, and size and color of when more of it was seen."""
-    if before is None or now.pixels >= _SIZE_KEPT * before.pixels:
-        return now
-    return Portrait(now.center_m, before.color_lab, round(_SIZE_KEPT * before.pixels))
-
-
-def _portraits(
-    labels: NDArray[np.uint16], wanted: Sequence[int] | NDArray[np.intp], cloud: PointMap, step: int
-) -> dict[int, Portrait]:
-    """Portray some labels, ascending, from every few rows and columns, those that are there."""
-    sums = np.zeros((len(wanted), 7))
-    place = np.full(int(max(wanted, default=0)) + 1, -1)
-    place[wanted] = np.arange(len(wanted))
-    _sum_points(read_only(labels), cloud.points_m, cloud.color, step, place, sums)
-    counts = sums[:, 0]
-    means = sums[:, 1:] / np.maximum(counts, 1.0)[:, np.newaxis]
-    colors = lab(np.rint(means[:, 3:]).astype(np.uint8)).astype(np.float64)
-    return {
-        int(label): Portrait(means[n, :3], colors[n], int(counts[n]))
-        for n, label in enumerate(wanted)
-        if label and counts[n]
-    }
-
-
-@compiled
-def _sum_points(
-    labels: NDArray[np.uint16],
-    points_m: NDArray[np.float32],
-    color: NDArray[np.uint8],
-    step: int,
-    place: NDArray[np.int64],
-    sums: NDArray[np.float64],
-) -> None:
-    """Count pixels, and sum their points and colors, by the place of their label, if it has one."""
-    height, width = color.shape[:2]
-    for r in range(0, height, step):
-        for c in range(0, width, step):
-            label = labels[r * width + c]
-            if label >= place.size or place[label] < 0:
-                continue
-            own = sums[place[label]]
-            own[0] += 1.0
-            for axis in range(3):
-                own[1 + axis] += points_m[r, c, axis]
-                own[4 + axis] += color[r, c, axis]
+            appearances[identity] = Appearance(
+                appearance.center_m, appearance.color_lab, appearance.pixels, unseen
+            )
+    found = Identities(of_label, np.zeros_like(coarse), appearances, tuple(events), next_identity)
+    return Identities(of_label, found.image(coarse), appearances, tuple(events), next_identity)
 
 
 def _overlaps(
@@ -293,13 +219,13 @@ def _matched(
     identities: NDArray[np.uint16],
     present: NDArray[np.uint16],
     previous: Identities,
-    seen: Mapping[int, Portrait],
+    seen: Mapping[int, Appearance],
 ) -> dict[int, int]:
     """Return the identity that each label continues, for those that continue one."""
     common = overlap[1:, 1:]
     if common.size == 0:
         return {}
-    before = np.array([previous.portraits[int(each)].pixels for each in identities[1:]])
+    before = np.array([previous.appearances[int(each)].pixels for each in identities[1:]])
     now = np.array([seen[int(each)].pixels for each in present[1:]])
     # Points that come into view or go out of it are no disagreement: only what both frames label counts.
     both_before, both_now = common.sum(axis=1), common.sum(axis=0)
@@ -313,25 +239,8 @@ def _matched(
     }
 
 
-def _known_again(portrait: Portrait, lost: Mapping[int, Portrait]) -> int | None:
-    """Return the lost identity that a segment resembles most, if it resembles one."""
-    best: tuple[float, int] | None = None
-    for identity, other in lost.items():
-        reach = _RETURN_M + _RETURN_SHARE * math.hypot(*other.center_m)
-        # Hidden things go on moving.
-        reach *= 1.0 + 0.2 * other.unseen
-        distance = math.dist(portrait.center_m, other.center_m) / reach
-        color = math.dist(portrait.color_lab, other.color_lab) / _RETURN_LAB
-        ratio = portrait.pixels / max(1, other.pixels)
-        if distance <= 1 and color <= 1 and 1.0 / _RETURN_SMALLER <= ratio <= _RETURN_LARGER:
-            difference = distance + color
-            if best is None or difference < best[0]:
-                best = difference, identity
-    return None if best is None else best[1]
-
-
 def _fresh(
-    next_identity: int, remembered: Mapping[int, Portrait], given: Mapping[int, int]
+    next_identity: int, remembered: Mapping[int, Appearance], given: Mapping[int, int]
 ) -> tuple[int, int]:
     """Return an identity that nobody has, and the next one to try."""
     taken = {*remembered, *given.values()}

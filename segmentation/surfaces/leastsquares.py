@@ -7,6 +7,7 @@ from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.surfaces.banded import dot, factorize, substitute
 from nurbseg.segmentation.surfaces.bspline import SpanBasis, pixel_basis
 
 #: Added to the diagonal of the normal matrix, as a share of its largest entry. It decides only what the
@@ -152,11 +153,11 @@ def _fit(
     for n in range(size):
         band[n, 0] += _RIDGE_SHARE * largest
     control = np.empty((count, nv, nu))
-    solved = _factorize(band)
+    solved = factorize(band)
     if not solved:
         return False, control, held
     for c in range(count):
-        _substitute(band, right[c])
+        substitute(band, right[c])
         for a in range(nv):
             for b in range(nu):
                 value = right[c, a * step_v + b * step_u] + centers[c]
@@ -253,7 +254,7 @@ def _add_points(
                     sums[k] = whole[s, k]
             else:
                 for k in range(_PRODUCTS):
-                    sums[k] = _dot(part, products[k, begin:end])
+                    sums[k] = dot(part, products[k, begin:end])
             for k in range(_PRODUCTS):
                 product_v = own[_FIRST[k]] * own[_SECOND[k]]
                 target = matrix[s, k]
@@ -261,7 +262,7 @@ def _add_points(
                     target[m] += product_v * sums[m]
             for c in range(count):
                 for j in range(4):
-                    moments[j] = _dot(shifted[c, begin:end], along[j, begin:end])
+                    moments[j] = dot(shifted[c, begin:end], along[j, begin:end])
                 for i in range(4):
                     for j in range(4):
                         sides[s, c, i, j] += own[i] * moments[j]
@@ -285,14 +286,6 @@ def _spans(starts: NDArray[np.intp]) -> tuple[NDArray[np.intp], int]:
             spans += 1
     edges[spans] = starts.size
     return edges, spans
-
-
-@compiled
-def _dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    total = 0.0
-    for n in range(a.size):
-        total += a[n] * b[n]
-    return total
 
 
 @compiled
@@ -333,42 +326,6 @@ def _add_bends(band: NDArray[np.float64], weight: float, n: int, step: int, line
             for i in range(3):
                 for j in range(i, 3):
                     band[origin + i * step, (j - i) * step] += weight * _BEND[i] * _BEND[j]
-
-
-@compiled
-def _factorize(band: NDArray[np.float64]) -> bool:
-    """Replace a symmetric band by its Cholesky factor; False where it is not positive definite."""
-    size, width = band.shape
-    for n in range(size):
-        if not band[n, 0] > 0.0:
-            return False
-        pivot = np.sqrt(band[n, 0])
-        column = band[n]
-        reach = min(width, size - n)
-        for k in range(reach):
-            column[k] /= pivot
-        for k in range(1, reach):
-            factor = column[k]
-            if factor != 0.0:
-                target, source = band[n + k, : reach - k], column[k:reach]
-                for m in range(reach - k):
-                    target[m] -= factor * source[m]
-    return True
-
-
-@compiled
-def _substitute(factor: NDArray[np.float64], x: NDArray[np.float64]) -> None:
-    """Solve in place, given the Cholesky factor of the band."""
-    size, width = factor.shape
-    for n in range(size):
-        reach = min(width, size - n)
-        x[n] /= factor[n, 0]
-        value, column, rest = x[n], factor[n, 1:reach], x[n + 1 : n + reach]
-        for k in range(reach - 1):
-            rest[k] -= value * column[k]
-    for n in range(size - 1, -1, -1):
-        reach = min(width, size - n)
-        x[n] = (x[n] - _dot(factor[n, 1:reach], x[n + 1 : n + reach])) / factor[n, 0]
 
 
 __all__ = ["LinAlgError", "fit_control_points", "fit_splines"]

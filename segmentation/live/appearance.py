@@ -1,0 +1,123 @@
+"""What a segment looks like: by which it is known again after it was hidden."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.cut.features import lab
+from nurbseg.segmentation.labels.lookup import read_only
+from nurbseg.segmentation.points.registration import PointMap
+
+#: A segment that comes back may have moved this far (metres and a share of its distance), be this many
+#: times larger, or smaller since it appears bit by bit, and differ this much in color (CIELab).
+_RETURN_M, _RETURN_SHARE, _RETURN_LARGER, _RETURN_SMALLER, _RETURN_LAB = 0.05, 0.05, 3.0, 12.0, 20.0
+#: What is left of a remembered size after a frame in which less was seen; color goes with it.
+_SIZE_KEPT = 0.97
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Appearance:
+    """By what a segment is known again after it was hidden.
+
+    Parameters
+    ----------
+    center_m : (3,) float64
+        Mean of its points, metres.
+    color_lab : (3,) float64
+        Its mean color, CIELab.
+    pixels : int
+        Number of its pixels on the grid.
+    unseen : int
+        Frames since it was seen; 0 while it is.
+    """
+
+    center_m: NDArray[np.float64]
+    color_lab: NDArray[np.float64]
+    pixels: int
+    unseen: int = 0
+
+
+def updated(before: Appearance | None, now: Appearance) -> Appearance:
+    """Return an appearance with its place now, and size and color of when more of it was seen."""
+    if before is None or now.pixels >= _SIZE_KEPT * before.pixels:
+        return now
+    return Appearance(now.center_m, before.color_lab, round(_SIZE_KEPT * before.pixels))
+
+
+def appearances_of(
+    labels: NDArray[np.uint16], wanted: Sequence[int] | NDArray[np.intp], cloud: PointMap, step: int
+) -> dict[int, Appearance]:
+    """Describe the segments of some labels by every few rows and columns of a frame.
+
+    Parameters
+    ----------
+    labels : (H, W) uint16
+        Of the frame.
+    wanted : sequence of int
+        Labels, ascending; those that are not there are left out.
+    cloud : PointMap
+        The frame.
+    step : int
+        Pixels from one row or column to the next.
+    """
+    sums = np.zeros((len(wanted), 7))
+    place = np.full(int(max(wanted, default=0)) + 1, -1)
+    place[wanted] = np.arange(len(wanted))
+    _sum_points(read_only(labels), cloud.points_m, cloud.color, step, place, sums)
+    counts = sums[:, 0]
+    means = sums[:, 1:] / np.maximum(counts, 1.0)[:, np.newaxis]
+    colors = lab(np.rint(means[:, 3:]).astype(np.uint8)).astype(np.float64)
+    return {
+        int(label): Appearance(means[n, :3], colors[n], int(counts[n]))
+        for n, label in enumerate(wanted)
+        if label and counts[n]
+    }
+
+
+@compiled
+def _sum_points(
+    labels: NDArray[np.uint16],
+    points_m: NDArray[np.float32],
+    color: NDArray[np.uint8],
+    step: int,
+    place: NDArray[np.int64],
+    sums: NDArray[np.float64],
+) -> None:
+    """Count pixels, and sum their points and colors, by the place of their label, if it has one."""
+    height, width = color.shape[:2]
+    for r in range(0, height, step):
+        for c in range(0, width, step):
+            label = labels[r * width + c]
+            if label >= place.size or place[label] < 0:
+                continue
+            own = sums[place[label]]
+            own[0] += 1.0
+            for axis in range(3):
+                own[1 + axis] += points_m[r, c, axis]
+                own[4 + axis] += color[r, c, axis]
+
+
+def most_alike(appearance: Appearance, lost: Mapping[int, Appearance]) -> int | None:
+    """Return the lost identity that a segment resembles most, if it resembles one."""
+    best: tuple[float, int] | None = None
+    for identity, other in lost.items():
+        reach = _RETURN_M + _RETURN_SHARE * math.hypot(*other.center_m)
+        # Hidden things go on moving.
+        reach *= 1.0 + 0.2 * other.unseen
+        distance = math.dist(appearance.center_m, other.center_m) / reach
+        color = math.dist(appearance.color_lab, other.color_lab) / _RETURN_LAB
+        ratio = appearance.pixels / max(1, other.pixels)
+        if distance <= 1 and color <= 1 and 1.0 / _RETURN_SMALLER <= ratio <= _RETURN_LARGER:
+            difference = distance + color
+            if best is None or difference < best[0]:
+                best = difference, identity
+    return None if best is None else best[1]
+
+
+__all__ = ["Appearance", "appearances_of", "most_alike", "updated"]

@@ -1,0 +1,75 @@
+"""Symmetric systems whose entries lie on a band beside the diagonal: Cholesky factor and solution."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.compiled import compiled
+
+
+@compiled
+def dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """Add up the products of two rows."""
+    total = 0.0
+    for n in range(a.size):
+        total += a[n] * b[n]
+    return total
+
+
+@compiled
+def factorize(band: NDArray[np.float64]) -> bool:
+    """Replace a symmetric band by its Cholesky factor.
+
+    Parameters
+    ----------
+    band : (N, W) float64
+        Entry ``[n, k]`` is that of row ``n + k`` and column ``n``; replaced by the factor's.
+
+    Returns
+    -------
+    bool
+        False where the matrix is not positive definite.
+    """
+    size, width = band.shape
+    for n in range(size):
+        if not band[n, 0] > 0.0:
+            return False
+        pivot = np.sqrt(band[n, 0])
+        column = band[n]
+        reach = min(width, size - n)
+        for k in range(reach):
+            column[k] /= pivot
+        for k in range(1, reach):
+            factor = column[k]
+            if factor != 0.0:
+                target, source = band[n + k, : reach - k], column[k:reach]
+                for m in range(reach - k):
+                    target[m] -= factor * source[m]
+    return True
+
+
+@compiled
+def substitute(factor: NDArray[np.float64], x: NDArray[np.float64]) -> None:
+    """Solve a system in place.
+
+    Parameters
+    ----------
+    factor : (N, W) float64
+        As `factorize` leaves it.
+    x : (N,) float64
+        The right-hand side, replaced by the solution.
+    """
+    size, width = factor.shape
+    for n in range(size):
+        reach = min(width, size - n)
+        x[n] /= factor[n, 0]
+        value, column, rest = x[n], factor[n, 1:reach], x[n + 1 : n + reach]
+        for k in range(reach - 1):
+            rest[k] -= value * column[k]
+    for n in range(size - 1, -1, -1):
+        reach = min(width, size - n)
+        x[n] = (x[n] - dot(factor[n, 1:reach], x[n + 1 : n + reach])) / factor[n, 0]
+
+
+__all__ = ["dot", "factorize", "substitute"]
