@@ -13,11 +13,12 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.components import give_away_small_pieces
 from nurbseg.segmentation.cut.features import Normalization, normalized
 from nurbseg.segmentation.cut.ncut import Cut, normalized_cuts
-from nurbseg.segmentation.extended.borders import labels_of_every_pixel, refine_borders
+from nurbseg.segmentation.extended.borders import refine_borders
 from nurbseg.segmentation.extended.merge import merge_surfaces
 from nurbseg.segmentation.extended.scene import Scene, node_normalization, prepare
 from nurbseg.segmentation.labels.regions import large_pieces
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
+from nurbseg.segmentation.labels.upsample import labels_of_every_pixel
 from nurbseg.segmentation.points.grid import step_with_points
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import (

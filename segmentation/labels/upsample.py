@@ -1,4 +1,4 @@
-"""Labels for every pixel of the image from a tree that was decided on a coarser grid."""
+"""Labels for every pixel of the image from those on a coarser grid: by the cuts of a tree, or by depth."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.ncut import Cut
+from nurbseg.segmentation.labels.spreading import spread_labels
 from nurbseg.segmentation.points.grid import PixelGrid
 from nurbseg.segmentation.points.registration import PointMap
 
@@ -144,4 +147,71 @@ def _decide(
     return numbers
 
 
-__all__ = ["Split", "settle"]
+def labels_of_every_pixel(
+    on_grid: NDArray[np.int32],
+    grid_per_m: NDArray[np.float32],
+    per_m: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    config: SegmentationConfig,
+) -> NDArray[np.int32]:
+    """Give every pixel that has a point a label, from labels on every few rows and columns.
+
+    Parameters
+    ----------
+    on_grid : (h, w) int32
+        Labels on the grid, 0 for none.
+    grid_per_m : (h, w) float32
+        Inverse depth on the grid, 1/m.
+    per_m, valid : (H, W) float32 and bool
+        Inverse depth of every pixel, 1/m, and where there is a point.
+    config : SegmentationConfig
+        The grid's step and the gap in depth.
+
+    Returns
+    -------
+    (H, W) int32
+        The label of the place of the grid at or before the pixel, unless a gap in depth is in between:
+        then that of the neighbour nearest in inverse depth. 0 only where there is no point.
+    """
+    labels = np.empty(valid.shape, dtype=np.int32)
+    open_pixels = np.empty(valid.shape, dtype=np.bool_)
+    _take_over(
+        np.ascontiguousarray(on_grid),
+        np.ascontiguousarray(grid_per_m),
+        np.ascontiguousarray(per_m),
+        np.ascontiguousarray(valid),
+        config.decimation,
+        np.float32(config.depth_gap_per_m),
+        labels,
+        open_pixels,
+    )
+    return spread_labels(labels, open_pixels, per_m, config.depth_gap_per_m)
+
+
+@compiled
+def _take_over(
+    on_grid: NDArray[np.int32],
+    grid_per_m: NDArray[np.float32],
+    per_m: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    step: int,
+    gap_per_m: np.float32,
+    labels: NDArray[np.int32],
+    open_pixels: NDArray[np.bool_],
+) -> None:
+    """Give pixels the label of their place of the grid, where no gap is in between; open the others."""
+    height, width = valid.shape
+    row_labels, row_per_m = np.empty(width, dtype=np.int32), np.empty(width, dtype=np.float32)
+    for row in range(height):
+        if row % step == 0:
+            for column in range(width):
+                row_labels[column] = on_grid[row // step, column // step]
+                row_per_m[column] = grid_per_m[row // step, column // step]
+        for column in range(width):
+            near = abs(row_per_m[column] - per_m[row, column]) < gap_per_m
+            label = row_labels[column] if near & valid[row, column] else np.int32(0)
+            labels[row, column] = label
+            open_pixels[row, column] = valid[row, column] & (label == 0)
+
+
+__all__ = ["Split", "labels_of_every_pixel", "settle"]

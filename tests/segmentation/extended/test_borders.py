@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.borders import labels_of_every_pixel, refine_borders
+from nurbseg.segmentation.extended.borders import refine_borders
+from nurbseg.segmentation.labels.upsample import labels_of_every_pixel
 from nurbseg.segmentation.surfaces.inverse_depth import (
     depth_grid,
     fit_window,
