@@ -47,8 +47,8 @@ def _small_pieces(
     )
     small = stats[:, cv2.CC_STAT_AREA] < pixels_min
     small[0] = False
-    if count <= 1 or not small.any() or not other.any():
-        return np.zeros_like(region)
+    if not small.any():
+        return small[pieces]
     near = cv2.dilate(other.view(np.uint8), np.ones((3, 3), dtype=np.uint8))
     touching = np.zeros(count, dtype=np.bool_)
     touching[pieces[near.view(np.bool_)]] = True

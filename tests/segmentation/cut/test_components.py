@@ -1,4 +1,6 @@
 import numpy as np
+import pytest
+from scipy import ndimage
 
 from nurbseg.segmentation.cut.components import give_away_small_pieces
 
@@ -48,3 +50,29 @@ def test_outside_of_the_mask_there_is_no_side():
 def test_no_points_have_no_pieces():
     mask, side = picture("....", "....")
     assert not give_away_small_pieces(mask, side, 5).any()
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_pieces_are_those_that_scipy_finds(seed):
+    rng = np.random.default_rng(seed)
+    blurred = ndimage.gaussian_filter(rng.standard_normal((13, 17)), 0.3 + 0.1 * seed)
+    mask, side = rng.random((13, 17)) < 0.8, blurred > np.quantile(blurred, 0.4)
+    pixels_min = 1 + seed % 6
+    expected = side & mask
+    for value in (True, False):
+        pieces, count = ndimage.label(mask & (expected == value), np.ones((3, 3)))
+        other = mask & (expected != value)
+        for piece in range(1, count + 1):
+            own = pieces == piece
+            if own.sum() < pixels_min and (ndimage.binary_dilation(own, np.ones((3, 3))) & other).any():
+                expected[own] = not value
+    assert (give_away_small_pieces(mask, side, pixels_min) == expected).all()
+
+
+@pytest.mark.parametrize("direction", [d for d in np.ndindex(3, 3) if d != (1, 1)])
+def test_a_piece_may_touch_the_other_side_in_any_direction(direction):
+    mask = np.zeros((7, 7), dtype=bool)
+    mask[3, 3] = mask[2 + direction[0], 2 + direction[1]] = True
+    side = np.zeros((7, 7), dtype=bool)
+    side[3, 3] = True
+    assert not give_away_small_pieces(mask, side, 2).any()

@@ -1,8 +1,9 @@
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.cut.features import features, lab
+from nurbseg.segmentation.cut.features import features, lab, normalization, normalized
 
 
 def exact_lab(rgb):
@@ -53,3 +54,41 @@ def test_a_lambda_of_zero_leaves_color_alone(cloud_of):
     rng = np.random.default_rng(3)
     cloud = cloud_of(rng.uniform(1, 2, (9, 9)), rng.integers(0, 256, (9, 9, 3)))
     assert (features(cloud, SegmentationConfig(geometry_weight=0.0))[:, 3:] == 0).all()
+
+
+@pytest.mark.parametrize("columns", [6, 9])
+def test_each_triple_of_some_rows_has_its_mean_deviation_and_weight(columns):
+    rng = np.random.default_rng(4)
+    raw = (rng.normal(size=(50, columns)) * rng.uniform(0.1, 9.0, columns) + 5.0).astype(np.float32)
+    rows = np.flatnonzero(rng.random(50) < 0.5)
+    scale = normalization(raw, 2.0, color_weight=0.25, normal_weight=3.0, rows=rows)
+    exact = raw[rows].astype(float)
+    sigma = exact.std(axis=0).reshape(-1, 3).mean(axis=1)
+    assert_allclose(scale.mean, exact.mean(axis=0), rtol=1e-6)
+    assert_allclose(scale.factor, np.repeat([0.25, 2.0, 3.0][: columns // 3] / sigma, 3), rtol=1e-5)
+    assert_allclose(normalized(raw, scale, rows), (exact - scale.mean) * scale.factor, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("first", "value", "spread", "counts"),
+    [
+        # Rounding of L, a, b near 50 is up to 51e-5, of metres near 1 up to 1e-6; of normals as of metres.
+        (0, 50.0, 4e-4, False),
+        (0, 50.0, 8e-4, True),
+        (0, 0.0, 0.8e-5, False),
+        (0, 0.0, 1.3e-5, True),
+        (3, 1.0, 0.6e-6, False),
+        (3, 1.0, 2e-6, True),
+        (3, 0.0, 1e-9, True),
+        (6, 1.0, 2e-6, True),
+    ],
+)
+def test_a_spread_of_rounding_is_none(first, value, spread, counts):
+    raw = np.random.default_rng(5).normal(size=(40, 9)).astype(np.float32)
+    raw[:, first : first + 3] = 0.0
+    # All of the spread along one axis: the mean of three deviations is a third of it.
+    raw[:, first] = value + 3 * spread * np.where(np.arange(40) % 2, 1, -1)
+    factor = normalization(raw, 1.0).factor
+    assert (factor[first : first + 3] > 0).all() == counts
+    assert (factor[first : first + 3] == 0).all() != counts
+    assert (np.delete(factor, np.s_[first : first + 3]) > 0).all()

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from nurbseg.segmentation.cut.ncut import affinity, normalized_cut, normalized_cuts
+from nurbseg.segmentation.cut.ncut import _take_out, affinity, normalized_cut, normalized_cuts
 
 
 def dense_affinity(vectors: NDArray[np.float32], scale: float = 1.0) -> NDArray[np.float64]:
@@ -169,3 +169,53 @@ def test_points_that_are_all_far_apart_have_cuts_or_a_reason():
     for cut in normalized_cuts(vectors, count=3, samples=30, rng=rng, affinity_scale=0.7):
         assert cut.side.shape == (200,)
         assert cut.reason or (cut.side.any() and not cut.side.all())
+
+
+def test_a_direction_is_taken_out_on_both_sides():
+    rng = np.random.default_rng(1)
+    S, first = rng.normal(size=(7, 7)), rng.normal(size=7)
+    S, first = S + S.T, first / np.linalg.norm(first)
+    rest = np.eye(7) - np.outer(first, first)
+    expected = rest @ S @ rest
+    _take_out(S, first)
+    assert_allclose(S, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_the_cuts_are_those_of_the_second_eigenvector_and_the_next(count):
+    rng = np.random.default_rng(3)
+    vectors = rng.normal(0, 0.5, (120, 4)).astype(np.float32)
+    # Four things at distances of their own, so that no two eigenvalues are alike.
+    for number, at in enumerate([(0, 0, 0, 0), (2.0, 0, 0, 0), (0, 2.6, 0, 0), (0, 0, 3.4, 0)]):
+        vectors[30 * number : 30 * (number + 1)] += np.array(at, dtype=np.float32)
+    W = dense_affinity(vectors)
+    D = np.diag(W.sum(axis=1))
+    exact = eigh(D - W, D)[1][:, 1 : 1 + count]
+    cuts = list(normalized_cuts(vectors, count=count, samples=120, rng=rng))
+    assert len(cuts) == count
+    for cut, indicator in zip(cuts, exact.T, strict=True):
+        clear = np.abs(indicator) > 2e-3 * np.abs(indicator).max()
+        assert clear.sum() > 100
+        assert same_partition(cut.side[clear], indicator[clear] > 0)
+        # Continued to where the points are, the cut is the same.
+        assert (cut.classify(vectors) == cut.side).all()
+
+
+@pytest.mark.parametrize("points", [None, 200])
+def test_the_least_ncut_is_that_of_the_best_of_so_many_thresholds(points):
+    """Over thresholds at equal counts of points on the dense eigenvector, by the definition of Ncut."""
+    rng = np.random.default_rng(2)
+    vectors = np.concatenate([rng.normal(0, 0.7, (150, 3)), rng.normal(2.2, 0.4, (50, 3))]).astype(np.float32)
+    W = dense_affinity(vectors, 0.7)
+    order = np.argsort(dense_indicator(vectors, 0.7))
+    costs = {}
+    for edge in {(k * 200) // 48 for k in range(1, 48)}:
+        side = np.zeros(200, dtype=bool)
+        side[order[:edge]] = True
+        costs[edge] = ncut_of(W, side)
+    cut = normalized_cut(
+        vectors, samples=200, rng=rng, affinity_scale=0.7, splitting_point="ncut", points=points
+    )
+    best = min(costs, key=lambda edge: costs[edge])
+    assert cut.side.sum() in (best, 200 - best)
+    assert ncut_of(W, cut.side) == pytest.approx(costs[best], rel=1e-3)

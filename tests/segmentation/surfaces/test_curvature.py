@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from exact_surface import principal_curvatures as exact_curvatures
 from numpy.testing import assert_allclose
 
 from nurbseg.segmentation.config import SegmentationConfig
@@ -64,6 +65,21 @@ def test_a_rational_cylinder_is_exact():
     assert_allclose(np.minimum(np.abs(k1), np.abs(k2)), 0.0, atol=1e-10)
 
 
+def test_curvatures_are_the_eigenvalues_of_the_shape_operator():
+    """Of a rational surface with nothing regular about it, by SciPy's splines."""
+    rng = np.random.default_rng(0)
+    knots = np.array([0.0, 0, 0, 0, 3, 8, 8, 8, 8])
+    rows, columns = np.mgrid[:5, :5]
+    control = np.stack([columns, rows + 0.3 * columns, np.zeros((5, 5))], axis=-1) * 0.1
+    control += 0.02 * rng.normal(size=(5, 5, 3))
+    surface = NurbsSurface((3, 3), knots, knots, control, rng.uniform(0.5, 2.0, (5, 5)), (0, 0, 9, 9))
+    pixels = np.arange(81)
+    exact = exact_curvatures(surface, pixels % 9, pixels // 9)
+    assert np.abs(exact).max() > 5.0
+    assert_allclose(principal_curvatures(surface, pixels % 9, pixels // 9), exact, rtol=1e-6, atol=1e-6)
+    assert_allclose(curvatures_at_pixels(surface, pixels, 9), exact, rtol=1e-6, atol=1e-6)
+
+
 def test_pixels_and_scattered_parameters_agree():
     cloud = graph_cloud(lambda x, y: 0.5 * x * y + x**3)
     fit = fit_surface(cloud, np.arange(81 * 81), SegmentationConfig())
@@ -74,9 +90,12 @@ def test_pixels_and_scattered_parameters_agree():
     assert_allclose(at_pixels, scattered, atol=1e-9)
 
 
-def test_a_surface_without_a_tangent_plane_has_no_curvature():
+@pytest.mark.parametrize("along", [0.0, 1.0], ids=["a point", "a line"])
+def test_a_surface_without_a_tangent_plane_has_no_curvature(along):
     knots = np.array([0.0, 0, 0, 0, 1, 1, 1, 1])
-    surface = NurbsSurface((3, 3), knots, knots, np.ones((4, 4, 3)), np.ones((4, 4)), (0, 0, 2, 2))
+    rows, columns = np.mgrid[:4, :4]
+    control = np.ones((4, 4, 3)) + along * (rows + 2.0 * columns**2)[..., None] * np.array([0.1, 0.3, 0.2])
+    surface = NurbsSurface((3, 3), knots, knots, control, np.ones((4, 4)), (0, 0, 2, 2))
     k1, k2 = principal_curvatures(surface, np.array([0.5]), np.array([0.5]))
     assert np.isnan(k1).all()
     assert np.isnan(k2).all()

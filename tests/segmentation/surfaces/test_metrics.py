@@ -3,6 +3,7 @@ import pytest
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.surfaces.metrics import (
+    CURVATURE_METRICS,
     METRICS,
     acceptance_ratio,
     curvature_metrics,
@@ -19,18 +20,22 @@ def test_residual_metrics_worked_by_hand():
 
 
 def test_curvature_metrics_worked_by_hand():
-    k1, k2 = np.array([1.0, 4.0, 30.0]), np.array([-3.0, 2.0, -20.0])
+    k1, k2 = np.array([1.0, 10.0, 30.0]), np.array([-3.0, 2.0, -20.0])
     values = curvature_metrics(k1, k2, SegmentationConfig())
-    assert values["mmxc"] == pytest.approx((3 + 4 + 30) / 3)
-    assert values["vmxc"] == pytest.approx(np.var([3, 4, 30]))
-    assert values["vmec"] == pytest.approx(np.var([-1, 3, 5]))
-    assert values["vgc"] == pytest.approx(np.var([-3, 8, -600]))
-    assert values["nlc"] == 1
+    assert values["mmxc"] == pytest.approx((3 + 10 + 30) / 3)
+    assert values["vmxc"] == pytest.approx(np.var([3, 10, 30]))
+    assert values["vmec"] == pytest.approx(np.var([-1, 6, 5]))
+    assert values["vgc"] == pytest.approx(np.var([-3, 20, -600]))
+    assert values["nlc"] == 1, "a curvature of exactly T_c is not large"
 
 
 def test_curvature_that_is_not_defined_is_left_out():
-    values = curvature_metrics(np.array([2.0, np.nan]), np.array([1.0, np.nan]), SegmentationConfig())
+    values = curvature_metrics(
+        np.array([2.0, np.nan, 9.0]), np.array([1.0, 7.0, np.nan]), SegmentationConfig()
+    )
     assert values["mmxc"] == 2.0
+    nowhere = curvature_metrics(np.full(3, np.nan), np.full(3, np.nan), SegmentationConfig())
+    assert nowhere == dict.fromkeys(CURVATURE_METRICS, 0.0)
 
 
 @pytest.mark.parametrize("metric", METRICS)
@@ -41,11 +46,16 @@ def test_ratios_weigh_means_by_size_and_add_counts(metric):
 
 def test_what_is_zero_cannot_improve():
     assert acceptance_ratio("mse", (0.0, 100), (0.0, 50), (0.0, 50)) == np.inf
+    assert acceptance_ratio("nle", (0.0, 100), (0.0, 50), (0.0, 50)) == np.inf
+    assert acceptance_ratio("mse", (1.0, 0), (0.0, 0), (0.0, 0)) == np.inf
+    assert acceptance_ratio("mse", (1.0, 1), (0.5, 1)) == 0.5
 
 
 def test_residuals_that_are_rounding_count_as_none():
-    assert residual_metrics(np.full(5, 3e-7), SegmentationConfig())["mse"] == 0.0
-    assert residual_metrics(np.full(5, 3e-6), SegmentationConfig())["mse"] > 0.0
+    rounding = residual_metrics(np.array([0.0, 1e-6]), SegmentationConfig())
+    assert rounding == {"mse": 0.0, "mae": 0.0, "ve": 0.0, "nle": 0.0}
+    # All together or not at all.
+    assert residual_metrics(np.array([0.0, 1.1e-6]), SegmentationConfig())["mae"] == 0.55e-6
 
 
 def test_no_points_have_no_error():
