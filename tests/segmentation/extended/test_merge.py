@@ -1,9 +1,11 @@
+from itertools import combinations
+
 import numpy as np
 import pytest
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.contact import meetings
-from nurbseg.segmentation.extended.merge import merge_surfaces
+from nurbseg.segmentation.extended.contact import Meeting, meetings
+from nurbseg.segmentation.extended.merge import merge_surfaces, merged_objects
 from nurbseg.segmentation.points.rays import rays_of
 from nurbseg.segmentation.surfaces.inverse_depth import depth_grid, fit_window
 
@@ -133,3 +135,100 @@ def test_a_crease_far_away_is_seen_in_spite_of_noise_that_hides_it_from_one_fit(
     assert contacts[0].concavity > 1.0
     assert not contacts[0].smooth
     assert len(objects) == 2
+
+
+def merged_from_scratch(found, smooth, count, config):
+    """Groups by merging the least concave pair again and again, its borders added up anew each time.
+
+    Of pairs alike in that, which smooth ones are, the one with the smallest labels goes first.
+    """
+    groups = [{label} for label in range(1, count + 1)]
+    while True:
+        able = []
+        for one, other in combinations(sorted(groups, key=min), 2):
+            across = [
+                each
+                for each in found
+                if (each.first in one and each.second in other)
+                or (each.first in other and each.second in one)
+            ]
+            samples, touching = (sum(getattr(m, name) for m in across) for name in ("samples", "touching"))
+            turned = sum(m.concavity_sum for m in across if (m.first, m.second) not in smooth)
+            allowed = any(config.merge_crease or (m.first, m.second) in smooth for m in across)
+            if allowed and touching >= 4 and touching >= samples / 2:
+                able.append((turned / touching, one, other))
+        able = [each for each in able if each[0] < config.concavity_max]
+        if not able:
+            return sorted(map(sorted, groups))
+        _, one, other = min(able, key=lambda each: each[0])
+        groups = [each for each in groups if each not in (one, other)] + [one | other]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_least_concave_pair_is_merged_first_and_its_borders_are_pooled(seed):
+    rng = np.random.default_rng(seed)
+    count = 9
+    found = []
+    for first, second in combinations(range(1, count + 1), 2):
+        if rng.random() < 0.5:
+            samples = int(rng.integers(2, 12))
+            touching = int(rng.integers(samples // 3, samples + 1))
+            found.append(Meeting(first, second, samples, touching, touching * rng.normal(0.15, 0.2)))
+    smooth = {(each.first, each.second) for each in found if rng.random() < 0.2}
+    labels = rng.integers(0, count + 1, (9, 13)).astype(np.int32)
+    config = SegmentationConfig(merge_crease=bool(seed % 3))
+    names = [f"{number:04b}" for number in range(count)]
+    objects, contacts = merged_objects(found, smooth, labels, names, config)
+    groups = merged_from_scratch(found, smooth, count, config)
+    assert sorted(sorted(names.index(name) + 1 for name in each.leaves) for each in objects) == groups
+    # Largest first, the leaves of each in their order.
+    pixels = [sum(np.count_nonzero(labels == names.index(n) + 1) for n in each.leaves) for each in objects]
+    assert pixels == sorted(pixels, reverse=True)
+    assert all(list(each.leaves) == sorted(each.leaves) for each in objects)
+    together = {name: each for each in objects for name in each.leaves}
+    for contact, meeting in zip(contacts, found, strict=True):
+        assert (contact.first, contact.second) == (names[meeting.first - 1], names[meeting.second - 1])
+        assert (contact.samples, contact.touching) == (meeting.samples, meeting.touching)
+        assert contact.merged == (together[contact.first] is together[contact.second])
+        assert contact.smooth == ((meeting.first, meeting.second) in smooth)
+        if meeting.touching:
+            assert contact.concavity == meeting.concavity_sum / meeting.touching
+
+
+@pytest.mark.parametrize(
+    ("meeting", "smooth", "crease", "merged", "reason"),
+    [
+        ((20, 20, -8.0), False, True, True, "a convex or flat crease of -0.40"),
+        ((20, 20, 2.39), False, True, True, "a convex or flat crease of 0.12"),
+        ((20, 20, 2.4), False, True, False, "a concave crease of 0.12, 0.12 at most is merged"),
+        ((20, 20, -8.0), False, False, False, "a convex or flat crease of -0.40"),
+        ((20, 20, 8.0), True, True, True, "a smooth border: one surface explains both sides"),
+        ((20, 20, 8.0), True, False, True, "a smooth border: one surface explains both sides"),
+        ((20, 9, -8.0), True, True, False, "a gap: 9 of 20 places along the border touch"),
+        ((3, 3, -1.0), False, True, False, "a gap: 3 of 3 places along the border touch"),
+        ((3, 0, 0.0), False, True, False, "a gap: 0 of 3 places along the border touch"),
+    ],
+)
+def test_a_contact_says_why_it_is_merged_or_not(meeting, smooth, crease, merged, reason):
+    config = SegmentationConfig(merge_crease=crease, concavity_max=0.12)
+    labels = np.array([[1, 1, 2]], dtype=np.int32)
+    pairs = {(1, 2)} if smooth else set()
+    objects, (contact,) = merged_objects([Meeting(1, 2, *meeting)], pairs, labels, ("0", "1"), config)
+    assert (contact.merged, contact.reason) == (merged, reason)
+    assert len(objects) == 2 - merged
+    assert np.isnan(contact.concavity) == (meeting[1] == 0)
+
+
+def test_a_contact_says_that_others_joined_or_parted_it():
+    labels = np.array([[1, 2, 3]], dtype=np.int32)
+    convex, concave = (Meeting(1, 2, 20, 20, -8.0), Meeting(2, 3, 20, 20, -8.0)), Meeting(1, 3, 20, 20, 6.0)
+    objects, contacts = merged_objects([*convex, concave], set(), labels, NAMES[:3], CONFIG)
+    assert len(objects) == 1
+    assert contacts[2].reason.startswith(
+        "joined through other surfaces, in spite of a concave crease of 0.30"
+    )
+    # The third is convex to one of two, but more concave to the other.
+    weak = Meeting(2, 3, 20, 20, -1.0)
+    objects, contacts = merged_objects([convex[0], weak, concave], set(), labels, NAMES[:3], CONFIG)
+    assert [each.leaves for each in objects] == [NAMES[:2], NAMES[2:3]]
+    assert contacts[1].reason == "a convex or flat crease of -0.05, but their objects meet in a concave one"

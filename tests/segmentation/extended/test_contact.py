@@ -1,0 +1,108 @@
+"""Borders between planes, whose normals and distances are known, crossing by crossing."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from nurbseg.segmentation.extended.contact import Meeting, in_contact, meetings
+from nurbseg.segmentation.points.rays import Rays
+
+FOCAL, CENTER = (300.0, 240.0), (150.0, 10.0)
+GAP = 0.05
+
+
+def pinhole() -> Rays:
+    """Rays ((u - cx) / fx, (v - cy) / fy, 1)."""
+    coefficients = np.zeros((2, 6, 6))
+    coefficients[0, 1, 0], coefficients[1, 0, 1] = 100.0 / FOCAL[0], 100.0 / FOCAL[1]
+    return Rays(coefficients, CENTER, 100.0)
+
+
+def ray(u: float, v: float) -> np.ndarray:
+    return np.array([(u - CENTER[0]) / FOCAL[0], (v - CENTER[1]) / FOCAL[1], 1.0])
+
+
+class Planes:
+    """Planes n . p = 1, so that the inverse depth at a pixel is n . ray; the last label has none."""
+
+    def __init__(self, normals: np.ndarray) -> None:
+        self.normals = normals
+
+    def __call__(self, label, u, v):
+        n = self.normals[label - 1]
+        per_m = np.array([each @ ray(*at) for each, at in zip(n, zip(u, v, strict=True), strict=True)])
+        return per_m, n[:, 0] / FOCAL[0], n[:, 1] / FOCAL[1]
+
+
+def crossings(labels: np.ndarray, reach: int):
+    """Where a row or column goes from one label to another, over so many pixels of none at most."""
+    for turned in (False, True):
+        image = labels.T if turned else labels
+        for line, row in enumerate(image.tolist()):
+            there = [place for place, label in enumerate(row) if label]
+            for before, after in pairwise(there):
+                if row[before] != row[after] and after - before <= reach:
+                    yield turned, line, before, after, row[before], row[after]
+
+
+def expected_meetings(labels, normals, reach, inset) -> list[Meeting]:
+    found: dict[tuple[int, int], list[float]] = {}
+    for turned, line, before, after, one, other in crossings(labels, reach):
+        key = min(one, other), max(one, other)
+        counts = found.setdefault(key, [0, 0, 0.0])
+        counts[0] += 1
+
+        def at(place, turned=turned, line=line):
+            return ray(line, place) if turned else ray(place, line)
+
+        planes = [normals[one - 1], normals[other - 1]]
+        middle = at((before + after) / 2)
+        if not abs(planes[0] @ middle - planes[1] @ middle) < GAP:
+            continue
+        counts[1] += 1
+        rays = [at(before - inset), at(after + inset)]
+        points = [each / (plane @ each) for each, plane in zip(rays, planes, strict=True)]
+        towards = [-plane / np.linalg.norm(plane) for plane in planes]
+        chord = (points[1] - points[0]) / np.linalg.norm(points[1] - points[0])
+        counts[2] += -(towards[1] - towards[0]) @ chord
+    return [Meeting(*key, *counts) for key, counts in sorted(found.items())]
+
+
+@pytest.mark.parametrize(("width", "reach", "inset"), [(320, 3, 2.0), (107, 1, 1.0), (200, 2, 1.25)])
+def test_borders_are_measured_crossing_by_crossing(width, reach, inset):
+    rng = np.random.default_rng(width)
+    blocks = rng.integers(0, 7, (6, 8))
+    labels = np.kron(blocks, np.ones((4, 41), dtype=np.int32))[:, :width].astype(np.int32)
+    # Gaps of all widths without a point, across and along.
+    labels[rng.random(labels.shape) < 0.25] = 0
+    normals = rng.normal([0.0, 0.0, 1.0], [0.4, 0.4, 0.02], (7, 3))
+    normals[6] = np.nan
+    found = meetings(labels, (), pinhole(), gap_per_m=GAP, evaluate=Planes(normals))
+    expected = expected_meetings(labels, normals, reach, inset)
+    assert len(expected) > 10
+    assert [each[:4] for each in map(astuple, found)] == [each[:4] for each in map(astuple, expected)]
+    concavities = [each.concavity_sum for each in expected]
+    assert [each.concavity_sum for each in found] == pytest.approx(concavities, abs=1e-9)
+    touching = np.array([[each.touching, each.samples] for each in found])
+    assert (touching[:, 0] > 0).any()
+    assert (touching[:, 0] < touching[:, 1]).any()
+
+
+def astuple(each: Meeting) -> tuple[float, ...]:
+    return each.first, each.second, each.samples, each.touching, each.concavity_sum
+
+
+def test_one_label_meets_nobody():
+    labels = np.ones((5, 9), dtype=np.int32)
+    labels[2, 3:6] = 0
+    assert meetings(labels, (), pinhole(), gap_per_m=GAP, evaluate=Planes(np.ones((1, 3)))) == ()
+    assert meetings(0 * labels, (), pinhole(), gap_per_m=GAP, evaluate=Planes(np.ones((1, 3)))) == ()
+
+
+@pytest.mark.parametrize(
+    ("samples", "touching", "expected"),
+    [(3, 3, False), (4, 4, True), (8, 4, True), (9, 4, False), (9, 5, True)],
+)
+def test_contact_takes_four_places_and_half_of_all(samples, touching, expected):
+    assert in_contact(samples, touching) == expected
