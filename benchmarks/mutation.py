@@ -1,7 +1,7 @@
 """Whether the tests notice: places of the code are changed one at a time, and the tests must fail each time.
 
 The operators are those of Cosmic Ray. What is changed is a copy of the installed package, whose compiled
-functions are compiled anew with it; tests and source are left alone.
+functions are compiled anew with it, as are those that call them; tests and source are left alone.
 
 Examples
 --------
@@ -36,8 +36,11 @@ from typing import Any
 import cosmic_ray.plugins
 from cosmic_ray.ast import ast_nodes, get_ast
 from cosmic_ray.ast.ast_query import ASTQuery
-from cosmic_ray.mutating import mutate_and_test, mutate_code
+from cosmic_ray.mutating import mutate_code, use_mutation
+from cosmic_ray.testing import run_tests
 from cosmic_ray.work_item import MutationSpec, TestOutcome
+
+from nurbseg.drivers.compiled import content_digest
 
 #: Operators of one kind, by the names that Cosmic Ray gives them: one may stand for another where it was
 #: meant for the same operands. What only raises a TypeError tells nothing of the tests.
@@ -106,7 +109,7 @@ def is_meaningful(operator: str) -> bool:
     return between[:1] == ["Delete"] if name == "ReplaceUnaryOperator" else name not in _LEFT_OUT
 
 
-def changes(module: str, source: str, path: Path) -> Iterator[tuple[MutationSpec, Any]]:
+def changes(source: str, path: Path) -> Iterator[tuple[MutationSpec, Any]]:
     """Yield every change of a file that could be meant."""
     tree, apart = get_ast(source), declared(source)
     for name in filter(is_meaningful, sorted(cosmic_ray.plugins.operator_names())):
@@ -129,7 +132,7 @@ def sampled(module: str, path: Path, most: int, seed: int) -> list[Mutant]:
     lines = source.splitlines()
     by_place: dict[tuple[tuple[int, int], tuple[int, int]], list[tuple[str, MutationSpec, Any]]] = {}
     seen: dict[str, int] = {}
-    for spec, operator in changes(module, source, path):
+    for spec, operator in changes(source, path):
         line = lines[spec.start_pos[0] - 1].strip()
         text = f"{seed} {module} {spec.definition_name} {line} {spec.operator_name}"
         seen[text] = seen.get(text, 0) + 1
@@ -148,50 +151,79 @@ def _described(module: str, source: str, spec: MutationSpec, operator: Any) -> M
     return Mutant(module, spec, before, after)
 
 
-class Copies:
-    """Copies of the installed package, one for each process, in which the changes are made."""
+class Copy:
+    """A copy of the installed package in which changes are made, with the machine code of its loops."""
 
-    def __init__(self, folder: Path, count: int) -> None:
-        self.all = [folder / f"copy{n}" for n in range(count)]
-        self.free: queue.Queue[Path] = queue.Queue()
-        for copy in self.all:
-            for package in ("app", "drivers", "recordings", "segmentation"):
-                spec = importlib.util.find_spec(f"nurbseg.{package}")
-                if spec is None or not spec.submodule_search_locations:
-                    raise SystemExit(f"nurbseg.{package} is not installed here: make setup-test")
-                shutil.copytree(spec.submodule_search_locations[0], copy / "nurbseg" / package)
-            self.free.put(copy)
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._code, self._unchanged = folder, folder / "code", folder / "unchanged"
+        self._package = folder / "nurbseg"
+        for package in ("app", "drivers", "recordings", "segmentation"):
+            spec = importlib.util.find_spec(f"nurbseg.{package}")
+            if spec is None or not spec.submodule_search_locations:
+                raise SystemExit(f"nurbseg.{package} is not installed here: make setup-test")
+            without = shutil.ignore_patterns("__pycache__")
+            shutil.copytree(spec.submodule_search_locations[0], self._package / package, ignore=without)
 
-    def run(self, mutant: Mutant, tests: Sequence[str], timeout_s: float) -> str:
-        """Run tests against a change; return what became of it."""
-        copy = self.free.get(timeout=24 * 3600)
-        try:
-            path = copy / "nurbseg" / "segmentation" / f"{mutant.module}.py"
-            spec = mutant.spec
-            there = MutationSpec(path, spec.operator_name, spec.occurrence, spec.start_pos, spec.end_pos)
-            result = mutate_and_test([there], shlex.join(command(copy, tests)), timeout_s)
-        finally:
-            self.free.put(copy)
-        if result.test_outcome is TestOutcome.SURVIVED:
-            return "survived"
-        if result.test_outcome is not TestOutcome.KILLED:
-            raise SystemExit(f"{mutant.module}: {mutant.after}: the tests did not run: {result.output}")
-        return "timeout" if result.output == "timeout" else "killed"
+    def measure(self, tests: Sequence[str]) -> float:
+        """Run tests without a change, which must pass, and keep the machine code; return the seconds."""
+        begin = time.monotonic()
+        run = subprocess.run(self._command(tests), capture_output=True, text=True, timeout=1800)
+        if run.returncode:
+            raise SystemExit(f"the tests fail without any change:\n{run.stdout}")
+        took_s = time.monotonic() - begin
+        self._link(self._code / f"loops-{content_digest(self._package)}", self._unchanged)
+        return took_s
 
+    def test(self, mutant: Mutant, tests: Sequence[str], timeout_s: float) -> str:
+        """Make a change, run tests, and take it back; return what became of it."""
+        path = self._package / "segmentation" / f"{mutant.module}.py"
+        before = path.stat()
+        operator = cosmic_ray.plugins.get_operator(mutant.spec.operator_name)()
+        with use_mutation(path, operator, mutant.spec.occurrence):
+            self._keep_machine_code_beside(path)
+            outcome, output = run_tests(shlex.join(self._command(tests)), timeout_s)
+        # Numba tells by its time whether a file is the one that it has compiled.
+        os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+        if outcome is TestOutcome.INCOMPETENT:
+            raise SystemExit(f"{mutant.module}: {mutant.after}: the tests did not run: {output}")
+        return (
+            "survived" if outcome is TestOutcome.SURVIVED else "timeout" if output == "timeout" else "killed"
+        )
 
-def command(copy: Path, tests: Sequence[str]) -> list[str]:
-    """Return what runs tests against a copy; they end at the first failure."""
-    pytest = str(Path(sys.executable).parent / "pytest")
-    return ["env", f"PYTHONPATH={copy}", pytest, "-x", "-q", "-p", "no:cacheprovider", *tests]
+    def _command(self, tests: Sequence[str]) -> list[str]:
+        pytest = str(Path(sys.executable).parent / "pytest")
+        variables = [f"PYTHONPATH={self._folder}", f"NUMBA_CACHE_DIR={self._code}"]
+        return ["env", *variables, pytest, "-x", "-q", "-p", "no:cacheprovider", *tests]
 
+    def _keep_machine_code_beside(self, changed: Path) -> None:
+        """Lay out the code of all loops that do not call those of a changed file."""
+        shutil.rmtree(self._code)
+        folder = self._code / f"loops-{content_digest(self._package)}"
+        self._link(self._unchanged, folder)
+        concerned, grown = {changed}, True
+        while grown:
+            names = {each.relative_to(self._package).with_suffix("").as_posix() for each in concerned}
+            imports = [f"from nurbseg.{name.replace('/', '.')} import" for name in names]
+            users = {
+                path
+                for path in self._package.rglob("*.py")
+                if any(line in (text := path.read_text(encoding="utf-8")) for line in imports)
+                and "\n@compiled" in text
+            }
+            grown = not users <= concerned
+            concerned |= users
+        for path in concerned:
+            for code in folder.rglob(f"{path.stem}.*"):
+                code.unlink()
 
-def unchanged(copy: Path, tests: Sequence[str]) -> float:
-    """Run tests against an unchanged copy; return the seconds that takes."""
-    begin = time.monotonic()
-    run = subprocess.run(command(copy, tests), capture_output=True, text=True, timeout=1800)
-    if run.returncode:
-        raise SystemExit(f"the tests fail without any change:\n{run.stdout}")
-    return time.monotonic() - begin
+    @staticmethod
+    def _link(source: Path, target: Path) -> None:
+        """Add what a folder holds to another; Numba replaces files, it does not write into them."""
+        for path in source.rglob("*.nb?"):
+            there = target / path.relative_to(source)
+            there.parent.mkdir(parents=True, exist_ok=True)
+            if not there.exists():
+                os.link(path, there)
 
 
 def explained(mutant: Mutant, state: str, known: Sequence[Mapping[str, str]]) -> Outcome:
@@ -217,13 +249,14 @@ def report(
     outcomes: Sequence[Outcome], modules: Sequence[str], arguments: Sequence[str], took_s: float
 ) -> str:
     """Write the scores by module, and the survivors."""
+    made_by = shlex.join(["python", "benchmarks/mutation.py", *arguments])
     lines = [
         "# Mutation tests",
         "",
-        "Places of the code are changed one at a time (`<` to `<=`, `+` to `-`, a number by one, a condition to",
-        "its opposite, a loop to none), and the tests of the file must fail. The sample is drawn by place, with",
-        f"one change of each. Made by `{shlex.join(['python', 'benchmarks/mutation.py', *arguments])}`",
-        f"in {took_s / 60:.0f} minutes.",
+        "Places of the code are changed one at a time (`<` to `<=`, `+` to `-`, a number by one, a",
+        "condition to its opposite, a loop to none), and the tests of the file must fail. The sample is",
+        "drawn by place, with one change of each; annotations and decorators are left out. Made in",
+        f"{took_s / 60:.0f} minutes by `{made_by}`.",
         "",
         "| file | changes | noticed | by a time limit | equivalent | survivors | score |",
         "|---|---|---|---|---|---|---|",
@@ -269,12 +302,24 @@ def main() -> int:
 
     begin, outcomes = time.monotonic(), []
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(arguments.processes) as pool:
-        copies = Copies(Path(folder), arguments.processes)
+        copies = [Copy(Path(folder, str(number))) for number in range(arguments.processes)]
+        free: queue.Queue[Copy] = queue.Queue()
+        for copy in copies:
+            free.put(copy)
+
+        def state_of(mutant: Mutant, tests: Sequence[str], limit_s: float) -> str:
+            copy = free.get(timeout=3600.0)
+            try:
+                return copy.test(mutant, tests, limit_s)
+            finally:
+                free.put(copy)
+
         for module in modules:
             tests = plan["tests"][module]
-            limit_s = 60.0 + 4.0 * unchanged(copies.all[0], tests)
+            # The first run compiles what the tests need.
+            limit_s = 60.0 + 4.0 * max(pool.map(lambda copy, tests=tests: copy.measure(tests), copies))
             mutants = sampled(module, Path("segmentation", f"{module}.py"), arguments.most, arguments.seed)
-            states = pool.map(lambda each: copies.run(each, tests, limit_s), mutants)  # noqa: B023
+            states = pool.map(lambda each, tests=tests, s=limit_s: state_of(each, tests, s), mutants)
             for mutant, state in zip(mutants, states, strict=True):
                 outcomes.append(explained(mutant, state, plan["survivor"]))
                 what = "" if state == "killed" else f": {mutant.before} -> {mutant.after}"

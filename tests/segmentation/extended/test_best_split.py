@@ -1,0 +1,179 @@
+"""One split of the default method: which cut is kept, what is told where none is, and what it falls into."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.cut.ncut import Cut
+from nurbseg.segmentation.extended import splitting
+from nurbseg.segmentation.extended.scene import Scene, prepare
+from nurbseg.segmentation.extended.splitting import _neighbors_side, _pieces, best_split, children_of
+from nurbseg.segmentation.segments import Division, Node, StopReason, depth_first
+from nurbseg.segmentation.surfaces.surface import Fit
+
+SIZE = (48, 64)
+#: 1/100 of the places of a 640x480 image: at most so many pixels make 20 places.
+CONFIG = SegmentationConfig(
+    method="nurbseg", decimation=1, piece_pixels_min=2000, noise_per_m=1e-6, ratio_max=0.5, cuts=5
+)
+
+
+@pytest.fixture
+def roof(cloud_of) -> Scene:
+    """Two slopes that meet in a ridge down the middle, with some noise."""
+    columns = np.mgrid[: SIZE[0], : SIZE[1]][1]
+    per_m = 0.9 - 0.01 * np.abs(columns - 31.5) + 1e-4 * np.random.default_rng(0).standard_normal(SIZE)
+    return prepare(cloud_of(1.0 / per_m), CONFIG)
+
+
+ROWS, COLUMNS = np.mgrid[: SIZE[0], : SIZE[1]]
+#: Which places are on the True side of a cut, and for none the reason.
+SIDES = {
+    "none": "nothing tells the points apart",
+    "small": (ROWS < 3) & (COLUMNS < 6),
+    "across": ROWS < 24,
+    "aside": COLUMNS < 12,
+    "ridge": COLUMNS < 32,
+}
+
+
+@pytest.mark.parametrize(
+    ("cuts", "tried", "stop"),
+    [
+        ([], None, StopReason.NO_CUT),
+        (["none"], None, StopReason.NO_CUT),
+        (["small"], None, StopReason.CHILD_TOO_SMALL),
+        (["small", "none"], None, StopReason.CHILD_TOO_SMALL),
+        (["across"], "across", StopReason.CRITERION),
+        (["across", "small"], "across", StopReason.CRITERION),
+        (["across", "none"], "across", StopReason.CRITERION),
+        (["aside", "across"], "aside", StopReason.CRITERION),
+        (["across", "aside"], "aside", StopReason.CRITERION),
+        (["ridge"], "ridge", None),
+        (["none", "small", "aside", "across", "ridge", "across"], "ridge", None),
+    ],
+    ids=str,
+)
+def test_cuts_are_tried_in_turn_until_the_ratio_keeps_one(roof, monkeypatch, cuts, tried, stop):
+    asked = []
+
+    def scripted(vectors, *, count, **_):
+        assert count == CONFIG.cuts
+        for name in cuts:
+            asked.append(name)
+            side = SIDES[name]
+            where, reason = (np.zeros(SIZE, bool), side) if isinstance(side, str) else (side, "")
+            yield Cut(where.ravel(), vectors[:1], np.zeros(1, np.float32), 0.7, reason)
+
+    monkeypatch.setattr(splitting, "normalized_cuts", scripted)
+    places = np.arange(ROWS.size)
+    _, fit, _ = splitting.measured(roof, places, CONFIG)
+    node = Node("01", places, fit, stop=StopReason.SPLITS)
+    sides, cut = best_split(roof, node, CONFIG)
+    assert asked == (cuts if stop is not None else cuts[: cuts.index("ridge") + 1])
+    if tried is None:
+        assert node.trial is None
+    else:
+        halves = [np.flatnonzero(SIDES[tried].ravel() == value) for value in (False, True)]
+        found = [splitting.measured(roof, half, CONFIG)[1] for half in halves]
+        assert sorted(node.trial.parts) == sorted((each.values["mse"], each.pixels.size) for each in found)
+        assert (node.trial.value, node.trial.points) == (fit.values["mse"], ROWS.size)
+        assert node.trial.kept == (stop is None)
+    if stop is None:
+        assert np.array_equal(cut.side, SIDES["ridge"].ravel())
+        for value, side in enumerate(sides):
+            ((own, _, _),) = side
+            assert np.array_equal(own, np.flatnonzero(SIDES["ridge"].ravel() == value))
+    else:
+        assert node.stop is stop
+        assert (cut, sides) == (None, ([], []))
+
+
+def part(first: int, places: int, stop: StopReason | None = None):
+    own = np.arange(first, first + places)
+    return own, Fit(None, np.zeros(0), {}, "", 3 * own), stop
+
+
+def test_pieces_hang_below_one_another_the_largest_first():
+    parent = Node("1", np.arange(24), part(0, 24)[1], cuts_above=2)
+    small, largest, middle = part(0, 5), part(5, 9), part(14, 7, StopReason.NOISE)
+    other = part(21, 3, StopReason.NO_POINTS)
+    both = children_of(parent, ([small, largest, middle], [other]))
+    nodes = {node.name: node for top in both for node in depth_first(top)}
+    sizes = {name: node.places.size for name, node in nodes.items()}
+    assert sizes == {"10": 21, "100": 9, "101": 12, "1010": 7, "1011": 5, "11": 3}
+    assert {node.cuts_above for node in nodes.values()} == {3}
+    for name, node in nodes.items():
+        apart = name in ("10", "101")
+        assert node.division is (Division.GAP if apart else None)
+        assert [each.name for each in node.children] == ([f"{name}0", f"{name}1"] if apart else [])
+        assert np.array_equal(node.places * 3, node.fit.pixels)
+        assert (np.diff(node.places) > 0).all()
+    assert nodes["1010"].stop is StopReason.NOISE
+    assert nodes["11"].stop is StopReason.NO_POINTS
+    assert "3 pieces" in nodes["10"].fit.reason
+    assert "2 pieces" in nodes["101"].fit.reason
+
+
+@pytest.mark.parametrize("empty", [0, 1])
+def test_pieces_of_the_one_side_that_is_left_are_the_largest_and_the_rest(empty):
+    parent = Node("", np.arange(21), part(0, 21)[1])
+    left = [part(0, 5), part(5, 9), part(14, 7)]
+    first, second = children_of(parent, ([], left) if empty == 0 else (left, []))
+    assert (first.name, first.places.size, first.cuts_above) == ("0", 9, 1)
+    assert [(each.name, each.places.size) for each in second.children] == [("10", 7), ("11", 5)]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_places_between_those_that_are_cut_follow_them_where_they_agree(seed):
+    rng = np.random.default_rng(seed)
+    height, width = (9, 12) if seed % 2 else (8, 11)
+    places = np.flatnonzero(rng.random(height * width) < 0.8)
+    drawn = np.array([p for p in places if p // width % 2 == 0 and p % width % 2 == 0])
+    side = rng.random(drawn.size) < 0.5
+    at = {(p // width, p % width): bool(s) for p, s in zip(drawn, side, strict=True)}
+    found, asked = _neighbors_side(side, drawn, places, height, width)
+    expected_asked = []
+    for n, place in enumerate(places):
+        row, column = place // width // 2 * 2, place % width // 2 * 2
+        around = {at[r, c] for r in (row, row + 2) for c in (column, column + 2) if (r, c) in at}
+        if len(around) == 1:
+            assert found[n] == around.pop()
+        else:
+            expected_asked.append(n)
+    assert asked.tolist() == expected_asked
+    assert 0 < len(expected_asked) < places.size
+
+
+def test_a_large_segment_is_cut_at_every_second_place_and_continued(roof):
+    node = Node("", np.arange(ROWS.size), splitting.measured(roof, np.arange(ROWS.size), CONFIG)[1])
+    sides, cut = best_split(roof, node, CONFIG, thin_from=ROWS.size)
+    assert cut is not None
+    assert cut.side.size == ROWS.size // 4
+    # Whole sides, and the ridge where it is.
+    for (own, _, _), expected in zip([each[0] for each in sides], (COLUMNS < 32, COLUMNS >= 32), strict=True):
+        share = np.mean(expected.ravel()[own])
+        assert max(share, 1 - share) > 0.98
+    assert sum(own.size for side in sides for own, _, _ in side) == ROWS.size
+    node.stop = None
+    assert best_split(roof, node, CONFIG, thin_from=ROWS.size + 1)[1].side.size == ROWS.size
+
+
+def test_sides_that_need_not_be_connected_are_two_pieces_or_one(roof):
+    config = replace(CONFIG, connected_pieces=False)
+    # A cross, so that its window holds places of others too.
+    cross = np.flatnonzero(((ROWS > 20) & (ROWS < 30)) | ((COLUMNS > 20) & (COLUMNS < 40)))
+    rows, columns = np.divmod(cross, SIZE[1])
+    specks = (rows == 25) & (columns % 9 == 4)
+    labels = (1 + ((columns > 35) ^ specks)).astype(np.int32)
+    pieces, label_of = _pieces(roof, cross, labels, config)
+    assert label_of == [1, 2]
+    assert np.array_equal(pieces[0], cross[columns <= 35])
+    assert np.array_equal(pieces[1], cross[columns > 35])
+    labels = (1 + ((rows < 2) & (columns < 26))).astype(np.int32)
+    (whole,), label_of = _pieces(roof, cross, labels, config)
+    assert label_of == [1]
+    assert np.array_equal(whole, cross)
+    assert _pieces(roof, cross[:0], labels[:0], config) == ([], [])
