@@ -1,11 +1,12 @@
 """Flat spectral clustering and the unsupervised choice of lambda."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from scipy.ndimage import distance_transform_cdt
 from scipy.spatial.distance import cdist
+from skimage.color import rgb2lab
 
+from nurbseg.app.evaluation.methods import flat
 from nurbseg.app.evaluation.methods.flat import (
     best_lambda,
     flat_clusters,
@@ -52,33 +53,71 @@ def test_halves_that_differ_in_color_or_in_depth_are_two_clusters(color: np.ndar
     assert rand_index(labels, HALVES) > 0.95
 
 
-def test_the_true_halves_have_more_quality_than_halves_elsewhere() -> None:
-    cloud = wall(two_tone())
-    elsewhere = (1 + (COLUMNS >= 16)).astype(np.uint16)
-    assert unsupervised_quality(HALVES, cloud) > unsupervised_quality(elsewhere, cloud) + 0.5
+def plain_quality(labels: np.ndarray, cloud: PointMap, band: int) -> float:
+    """Contrast less dispersion of each segment by size, from the definitions of CIELab and of distance."""
+    used = cloud.valid & (labels > 0)
+    cues = []
+    for values in (rgb2lab(cloud.color), cloud.points_m.astype(float)):
+        cues.append(values / values[cloud.valid].std(axis=0).mean())
+    sums = []
+    for value in np.unique(labels[used]):
+        inside = used & (labels == value)
+        beside = distance_transform_cdt(~inside, "chessboard") <= band
+        own, around = inside, beside & used & ~inside
+        if around.any():
+            differences = [
+                np.linalg.norm(cue[own].mean(axis=0) - cue[around].mean(axis=0))
+                - np.sqrt(cue[own].var(axis=0).sum())
+                for cue in cues
+            ]
+            sums.append((inside.sum(), np.mean(differences)))
+    counts, qualities = np.array(sums).T
+    return float(np.average(qualities, weights=counts))
+
+
+@pytest.mark.parametrize(("width", "band"), [(64, 2), (130, 3)])
+def test_quality_is_contrast_less_dispersion(width: int, band: int) -> None:
+    rng = np.random.default_rng(width)
+    rows, columns = np.mgrid[:40, :width]
+    depth_m = 1.2 + 0.3 * (columns // 20 % 3) + 0.02 * rng.random(rows.shape)
+    depth_m[rng.random(rows.shape) < 0.1] = np.nan
+    color = np.clip(60 * (rows // 14)[..., None] + 30 + rng.normal(0, 9, (*rows.shape, 3)), 0, 255)
+    points = np.dstack([columns * depth_m / 60, rows * depth_m / 60, depth_m]).astype(np.float32)
+    cloud = PointMap(points, color.astype(np.uint8), np.ones(rows.shape, np.bool_))
+    labels = (3 * (rows // 14) + columns // 20 % 3 + 1).astype(np.uint16)
+    labels[rng.random(rows.shape) < 0.1] = 0
+    # One segment that has no surroundings.
+    labels[10:30, 5:25] = 0
+    labels[19:21, 14:16] = 60
+    assert unsupervised_quality(labels, cloud) == pytest.approx(plain_quality(labels, cloud, band), abs=0.01)
 
 
 def test_one_segment_has_the_least_quality() -> None:
     assert unsupervised_quality(np.ones((48, 64), np.uint16), wall(two_tone())) == float("-inf")
 
 
-def test_the_chosen_lambda_is_the_one_whose_clusters_have_the_most_quality() -> None:
-    rng = np.random.default_rng(4)
-    cloud = wall(rng.integers(0, 256, (48, 64, 3)), step_m=0.5)
-    config, candidates = SegmentationConfig(), (0.25, 1.0, 4.0)
-    chosen, labels = best_lambda(cloud, config, clusters=2, seed=3, candidates=candidates)
-    quality = {
-        each: unsupervised_quality(
-            flat_clusters(
-                cloud, replace(config, geometry_weight=each), clusters=2, rng=np.random.default_rng(3)
-            ),
-            cloud,
-        )
-        for each in candidates
-    }
-    assert chosen == max(candidates, key=lambda each: quality[each])
-    assert unsupervised_quality(labels, cloud) == quality[chosen]
-    assert len(set(quality.values())) > 1
+def test_the_chosen_lambda_is_the_first_whose_clusters_have_the_most_quality(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Scripted clusterings: the true halves twice, and halves elsewhere before, between and after them."""
+    elsewhere = (1 + (COLUMNS >= 16)).astype(np.uint16)
+    scripted = {0.25: elsewhere, 0.5: HALVES, 1.0: elsewhere, 2.0: HALVES.copy(), 4.0: elsewhere}
+    asked = []
+
+    def clusters_of(
+        cloud: PointMap, config: SegmentationConfig, *, clusters: int, rng: np.random.Generator
+    ) -> np.ndarray:
+        asked.append((config.geometry_weight, config.samples, clusters, int(rng.integers(1 << 40))))
+        return scripted[config.geometry_weight]
+
+    monkeypatch.setattr(flat, "flat_clusters", clusters_of)
+    config = SegmentationConfig(samples=77)
+    chosen, labels = best_lambda(wall(two_tone()), config, clusters=2, seed=3, candidates=tuple(scripted))
+    assert chosen == 0.5
+    assert labels is HALVES
+    # Each candidate starts from the same random numbers.
+    first = int(np.random.default_rng(3).integers(1 << 40))
+    assert asked == [(each, 77, 2, first) for each in scripted]
 
 
 def test_without_candidates_there_is_nothing_to_choose() -> None:
