@@ -1,9 +1,11 @@
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from nurbseg.segmentation.labels.regions import joints
+from nurbseg.segmentation.live.leaf import LiveLeaf
 from nurbseg.segmentation.live.structure import Growth, Revised
-from nurbseg.segmentation.segments import Node
+from nurbseg.segmentation.segments import Division, Node, StopReason, Trial, depth_first
 from nurbseg.segmentation.surfaces.surface import Fit
 
 
@@ -55,3 +57,112 @@ def test_neighbors_meet_along_so_many_joined_places(least):
                 counts[pair] = counts.get(pair, 0) + 1
     expected = sorted(pair for pair, number in counts.items() if number >= least)
     assert growth_of(labels).neighbors(joined, least) == expected
+
+
+class Grown:
+    """A tree of the leaves 00, 010, 011 and 1, with the numbers 1 to 4, on a grid of four columns."""
+
+    def __init__(self):
+        places = np.arange(24)
+        column = places % 4
+        self.labels = (1 + column).reshape(6, 4).astype(np.int32)
+        self.nodes = {
+            name: Node(name, places[inside], fit_of(places[inside]), cuts_above=len(name))
+            for name, inside in (
+                ("", column >= 0),
+                ("0", column < 3),
+                ("00", column == 0),
+                ("01", (column == 1) | (column == 2)),
+                ("010", column == 1),
+                ("011", column == 2),
+                ("1", column == 3),
+            )
+        }
+        for name in ("", "0", "01"):
+            node = self.nodes[name]
+            node.children = self.nodes[f"{name}0"], self.nodes[f"{name}1"]
+            node.division = Division.CUT
+            node.trial = Trial("mse", 2.0, node.places.size, ((1.0, node.places.size),), True)
+        for name in ("00", "010", "011", "1"):
+            self.nodes[name].stop = StopReason.CRITERION
+        self.leaves = [LiveLeaf(self.nodes[name], 10 * n) for n, name in enumerate(("00", "010", "011", "1"))]
+        self.growth = Growth(self.nodes[""], self.leaves, self.labels, lambda node: LiveLeaf(node, 99))
+
+    def names(self):
+        return [node.name for node in depth_first(self.nodes[""])]
+
+
+def fit_of(places):
+    return Fit(None, np.zeros(0), {}, "", places)
+
+
+@pytest.mark.parametrize(
+    ("absorbed", "names", "by_final", "final"),
+    [
+        # One of two at the bottom: the other is where both were.
+        ([(2, 3)], ["", "0", "00", "01", "1"], [0, 2, 3], [0, 1, 2, 2, 3]),
+        # A leaf whose other half has parts: these go up, and the heir is elsewhere.
+        ([(1, 4)], ["", "0", "00", "01", "1"], [1, 2, 3], [0, 3, 1, 2, 3]),
+        ([(4, 1)], ["", "0", "1", "10", "11"], [0, 1, 2], [0, 1, 2, 3, 1]),
+        # An heir that goes itself.
+        ([(1, 2), (2, 3)], ["", "0", "1"], [2, 3], [0, 1, 1, 1, 2]),
+        ([(3, 2), (4, 2), (1, 2)], [""], [1], [0, 1, 1, 1, 1]),
+    ],
+)
+def test_a_leaf_that_goes_leaves_its_place_to_the_other_part(absorbed, names, by_final, final):
+    grown = Grown()
+    kept_before = {leaf.number: leaf.node.places for leaf in grown.leaves}
+    for gone, heir in absorbed:
+        grown.growth.absorb(gone, heir)
+    assert grown.names() == names
+    done = grown.growth.finished()
+    assert [leaf.number for leaf in done.leaves] == [10 * n for n in by_final]
+    assert done.final.tolist() == final
+    for leaf in done.leaves:
+        assert leaf.node.places is kept_before[leaf.number]
+        assert leaf.node.stop is StopReason.CRITERION
+        assert not leaf.node.children
+        assert leaf.node.division is None
+        assert leaf.node.trial is None
+    for node in depth_first(grown.nodes[""]):
+        assert node.cuts_above == len(node.name)
+        assert (node.division is Division.CUT) == bool(node.children) == (node.trial is not None)
+    # The grid holds working numbers: those of the last heirs.
+    last = dict(absorbed)
+    expected = grown.labels.copy()
+    for gone, heir in absorbed:
+        expected[expected == gone] = heir
+    assert (done.on_grid == expected).all()
+    assert (done.before == grown.labels).all()
+    assert set(grown.growth.by_number) == {1, 2, 3, 4} - set(last)
+    assert np.bincount(expected.ravel(), minlength=5).tolist() == grown.growth.sizes().tolist()
+
+
+def test_what_is_adopted_has_the_next_number_and_nobody_has_tried_it():
+    grown = Grown()
+    numbers = [grown.growth.adopt(Node("2", np.arange(2), fit_of(np.arange(2)))) for _ in range(2)]
+    assert numbers == [5, 6]
+    assert [grown.growth.by_number[number].tried for number in numbers] == [0.0, 0.0]
+    assert grown.growth.sizes().tolist() == [0, 6, 6, 6, 6, 0, 0]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_place_is_surrounded_by_the_leaf_that_touches_it_most(seed):
+    rng = np.random.default_rng(seed)
+    labels = rng.integers(0, 5, (4, 5)).repeat(5, axis=0).repeat(5, axis=1).astype(np.int32)
+    labels[0, :4] = 1, 2, 3, 4
+    mask = ndimage.binary_dilation(rng.random(labels.shape) < 0.02)
+    touching = labels[ndimage.binary_dilation(mask, np.ones((3, 3))) & ~mask]
+    counts = np.bincount(touching[touching > 0], minlength=5)
+    assert counts[growth_of(labels).around(mask)] == counts.max() > 0
+
+
+def test_a_place_that_touches_nothing_belongs_to_the_largest_leaf():
+    labels = np.zeros((8, 7), dtype=np.int32)
+    labels[0, :3], labels[7] = 1, 2
+    growth = growth_of(labels)
+    mask = np.zeros(labels.shape, dtype=bool)
+    mask[4, 3] = True
+    assert growth.around(mask) == 2
+    del growth.by_number[2]
+    assert growth.around(mask) is None
