@@ -1,5 +1,6 @@
 # make demo   installs into .venv, segments the demo recording, and says where the results are
 # make test   installs, checks the style and the types, and runs all tests
+# make mutants  changes the code in 420 places, one at a time: how many of the changes the tests notice; an hour
 # make clean  removes what these made
 
 PYTHON ?= python3
@@ -17,7 +18,7 @@ endif
 # Cameras are tested against the real OpenNI2, pictures of the viewer need a Vulkan driver.
 TEST_PACKAGES := g++ libopenni2-0 libopenni2-dev libusb-1.0-0 mesa-vulkan-drivers
 
-.PHONY: demo test setup setup-test lint types clean
+.PHONY: demo test mutants setup setup-test lint types clean
 
 demo: $(VENV)/demo.stamp
 	rm -rf $(OUT)/demo $(OUT)/demo.rrd
@@ -33,6 +34,10 @@ demo: $(VENV)/demo.stamp
 # A run takes minutes. What would not end by itself is ended.
 test: setup-test lint types
 	timeout --foreground --kill-after=30s 40m $(BIN)/pytest
+
+# Fails where fewer than 85 % of the changes that could be noticed are.
+mutants: setup-test
+	$(BIN)/python benchmarks/mutation.py --out docs/mutation.md
 
 setup: $(VENV)/demo.stamp
 
