@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from busy_computer import skip_if_busy
+from busy_computer import slowdowns
 from fair_clock import FairClock
 from virtual_camera import color_image, depth_image, frame_number, openni2_redist, virtual_cameras
 
@@ -71,17 +71,18 @@ def assert_exact(frames, *, exact_color=True, whole=True):
             assert np.array_equal(frame.color, color_image(number))
 
 
-def live_without_a_miss(tmp_path, *words):
+def live_without_a_miss(camera, tmp_path, *words):
     """Run over 300 frames and return the report of a run in which the camera's path missed none.
 
     Other programs on the computer may take the processor away for longer than frames wait. Then the
-    report must say so, and the run is made again.
+    report must say so, and the run is made again, with a slower camera.
     """
-    for attempt in range(3):
-        report = tmp_path / f"R{attempt}.json"
-        record = ["--record", str(tmp_path / f"X{attempt}.mcap")] if "--record-color" in words else []
+    for slowdown in slowdowns():
+        camera.set(slowdown=slowdown)
+        report = tmp_path / f"R{slowdown}.json"
+        record = ["--record", str(tmp_path / f"X{slowdown}.mcap")] if "--record-color" in words else []
         asked = ["--device", "openni2:any", "--frames", "300", "--report", str(report)]
-        done = live(*asked, *record, *words, timeout_s=240)
+        done = live(*asked, *record, *words, timeout_s=120 + 15 * slowdown)
         assert done.returncode == 0, done.stderr
         document = json.loads(report.read_text())
         frames = document["frames"]
@@ -90,21 +91,20 @@ def live_without_a_miss(tmp_path, *words):
         assert frames["segmented"] + sum(frames["dropped"].values()) == 300
         if frames["camera"] == {"missed": 0, "half_pairs": 0, "reconnections": 0}:
             return document
-    skip_if_busy(f"frames were missed in each of three runs: {frames}")
-    raise AssertionError(f"frames were missed in each of three runs: {frames}")
+    raise AssertionError(f"frames were missed in each run: {frames}")
 
 
+@pytest.mark.timeout(1800)
 def test_300_frames_are_captured_and_none_is_lost_by_us(virtual_cameras, tmp_path):
-    virtual_cameras.add()
-    document = live_without_a_miss(tmp_path)
+    document = live_without_a_miss(virtual_cameras.add(), tmp_path)
     assert document["recording"] is None
     assert document["source"]["serial"] == "VC0001"
 
 
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("color", ["raw", "png"])
 def test_300_recorded_frames_are_exact_while_they_are_segmented(virtual_cameras, tmp_path, color):
-    virtual_cameras.add()
-    document = live_without_a_miss(tmp_path, "--record-color", color)
+    document = live_without_a_miss(virtual_cameras.add(), tmp_path, "--record-color", color)
     assert (document["recording"]["frames"], document["recording"]["lost"]) == (300, 0)
     frames = frames_of(Path(document["recording"]["file"]))
     assert len(frames) == 300

@@ -170,7 +170,9 @@ private:
             const long jitter = jitter_us ? long((uint64_t(frame) * 2654435761u >> 7) % uint64_t(jitter_us)) : 0;
             {
                 std::unique_lock<std::mutex> guard(lock_);
-                const auto due = epoch_ + (frame + 1) * period + std::chrono::microseconds(jitter);
+                // The camera's own clock, which a busy computer may need to be slower than others.
+                const auto due = epoch_ + script->number("slowdown", 1) *
+                                              ((frame + 1) * period + std::chrono::microseconds(jitter));
                 wake_.wait_until(guard, due, [this] { return stopping_; });
                 if (stopping_) return;
             }

@@ -5,12 +5,15 @@ import threading
 
 import numpy as np
 import pytest
-from busy_computer import skip_if_busy
+from busy_computer import slowdowns
 from virtual_camera import frame_number
 
 from nurbseg.drivers.openni2.device import DeviceSource
 from nurbseg.drivers.openni2.isolated.source import IsolatedCamera
 from nurbseg.drivers.openni2.options import DeviceOptions
+
+#: A slow camera takes its time, and more than one try may be needed.
+pytestmark = pytest.mark.timeout(1800)
 
 
 class Busy:
@@ -49,40 +52,34 @@ def lost(frames, options=None, fps=30, kind=IsolatedCamera):
         return numbers[-1] - numbers[0] + 1 - frames
 
 
-def fewest_lost(read, tries=3):
-    """The best of a few tries: other programs of a busy computer may cost a frame, and do not count."""
-    results = []
-    for _ in range(tries):
-        results.append(read())
-        if results[-1] == 0:
+def fewest_lost(camera, read):
+    """The best of a few tries, in which a busy computer's camera is slower and slower."""
+    tried = {}
+    for slowdown in slowdowns():
+        camera.set(slowdown=slowdown)
+        tried[slowdown] = read()
+        if tried[slowdown] == 0:
             break
-    tried = f"frames lost: {results}, load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
-    print(tried)
-    if min(results) > 0:
-        skip_if_busy(tried)
-    return min(results)
+    print(f"frames lost by slowdown: {tried}, load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
+    return min(tried.values())
 
 
 @pytest.mark.parametrize("kind", [DeviceSource, IsolatedCamera])
 def test_three_hundred_frames_are_captured_and_none_lost(virtual_cameras, kind):
-    virtual_cameras.add()
-    assert fewest_lost(lambda: lost(300, kind=kind)) == 0
+    assert fewest_lost(virtual_cameras.add(), lambda: lost(300, kind=kind)) == 0
 
 
 def test_sixty_frames_a_second_are_kept(virtual_cameras):
-    virtual_cameras.add()
     options = DeviceOptions(depth_mode="qvga", color_mode="qvga")
-    assert fewest_lost(lambda: lost(180, options, fps=60)) == 0
+    assert fewest_lost(virtual_cameras.add(), lambda: lost(180, options, fps=60)) == 0
 
 
 @pytest.mark.parametrize("sync", [True, False])
 def test_no_frame_is_lost_in_twenty_seconds_of_computing_beside(virtual_cameras, sync):
-    virtual_cameras.add()
-
     def read():
         with Busy() as busy:
             result = lost(600, DeviceOptions(sync=sync))
         assert busy.rounds > 10
         return result
 
-    assert fewest_lost(read) == 0
+    assert fewest_lost(virtual_cameras.add(), read) == 0

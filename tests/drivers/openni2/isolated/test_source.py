@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from busy_computer import skip_if_busy
+from busy_computer import slowdowns
 from own_children import own_children
 from virtual_camera import color_image, depth_image, frame_number
 
@@ -67,19 +67,23 @@ def test_other_modes_fit_the_ring(virtual_cameras, depth_mode, color_mode, size,
 
 
 def test_a_reader_that_comes_late_loses_nothing(virtual_cameras):
-    virtual_cameras.add()
-    with IsolatedCamera() as source:
-        first = source.read()
-        time.sleep(0.7)
-        frames = [source.read() for _ in range(25)]
-    # Pictures that waited in the ring were not painted over.
-    for frame in frames:
-        assert_exact(frame)
-    numbers = [frame_number(frame) for frame in (first, *frames)]
-    assert numbers[-1] - numbers[0] - 25 == source.missed
-    if source.missed > 2:
-        skip_if_busy(f"{source.missed} frames missed")
-    assert source.missed <= 2
+    camera = virtual_cameras.add()
+    missed = []
+    for slowdown in slowdowns():
+        camera.set(slowdown=slowdown)
+        with IsolatedCamera() as source:
+            first = source.read()
+            time.sleep(0.7 * slowdown)
+            frames = [source.read() for _ in range(25)]
+        # Pictures that waited in the ring were not painted over.
+        for frame in frames:
+            assert_exact(frame)
+        numbers = [frame_number(frame) for frame in (first, *frames)]
+        assert numbers[-1] - numbers[0] - 25 == source.missed
+        missed.append(source.missed)
+        if missed[-1] <= 2:
+            break
+    assert min(missed) <= 2
 
 
 def test_frames_before_the_first_read_are_not_missed_but_new(virtual_cameras):
