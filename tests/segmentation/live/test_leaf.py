@@ -1,5 +1,7 @@
 """How well the surfaces of living leaves explain their places, against plain sums."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -99,3 +101,46 @@ def test_leaves_are_measured_along_the_rays(grid: DepthGrid, labels: np.ndarray)
         assert fit.values["mse"] == pytest.approx(np.mean(expected**2), rel=1e-4)
         assert fit.values["ve"] == pytest.approx(expected.var(), rel=1e-3)
         assert fit.values["nle"] == np.count_nonzero(fit.residuals_m > 0.004)
+
+
+class Constant:
+    """Surfaces that are all at one inverse depth, 1/m."""
+
+    def __init__(self, per_m: float) -> None:
+        self.per_m = per_m
+
+    def image(self, labels: np.ndarray) -> np.ndarray:
+        return np.full(labels.shape, self.per_m, dtype=np.float32)
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "judged"), [(5, 5, "inside"), (4, 5, "inside"), (4, 4, "all"), (7, 2, "all")]
+)
+def test_the_rim_is_left_out_where_three_tenths_are_inside(
+    grid: DepthGrid, rows: int, columns: int, judged: str
+) -> None:
+    labels = np.ones(grid.valid.shape, dtype=np.int32)
+    labels[3 : 3 + rows, 3 : 3 + columns] = 2
+    per_m = np.full(labels.shape, 0.5, dtype=np.float32)
+    inside = np.zeros(labels.shape, dtype=bool)
+    inside[4 : 2 + rows, 4 : 2 + columns] = True
+    # Two deviations at the rim and one inside.
+    per_m[labels == 2] += np.where(inside[labels == 2], 1.0, 2.0).astype(np.float32) * NOISE
+    found = misfit(labels, Constant(0.5), replace(grid, per_m=per_m), NOISE, 2)
+    expected = 1.0 if judged == "inside" else np.mean(np.where(inside[labels == 2], 1.0, 4.0))
+    assert found.square[2] == pytest.approx(expected, rel=1e-3)
+    assert found.places.tolist() == [0, labels.size - rows * columns, rows * columns]
+    assert found.square[0] == found.far[0] == 0.0
+
+
+def test_a_leaf_of_one_place_has_the_values_of_that_place(grid: DepthGrid, labels: np.ndarray) -> None:
+    leaves = leaves_of(grid, labels)[:2]
+    place = int(np.flatnonzero(labels == 2)[77])
+    alone = np.where(labels == 1, 1, 0).astype(np.int32)
+    alone.ravel()[place] = 2
+    remeasured(leaves, alone, SurfaceLattice([leaf.surface for leaf in leaves], 2), grid, CONFIG)
+    (residual_m,) = leaves[1].node.fit.residuals_m
+    assert residual_m > 0
+    assert leaves[1].node.fit.values["mae"] == pytest.approx(residual_m)
+    assert leaves[1].node.fit.values["mse"] == pytest.approx(residual_m**2)
+    assert leaves[1].node.places.tolist() == [place]
