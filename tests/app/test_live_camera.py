@@ -82,7 +82,7 @@ def live_without_a_miss(camera, tmp_path, *words):
         report = tmp_path / f"R{slowdown}.json"
         record = ["--record", str(tmp_path / f"X{slowdown}.mcap")] if "--record-color" in words else []
         asked = ["--device", "openni2:any", "--frames", "300", "--report", str(report)]
-        done = live(*asked, *record, *words, timeout_s=120 + 15 * slowdown)
+        done = live(*asked, *record, *words, timeout_s=240 + 60 * slowdown)
         assert done.returncode == 0, done.stderr
         document = json.loads(report.read_text())
         frames = document["frames"]
