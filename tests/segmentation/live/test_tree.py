@@ -152,6 +152,34 @@ def test_the_tree_stays_one_whatever_comes_and_goes(turn: int) -> None:
         assert set(np.unique(labels)) == set(range(1, len(found.leaves()) + 1))
 
 
+def doors(apart_per_m: float, noise: int) -> PointMap:
+    """Two halves of a wall, the right one nearer by so much inverse depth, 1/m."""
+    rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
+    per_m = 0.65 + 4e-4 * columns + apart_per_m * (columns >= 80)
+    depth = 1 / (per_m + 1e-3 * np.random.default_rng(noise).standard_normal(SHAPE))
+    color = np.repeat((110 + 50 * np.sin(columns / 5) * np.cos(rows / 4))[..., np.newaxis], 3, axis=2)
+    points = np.dstack([(columns - 79.5) / FOCAL * depth, (rows - 59.5) / FOCAL * depth, depth])
+    return PointMap(points.astype(np.float32), color.astype(np.uint8), np.ones(SHAPE, dtype=np.bool_))
+
+
+@pytest.mark.parametrize("folds", [0, 2])
+def test_two_leaves_become_one_when_they_are_flush_and_not_before(folds: int) -> None:
+    live = LiveTree(CONFIG)
+    folded = []
+    # The gap closes by a few millimetres in each frame, and is closed for five.
+    for frame in range(15):
+        found = live.segment(doors(max(0.0, 0.06 - 0.006 * frame), noise=frame), Budget(folds=folds))
+        folded.append(live.revision.folds)
+        assert (live.revision.cold == "") == (frame > 0)
+        if frame < 10:
+            assert len(found.leaves()) == 2
+    consistent(found)
+    assert sum(folded[:10]) == 0
+    assert sum(folded[10:]) == (1 if folds else 0)
+    assert len(found.leaves()) == (1 if folds else 2)
+    assert (only(found.labels("surfaces")) == 1) if folds else (found.labels("surfaces").max() == 2)
+
+
 def test_another_scene_is_segmented_anew(tree: LiveTree) -> None:
     other = scene((10, 10, 120, 90), noise=5, wall_m=3.0)
     found = tree.segment(other)
