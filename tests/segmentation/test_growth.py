@@ -110,6 +110,10 @@ def is_as_foretold(tree: SegmentationTree, free: Free, config: SegmentationConfi
     split, stops = foretold(free, config)
     assert {each.name for each in tree.segments if each.division is Division.CUT} == set(split)
     assert {leaf.name: leaf.stop for leaf in tree.leaves()} == stops
+    # Decided on every pixel, with no border refined, a leaf has the pixels that were fitted.
+    labels = tree.labels("surfaces")
+    for label, leaf in enumerate(tree.leaves(), start=1):
+        assert np.array_equal(np.flatnonzero(labels == label), leaf.fit.pixels)
     for each in tree.segments:
         if each.fit.surface is not None:
             expected = free.values[each.name]
