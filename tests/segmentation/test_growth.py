@@ -21,12 +21,13 @@ LIMITLESS = {"ratio_max": 1e9, "depth_max": 64, "splits_max": 10_000}
 PAPER = SegmentationConfig(
     method="stag15", decimation=1, segment_pixels_min=_PIXELS_MIN, samples=60, large_error_m=0.02
 )
-#: Without noise to speak of, and by the second eigenvector alone.
+#: With no floor of noise, and by the second eigenvector alone.
 EXTENDED = SegmentationConfig(
     method="nurbseg",
     decimation=1,
     piece_pixels_min=_PIXELS_MIN,
     noise_per_m=1e-6,
+    noise_floor=0.0,
     cuts=1,
     samples=60,
     refine_borders=False,

@@ -16,7 +16,13 @@ from nurbseg.segmentation.surfaces.surface import Fit
 SIZE = (48, 64)
 #: 1/100 of the places of a 640x480 image: at most so many pixels make 20 places.
 CONFIG = SegmentationConfig(
-    method="nurbseg", decimation=1, piece_pixels_min=2000, noise_per_m=1e-6, ratio_max=0.5, cuts=5
+    method="nurbseg",
+    decimation=1,
+    piece_pixels_min=2000,
+    noise_per_m=1e-6,
+    noise_floor=0.0,
+    ratio_max=0.5,
+    cuts=5,
 )
 
 
