@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
-import sys
 
 from nurbseg.drivers.doctor.finding import Probe
 from nurbseg.drivers.doctor.usb_ids import WANTED
+from nurbseg.drivers.process.start import python_command
 
 #: A camera that does not answer lets its driver wait for some seconds.
 _TIME_LIMIT_S = 20.0
@@ -24,7 +24,7 @@ def probe(wanted: str = "any", *, time_limit_s: float = _TIME_LIMIT_S) -> Probe:
     time_limit_s : float
         After so many seconds the answer is that there was none.
     """
-    command = [sys.executable, "-m", "nurbseg.app.devices.cli", "list", "--json"]
+    command = python_command("nurbseg.app.devices.cli", "list", "--json")
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=time_limit_s, check=False)
     except subprocess.TimeoutExpired:

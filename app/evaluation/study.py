@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import itertools
 import json
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -189,6 +190,8 @@ def workers(scheduler: str | None, jobs: int) -> Iterator[None]:
         if jobs == 1:
             yield
             return
+        # Python would otherwise run what a stranger called threading.py in the current folder.
+        os.environ["PYTHONSAFEPATH"] = "1"
         from joblib.externals.loky import get_reusable_executor
 
         try:

@@ -6,7 +6,6 @@ import contextlib
 import os
 import signal
 import subprocess
-import sys
 from multiprocessing import Pipe
 from pathlib import Path
 from types import TracebackType
@@ -14,6 +13,7 @@ from typing import Self
 
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.viewer import ViewError, chosen_mode
+from nurbseg.drivers.process.start import python_command
 
 #: How long the process may take to end when it was told to, before it is ended; seconds.
 _END_S = 0.2
@@ -92,7 +92,7 @@ class ViewProcess:
 
 def _started(words: int, memory: int) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
-        [sys.executable, "-P", "-m", "nurbseg.app.view.program", str(words), str(memory)],
+        python_command("nurbseg.app.view.program", str(words), str(memory)),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         pass_fds=[words, memory],

@@ -10,7 +10,6 @@ import mmap
 import os
 import select
 import subprocess
-import sys
 import time
 from collections import deque
 from collections.abc import Mapping
@@ -23,6 +22,7 @@ from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.openni2.isolated.ring import Ring, slot_bytes
 from nurbseg.drivers.openni2.oni.calibration_note import calibration_of_note
 from nurbseg.drivers.openni2.options import DeviceOptions, parse_mode
+from nurbseg.drivers.process.start import python_command
 from nurbseg.drivers.source import FrameSource
 
 #: The process must have opened the camera within this time, seconds.
@@ -110,12 +110,9 @@ class IsolatedCamera(FrameSource):
             os.ftruncate(descriptor, slots * slot_bytes(depth[:2], color[:2]))
             self._ring = Ring(mmap.mmap(descriptor, 0), depth[:2], color[:2])
             self._process = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-m",
-                    "nurbseg.drivers.openni2.isolated.program",
-                    json.dumps(asked | {"ring": descriptor}),
-                ],
+                python_command(
+                    "nurbseg.drivers.openni2.isolated.program", json.dumps(asked | {"ring": descriptor})
+                ),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,

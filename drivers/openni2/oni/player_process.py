@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import select
 import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.errors import RecordingFormatError
 from nurbseg.drivers.openni2.oni.player import COLOR_IMAGE, END, MESSAGE
+from nurbseg.drivers.process.start import python_command
 
 #: The player must say what it plays within this time, seconds; starting Python is most of it.
 OPEN_LIMIT_S = 30.0
@@ -52,7 +52,7 @@ class PlayerProcess:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        command = [sys.executable, "-m", "nurbseg.drivers.openni2.oni.player", str(path.absolute())]
+        command = python_command("nurbseg.drivers.openni2.oni.player", str(path.absolute()))
         self._process = subprocess.Popen(  # its own errors come as messages, its driver's chatter is dropped
             command,
             stdin=subprocess.DEVNULL,

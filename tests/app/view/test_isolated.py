@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,6 @@ import pytest
 
 from nurbseg.app.live.worker import FrameResult, process_frame
 from nurbseg.app.view import isolated as view_isolated
-from nurbseg.app.view import process as view_process
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.isolated import IsolatedView
 from nurbseg.app.view.memory import SLOTS, SharedSlots
@@ -135,7 +135,7 @@ def test_a_process_begun_for_nothing_is_ended() -> None:
 def test_a_process_that_cannot_be_started_is_named_and_leaves_nothing_open(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(view_process.sys, "executable", "/nowhere/python")
+    monkeypatch.setattr(sys, "executable", "/nowhere/python")
     before = len(list(Path("/proc/self/fd").iterdir()))
     with pytest.raises(ViewError, match=r"cannot be started: .*/nowhere/python"):
         begin_view(ViewConfig(mode="none", save="never.rrd"))

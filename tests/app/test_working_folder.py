@@ -1,0 +1,106 @@
+"""That no command runs Python code that lies in the folder it is called in."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from virtual_camera import VirtualCameras, openni2_redist, virtual_cameras
+
+__all__ = ["openni2_redist", "virtual_cameras"]
+
+FAST = ["--view", "none", "--splits-max", "1", "--decimation", "8"]
+
+_MODULE = """\
+import os, sys
+with open({said!r}, "a") as file:
+    file.write(" ".join([{name!r}, *sys.orig_argv]) + "\\n")
+os._exit(3)
+"""
+
+
+class StrangersFolder:
+    """A folder with a module for each one of Python's own; each tells that it was run."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.said = path / "said"
+        for name in sys.stdlib_module_names:
+            (path / f"{name}.py").write_text(_MODULE.format(said=str(self.said), name=name))
+
+    def run(self, command: str, *words: str, **environment: str) -> subprocess.CompletedProcess[str]:
+        """Run an installed command in it."""
+        return subprocess.run(
+            [Path(sys.executable).with_name(command), *words],
+            cwd=self.path,
+            env=os.environ | environment,
+            capture_output=True,
+            text=True,
+            timeout=240,
+        )
+
+    def code_that_ran(self) -> list[str]:
+        """Return the names of the modules that ran, with the command lines of their programs."""
+        return self.said.read_text().splitlines() if self.said.exists() else []
+
+
+@pytest.fixture
+def strangers_folder(tmp_path: Path) -> StrangersFolder:
+    folder = tmp_path / "stranger"
+    folder.mkdir()
+    return StrangersFolder(folder)
+
+
+def test_the_folder_would_be_found_out(strangers_folder: StrangersFolder) -> None:
+    done = subprocess.run([sys.executable, "-m", "json.tool"], cwd=strangers_folder.path, timeout=60)
+    assert done.returncode == 3
+    assert strangers_folder.code_that_ran()
+
+
+@pytest.mark.parametrize("environment", [{}, {"PYTHONPATH": ""}])
+def test_a_camera_and_its_recording_are_read_without_it(
+    strangers_folder: StrangersFolder,
+    virtual_cameras: VirtualCameras,
+    tmp_path: Path,
+    environment: dict[str, str],
+) -> None:
+    virtual_cameras.add()
+    recording = str(tmp_path / "X.oni")
+    words = ["--device", "any", "--frames", "5", "--record", recording, *FAST]
+    done = strangers_folder.run("nurbseg-live", *words, **environment)
+    assert strangers_folder.code_that_ran() == []
+    assert done.returncode == 0, done.stderr
+    done = strangers_folder.run("nurbseg-live", "--replay", recording, "--speed", "0", *FAST, **environment)
+    assert strangers_folder.code_that_ran() == []
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("words", [["list"], ["doctor"]])
+def test_cameras_are_looked_for_without_it(
+    strangers_folder: StrangersFolder, virtual_cameras: VirtualCameras, words: list[str]
+) -> None:
+    virtual_cameras.add()
+    done = strangers_folder.run("nurbseg-devices", *words)
+    assert strangers_folder.code_that_ran() == []
+    assert done.returncode == 0, done.stderr
+
+
+def test_frames_are_shown_and_saved_without_it(strangers_folder: StrangersFolder, tmp_path: Path) -> None:
+    saved = tmp_path / "a.rrd"
+    words = ["--replay", "synthetic:?width=160&height=120&frames=2", "--speed", "0", "--save", str(saved)]
+    done = strangers_folder.run("nurbseg-live", *words, *FAST)
+    assert strangers_folder.code_that_ran() == []
+    assert done.returncode == 0, done.stderr
+    assert saved.stat().st_size > 0
+
+
+def test_frames_are_scored_by_several_processes_without_it(
+    strangers_folder: StrangersFolder, tmp_path: Path
+) -> None:
+    scenes = "synthetic:?width=160&height=120&frames=2"
+    done = strangers_folder.run("nurbseg-eval", scenes, "--jobs", "2", "--out", str(tmp_path / "out"))
+    assert strangers_folder.code_that_ran() == []
+    assert done.returncode == 0, done.stderr
