@@ -8,7 +8,7 @@ import subprocess
 
 from nurbseg.drivers.doctor.finding import Probe
 from nurbseg.drivers.doctor.usb_ids import WANTED
-from nurbseg.drivers.process.start import python_command
+from nurbseg.drivers.process.start import dying_with_parent, python_command
 
 #: A camera that does not answer lets its driver wait for some seconds.
 _TIME_LIMIT_S = 20.0
@@ -26,7 +26,9 @@ def probe(wanted: str = "any", *, time_limit_s: float = _TIME_LIMIT_S) -> Probe:
     """
     command = python_command("nurbseg.app.devices.cli", "list", "--json")
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=time_limit_s, check=False)
+        done = subprocess.run(
+            dying_with_parent(command), capture_output=True, text=True, timeout=time_limit_s, check=False
+        )
     except subprocess.TimeoutExpired:
         return Probe(error=f"OpenNI2, or one of its drivers, did not answer within {time_limit_s:g} s.")
     if done.returncode < 0:

@@ -51,6 +51,7 @@ def _follow(view: RerunView, slots: SharedSlots, words: Connection[Any, Any], te
         if (status := (view.dropped, view.connections)) != told:
             teller.tell("status", *status)
             told = status
+        view.look_after()
         try:
             if not words.poll(_LOOK_S):
                 continue

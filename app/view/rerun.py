@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import logging
 import os
-import subprocess
 import time
 import uuid
 from collections.abc import Mapping
 from pathlib import Path
-from urllib.parse import quote
 
 from nurbseg.app.view.config import ViewConfig, bracketed
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame
@@ -29,6 +27,7 @@ from nurbseg.app.view.drawing.blueprint import legend
 from nurbseg.app.view.drawing.entities import LEGEND, FrameEntities, opening_entities
 from nurbseg.app.view.file import FileSink
 from nurbseg.app.view.live import ViewerSink
+from nurbseg.app.view.serving import WebServer
 from nurbseg.app.view.stream import LogLine, Opening
 from nurbseg.app.view.viewer import (
     FILE_CLOSE_S,
@@ -37,8 +36,8 @@ from nurbseg.app.view.viewer import (
     free_port,
     is_taken,
     listens,
+    reachable,
     start_viewer,
-    start_web_server,
 )
 
 logger = logging.getLogger(__name__)
@@ -93,7 +92,7 @@ class RerunView:
         self._metric = segmentation.metric
         self._calibration: Calibration | None = None
         self._closed = False
-        self._process: subprocess.Popen[bytes] | None = None
+        self._server: WebServer | None = None
         self._files: list[FileSink] = []
         self._viewers: list[ViewerSink] = []
         self.how_to_look = ""
@@ -120,7 +119,7 @@ class RerunView:
     @property
     def serving(self) -> bool:
         """Whether a web page is served, which ends with this view."""
-        return self._process is not None and self._config.mode == "serve"
+        return self._server is not None
 
     @property
     def connections(self) -> int:
@@ -152,6 +151,11 @@ class RerunView:
         for sink in self._sinks:
             sink.put(entities)
 
+    def look_after(self) -> None:
+        """Start what is served again, if it has ended; for the thread that made this object."""
+        if self._server is not None:
+            self._server.look_after()
+
     def show_line(self, moment: Moment, level: int, text: str) -> None:
         """Show a line of the log, of one of logging's levels, as said at a moment; never waits."""
         line = LogLine(moment, _LEVELS.get(level, "INFO"), text)
@@ -182,9 +186,8 @@ class RerunView:
         finally:
             for viewer in self._viewers:
                 viewer.finish_close(time.monotonic() + _VIEWER_CLOSE_S)
-            if self.serving and self._process is not None:
-                self._process.kill()
-                self._process.wait()
+            if self._server is not None:
+                self._server.close()
 
     @property
     def _sinks(self) -> tuple[ViewerSink | FileSink, ...]:
@@ -198,19 +201,21 @@ class RerunView:
         elif mode == "spawn":
             self._spawn(opening)
         elif mode == "serve":
-            self._serve(opening)
+            self._server = WebServer(config)
+            self.how_to_look = self._server.page_url
+            self._viewers.append(ViewerSink(self._server.url, opening, self._server.is_starting))
         elif config.save is not None:
             self.how_to_look = f"rerun {config.save}"
 
     def _spawn(self, opening: Opening) -> None:
         """Open a window, or use the one that is there."""
         port = self._config.port or free_port(self._config.bind)
-        host = _host_of(self._config.bind)
+        host = reachable(self._config.bind)
         process = None
         if not listens(host, port):
             if is_taken(self._config.bind, port):
                 raise ViewError(f"port {port} is taken by something that is no viewer; name another port")
-            process = self._process = start_viewer(self._config, port)
+            process = start_viewer(self._config, port)
 
         said = False
 
@@ -225,25 +230,6 @@ class RerunView:
             return process is not None and code is None
 
         self._viewers.append(ViewerSink(f"rerun+http://{bracketed(host)}:{port}/proxy", opening, starting))
-
-    def _serve(self, opening: Opening) -> None:
-        """Serve a web page by a process of its own, so that a stalled browser stalls only that."""
-        config = self._config
-        port = config.port or free_port(config.bind)
-        web_port = config.web_port or free_port(config.bind)
-        for name, number in (("port", port), ("web port", web_port)):
-            if is_taken(config.bind, number):
-                raise ViewError(f"{name} {number} of {config.bind} is taken; name another one, or 0 for any")
-        process = self._process = start_web_server(config, port, web_port)
-        host = bracketed(_host_of(config.bind))
-        url = f"rerun+http://{host}:{port}/proxy"
-        self.how_to_look = f"http://{host}:{web_port}/?url={quote(url, safe='')}"
-        self._viewers.append(ViewerSink(url, opening, lambda: process.poll() is None))
-
-
-def _host_of(bind: str) -> str:
-    """Return an address to reach what listens on `bind`."""
-    return {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(bind, bind)
 
 
 __all__ = ["RerunView"]

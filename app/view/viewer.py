@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 from nurbseg.app.view.config import ViewConfig, ViewMode
+from nurbseg.drivers.process.start import dying_with_parent
 
 #: Longest wait for a file to be whole, seconds: where somebody waits for the end, and where nobody does.
 FILE_CLOSE_S, FILE_PATIENCE_S = 1.2, 15.0
@@ -61,7 +62,7 @@ def start_viewer(config: ViewConfig, port: int, *, headless: bool = False) -> su
 
 
 def start_web_server(config: ViewConfig, port: int, web_port: int) -> subprocess.Popen[bytes]:
-    """Serve the viewer as a web page, by a process that the caller ends."""
+    """Serve the viewer as a web page, by a process that the caller ends, or the end of its thread."""
     return _start(config, port, ["--serve-web", "--web-viewer-port", str(web_port)], detached=False)
 
 
@@ -75,7 +76,8 @@ def _start(config: ViewConfig, port: int, words: list[str], *, detached: bool) -
     ]
     try:
         return subprocess.Popen(
-            command,
+            command if detached else dying_with_parent(command),
+            env=private_environment(),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -84,6 +86,16 @@ def _start(config: ViewConfig, port: int, words: list[str], *, detached: bool) -
         )
     except OSError as err:
         raise ViewError(f"{command[0]}: cannot be started: {err}") from err
+
+
+def private_environment() -> dict[str, str]:
+    """Return the environment in which Rerun gathers and sends no usage statistics.
+
+    Rerun 0.41 has no setting for one run: it sends none on computers that only build and test, which set
+    the variable CI. ``rerun analytics disable`` would be for good, and for all programs of the user.
+    """
+    kept = {name: value for name, value in os.environ.items() if name != "FORCE_RERUN_ANALYTICS"}
+    return kept | {"CI": "true"}
 
 
 def free_port(bind: str) -> int:
@@ -126,6 +138,11 @@ def _bound(bind: str, port: int) -> int:
         probe.bind((bind, port))
         number: int = probe.getsockname()[1]
         return number
+
+
+def reachable(bind: str) -> str:
+    """Return an address to reach what listens on `bind`."""
+    return {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(bind, bind)
 
 
 def listens(host: str, port: int) -> bool:
@@ -174,6 +191,8 @@ __all__ = [
     "has_display",
     "is_taken",
     "listens",
+    "private_environment",
+    "reachable",
     "start_viewer",
     "start_web_server",
     "viewer_executable",

@@ -1,8 +1,17 @@
-"""How a program of ours is started in a process of its own."""
+"""How a program is started in a process of its own."""
 
 from __future__ import annotations
 
+import os
 import sys
+
+#: Asks Linux for the end of this process with that of its parent (PR_SET_PDEATHSIG), and becomes the program.
+_BECOME = """\
+import ctypes, os, signal, sys
+ctypes.CDLL(None).prctl(1, signal.SIGKILL)
+if os.getppid() == int(sys.argv[1]):
+    os.execv(sys.argv[2], sys.argv[2:])
+"""
 
 
 def python_command(module: str, *words: str) -> list[str]:
@@ -24,4 +33,15 @@ def python_command(module: str, *words: str) -> list[str]:
     return [sys.executable, "-P", "-m", module, *words]
 
 
-__all__ = ["python_command"]
+def dying_with_parent(command: list[str]) -> list[str]:
+    """Return a command that does the same, but is killed when the thread that starts it ends.
+
+    Parameters
+    ----------
+    command : list of str
+        The path of a program that cannot take care of that itself, and its arguments.
+    """
+    return [sys.executable, "-I", "-S", "-c", _BECOME, str(os.getpid()), *command]
+
+
+__all__ = ["dying_with_parent", "python_command"]

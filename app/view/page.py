@@ -1,0 +1,128 @@
+"""The served page: Rerun's viewer for a browser, kept from asking any other host for anything."""
+
+from __future__ import annotations
+
+import http.client
+import re
+import shutil
+import socket
+import threading
+import time
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from urllib.parse import urlsplit
+
+#: Longest wait for Rerun's answer, and for a browser to take it; seconds.
+_TIMEOUT_S = 30.0
+#: Longest wait for Rerun's server to start, and pause between two tries; seconds.
+_START_S, _PAUSE_S = 10.0, 0.1
+#: Fonts of another host, and connections to it that a browser would make ahead of time.
+_FOREIGN_LINK = re.compile(rb'<link\b[^>]*href="https?://[^>]*>')
+_PASSED_ON = ("Content-Type", "Content-Encoding", "rerun-final-length")
+
+
+class PageServer:
+    """Hands the files of Rerun's own web server on, with a policy that the browser enforces.
+
+    Rerun's page asks for fonts, for news of releases and for examples, and sends usage statistics. The
+    policy (Content-Security-Policy) names the only addresses that the page may speak to: this server, and
+    the port that frames come from.
+
+    Parameters
+    ----------
+    bind : str
+        Address to listen on.
+    port : int
+        Port to listen on.
+    rerun : (str, int)
+        Host and port of Rerun's own web server.
+    stream_port : int
+        Where frames come from, on the host that the browser asked for the page.
+
+    Raises
+    ------
+    OSError
+        If the port is taken.
+    """
+
+    def __init__(self, bind: str, port: int, rerun: tuple[str, int], stream_port: int) -> None:
+        class Handler(_Handler):
+            upstream, stream = rerun, stream_port
+
+        class Server(ThreadingHTTPServer):
+            address_family = socket.AF_INET6 if ":" in bind else socket.AF_INET
+            daemon_threads = True
+
+        self._server = Server((bind, port), Handler)
+        self._thread = threading.Thread(target=self._server.serve_forever, name="view-page", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Serve nothing more."""
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+
+class _Handler(BaseHTTPRequestHandler):
+    upstream: tuple[str, int]
+    stream: int
+    timeout = _TIMEOUT_S
+    protocol_version = "HTTP/1.1"
+
+    def do_GET(self) -> None:
+        connection = http.client.HTTPConnection(*self.upstream, timeout=_TIMEOUT_S)
+        try:
+            answer = self._answer(connection)
+            is_page = answer.headers.get_content_type() == "text/html"
+            page = _FOREIGN_LINK.sub(b"", answer.read()) if is_page else None
+            length = answer.headers["Content-Length"] if page is None else str(len(page))
+            self.send_response(answer.status)
+            for name in _PASSED_ON:
+                if (value := answer.headers[name]) is not None:
+                    self.send_header(name, value)
+            # Rerun tells no length of what it sends in parts; then the end of the connection tells it.
+            self.send_header(*(("Connection", "close") if length is None else ("Content-Length", length)))
+            self.send_header("Content-Security-Policy", self._policy())
+            self.send_header("Referrer-Policy", "no-referrer")
+            self.end_headers()
+            if page is not None:
+                self.wfile.write(page)
+            else:
+                shutil.copyfileobj(answer, self.wfile, 1 << 20)
+        except (OSError, http.client.HTTPException):
+            self.close_connection = True
+        finally:
+            connection.close()
+
+    def _answer(self, connection: http.client.HTTPConnection) -> http.client.HTTPResponse:
+        """Ask Rerun, which may just be starting."""
+        deadline_s = time.monotonic() + _START_S
+        while True:
+            try:
+                connection.request("GET", self.path)
+                return connection.getresponse()
+            except (OSError, http.client.HTTPException):
+                if time.monotonic() > deadline_s:
+                    raise
+            connection.close()
+            time.sleep(_PAUSE_S)
+
+    def _policy(self) -> str:
+        try:
+            host = urlsplit(f"//{self.headers['Host']}").hostname or ""
+        except ValueError:
+            host = ""
+        named = re.fullmatch(r"[\w.:-]+", host)
+        frames = "" if named is None else f" http://{f'[{host}]' if ':' in host else host}:{self.stream}"
+        return (
+            "default-src 'self'; "
+            "script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; worker-src 'self' blob:; "
+            "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
+            f"connect-src 'self' data: blob:{frames}; form-action 'none'; base-uri 'none'"
+        )
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Say nothing."""
+
+
+__all__ = ["PageServer"]

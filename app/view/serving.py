@@ -1,0 +1,94 @@
+"""Rerun's web server as a process, the page in front of it, and what becomes of them when it ends."""
+
+from __future__ import annotations
+
+import logging
+import time
+from urllib.parse import quote
+
+from nurbseg.app.view.config import ViewConfig, bracketed
+from nurbseg.app.view.page import PageServer
+from nurbseg.app.view.viewer import ViewError, free_port, is_taken, reachable, start_web_server
+
+logger = logging.getLogger(__name__)
+
+#: A server that ends sooner than this after its start would do so again, seconds.
+_LASTING_S = 5.0
+
+
+class WebServer:
+    """Serves frames and the viewer to browsers, by a process of its own: a stalled browser stalls only that.
+
+    Parameters
+    ----------
+    config : ViewConfig
+        Address, ports, and how much may be kept for browsers that come late.
+
+    Attributes
+    ----------
+    url : str
+        Where frames are sent to.
+    page_url : str
+        What to open in a browser.
+
+    Raises
+    ------
+    ViewError
+        If a port is taken, or the process cannot be started.
+    """
+
+    def __init__(self, config: ViewConfig) -> None:
+        self._config = config
+        self._given_up = False
+        self._port = config.port or free_port(config.bind)
+        web_port = config.web_port or free_port(config.bind)
+        for name, number in (("port", self._port), ("web port", web_port)):
+            if is_taken(config.bind, number):
+                raise ViewError(f"{name} {number} of {config.bind} is taken; name another one, or 0 for any")
+        self._rerun_port = free_port(config.bind)
+        self._start()
+        host = reachable(config.bind)
+        try:
+            self._page = PageServer(config.bind, web_port, (host, self._rerun_port), self._port)
+        except OSError as err:
+            self._end()
+            raise ViewError(f"web port {web_port} of {config.bind}: {err.strerror}") from err
+        self.url = f"rerun+http://{bracketed(host)}:{self._port}/proxy"
+        self.page_url = f"http://{bracketed(host)}:{web_port}/?url={quote(self.url, safe='')}"
+
+    def _start(self) -> None:
+        self._process = start_web_server(self._config, self._port, self._rerun_port)
+        self._started_s = time.monotonic()
+
+    def is_starting(self) -> bool:
+        """Whether the server runs, if only since a moment ago."""
+        return self._process.poll() is None
+
+    def look_after(self) -> None:
+        """Start the server again if it has ended; for the thread that made this object."""
+        code = self._process.poll()
+        if code is None or self._given_up:
+            return
+        how = f"by signal {-code}" if code < 0 else f"with code {code}"
+        self._given_up = time.monotonic() - self._started_s < _LASTING_S
+        if self._given_up:
+            logger.warning("the web server ended %s soon after its start and is not started again", how)
+            return
+        logger.warning("the web server ended %s and is started again; reload the page", how)
+        try:
+            self._start()
+        except ViewError as err:
+            self._given_up = True
+            logger.warning("the web server is not started again: %s", err)
+
+    def close(self) -> None:
+        """End the server and its page."""
+        self._page.close()
+        self._end()
+
+    def _end(self) -> None:
+        self._process.kill()
+        self._process.wait()
+
+
+__all__ = ["WebServer"]

@@ -1,0 +1,243 @@
+"""The served page and its server: what they ask of other hosts, and what becomes of them."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import textwrap
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import psutil
+import pytest
+
+from nurbseg.app.view import serving
+from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.view.serving import WebServer
+from nurbseg.app.view.view import View, open_view
+from nurbseg.app.view.viewer import ViewError, free_port, listens, private_environment
+from tests.fakes.own_children import own_children
+from tests.fakes.small_scene import CONFIG, small_result
+
+LOCAL = "127.0.0.1"
+ANY_PORTS = ViewConfig(mode="serve", port=0, web_port=0)
+
+_SERVES = """
+    import sys
+    from nurbseg.app.view.view import open_view
+    from nurbseg.app.view.config import ViewConfig
+    from tests.fakes.small_scene import CONFIG, small_result
+
+    with open_view(ViewConfig(mode="serve", port=0, web_port=0), CONFIG) as view:
+        assert view.wait_connected(60.0)
+        view.show(small_result())
+        print(view.how_to_look, flush=True)
+        sys.stdin.readline()
+"""
+
+
+def wait_until(condition: Callable[[], bool], what: str, timeout_s: float = 60.0) -> None:
+    deadline_s = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline_s, f"waited {timeout_s:g} s in vain until {what}"
+        time.sleep(0.02)
+
+
+def serving_program(*before: str, **environment: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [*before, sys.executable, "-c", textwrap.dedent(_SERVES)],
+        cwd=Path(__file__).parents[3],
+        env={name: value for name, value in os.environ.items() if name != "CI"} | environment,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+@pytest.fixture
+def view() -> Iterator[View]:
+    with open_view(ANY_PORTS, CONFIG) as view:
+        view.show(small_result())
+        yield view
+
+
+def fetched(url: str) -> tuple[bytes, dict[str, str]]:
+    with urllib.request.urlopen(url, timeout=60.0) as answer:
+        return answer.read(), dict(answer.headers)
+
+
+def test_the_page_may_speak_to_its_server_and_to_nobody_else(view: View) -> None:
+    stream_port = urlsplit(view.how_to_look).query.rpartition("%3A")[2].partition("%2F")[0]
+    wait_until(lambda: listens(LOCAL, int(stream_port)), "the server listens")
+    page, headers = fetched(view.how_to_look)
+    policy = dict(each.strip().split(" ", 1) for each in headers["Content-Security-Policy"].split(";"))
+    assert policy["default-src"] == "'self'"
+    assert set(policy["connect-src"].split()) == {"'self'", "data:", "blob:", f"http://{LOCAL}:{stream_port}"}
+    for each in policy.values():
+        assert re.findall(r"https?://[^ ]*", each) in ([], [f"http://{LOCAL}:{stream_port}"])
+    # A browser connects to the hosts of links ahead of time, whatever the policy.
+    assert re.findall(rb"<link[^>]*//", page) == []
+    assert b"re_viewer.js" in page
+
+
+def test_the_parts_of_the_page_come_whole(view: View) -> None:
+    base = view.how_to_look.partition("?")[0]
+    script, headers = fetched(f"{base}re_viewer.js")
+    assert b"wasm_bindgen" in script
+    assert "javascript" in headers["Content-Type"]
+    program, headers = fetched(f"{base}re_viewer_bg.wasm")
+    assert program[:4] == b"\0asm"
+    assert len(program) == int(headers["rerun-final-length"])
+
+
+def test_a_browser_asks_no_other_host_for_anything(view: View, tmp_path: Path) -> None:
+    browser = shutil.which("chromium")
+    if browser is None:
+        pytest.skip("no Chromium to open the page with: install chromium")
+    log = tmp_path / "net.json"
+    words = [
+        *(browser, "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--no-first-run"),
+        *("--enable-unsafe-swiftshader", f"--user-data-dir={tmp_path / 'profile'}"),
+        *(f"--log-net-log={log}", "--remote-debugging-port=0", f"{view.how_to_look}&renderer=webgl"),
+    ]
+    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        try:
+            wait_until(
+                lambda: log.exists() and "/ReadMessages" in log.read_text(), "it asks for frames", 200.0
+            )
+            time.sleep(2.0)
+        finally:
+            process.terminate()
+    text = log.read_text()
+    # A browser that is ended does not end its log.
+    events = json.loads(text if text.rstrip().endswith("}") else text.rstrip().rstrip(",") + "]}")["events"]
+    asked = [each["params"]["url"] for each in events if LOCAL in each.get("params", {}).get("initiator", "")]
+    assert {urlsplit(url).hostname for url in asked} == {LOCAL}
+    names = re.findall(r'"host":"([^"]*)"', text)
+    assert [name for name in names if "rerun" in name or "github" in name or "fonts" in name] == []
+
+
+def test_serving_looks_no_name_up_and_connects_to_this_computer_only(tmp_path: Path) -> None:
+    if shutil.which("strace") is None:
+        pytest.skip("no strace to watch connections with: install strace")
+    trace = tmp_path / "trace"
+    # Rerun begins to send with its second run.
+    for _ in range(2):
+        watch = (
+            "strace",
+            "-f",
+            "-q",
+            "--seccomp-bpf",
+            "-e",
+            "trace=connect,sendto,sendmmsg",
+            "-o",
+            str(trace),
+        )
+        with serving_program(*watch, HOME=str(tmp_path)) as program:
+            assert program.stdout is not None
+            assert program.stdout.readline().startswith("http://")
+            time.sleep(3.0)
+            program.communicate("\n", timeout=60.0)
+        assert program.returncode == 0
+        connects = [line for line in trace.read_text().splitlines() if "sa_family=AF_INET" in line]
+        assert connects
+        for line in connects:
+            assert LOCAL in line, line
+            assert "htons(53)" not in line, line
+    assert list(tmp_path.rglob("analytics*")) == []
+
+
+def test_what_is_started_is_told_to_send_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FORCE_RERUN_ANALYTICS", "1")
+    monkeypatch.delenv("CI", raising=False)
+    environment = private_environment()
+    assert environment["CI"] == "true"
+    assert "FORCE_RERUN_ANALYTICS" not in environment
+    assert environment["PATH"] == os.environ["PATH"]
+
+
+def test_the_server_ends_with_those_that_started_it_however_they_end() -> None:
+    with serving_program() as program:
+        assert program.stdout is not None
+        program.stdout.readline()
+        main = psutil.Process(program.pid)
+        (shows,) = main.children()
+        (server,) = shows.children()
+        assert "rerun" in server.name()
+        # Stopped, so that it cannot end the server in its turn.
+        main.suspend()
+        shows.kill()
+        main.kill()
+        server.wait(30.0)
+        program.wait(30.0)
+
+
+def test_a_server_that_ends_is_started_again(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(serving, "_LASTING_S", 0.0)
+    server = WebServer(ANY_PORTS)
+    try:
+        port = urlsplit(server.url).port
+        assert port is not None
+        wait_until(lambda: listens(LOCAL, port), "the server listens")
+        (process,) = own_children()
+        process.kill()
+        wait_until(lambda: not server.is_starting(), "the server has ended")
+        server.look_after()
+        assert "the web server ended by signal 9 and is started again; reload the page" in caplog.text
+        wait_until(lambda: listens(LOCAL, port), "the server listens again")
+        wait_until(lambda: b"re_viewer.js" in fetched(server.page_url)[0], "the page is served again")
+        server.look_after()
+        assert len(caplog.records) == 1
+    finally:
+        server.close()
+    assert own_children() == []
+
+
+def test_a_server_that_ends_at_once_is_given_up(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(serving, "_LASTING_S", 1e9)
+    server = WebServer(ANY_PORTS)
+    try:
+        (process,) = own_children()
+        process.kill()
+        wait_until(lambda: not server.is_starting(), "the server has ended")
+        server.look_after()
+        server.look_after()
+        assert [each.getMessage() for each in caplog.records] == [
+            "the web server ended by signal 9 soon after its start and is not started again"
+        ]
+        assert own_children() == []
+    finally:
+        server.close()
+
+
+def test_a_view_whose_server_was_killed_shows_again(view: View, caplog: pytest.LogCaptureFixture) -> None:
+    began_s = time.monotonic()
+    assert view.wait_connected(60.0)
+    (shows,) = own_children()
+    time.sleep(max(0.0, began_s + 6.0 - time.monotonic()))
+    (server,) = shows.children()
+    server.kill()
+    wait_until(lambda: "is started again" in caplog.text, "the start is said")
+    wait_until(lambda: view.connections == 2, "frames are sent again")
+
+
+def test_a_taken_web_port_leaves_no_server() -> None:
+    port = free_port(LOCAL)
+    first = WebServer(ViewConfig(mode="serve", port=0, web_port=port))
+    try:
+        with pytest.raises(ViewError, match=f"web port {port} of {LOCAL} is taken"):
+            WebServer(ViewConfig(mode="serve", port=0, web_port=port))
+        assert len(own_children()) == 1
+    finally:
+        first.close()
