@@ -17,7 +17,6 @@ from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.openni2.capi import DeviceState, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate, configure, set_modes
 from nurbseg.drivers.openni2.oni.calibration_note import calibration_note
-from nurbseg.drivers.openni2.oni.player import COLOR_IMAGE, DEPTH_IMAGE
 from nurbseg.drivers.openni2.oni.recorder import OniRecorder
 from nurbseg.drivers.openni2.opened import OpenedDevice, describe, open_camera
 from nurbseg.drivers.openni2.options import DeviceOptions
@@ -226,10 +225,10 @@ class DeviceSource(FrameSource):
         recorder = self._recorder
         if stream.sensor == Sensor.COLOR:
             if recorder is not None:
-                recorder.seen.setdefault(COLOR_IMAGE, image)
+                recorder.seen.setdefault(Sensor.COLOR, image)
             return self._pairing.add_color(image)
         if recorder is not None:
-            recorder.seen.setdefault(DEPTH_IMAGE, image)
+            recorder.seen.setdefault(Sensor.DEPTH, image)
             recorder.beyond_limit += int(image.pixels.max()) >= recorder.depth_limit
         if self._last_number is not None and not self._settling:
             self.missed += max(0, image.number - self._last_number - 1)

@@ -1,1 +1,30 @@
-"""Other processes of ours: how they are started."""
+"""Other processes of ours, and the queues between threads.
+
+What is slow, may hang or may crash runs in a process of its own:
+
+============================  ==================================  ===================================
+program                       gets                                sends
+============================  ==================================  ===================================
+``openni2.isolated.program``  what to open; begin, record, stop   opened, frames, done or failure
+``openni2.oni.player``        the path of an .oni file            description, images, end or failure
+``app.view.program``          settings, frames, lines, close      opened, status, failure, closed
+============================  ==================================  ===================================
+
+`ChildProcess` starts one, `parent.connect` is the first thing that it calls, and a `Channel` joins the two: a
+socket for messages, dataclasses that a `Codec` writes as JSON (no pickle: nothing in them is run), and memory
+without a name for their arrays, divided into slots. The log goes through it too, and a heartbeat, which tells
+a program that has nothing to say from one that hangs.
+
+A program ends when the process that started it has finished, or is gone however that came. If it hangs then,
+a thread of its own ends it; foreign programs, which have no such thread, are ended by Linux
+(`dying_with_parent`).
+
+Every wait has a limit: a message that does not get through is given up after 15 s, and a channel is closed
+with the process at its other end. Where something is asked for, there is a limit besides: a camera opens
+within 60 s, answers within 30 s, and is lost when its process is silent for 7 s; a player opens within 30 s
+and hangs after 10 s; the view opens within 60 s.
+
+`BoundedQueue` hands over between threads: captured frames (the newest wins, or the source waits), frames to
+be recorded (refused when 240 MB wait, or the source waits), frames to be shown (the newest wins) or saved
+(the source waits).
+"""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import time
 from pathlib import Path
@@ -19,19 +18,14 @@ from nurbseg.drivers.errors import (
 )
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.openni2 import nominal
-from nurbseg.drivers.openni2.capi import PixelFormat
+from nurbseg.drivers.openni2.capi import PixelFormat, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate
+from nurbseg.drivers.openni2.isolated.messages import Failure
 from nurbseg.drivers.openni2.library import find_library
 from nurbseg.drivers.openni2.oni.calibration_note import calibration_of_note
 from nurbseg.drivers.openni2.oni.file import OniFile, StoredFrame, read_structure
-from nurbseg.drivers.openni2.oni.player import (
-    COLOR_IMAGE,
-    DEPTH_IMAGE,
-    DESCRIPTION,
-    END,
-    FAILURE,
-)
-from nurbseg.drivers.openni2.oni.player_process import OPEN_LIMIT_S, Message, PlayerProcess
+from nurbseg.drivers.openni2.oni.player import Description, PlayedImage
+from nurbseg.drivers.openni2.oni.player_process import OPEN_LIMIT_S, PlayerProcess
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.source import FrameSource
 
@@ -91,7 +85,7 @@ class OniSource(FrameSource):
         counted = len(file.depth.frames) + len(file.color.frames)
         self.half_pairs = counted - 2 * len(self._pairs)
         self._next = 0
-        self._waiting: dict[tuple[int, int], Message] = {}
+        self._waiting: dict[tuple[Sensor, int], PlayedImage] = {}
         self._player = PlayerProcess(path)
         try:
             self._take_description(file)
@@ -120,25 +114,25 @@ class OniSource(FrameSource):
 
     def _take_description(self, file: OniFile) -> None:
         message = self._player.receive(OPEN_LIMIT_S, OPEN_LIMIT_S)
-        if message is None or message.kind != DESCRIPTION:
-            words = message.body.decode(errors="replace") if message else "no answer"
-            if words.startswith(BackendMissingError.__name__):
-                raise BackendMissingError(words.partition(": ")[2])
-            raise RecordingFormatError(f"{self._path}: OpenNI2 cannot play it ({words})")
-        told: dict[str, Any] = json.loads(message.body)
+        if not isinstance(message, Description):
+            error = message.error() if isinstance(message, Failure) else None
+            if isinstance(error, BackendMissingError):
+                raise error
+            raise RecordingFormatError(f"{self._path}: OpenNI2 cannot play it ({error or 'no answer'})")
+        depth, color = message.depth, message.color
         self.metadata.update({key: str(value) for key, value in file.note.get("device", {}).items()})
-        self.metadata.setdefault("openni2_version", told["openni2_version"])
+        self.metadata.setdefault("openni2_version", message.openni2_version)
         self.metadata["dropped"] = str(self.half_pairs)
-        for name, stored in (("depth", file.depth), ("color", file.color)):
-            if tuple(told[name]["size"]) != stored.size:
+        for name, stored, played in (("depth", file.depth, depth), ("color", file.color, color)):
+            if played.size != stored.size:
                 raise RecordingFormatError(
-                    f"{self._path}: {name}: xnMapOutputMode says {stored.size}, OpenNI2 {told[name]['size']}"
+                    f"{self._path}: {name}: xnMapOutputMode says {stored.size}, OpenNI2 {played.size}"
                 )
         # A recording remembers whether its images are mirrored; they come as is wanted here.
         self._flip_depth, self._flip_color = (
-            told[name]["mirrored"] != self._options.mirror for name in ("depth", "color")
+            each.mirrored != self._options.mirror for each in (depth, color)
         )
-        self._tenths = told["depth"]["format"] == PixelFormat.DEPTH_100_UM
+        self._tenths = depth.format == PixelFormat.DEPTH_100_UM
         noted = file.note.get("calibration")
         if noted is not None and self._options.calibration is None and self._cameras is None:
             calibration = calibration_of_note(self._path, noted)
@@ -160,7 +154,7 @@ class OniSource(FrameSource):
         self.calibration = calibrate(
             file.depth.size,
             file.color.size,
-            (told["depth"]["fov"], told["color"]["fov"]),
+            (depth.fov, color.fov),
             self._options,
             registered=registered,
             cameras=self._cameras,
@@ -171,17 +165,17 @@ class OniSource(FrameSource):
             raise EndOfRecordingError(f"{self._path}: end after {len(self._pairs)} frames")
         stored_depth, stored_color = self._pairs[self._next]
         deadline = time.monotonic() + timeout_s
-        wanted = ((DEPTH_IMAGE, stored_depth.number), (COLOR_IMAGE, stored_color.number))
+        wanted = ((Sensor.DEPTH, stored_depth.number), (Sensor.COLOR, stored_color.number))
         while not all(each in self._waiting for each in wanted):
             message = self._player.receive(max(0.0, deadline - time.monotonic()))
             if message is None:
                 raise FrameTimeoutError(f"{self._path}: no frame within {timeout_s:g} s")
-            if message.kind in (END, FAILURE):
-                words = message.body.decode(errors="replace") or "it ends too early"
+            if not isinstance(message, PlayedImage):
+                why = message.error() if isinstance(message, Failure) else "it ends too early"
                 raise RecordingFormatError(
-                    f"{self._path}: frame {self._next}: OpenNI2 cannot play it ({words})"
+                    f"{self._path}: frame {self._next}: OpenNI2 cannot play it ({why})"
                 )
-            self._waiting[message.kind, message.number] = message
+            self._waiting[message.sensor, message.number] = message
             self._forget_before(stored_depth.number, stored_color.number)
         depth, color = (self._waiting.pop(each) for each in wanted)
         frame = self._frame(stored_depth.timestamp_us, depth, color)
@@ -189,15 +183,15 @@ class OniSource(FrameSource):
         return frame
 
     def _forget_before(self, depth: int, color: int) -> None:
-        oldest = {DEPTH_IMAGE: depth, COLOR_IMAGE: color}
+        oldest = {Sensor.DEPTH: depth, Sensor.COLOR: color}
         for each in [each for each in self._waiting if each[1] < oldest.get(each[0], 0)]:
             del self._waiting[each]
 
-    def _frame(self, timestamp_us: int, depth: Message, color: Message) -> RGBDFrame:
-        depth_mm: NDArray[Any] = depth.image
+    def _frame(self, timestamp_us: int, depth: PlayedImage, color: PlayedImage) -> RGBDFrame:
+        depth_mm: NDArray[Any] = depth.pixels
         if self._tenths:
             depth_mm = ((depth_mm.astype(np.uint32) + 5) // 10).astype(np.uint16)
-        pixels: NDArray[Any] = color.image
+        pixels: NDArray[Any] = color.pixels
         if self._flip_depth:
             depth_mm = np.ascontiguousarray(depth_mm[:, ::-1])
         if self._flip_color:

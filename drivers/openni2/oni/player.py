@@ -1,56 +1,102 @@
 """Plays an .oni file with OpenNI2's file driver and hands each image to another process.
 
-This runs as a program of its own, because a damaged file may crash the driver or make it hang. It writes
-messages to standard output, each a header and a body; `nurbseg.drivers.openni2.oni.playback` reads them.
+This runs as a program of its own, because a damaged file may crash the driver or make it hang;
+`nurbseg.drivers.openni2.oni.player_process` is the other end.
 """
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
-import json
-import os
-import struct
 import sys
-from typing import Any, BinaryIO
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
 
 from nurbseg.drivers.errors import DriverError
-from nurbseg.drivers.openni2.capi import DeviceProperty, DeviceState, Sensor, StreamProperty
+from nurbseg.drivers.openni2.capi import DeviceProperty, DeviceState, PixelFormat, Sensor, StreamProperty
+from nurbseg.drivers.openni2.isolated.messages import Failure
 from nurbseg.drivers.openni2.opened import OpenedDevice
 from nurbseg.drivers.openni2.stream import Stream, wait_for_any
-
-#: Kind of message, image number, time in microseconds, height, width, channels, bytes that follow.
-MESSAGE = struct.Struct("<IIQIIIQ")
-DESCRIPTION, DEPTH_IMAGE, COLOR_IMAGE, FAILURE, END = range(5)
+from nurbseg.drivers.process.channel import Channel, ChannelClosedError
+from nurbseg.drivers.process.messages import Codec
+from nurbseg.drivers.process.parent import connect
 
 #: By hand: the driver goes on to the next image only when somebody waits for one, so none is lost.
 _BY_HAND = -1.0
 #: Must be longer than any image takes: a second trigger on its way would overwrite an image.
 _WAIT_S = 5.0
+#: Longest wait for the file's name, and for this process to end; seconds.
+_BEGIN_S, _END_S = 30.0, 2.0
 
 
-def _send(out: BinaryIO, kind: int, body: Any, number: int = 0, timestamp_us: int = 0) -> None:
-    shape = (*getattr(body, "shape", (0, 0)), 1)[:3]
-    payload = memoryview(body).cast("B")
-    out.write(MESSAGE.pack(kind, number, timestamp_us, *shape, len(payload)))
-    out.write(payload)
-    out.flush()
+@dataclass(frozen=True, slots=True)
+class Play:
+    """Play a file."""
+
+    path: str
 
 
-def _describe(device: OpenedDevice) -> dict[str, Any]:
-    told: dict[str, Any] = {"openni2_version": device.library.version()}
-    for stream in device.streams:
-        mode = stream.mode
-        told[stream.sensor.name.lower()] = {
-            "size": (mode.width, mode.height),
-            "fps": mode.fps,
-            "format": mode.pixel_format,
-            "fov": stream.find(StreamProperty.HORIZONTAL_FOV, ctypes.c_float),
-            "mirrored": bool(stream.find(StreamProperty.MIRRORING, ctypes.c_int)),
-        }
-    return told
+@dataclass(frozen=True, slots=True)
+class StreamDescription:
+    """Size in pixels, frames per second, OpenNI2's pixel format, field of view in radians, and mirroring."""
+
+    size: tuple[int, int]
+    fps: int
+    format: PixelFormat
+    fov: float | None
+    mirrored: bool
 
 
-def play(path: str, out: BinaryIO) -> None:
+@dataclass(frozen=True, slots=True)
+class Description:
+    """What is played."""
+
+    openni2_version: str
+    depth: StreamDescription
+    color: StreamDescription
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlayedImage:
+    """An image: its sensor, number and time in microseconds.
+
+    The pixels are depth (H, W) uint16 in the recording's unit, or color (H, W, 3) uint8 RGB.
+    """
+
+    sensor: Sensor
+    number: int
+    timestamp_us: int
+    pixels: NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """No image follows."""
+
+
+CODEC = Codec(Play, Description, PlayedImage, End, Failure)
+
+
+def _description(stream: Stream) -> StreamDescription:
+    mode = stream.mode
+    return StreamDescription(
+        (mode.width, mode.height),
+        mode.fps,
+        mode.pixel_format,
+        stream.find(StreamProperty.HORIZONTAL_FOV, ctypes.c_float),
+        bool(stream.find(StreamProperty.MIRRORING, ctypes.c_int)),
+    )
+
+
+def _send(channel: Channel, message: Any) -> None:
+    while not channel.send(message, 0.0):
+        # Until the other process has taken an image before.
+        channel.receive(_WAIT_S)
+
+
+def play(path: str, channel: Channel) -> None:
     """Send a description, every image in the order of the file, and the end.
 
     Raises
@@ -71,7 +117,8 @@ def play(path: str, out: BinaryIO) -> None:
             device.add_stream(Sensor.DEPTH),
             device.add_stream(Sensor.COLOR),
         )
-        _send(out, DESCRIPTION, json.dumps(_describe(device)).encode())
+        depth, color = map(_description, streams)
+        _send(channel, Description(device.library.version(), depth, color))
         for stream in streams:
             stream.start()
         while True:
@@ -80,24 +127,21 @@ def play(path: str, out: BinaryIO) -> None:
                 break
             image = ready.take()
             if image is not None:
-                kind = DEPTH_IMAGE if ready.sensor == Sensor.DEPTH else COLOR_IMAGE
-                pixels = image.pixels if image.pixels.flags.c_contiguous else image.pixels.copy()
-                _send(out, kind, pixels, image.number, image.timestamp_us)
-        _send(out, END, b"")
+                _send(channel, PlayedImage(ready.sensor, image.number, image.timestamp_us, image.pixels))
+        _send(channel, End())
 
 
 def main() -> int:
-    """Play the file named by the only argument to standard output."""
-    # The library may print: only messages go to where standard output went.
-    with os.fdopen(os.dup(1), "wb") as out:
-        os.dup2(2, 1)
+    """Play the file that the first message names."""
+    channel = connect(CODEC, limit_s=_END_S)
+    with contextlib.suppress(ChannelClosedError):
+        request = channel.receive(_BEGIN_S)
+        if not isinstance(request, Play):
+            return 1
         try:
-            play(sys.argv[1], out)
-        except BrokenPipeError:
-            # Nobody reads any more, and flushing on the way out would say so again.
-            os._exit(0)
+            play(request.path, channel)
         except DriverError as err:
-            _send(out, FAILURE, f"{type(err).__name__}: {err}".encode())
+            _send(channel, Failure.of(err))
             return 1
     return 0
 

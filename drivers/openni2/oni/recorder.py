@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from nurbseg.drivers.errors import DriverError
-from nurbseg.drivers.openni2.capi import StreamProperty
+from nurbseg.drivers.openni2.capi import Sensor, StreamProperty
+from nurbseg.drivers.openni2.isolated.messages import Failure
 from nurbseg.drivers.openni2.oni.file import finish, has_begun, read_structure
-from nurbseg.drivers.openni2.oni.player import COLOR_IMAGE, DEPTH_IMAGE, END, FAILURE
+from nurbseg.drivers.openni2.oni.player import End, PlayedImage
 from nurbseg.drivers.openni2.oni.player_process import PlayerProcess
 from nurbseg.drivers.openni2.opened import OpenedDevice
 from nurbseg.drivers.openni2.stream import Image
@@ -56,8 +57,8 @@ class OniRecorder:
 
     def __init__(self, device: OpenedDevice, path: Path, *, lossy: bool = False) -> None:
         self.path = path
-        #: The first image of each stream that was seen here, by its kind of message.
-        self.seen: dict[int, Image] = {}
+        #: The first image of each stream that was seen here.
+        self.seen: dict[Sensor, Image] = {}
         self._device = device
         self._handle = ctypes.c_void_p()
         library = device.library
@@ -131,22 +132,22 @@ class OniRecorder:
         """
         if len(self.seen) < 2:
             return 0
-        differences: dict[int, list[float]] = {DEPTH_IMAGE: [], COLOR_IMAGE: []}
+        differences: dict[Sensor, list[float]] = {Sensor.DEPTH: [], Sensor.COLOR: []}
         player = PlayerProcess(self.path)
         try:
-            while len(differences[DEPTH_IMAGE]) < _FIRST_IMAGES:
+            while len(differences[Sensor.DEPTH]) < _FIRST_IMAGES:
                 message = player.receive(_PLAY_LIMIT_S)
-                if message is None or message.kind in (END, FAILURE):
+                if message is None or isinstance(message, End | Failure):
                     break
-                if message.kind in self.seen:
-                    difference = message.image.astype(np.int32) - self.seen[message.kind].pixels
-                    differences[message.kind].append(float(np.abs(difference).mean()))
+                if isinstance(message, PlayedImage) and message.sensor in self.seen:
+                    difference = message.pixels.astype(np.int32) - self.seen[message.sensor].pixels
+                    differences[message.sensor].append(float(np.abs(difference).mean()))
         finally:
             player.close()
         structure = read_structure(self.path)
-        begun_us: dict[int, int] = {}
-        for kind, stream in ((DEPTH_IMAGE, structure.depth), (COLOR_IMAGE, structure.color)):
+        begun_us: dict[Sensor, int] = {}
+        for kind, stream in ((Sensor.DEPTH, structure.depth), (Sensor.COLOR, structure.color)):
             # Lossy color is not quite the same, so the likest is taken.
             position = int(np.argmin(differences[kind])) if differences[kind] else 0
             begun_us[kind] = self.seen[kind].timestamp_us - stream.frames[position].timestamp_us
-        return begun_us[COLOR_IMAGE] - begun_us[DEPTH_IMAGE]
+        return begun_us[Sensor.COLOR] - begun_us[Sensor.DEPTH]

@@ -347,7 +347,7 @@ def test_garbage_never_crashes_or_hangs(recording, rng, monkeypatch):
 def test_a_player_that_crashes_is_a_damaged_file(recording):
     with OniSource(recording) as source:
         source.read()
-        os.kill(source._player._process.pid, signal.SIGSEGV)
+        os.kill(own_children()[0].pid, signal.SIGSEGV)
         with pytest.raises(RecordingFormatError, match="stopped with code -11; the file is damaged"):
             while True:
                 source.read()
@@ -357,7 +357,7 @@ def test_a_player_that_hangs_times_out_and_is_then_given_up(recording, monkeypat
     monkeypatch.setattr(player_process, "_HANG_LIMIT_S", 0.6)
     with OniSource(recording) as source:
         source.read()
-        os.kill(source._player._process.pid, signal.SIGSTOP)
+        os.kill(own_children()[0].pid, signal.SIGSTOP)
         with pytest.raises(FrameTimeoutError):
             while True:  # some frames are in the pipe already
                 source.read(timeout_s=0.3)

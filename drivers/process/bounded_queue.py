@@ -1,0 +1,168 @@
+"""A bounded queue between threads, which says what becomes of an item when it is full."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Generic, Literal, TypeVar
+
+Item = TypeVar("Item")
+
+#: The newest item wins and the oldest is dropped; the producer waits, and nothing is lost; or the new item is
+#: refused, and nothing that was taken is lost.
+WhenFull = Literal["drop oldest", "wait", "refuse"]
+
+#: Notes that may wait; of more, the oldest are dropped.
+_NOTES_MAX = 1000
+
+
+class BoundedQueue(Generic[Item]):
+    """A queue for items, and for notes (as lines of a log) that take no room and go out first.
+
+    Parameters
+    ----------
+    capacity : float
+        Sum of the sizes of the items that may wait. An item always fits into an empty queue.
+    when_full : {"drop oldest", "wait", "refuse"}
+        What becomes of an item that does not fit.
+    size : callable
+        Size of an item; each counts one by default.
+
+    Attributes
+    ----------
+    dropped : int
+        Items that were dropped or refused because the queue was full.
+    filled : float
+        Sum of the sizes of the items that wait.
+
+    Raises
+    ------
+    ValueError
+        If `capacity` is not positive.
+    """
+
+    def __init__(
+        self, capacity: float, when_full: WhenFull, size: Callable[[Item], float] = lambda item: 1
+    ) -> None:
+        if capacity <= 0:
+            raise ValueError(f"capacity: expected room for something, got {capacity}")
+        self.dropped = 0
+        self.filled = 0.0
+        self._capacity = capacity
+        self._when_full = when_full
+        self._size = size
+        self._changed = threading.Condition()
+        self._items: deque[Item] = deque()
+        self._notes: deque[Item] = deque(maxlen=_NOTES_MAX)
+        self._closed = False
+        self._error: BaseException | None = None
+
+    def put(self, item: Item, timeout_s: float | None = None) -> bool:
+        """Add an item; return whether it was taken, which a closed queue does not do.
+
+        Parameters
+        ----------
+        item : object
+            What is handed over.
+        timeout_s : float, optional
+            Longest wait for room, seconds, of a queue that lets its producer wait; without it, until there
+            is room or the queue is closed.
+
+        Raises
+        ------
+        TimeoutError
+            If there was no room in time; the item is not added.
+        """
+        size = self._size(item)
+
+        def fits() -> bool:
+            return not self._items or self.filled + size <= self._capacity
+
+        with self._changed:
+            waits = self._when_full == "wait"
+            if waits and not self._changed.wait_for(lambda: self._closed or fits(), timeout_s):
+                raise TimeoutError(f"no room within {timeout_s:g} s")
+            if self._closed:
+                return False
+            while not fits():
+                self.dropped += 1
+                if self._when_full == "refuse":
+                    return False
+                self._next_item()
+            self._items.append(item)
+            self.filled += size
+            self._changed.notify_all()
+            return True
+
+    def put_note(self, note: Item) -> None:
+        """Add a note; never waits, and drops the oldest of very many."""
+        with self._changed:
+            if not self._closed:
+                self._notes.append(note)
+                self._changed.notify_all()
+
+    def take(self, timeout_s: float) -> Item | None:
+        """Take the oldest note, or else the oldest item; None after the last one.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Longest wait, seconds.
+
+        Raises
+        ------
+        TimeoutError
+            If nothing came in time.
+        Exception
+            The error with which the producer closed the queue, after its last item.
+        """
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._notes or self._items or self._closed, timeout_s):
+                raise TimeoutError(f"nothing came within {timeout_s:g} s")
+            self._changed.notify_all()
+            if self._notes:
+                return self._notes.popleft()
+            if self._items:
+                return self._next_item()
+            if self._error is not None:
+                raise self._error
+            return None
+
+    def _next_item(self) -> Item:
+        item = self._items.popleft()
+        self.filled -= self._size(item)
+        return item
+
+    def close(self, error: BaseException | None = None) -> None:
+        """Accept nothing more, because of an error or because that was all; what waits can still be taken."""
+        with self._changed:
+            if not self._closed:
+                self._closed, self._error = True, error
+                self._changed.notify_all()
+
+    def discard(self) -> int:
+        """Accept nothing more and forget what waits; return how many items that were."""
+        with self._changed:
+            count = len(self._items)
+            self._items.clear()
+            self._notes.clear()
+            self.filled = 0.0
+            self._closed, self._error = True, None
+            self._changed.notify_all()
+            return count
+
+    @property
+    def closed(self) -> bool:
+        """Whether nothing more is accepted."""
+        with self._changed:
+            return self._closed
+
+    @property
+    def finished(self) -> bool:
+        """Whether it is closed and everything was taken."""
+        with self._changed:
+            return self._closed and not self._items and not self._notes
+
+
+__all__ = ["BoundedQueue", "WhenFull"]

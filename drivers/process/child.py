@@ -1,0 +1,113 @@
+"""A process of ours as its parent holds it: started, spoken to, and ended."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from nurbseg.drivers.process.channel import Channel
+from nurbseg.drivers.process.messages import Codec
+from nurbseg.drivers.process.start import python_command
+
+#: A process that was killed is gone within this time, or for good in the hands of a dead disk; seconds.
+_KILLED_S = 10.0
+
+
+class ChildProcess:
+    """Runs a module that begins with `nurbseg.drivers.process.parent.connect`.
+
+    Parameters
+    ----------
+    module : str
+        Its name.
+    slots : int
+        Messages with arrays that may be on their way.
+    quiet : bool
+        Whether what it writes to standard error is dropped.
+
+    Raises
+    ------
+    OSError
+        If it cannot be started.
+    """
+
+    def __init__(self, module: str, *, slots: int, quiet: bool = True) -> None:
+        self._slots = slots
+        with contextlib.ExitStack() as held:
+            self._memory = os.memfd_create(module)
+            held.callback(os.close, self._memory)
+            self._connection, theirs = socket.socketpair()
+            held.callback(self._connection.close)
+            with theirs:
+                self._process = subprocess.Popen(
+                    python_command(module, str(theirs.fileno()), str(self._memory), str(slots)),
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL if quiet else None,
+                    pass_fds=[theirs.fileno(), self._memory],
+                    # Ctrl-C is for this process, which ends the other in its own time.
+                    start_new_session=True,
+                )
+            held.pop_all()
+        self._channel: Channel | None = None
+
+    def connect(self, codec: Codec) -> Channel:
+        """Return this end of the channel, for messages of one kind; to be called once."""
+        self._channel = Channel(self._connection, self._memory, self._slots, codec)
+        return self._channel
+
+    def is_running(self) -> bool:
+        """Whether it has not ended yet."""
+        return self._process.poll() is None
+
+    def end(self, limit_s: float) -> int:
+        """Wait until the process ends, or end it, with all that it started; return its exit code.
+
+        Parameters
+        ----------
+        limit_s : float
+            How long it may take by itself, seconds.
+        """
+        if self._process.returncode is None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(limit_s)
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._process.pid, signal.SIGKILL)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(_KILLED_S)
+        return self._process.returncode or 0
+
+    def close(self, limit_s: float = 0.0) -> None:
+        """End the process and let go of what is shared with it; safe to call twice."""
+        self.end(limit_s)
+        if self._channel is None:
+            self._channel = Channel(self._connection, self._memory, self._slots, Codec())
+        self._channel.close()
+
+    def peak_memory_mb(self) -> float:
+        """Return the largest resident size that the process has had, 10^6 bytes; 0 where it is not known."""
+        try:
+            lines = Path(f"/proc/{self._process.pid}/status").read_text().splitlines()
+        except OSError:
+            return 0.0
+        return sum(1024e-6 * int(line.split()[1]) for line in lines if line.startswith("VmHWM:"))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+__all__ = ["ChildProcess"]
