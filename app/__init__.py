@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nurbseg.app.command.config import AppConfig
-    from nurbseg.app.live.capture import Captured, CaptureThread, LatestSlot
+    from nurbseg.app.live.capture import Captured, CaptureThread
     from nurbseg.app.live.worker import FrameResult, process_frame
     from nurbseg.app.view.view import View, open_view
 
@@ -16,7 +16,6 @@ __all__ = [
     "CaptureThread",
     "Captured",
     "FrameResult",
-    "LatestSlot",
     "View",
     "open_view",
     "process_frame",
@@ -27,7 +26,6 @@ _MODULES = {
     "CaptureThread": "live.capture",
     "Captured": "live.capture",
     "FrameResult": "live.worker",
-    "LatestSlot": "live.capture",
     "View": "view.view",
     "open_view": "view.view",
     "process_frame": "live.worker",

@@ -14,7 +14,7 @@ from nurbseg.app.command.interruption import Interruption
 from nurbseg.app.command.threads import one_thread_for_products
 
 if TYPE_CHECKING:
-    from nurbseg.app.view.process import ViewProcess
+    from nurbseg.drivers.process.child import ChildProcess
 
 _log = logging.getLogger("nurbseg.live")
 
@@ -85,7 +85,7 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
         return _run_with(arguments, interruption, process)
 
 
-def _run_with(arguments: Arguments, interruption: Interruption, process: ViewProcess | None) -> int:
+def _run_with(arguments: Arguments, interruption: Interruption, process: ChildProcess | None) -> int:
     from nurbseg.app.command.compilation import told_compilation
     from nurbseg.app.export import ExportError
     from nurbseg.app.live.run import SetupError, run

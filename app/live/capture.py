@@ -1,4 +1,4 @@
-"""From the source to the worker: a thread that reads frames, and the slot in which it leaves them."""
+"""From the source to the worker: a thread that reads frames and leaves them in a queue."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import TracebackType
-from typing import TYPE_CHECKING, Generic, Self, TypeVar
+from typing import TYPE_CHECKING, Self
 
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.drivers.process.bounded_queue import BoundedQueue
 from nurbseg.drivers.source import FrameSource
 
 if TYPE_CHECKING:
@@ -25,83 +26,6 @@ _READ_TIMEOUT_S = 0.5
 _STOP_TIMEOUT_S = 5.0
 #: Damaged frames that are told one by one; the others are counted.
 _DAMAGED_NAMED_MAX = 20
-
-Item = TypeVar("Item")
-
-
-class LatestSlot(Generic[Item]):
-    """A place for one item between one producer and one consumer.
-
-    Parameters
-    ----------
-    lossless : bool
-        Whether `put` waits until the item before was taken, instead of overwriting it.
-
-    Attributes
-    ----------
-    overwritten : int
-        Items that were replaced by a newer one before they were taken.
-    """
-
-    def __init__(self, *, lossless: bool = False) -> None:
-        self.overwritten = 0
-        self._lossless = lossless
-        self._changed = threading.Condition()
-        self._items: list[Item] = []
-        self._finished = False
-        self._error: BaseException | None = None
-
-    def put(self, item: Item) -> bool:
-        """Leave an item; return False where the slot is closed, and nobody will take it."""
-        with self._changed:
-            if self._lossless:
-                # No time limit of its own: the consumer takes the item, or closes the slot.
-                while self._items and not self._finished:
-                    self._changed.wait(_READ_TIMEOUT_S)
-            if self._finished:
-                return False
-            self.overwritten += len(self._items)
-            self._items = [item]
-            self._changed.notify_all()
-            return True
-
-    def take(self, timeout_s: float) -> Item | None:
-        """Take the item, each one once; None after the last one.
-
-        Parameters
-        ----------
-        timeout_s : float
-            Longest wait, seconds.
-
-        Raises
-        ------
-        TimeoutError
-            If no item came in time.
-        Exception
-            The error with which the producer finished, after its last item.
-        """
-        with self._changed:
-            if not self._changed.wait_for(lambda: self._items or self._finished, timeout_s):
-                raise TimeoutError(f"no frame within {timeout_s} s")
-            if self._items:
-                self._changed.notify_all()
-                return self._items.pop()
-            if self._error is not None:
-                raise self._error
-            return None
-
-    def finish(self, error: BaseException | None = None) -> None:
-        """Say that no item follows, because of an error or because that was all; for the producer."""
-        with self._changed:
-            if not self._finished:
-                self._finished, self._error = True, error
-                self._changed.notify_all()
-
-    def close(self) -> None:
-        """Say that no item will be taken any more; for the consumer."""
-        with self._changed:
-            self._items, self._finished, self._error = [], True, None
-            self._changed.notify_all()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,11 +45,11 @@ class Captured:
 
 
 class CaptureThread:
-    """Reads a source on a thread of its own and leaves the frames in a slot.
+    """Reads a source on a thread of its own and leaves the frames in a queue.
 
     It borrows the source: stop the thread (leave the ``with`` block) before closing that. A damaged
     frame is named in the log, counted, and passed over; every other error of the source comes out of
-    the slot's `take`, after the frames read before it.
+    the queue's `take`, after the frames read before it.
 
     Parameters
     ----------
@@ -134,16 +58,16 @@ class CaptureThread:
     lossless : bool
         Whether the source waits for the consumer instead of running on.
     recording : Recording, optional
-        Gets every frame first; while it is behind, frames are not left in the slot.
+        Gets every frame first; while it is behind, frames are not left in the queue.
 
     Attributes
     ----------
-    frames : LatestSlot of Captured
-        Where the frames are left.
+    frames : BoundedQueue of Captured
+        Where the frames are left, one at a time; its `dropped` counts those that a newer one replaced.
     read : int
         Frames read.
     withheld : int
-        Frames that were not left in the slot, because the recording was behind.
+        Frames that were not left in the queue, because the recording was behind.
     damaged : int
         Frames that could not be read.
     damaged_frames : list of str
@@ -155,7 +79,7 @@ class CaptureThread:
     ) -> None:
         self.recording = recording
         self.withheld = 0
-        self.frames: LatestSlot[Captured] = LatestSlot(lossless=lossless)
+        self.frames: BoundedQueue[Captured] = BoundedQueue(1, "wait" if lossless else "drop oldest")
         self.read = 0
         self.damaged = 0
         self.damaged_frames: list[str] = []
@@ -188,7 +112,7 @@ class CaptureThread:
     def stop(self) -> None:
         """Stop reading, and wait for the read that is under way, a few seconds at most."""
         self._stop.set()
-        self.frames.close()
+        self.frames.discard()
         if self._thread.ident is not None:
             self._thread.join(_STOP_TIMEOUT_S)
             if self._thread.is_alive():
@@ -212,12 +136,12 @@ class CaptureThread:
                         continue
                 if not self.frames.put(Captured(frame, time.monotonic())):
                     return
-            self.frames.finish()
+            self.frames.close()
         except EndOfRecordingError:
-            self.frames.finish()
+            self.frames.close()
         except BaseException as err:
             # A thread that dies is never silent: the worker raises this.
-            self.frames.finish(err)
+            self.frames.close(err)
         finally:
             if self.recording is not None:
                 self.recording.finish()

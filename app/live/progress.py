@@ -45,7 +45,7 @@ class Progress:
         if self._is_first:
             _log.info(line)
         elif elapsed_s >= _INTERVAL_S:
-            dropped = self._capture.frames.overwritten
+            dropped = self._capture.frames.dropped
             drops = f", {dropped} overwritten by newer ones" if dropped else ""
             drops += f", {late} too late" if late else ""
             drops += self._recorded()

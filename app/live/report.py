@@ -97,7 +97,7 @@ class RunReport:
             Why the run ended.
         """
         read = 0 if capture is None else capture.read
-        overwritten = 0 if capture is None else capture.frames.overwritten
+        overwritten = 0 if capture is None else capture.frames.dropped
         withheld = 0 if capture is None else capture.withheld
         recording = None if capture is None else capture.recording
         damaged = 0 if capture is None else capture.damaged

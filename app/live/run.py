@@ -23,9 +23,9 @@ from nurbseg.app.live.tracking import Segmenter
 from nurbseg.app.live.warmup import Loading
 from nurbseg.app.live.worker import FrameResult
 from nurbseg.app.recording.recorder import open_recording, tell_recorded
-from nurbseg.app.view.process import ViewProcess
 from nurbseg.app.view.view import View, ViewError, open_view
 from nurbseg.drivers.errors import DriverError
+from nurbseg.drivers.process.child import ChildProcess
 
 _log = logging.getLogger(__name__)
 
@@ -46,7 +46,7 @@ class NoFramesError(DriverError):
     """The source ended before it gave a single frame that can be read."""
 
 
-def run(config: AppConfig, interruption: Interruption, view_process: ViewProcess | None = None) -> RunReport:
+def run(config: AppConfig, interruption: Interruption, view_process: ChildProcess | None = None) -> RunReport:
     """Segment a source's frames until it ends.
 
     Parameters
@@ -55,7 +55,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ViewProcess
         What to do.
     interruption : Interruption
         Ends the run early; everything is closed then as well, and the report written.
-    view_process : ViewProcess, optional
+    view_process : ChildProcess, optional
         Which shows and saves, if it was started for this configuration before.
 
     Raises

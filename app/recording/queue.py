@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
@@ -14,6 +14,7 @@ from nurbseg.app.recording.config import RecordConfig
 from nurbseg.app.recording.disk_space import free_space, shortage
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.drivers.process.bounded_queue import BoundedQueue
 
 _log = logging.getLogger(__name__)
 
@@ -86,11 +87,13 @@ class QueuedRecording:
         self._space_min_mb = config.space_min_mb
         self._free_bytes = free_bytes
         self._first_ns: int | None = None
-        self._changed = threading.Condition()
-        self._queue: deque[RGBDFrame] = deque()
-        self._queued_bytes = 0
+        self._queue: BoundedQueue[RGBDFrame] = BoundedQueue(
+            _QUEUE_BYTES_MAX,
+            "wait" if lossless else "refuse",
+            lambda frame: frame.depth_mm.nbytes + frame.color.nbytes,
+        )
+        self._behind_bytes = _BEHIND_SHARE * _QUEUE_BYTES_MAX
         self._in_hand = 0
-        self._finishing = False
         self._thread = threading.Thread(target=self._run, name="recording")
         self._thread.start()
 
@@ -105,14 +108,12 @@ class QueuedRecording:
 
         Never for a lossless recording: its source waits instead.
         """
-        with self._changed:
-            return not self._lossless and self._queued_bytes > _BEHIND_SHARE * _QUEUE_BYTES_MAX
+        return not self._lossless and self._queue.filled > self._behind_bytes
 
     @property
     def ended(self) -> bool:
         """Whether nothing more is written."""
-        with self._changed:
-            return bool(self.failure) or self._finishing
+        return self._queue.closed
 
     def put(self, frame: RGBDFrame) -> None:
         """Have a frame written; never waits, unless the recording is lossless and the queue full.
@@ -126,20 +127,8 @@ class QueuedRecording:
             self._first_ns = frame.timestamp_ns
         if frame.timestamp_ns - self._first_ns < self._delay_ns:
             return
-        size = frame.depth_mm.nbytes + frame.color.nbytes
-        with self._changed:
-            if self._lossless:
-                while not (self._has_room(size) or self.failure or self._finishing):
-                    self._changed.wait(_WAIT_S)
-            if self.failure or self._finishing or not self._has_room(size):
-                self.lost += 1
-                return
-            self._queue.append(frame)
-            self._queued_bytes += size
-            self._changed.notify_all()
-
-    def _has_room(self, size: int) -> bool:
-        return not self._queue or self._queued_bytes + size <= _QUEUE_BYTES_MAX
+        if not self._queue.put(frame):
+            self.lost += 1
 
     def _run(self) -> None:
         try:
@@ -158,15 +147,9 @@ class QueuedRecording:
 
     def _next(self) -> RGBDFrame | None:
         """Return the frame that is due; None after the last one."""
-        with self._changed:
-            while not self._queue:
-                if self._finishing:
-                    return None
-                self._changed.wait(_WAIT_S)
-            frame = self._queue.popleft()
-            self._queued_bytes -= frame.depth_mm.nbytes + frame.color.nbytes
-            self._changed.notify_all()
-            return frame
+        while True:
+            with contextlib.suppress(TimeoutError):
+                return self._queue.take(_WAIT_S)
 
     def _check_space(self) -> None:
         missing = shortage(self.path, self._space_min_mb, self._free_bytes)
@@ -175,19 +158,13 @@ class QueuedRecording:
 
     def _fail(self, err: Exception) -> None:
         reason = err.strerror if isinstance(err, OSError) and err.strerror else str(err)
-        with self._changed:
-            self.failure = f"{self.path}: recording stopped: {reason}"
-            self.lost += len(self._queue) + self._in_hand
-            self._queue.clear()
-            self._queued_bytes = 0
-            self._changed.notify_all()
+        self.failure = f"{self.path}: recording stopped: {reason}"
+        self.lost += self._queue.discard() + self._in_hand
         _log.error("%s; %d frames are in the file", self.failure, self.frames)
 
     def finish(self) -> None:
         """Say that no frame follows; what waits is written."""
-        with self._changed:
-            self._finishing = True
-            self._changed.notify_all()
+        self._queue.close()
 
     def close(self, timeout_s: float = _DRAIN_S) -> None:
         """Write what waits and finish the file; safe to call twice.
@@ -200,9 +177,7 @@ class QueuedRecording:
         self.finish()
         self._thread.join(timeout_s)
         if self._thread.is_alive():
-            with self._changed:
-                self.lost += len(self._queue)
-                self._queue.clear()
+            self.lost += self._queue.discard()
             # What is left is the frame that is being written; a dead disk never finishes it.
             self._thread.join(_LAST_FRAME_S)
             if self._thread.is_alive():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from pathlib import Path
@@ -9,10 +10,10 @@ from pathlib import Path
 import rerun as rr
 
 from nurbseg.app.view.drawing.entities import FrameEntities
-from nurbseg.app.view.outbox import Outbox
 from nurbseg.app.view.piped_file import PipedFile
 from nurbseg.app.view.stream import Item, LogLine, Opening, Writer
 from nurbseg.app.view.viewer import ViewError
+from nurbseg.drivers.process.bounded_queue import BoundedQueue
 
 #: Frames that wait for the file: a second of a slow disk.
 _FRAMES = 8
@@ -42,7 +43,7 @@ class FileSink:
 
     def __init__(self, path: Path, opening: Opening, *, index: bool = True) -> None:
         self._path = path
-        self._outbox: Outbox[Item] = Outbox(_FRAMES, lossless=True)
+        self._queue: BoundedQueue[Item] = BoundedQueue(_FRAMES, "wait")
         self._error: BaseException | None = None
         self._stream = opening.stream()
         try:
@@ -65,18 +66,18 @@ class FileSink:
         """
         self._check()
         try:
-            self._outbox.put(frame, _TIMEOUT_S)
+            self._queue.put(frame, _TIMEOUT_S)
         except TimeoutError:
             raise ViewError(f"{self._path}: took no frame for {_TIMEOUT_S:g} s") from None
         self._check()
 
     def put_line(self, line: LogLine) -> None:
         """Save a line of the log; never waits."""
-        self._outbox.put_line(line)
+        self._queue.put_note(line)
 
     def begin_close(self) -> None:
         """Accept nothing more."""
-        self._outbox.close()
+        self._queue.close()
 
     def finish_close(self, deadline_s: float) -> None:
         """Wait until the file is whole.
@@ -115,9 +116,10 @@ class FileSink:
             opening.send(self._stream)
             writer = Writer(self._stream)
             flushed_s = time.monotonic()
-            while not self._outbox.finished:
-                for item in self._outbox.take(timeout_s=_FLUSH_S):
-                    writer.write(item)
+            while not self._queue.finished:
+                with contextlib.suppress(TimeoutError):
+                    if (item := self._queue.take(_FLUSH_S)) is not None:
+                        writer.write(item)
                 if time.monotonic() - flushed_s > _FLUSH_S:
                     # So that a killed process leaves what it wrote.
                     self._stream.flush(timeout_sec=_TIMEOUT_S)
@@ -125,7 +127,7 @@ class FileSink:
             self._stream.flush(timeout_sec=_TIMEOUT_S)
         except Exception as err:
             self._error = err
-            self._outbox.close()
+            self._queue.close()
         finally:
             self._stream.disconnect()
 

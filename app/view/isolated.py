@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
-import pickle
 import threading
 import time
 from collections import deque
@@ -16,12 +16,13 @@ from nurbseg.app.live.report import versions
 from nurbseg.app.live.worker import FrameResult
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
-from nurbseg.app.view.drawing.frame import Moment
-from nurbseg.app.view.memory import SLOTS, SharedSlots
-from nurbseg.app.view.outbox import Outbox
-from nurbseg.app.view.process import ViewProcess
+from nurbseg.app.view.drawing.frame import Moment, ViewFrame
+from nurbseg.app.view.messages import CODEC, Close, Closed, Failed, Line, Open, Opened, Refused, Status
 from nurbseg.app.view.viewer import FILE_CLOSE_S, FILE_PATIENCE_S, ViewError
 from nurbseg.drivers.frame import Calibration
+from nurbseg.drivers.process.bounded_queue import BoundedQueue
+from nurbseg.drivers.process.channel import ChannelClosedError
+from nurbseg.drivers.process.child import ChildProcess
 from nurbseg.segmentation.config import SegmentationConfig
 
 #: Frames that may wait to be sent, where every one is saved.
@@ -32,6 +33,8 @@ _OPEN_S = 60.0
 _STUCK_S = 15.0
 #: What closing may take besides the file.
 _REST_S = 0.7
+#: How long the process may take to end when it was told to, before it is ended; seconds.
+_END_S = 0.2
 #: Time between two looks whether it is over, seconds.
 _LOOK_S = 0.5
 #: Frames over which the rate is taken.
@@ -50,15 +53,6 @@ class _Shown:
     rate_hz: float
 
 
-@dataclass(frozen=True, slots=True)
-class _Line:
-    """A line of the log that waits to be sent."""
-
-    moment: Moment
-    level: int
-    text: str
-
-
 class IsolatedView:
     """Shows and saves frames as `nurbseg.app.view.rerun.RerunView` does, but by another process.
 
@@ -67,8 +61,8 @@ class IsolatedView:
 
     Parameters
     ----------
-    process : ViewProcess
-        Which has just begun; ended with this view.
+    process : ChildProcess
+        From `nurbseg.app.view.process.begin_view`; ended with this view.
     config : ViewConfig
         Where, and how fine.
     segmentation : SegmentationConfig
@@ -97,7 +91,7 @@ class IsolatedView:
 
     def __init__(
         self,
-        process: ViewProcess,
+        process: ChildProcess,
         config: ViewConfig,
         segmentation: SegmentationConfig,
         metadata: Mapping[str, str],
@@ -109,12 +103,12 @@ class IsolatedView:
         self._config = config
         self._metric = segmentation.metric
         self._logger = logger
-        self._slots = SharedSlots(process.memory)
-        self._outbox: Outbox[_Shown | _Line] = Outbox(
-            _WAITING if config.save else 1, lossless=config.save is not None
+        self._channel = process.connect(CODEC)
+        # Every frame is saved, but only the newest is shown.
+        self._queue: BoundedQueue[_Shown | Line] = (
+            BoundedQueue(1, "drop oldest") if config.save is None else BoundedQueue(_WAITING, "wait")
         )
         self._changed = threading.Condition()
-        self._free = list(range(SLOTS))
         self._problem = ""
         self._over = self._closed = False
         self._dropped_there = 0
@@ -141,7 +135,7 @@ class IsolatedView:
     @property
     def dropped(self) -> int:
         """Frames that were not shown live because the viewer was slow, frozen or absent."""
-        return self._outbox.dropped + self._dropped_there
+        return self._queue.dropped + self._dropped_there
 
     def peak_memory_mb(self) -> float:
         """Return the largest resident size that the process has had, 10^6 bytes; 0 where it is not known."""
@@ -177,14 +171,14 @@ class IsolatedView:
         self._shown_s.append(time.monotonic())
         shown = _Shown(result, self._moment, dict(result.elapsed_ms), self._rate_hz())
         try:
-            self._outbox.put(shown, _STUCK_S)
+            self._queue.put(shown, _STUCK_S)
         except TimeoutError:
             raise ViewError(f"{self._config.save}: took no frame for {_STUCK_S:g} s") from None
         self._check()
 
     def show_line(self, level: int, text: str) -> None:
         """Show a line of the log, of one of logging's levels; from any thread, never waits."""
-        self._outbox.put_line(_Line(self._moment, level, text))
+        self._queue.put_note(Line(self._moment, level, text))
 
     def close(self, *, file_limit_s: float = FILE_CLOSE_S) -> None:
         """End within 2 s: the file is whole and can be read; a viewer's window stays.
@@ -204,14 +198,14 @@ class IsolatedView:
         self._closed = True
         self._logger.removeHandler(self._handler)
         self._file_limit_s = file_limit_s
-        self._outbox.close()
+        self._queue.close()
         with self._changed:
             ended = self._changed.wait_for(lambda: self._over, file_limit_s + _REST_S)
             if not ended and self._config.save is not None:
                 self._fail(f"{self._config.save}: not written in time; its last frames are missing")
             self._over = True
             self._changed.notify_all()
-        self._process.end()
+        self._process.end(_END_S)
         for thread in self._threads:
             thread.join()
         self._process.close()
@@ -240,108 +234,83 @@ class IsolatedView:
     def _fail(self, problem: str) -> None:
         """Take note of the first problem; nothing more is accepted."""
         self._problem = self._problem or problem
-        self._outbox.close()
+        self._queue.close()
 
     def _open(self, segmentation: SegmentationConfig, metadata: Mapping[str, str], name: str) -> None:
         properties = _properties(self._config, segmentation, metadata)
         level = logging.getLogger("nurbseg").getEffectiveLevel()
         deadline_s = time.monotonic() + _OPEN_S
         try:
-            self._process.words.send(("open", self._config, segmentation, properties, name, level))
-            while self._process.words.poll(max(0.0, deadline_s - time.monotonic())):
-                word, *rest = self._process.words.recv()
-                if word == "opened":
-                    self.how_to_look, self.serving = rest
+            self._channel.send(Open(self._config, segmentation, properties, name, level))
+            while (left_s := deadline_s - time.monotonic()) > 0:
+                message = self._channel.receive(left_s)
+                if isinstance(message, Opened):
+                    self.how_to_look, self.serving = message.how_to_look, message.serving
                     return
-                if word == "refused":
-                    raise ViewError(rest[0])
-                self._hear(word, rest)
-        except (EOFError, OSError):
-            raise ViewError(f"the process that shows and saves ended {self._process.end()}") from None
+                if isinstance(message, Refused):
+                    raise ViewError(message.reason)
+        except ChannelClosedError:
+            raise ViewError(self._how_it_ended()) from None
         raise ViewError(f"the process that shows and saves has not begun within {_OPEN_S:g} s")
+
+    def _how_it_ended(self) -> str:
+        code = self._process.end(_END_S)
+        how = f"by signal {-code}" if code < 0 else f"with code {code}"
+        return f"the process that shows and saves ended {how}"
 
     def _send(self) -> None:
         """Draw and hand over what is shown, then tell the process to end."""
-        try:
-            while not self._outbox.finished:
-                for item in self._outbox.take(_LOOK_S):
-                    if self._problem:
-                        continue
-                    if isinstance(item, _Line):
-                        self._process.words.send(("line", item.moment, item.level, item.text))
-                    else:
-                        self._send_frame(item)
-            self._process.words.send(("close", self._file_limit_s))
-        except OSError:
-            return  # it has ended, which the other thread tells
+        # Where the channel is closed, the other thread says so.
+        with contextlib.suppress(ChannelClosedError):
+            while not self._queue.finished:
+                with contextlib.suppress(TimeoutError):
+                    item = self._queue.take(_LOOK_S)
+                    if item is not None and not self._problem:
+                        self._send_item(item)
+            self._channel.send(Close(self._file_limit_s))
 
-    def _send_frame(self, item: _Shown) -> None:
-        parts: list[pickle.PickleBuffer] = []
+    def _send_item(self, item: _Shown | Line) -> None:
         try:
-            frame = drawn(
-                item.result,
-                self._config,
-                self._metric,
-                moment=item.moment,
-                elapsed_ms=item.elapsed_ms,
-                rate_hz=item.rate_hz,
-                known=self._known,
-            )
-            # Arrays go through shared memory, what is left is small.
-            body = pickle.dumps(frame, 5, buffer_callback=parts.append)
+            message = item if isinstance(item, Line) else self._drawn(item)
+            while not self._over and not self._channel.send(message, _LOOK_S):
+                pass
+        except ChannelClosedError:
+            raise
         except Exception as err:
             what = f"{self._config.save}: " if self._config.save else ""
             self._fail(f"{what}a frame cannot be shown ({type(err).__name__}): {err}")
-            return
-        self._known = item.result.frame.calibration
-        raw = [part.raw() for part in parts]
-        sizes = [part.nbytes for part in raw]
-        slot = self._free_slot(sum(sizes))
-        if slot is not None:
-            self._slots.write(slot, raw)
-            self._process.words.send(("frame", slot, self._slots.slot_bytes, sizes, body))
 
-    def _free_slot(self, size: int) -> int | None:
-        """Wait for a slot that has room; None if it is over, or there is no memory."""
-        fits = size <= self._slots.slot_bytes
-        with self._changed:
-            # The first frame, or a larger one: all slots change their size together.
-            self._changed.wait_for(lambda: self._over or len(self._free) >= (1 if fits else SLOTS))
-            if self._over:
-                return None
-            if not fits:
-                try:
-                    self._slots.make_room(size)
-                except OSError as err:
-                    self._fail(f"no memory to hand frames over: {err.strerror}")
-                    return None
-            return self._free.pop()
+    def _drawn(self, shown: _Shown) -> ViewFrame:
+        frame = drawn(
+            shown.result,
+            self._config,
+            self._metric,
+            moment=shown.moment,
+            elapsed_ms=shown.elapsed_ms,
+            rate_hz=shown.rate_hz,
+            known=self._known,
+        )
+        self._known = shown.result.frame.calibration
+        return frame
 
     def _listen(self) -> None:
         try:
             while True:
-                word, *rest = self._process.words.recv()
-                self._hear(word, rest)
-        except (EOFError, OSError):
+                self._handle(self._channel.receive(_LOOK_S))
+        except ChannelClosedError:
             if not self._over:
-                self._fail(f"the process that shows and saves ended {self._process.end()}")
+                self._fail(self._how_it_ended())
         with self._changed:
             self._over = True
             self._changed.notify_all()
 
-    def _hear(self, word: str, rest: list[Any]) -> None:
-        if word == "log":
-            name, level, text = rest
-            logging.getLogger(name).log(level, "%s", text)
-            return
-        if word == "failed":
-            self._fail(rest[0])
+    def _handle(self, message: Any) -> None:
+        if isinstance(message, Failed):
+            self._fail(message.reason)
         with self._changed:
-            if word == "free":
-                self._free.append(rest[0])
-            elif word == "status":
-                self._dropped_there, self.connections = rest
-            elif word == "closed":
+            if isinstance(message, Status):
+                self._dropped_there, self.connections = message.dropped, message.connections
+            elif isinstance(message, Closed):
                 self._over = True
             self._changed.notify_all()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 import time
@@ -11,9 +12,9 @@ import rerun as rr
 
 from nurbseg.app.view.config import viewer_address
 from nurbseg.app.view.drawing.entities import FrameEntities
-from nurbseg.app.view.outbox import Outbox
 from nurbseg.app.view.stream import Item, LogLine, Opening, Writer
 from nurbseg.app.view.viewer import cut_connections, listens
+from nurbseg.drivers.process.bounded_queue import BoundedQueue
 
 logger = logging.getLogger(__name__)
 
@@ -46,7 +47,7 @@ class ViewerSink:
         self._starting = starting
         self._absence_said = False
         self._connections = 0
-        self._outbox: Outbox[Item] = Outbox(1, lossless=False)
+        self._queue: BoundedQueue[Item] = BoundedQueue(1, "drop oldest")
         self._stopping = threading.Event()
         self._connected = threading.Event()
         # A daemon, because Rerun can block for good.
@@ -56,7 +57,7 @@ class ViewerSink:
     @property
     def dropped(self) -> int:
         """Frames that the viewer was too slow or too absent for."""
-        return self._outbox.dropped
+        return self._queue.dropped
 
     @property
     def connections(self) -> int:
@@ -69,15 +70,15 @@ class ViewerSink:
 
     def put(self, frame: FrameEntities) -> None:
         """Show a frame, or drop an older one that still waits."""
-        self._outbox.put(frame, 0.0)
+        self._queue.put(frame)
 
     def put_line(self, line: LogLine) -> None:
         """Show a line of the log."""
-        self._outbox.put_line(line)
+        self._queue.put_note(line)
 
     def begin_close(self) -> None:
         """Accept nothing more."""
-        self._outbox.close()
+        self._queue.close()
 
     def finish_close(self, deadline_s: float) -> None:
         """Give the viewer until `deadline_s` (monotonic) to take what waits, then let go of it."""
@@ -90,7 +91,7 @@ class ViewerSink:
 
     def _run(self) -> None:
         try:
-            while not self._stopping.is_set() and not self._outbox.finished:
+            while not self._stopping.is_set() and not self._queue.finished:
                 if listens(*self._address):
                     if self._serve():
                         continue
@@ -103,13 +104,13 @@ class ViewerSink:
     def _may_come(self) -> bool:
         """Whether to go on waiting for a viewer that does not listen."""
         if self._connected.is_set():
-            return not self._outbox.closed
+            return not self._queue.closed
         if self._starting():
             return True
         if not self._absence_said:
             self._absence_said = True
             logger.warning("no viewer listens at %s; it is shown to as soon as one does", self._url)
-        return not self._outbox.closed
+        return not self._queue.closed
 
     def _serve(self) -> bool:
         """Feed one viewer until it is gone or we stop; return whether it took anything."""
@@ -124,9 +125,10 @@ class ViewerSink:
                 self._connections += 1
                 self._connected.set()
             writer = Writer(stream)
-            while taken and not self._stopping.is_set() and not self._outbox.finished:
-                for item in self._outbox.take(timeout_s=1.0):
-                    writer.write(item)
+            while taken and not self._stopping.is_set() and not self._queue.finished:
+                with contextlib.suppress(TimeoutError):
+                    if (item := self._queue.take(1.0)) is not None:
+                        writer.write(item)
                 taken = self._taken(stream)
             # One that ends, or begins, may listen for a moment without taking anything.
             if connected and not taken and not self._stopping.is_set():

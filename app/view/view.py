@@ -9,8 +9,9 @@ from typing import Protocol, Self
 
 from nurbseg.app.live.worker import FrameResult
 from nurbseg.app.view.config import ViewConfig
-from nurbseg.app.view.process import ViewProcess, begin_view
+from nurbseg.app.view.process import begin_view
 from nurbseg.app.view.viewer import ViewError
+from nurbseg.drivers.process.child import ChildProcess
 from nurbseg.segmentation.config import SegmentationConfig
 
 
@@ -88,7 +89,7 @@ def open_view(
     *,
     name: str = "nurbseg",
     logger: logging.Logger | None = None,
-    process: ViewProcess | None = None,
+    process: ChildProcess | None = None,
 ) -> View:
     """Open the view that a configuration asks for.
 
@@ -104,7 +105,7 @@ def open_view(
         What the recording is called.
     logger : logging.Logger, optional
         Whose messages are shown too; the package's by default.
-    process : ViewProcess, optional
+    process : ChildProcess, optional
         Which was started for this configuration before.
 
     Returns

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +31,8 @@ class Moment:
     since_epoch: bool
 
 
-class TreeNode(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class TreeNode:
     """One segment of the tree, as it is drawn and listed."""
 
     name: str

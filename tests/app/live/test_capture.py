@@ -3,85 +3,8 @@ import threading
 import pytest
 from scripted_source import ScriptedSource, small_frame
 
-from nurbseg.app.live.capture import CaptureThread, LatestSlot
+from nurbseg.app.live.capture import CaptureThread
 from nurbseg.drivers.errors import DeviceLostError, FrameFormatError
-
-
-def test_a_slot_hands_an_item_out_once() -> None:
-    slot: LatestSlot[str] = LatestSlot()
-    slot.put("a")
-    assert slot.take(1.0) == "a"
-    with pytest.raises(TimeoutError, match="within 0 s"):
-        slot.take(0)
-
-
-def test_a_newer_item_replaces_an_unseen_one_and_is_counted() -> None:
-    slot: LatestSlot[int] = LatestSlot()
-    for item in range(5):
-        assert slot.put(item)
-    assert slot.take(1.0) == 4
-    assert slot.overwritten == 4
-
-
-def test_a_slot_gives_its_last_item_before_it_says_that_it_is_finished() -> None:
-    slot: LatestSlot[int] = LatestSlot()
-    slot.put(1)
-    slot.finish()
-    assert [slot.take(1.0), slot.take(1.0)] == [1, None]
-
-
-def test_an_error_of_the_producer_comes_out_after_its_last_item() -> None:
-    slot: LatestSlot[int] = LatestSlot()
-    slot.put(1)
-    slot.finish(DeviceLostError("unplugged"))
-    assert slot.take(1.0) == 1
-    with pytest.raises(DeviceLostError, match="unplugged"):
-        slot.take(1.0)
-
-
-def test_a_closed_slot_takes_nothing_and_gives_nothing() -> None:
-    slot: LatestSlot[int] = LatestSlot()
-    slot.put(1)
-    slot.close()
-    assert not slot.put(2)
-    assert slot.take(1.0) is None
-
-
-def test_take_wakes_up_when_an_item_comes() -> None:
-    slot: LatestSlot[int] = LatestSlot()
-    taken: list[int | None] = []
-    taker = threading.Thread(target=lambda: taken.append(slot.take(10.0)))
-    taker.start()
-    slot.put(7)
-    taker.join(10.0)
-    assert taken == [7]
-
-
-def test_a_lossless_slot_makes_the_producer_wait() -> None:
-    slot: LatestSlot[int] = LatestSlot(lossless=True)
-
-    def produce() -> None:
-        for item in range(50):
-            slot.put(item)
-        slot.finish()
-
-    producer = threading.Thread(target=produce)
-    producer.start()
-    taken = list(iter(lambda: slot.take(10.0), None))
-    producer.join(10.0)
-    assert taken == list(range(50))
-    assert slot.overwritten == 0
-
-
-def test_closing_releases_a_producer_that_waits() -> None:
-    slot: LatestSlot[int] = LatestSlot(lossless=True)
-    slot.put(0)
-    answers: list[bool] = []
-    producer = threading.Thread(target=lambda: answers.append(slot.put(1)))
-    producer.start()
-    slot.close()
-    producer.join(10.0)
-    assert answers == [False]
 
 
 def test_every_frame_comes_through_a_lossless_capture_in_order() -> None:
@@ -101,7 +24,7 @@ def test_the_newest_frame_wins_and_the_others_are_counted() -> None:
         assert newest is not None
         assert newest.frame is frames[-1]
         assert capture.frames.take(10.0) is None
-    assert (capture.read, capture.frames.overwritten) == (9, 8)
+    assert (capture.read, capture.frames.dropped) == (9, 8)
 
 
 def test_damaged_frames_are_named_counted_and_passed_over(caplog: pytest.LogCaptureFixture) -> None:

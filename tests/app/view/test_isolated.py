@@ -17,7 +17,6 @@ from nurbseg.app.live.worker import FrameResult, process_frame
 from nurbseg.app.view import isolated as view_isolated
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.isolated import IsolatedView
-from nurbseg.app.view.memory import SLOTS, SharedSlots
 from nurbseg.app.view.process import begin_view
 from nurbseg.app.view.view import ViewError, open_view
 from nurbseg.drivers.registry import open_source
@@ -172,21 +171,3 @@ def test_the_memory_of_the_process_is_known(tmp_path: Path, result: FrameResult)
     with opened(tmp_path / "a.rrd")[0] as view:
         view.show(result)
         assert view.peak_memory_mb() > 20.0
-
-
-def test_slots_hold_what_was_put_into_them_whatever_their_size() -> None:
-    rng = np.random.default_rng(1)
-    descriptor = os.memfd_create("test")
-    try:
-        ours, theirs = SharedSlots(descriptor), SharedSlots(descriptor)
-        for size in (1000, 3_000_000, 500):
-            ours.make_room(size)
-            theirs.follow(ours.slot_bytes)
-            parts = [[rng.bytes(size // 4), b"", rng.bytes(size // 2)] for _ in range(SLOTS)]
-            for slot in range(SLOTS):
-                ours.write(slot, [memoryview(part) for part in parts[slot]])
-            for slot in range(SLOTS):
-                read = theirs.read(slot, [len(part) for part in parts[slot]])
-                assert [each.tobytes() for each in read] == parts[slot]
-    finally:
-        os.close(descriptor)

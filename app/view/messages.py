@@ -1,0 +1,78 @@
+"""What a run and the process that shows and saves its frames say to each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.view.drawing.frame import Moment, ViewFrame
+from nurbseg.drivers.process.messages import Codec
+from nurbseg.segmentation.config import SegmentationConfig
+
+
+@dataclass(frozen=True, slots=True)
+class Open:
+    """Open the viewer and the file; `properties` are kept with the recording, by subject."""
+
+    config: ViewConfig
+    segmentation: SegmentationConfig
+    properties: Mapping[str, Mapping[str, str]]
+    name: str
+    log_level: int
+
+
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """The viewer and the file are open."""
+
+    how_to_look: str
+    serving: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """They cannot be opened, and the process ends."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A line of the log, of one of logging's levels, as it is to be shown."""
+
+    moment: Moment
+    level: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Close:
+    """End; the file may take so many seconds to be whole."""
+
+    file_limit_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """Frames that were not shown, and how often a viewer was connected to."""
+
+    dropped: int
+    connections: int
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """Something cannot be shown or saved."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Closed:
+    """All is shown and saved."""
+
+
+CODEC = Codec(Open, Opened, Refused, ViewFrame, Line, Close, Status, Failed, Closed)
+
+__all__ = ["CODEC", "Close", "Closed", "Failed", "Line", "Open", "Opened", "Refused", "Status"]
