@@ -81,6 +81,8 @@ class Channel:
     def send(self, message: Any, timeout_s: float = _STUCK_S) -> bool:
         """Send a message; return whether there was room for it within `timeout_s` seconds.
 
+        Slots for arrays come free in `receive`, called by another thread or between two tries.
+
         Raises
         ------
         ChannelClosedError
@@ -249,6 +251,8 @@ class LogForwarder(logging.Handler):
     def __init__(self, channel: Channel) -> None:
         super().__init__()
         self._channel = channel
+        # The message alone, whatever the log of this process looks like.
+        self.setFormatter(logging.Formatter())
 
     def emit(self, record: logging.LogRecord) -> None:
         """Forward a record."""

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-#: Key under which an object names its class.
-_CLASS = "@"
+#: Keys under which an object names its class, and holds its fields in their order.
+_CLASS, _CONTENT = "@", "of"
 _ARRAY = "array"
 #: Arrays of up to this size are part of the JSON, bytes.
 _SMALL_BYTES = 512
@@ -38,7 +38,8 @@ class Codec:
 
     def __init__(self, *classes: type) -> None:
         self._classes: dict[str, type] = {}
-        self._enumerations: dict[str, dict[str, type[Enum]]] = {}
+        self._fields: dict[type, list[str]] = {}
+        self._enumerations: dict[type, dict[int, type[Enum]]] = {}
         for each in classes:
             self._include(each)
 
@@ -50,12 +51,14 @@ class Codec:
         if hint.__name__ in self._classes:
             raise ValueError(f"{hint.__name__}: two classes have this name")
         self._classes[hint.__name__] = hint
-        enumerations = self._enumerations[hint.__name__] = {}
-        for name, part in get_type_hints(hint).items():
-            self._include(part)
-            for each in (part, *get_args(part)):
+        self._fields[hint] = [each.name for each in fields(hint)]
+        enumerations = self._enumerations[hint] = {}
+        hints = get_type_hints(hint)
+        for place, name in enumerate(self._fields[hint]):
+            self._include(hints[name])
+            for each in (hints[name], *get_args(hints[name])):
                 if isinstance(each, type) and issubclass(each, Enum):
-                    enumerations[name] = each
+                    enumerations[place] = each
 
     def encode(self, message: Any) -> tuple[bytes, list[NDArray[Any]]]:
         """Return a message as JSON, and its arrays, but for very small ones, in their order.
@@ -68,15 +71,14 @@ class Codec:
         arrays: list[NDArray[Any]] = []
 
         def described(value: Any) -> Any:
+            if (names := self._fields.get(type(value))) is not None:
+                return {_CLASS: type(value).__name__, _CONTENT: [getattr(value, name) for name in names]}
             if isinstance(value, Enum):
                 return value.value
-            if is_dataclass(value):
-                content = {each.name: getattr(value, each.name) for each in fields(value)}
-                return {_CLASS: type(value).__name__, **content}
             if isinstance(value, Mapping):
                 return dict(value)
             if not hasattr(value, "__array_interface__"):
-                raise TypeError(f"expected numbers, text, arrays and dataclasses, got {type(value).__name__}")
+                raise TypeError(f"expected numbers, text, arrays and messages, got {type(value).__name__}")
             if not value.shape:
                 return value.item()
             description = {_CLASS: _ARRAY, "dtype": value.dtype.str, "shape": value.shape}
@@ -99,7 +101,7 @@ class Codec:
 
         def restored(values: dict[str, Any]) -> Any:
             nonlocal offset
-            name = values.pop(_CLASS, None)
+            name = values.get(_CLASS)
             if name is None:
                 return values
             if name == _ARRAY:
@@ -112,13 +114,12 @@ class Codec:
                 return array.copy()
             if (kind := self._classes.get(name)) is None:
                 raise ValueError(f"no message is called {name!r}")
-            for key, each in values.items():
-                if isinstance(each, list):
-                    values[key] = tuple(each)  # JSON knows no tuples, and messages hold no lists
-            for key, enumeration in self._enumerations[name].items():
-                if values[key] is not None:
-                    values[key] = enumeration(values[key])
-            return kind(**values)
+            # JSON knows no tuples, and messages hold no lists.
+            content = [tuple(each) if type(each) is list else each for each in values[_CONTENT]]
+            for place, enumeration in self._enumerations[kind].items():
+                if content[place] is not None:
+                    content[place] = enumeration(content[place])
+            return kind(*content)
 
         return json.loads(text, object_hook=restored)
 

@@ -71,7 +71,7 @@ def test_arrays_of_a_message_do_not_change_with_the_memory_that_they_came_throug
 
 
 def test_other_classes_are_not_decoded() -> None:
-    text, _ = Codec().encode(Inner("a", None, Number.ONE))
+    text, _ = Codec(Inner).encode(Inner("a", None, Number.ONE))
     with pytest.raises(ValueError, match="no message is called 'Inner'"):
         Codec(Color).decode(text, memoryview(b""))
 

@@ -1,0 +1,62 @@
+"""A program for the tests of the channel: does what it is told."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.process.channel import ChannelClosedError, LogForwarder
+from nurbseg.drivers.process.messages import Codec
+from nurbseg.drivers.process.parent import connect
+
+
+@dataclass(frozen=True)
+class Say:
+    what: str
+    count: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    number: int
+    pixels: NDArray[np.uint16]
+
+
+CODEC = Codec(Say, Picture)
+
+
+def main() -> int:
+    channel = connect(CODEC, limit_s=1.0)
+    logging.basicConfig(level=logging.INFO, handlers=[LogForwarder(channel)])
+    try:
+        while True:
+            message = channel.receive(0.05)
+            channel.beat()
+            if isinstance(message, Picture):
+                channel.send(Say("got", int(message.pixels.sum())))
+            elif isinstance(message, Say) and message.what == "log":
+                logging.getLogger("nurbseg.talker").warning("a %s", "word")
+            elif isinstance(message, Say) and message.what == "hang":
+                while True:
+                    time.sleep(60.0)
+            elif isinstance(message, Say) and message.what in ("send", "send all"):
+                sent = 0
+                for number in range(message.count):
+                    picture = Picture(number, np.full((100, 100 * (number + 1)), number, np.uint16))
+                    while not (done := channel.send(picture, 0.0)) and message.what == "send all":
+                        channel.receive(5.0)
+                    sent += done
+                channel.send(Say("sent", sent))
+            elif isinstance(message, Say):
+                channel.send(message)
+    except ChannelClosedError:
+        return 7
+
+
+if __name__ == "__main__":
+    sys.exit(main())
