@@ -21,7 +21,7 @@ a thread of its own ends it; foreign programs, which have no such thread, are en
 
 Every wait has a limit: a message that does not get through is given up after 15 s, and a channel is closed
 with the process at its other end. Where something is asked for, there is a limit besides: a camera opens
-within 60 s, answers within 30 s, and is lost when its process is silent for 7 s; a player opens within 30 s
+within 60 s, answers within 30 s, and is lost when its process is silent for 10 s; a player opens within 30 s
 and hangs after 10 s; the view opens within 60 s.
 
 `BoundedQueue` hands over between threads: captured frames (the newest wins, or the source waits), frames to

@@ -62,10 +62,6 @@ class ChildProcess:
         self._channel = Channel(self._connection, self._memory, self._slots, codec)
         return self._channel
 
-    def is_running(self) -> bool:
-        """Whether it has not ended yet."""
-        return self._process.poll() is None
-
     def end(self, limit_s: float) -> int:
         """Wait until the process ends, or end it, with all that it started; return its exit code.
 
@@ -86,9 +82,7 @@ class ChildProcess:
     def close(self, limit_s: float = 0.0) -> None:
         """End the process and let go of what is shared with it; safe to call twice."""
         self.end(limit_s)
-        if self._channel is None:
-            self._channel = Channel(self._connection, self._memory, self._slots, Codec())
-        self._channel.close()
+        (self._channel or self.connect(Codec())).close()
 
     def peak_memory_mb(self) -> float:
         """Return the largest resident size that the process has had, 10^6 bytes; 0 where it is not known."""

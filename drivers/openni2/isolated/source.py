@@ -33,7 +33,7 @@ _OPEN_LIMIT_S = 60.0
 #: And must answer, and end when it is to, finishing a recording first.
 _ANSWER_LIMIT_S = 30.0
 #: A process that says nothing for this long hangs, seconds; it says itself when the camera is silent.
-_HANG_LIMIT_S = 7.0
+_HANG_LIMIT_S = 10.0
 #: Frames that may wait, seconds; and some more, as slots come free in bunches.
 _DEPTH_S, _MORE = 1.0, 4
 
