@@ -1,10 +1,12 @@
-"""Files of each frame's result: labels as PNG, the tree as JSON, the surfaces as NPZ."""
+"""Files of each frame's result: labels as PNG, the tree as JSON, the surfaces as NPZ; and of the settings."""
 
 from __future__ import annotations
 
 import io
 import json
 import math
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +16,47 @@ from numpy.typing import NDArray
 
 from nurbseg.app.atomic_file import write_atomically
 from nurbseg.app.live.worker import FrameResult
-from nurbseg.segmentation.config import Metric
+from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.segments import Segment, SegmentationTree, Trial
+
+#: The file of an export that holds what all its frames were made with.
+SETTINGS_FILE = "settings.json"
 
 
 class ExportError(Exception):
     """A result cannot be written; the message says where, why, and what is kept."""
+
+
+def run_settings(
+    config: SegmentationConfig,
+    *,
+    source: str = "",
+    temporal: bool = False,
+    target_fps: float = 0.0,
+    surfaces: bool = False,
+) -> dict[str, Any]:
+    """Return what ``settings.json`` holds: all that the frames of one export have in common.
+
+    Parameters
+    ----------
+    config : SegmentationConfig
+        How frames are segmented.
+    source : str
+        Where they come from.
+    temporal : bool
+        Whether a frame continues the one before it.
+    target_fps : float
+        Rate that is held by a coarser grid, 1/s; 0 where the grid is always that of `config`.
+    surfaces : bool
+        Whether the fitted surfaces are written.
+    """
+    return {
+        "source": source,
+        "temporal": temporal,
+        "target_fps": target_fps,
+        "surfaces": surfaces,
+        "segmentation": asdict(config),
+    }
 
 
 class Exporter:
@@ -31,14 +68,15 @@ class Exporter:
     each other, a segment has one label in all of them. The tree is written last: where it is, the others
     are.
 
+    Beside them ``settings.json`` holds what all frames were made with. A folder that holds results of other
+    settings is refused.
+
     Parameters
     ----------
     directory : Path
         Made where it does not exist; files of the same names are replaced.
-    metric : str
-        Which metric decided the splits; the tree tells it.
-    surfaces : bool
-        Whether the fitted surfaces are written too.
+    settings : mapping
+        Of `run_settings`.
 
     Attributes
     ----------
@@ -48,18 +86,23 @@ class Exporter:
     Raises
     ------
     ExportError
-        If the folder cannot be made.
+        If the folder cannot be made, or holds other results.
     """
 
-    def __init__(self, directory: Path, *, metric: Metric, surfaces: bool = False) -> None:
+    def __init__(self, directory: Path, settings: Mapping[str, Any]) -> None:
         self.directory = directory
         self.written = 0
-        self._metric = metric
-        self._surfaces = surfaces
+        self._metric: Metric = settings["segmentation"]["metric"]
+        self._surfaces: bool = settings["surfaces"]
         try:
             directory.mkdir(parents=True, exist_ok=True)
         except OSError as err:
             raise ExportError(f"{directory}: cannot be made: {err.strerror}") from err
+        _refuse_other_results(directory, settings)
+        try:
+            write_atomically(directory / SETTINGS_FILE, (json.dumps(settings, indent=1) + "\n").encode())
+        except OSError as err:
+            raise ExportError(f"{directory / SETTINGS_FILE}: cannot be written: {err.strerror}") from err
 
     def write(self, result: FrameResult) -> None:
         """Write the files of one frame.
@@ -88,6 +131,35 @@ class Exporter:
                     f"the {self.written} frames before are kept in {self.directory}"
                 ) from err
         self.written += 1
+
+
+def _refuse_other_results(directory: Path, settings: Mapping[str, Any]) -> None:
+    """Raise if a folder holds results that were made with other settings."""
+    advice = "export to another folder, or delete this one"
+    path = directory / SETTINGS_FILE
+    try:
+        before = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        if any(directory.glob("*_tree.json")):
+            raise ExportError(f"{directory}: holds results without {SETTINGS_FILE}; {advice}") from None
+        return
+    except (OSError, ValueError) as err:
+        raise ExportError(f"{path}: cannot be read: {err}; {advice}") from err
+    if before != settings:
+        was, now = _flat(before), _flat(settings)
+        differing = (
+            f"{key} is {was.get(key)} there and {now.get(key)} now"
+            for key in {**was, **now}
+            if was.get(key) != now.get(key)
+        )
+        raise ExportError(f"{path}: is of another run: {', '.join(differing)}; {advice}")
+
+
+def _flat(settings: Any) -> dict[str, Any]:
+    """Return settings and those of the segmentation side by side."""
+    if not isinstance(settings, Mapping):
+        return {}
+    return {**settings, **settings.get("segmentation", {}), "segmentation": None}
 
 
 def tree_document(result: FrameResult, metric: Metric) -> dict[str, Any]:
@@ -187,15 +259,16 @@ def surfaces_npz(tree: SegmentationTree) -> bytes:
     It holds ``names`` (S,) of the segments that have a surface, ``degree`` (S, 2), ``window`` (S, 4) in
     pixels (first row, first column, one past the last of each), and of the segment ``P010`` the arrays
     ``P010_knots_u``, ``P010_knots_v`` in pixels, ``P010_control_points_m`` (n, m, 3) and
-    ``P010_weights`` (n, m).
+    ``P010_weights`` (n, m). Of every segment there is ``P010_measured`` (N,): flat indices of the pixels on
+    which its values were measured, ascending, each as its difference to the one before.
     """
     arrays: dict[str, Any] = {}
     names, degrees, windows = [], [], []
     for each in tree.segments:
-        surface = each.fit.surface
+        name, surface = display_name(each.name), each.fit.surface
+        arrays[f"{name}_measured"] = np.diff(each.fit.pixels, prepend=0).astype(np.int32)
         if surface is None:
             continue
-        name = display_name(each.name)
         names.append(name)
         degrees.append(surface.degree)
         windows.append(surface.window)

@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 from nurbseg.app.command.config import AppConfig
 from nurbseg.app.command.interruption import Interruption
-from nurbseg.app.export import Exporter, ExportError
+from nurbseg.app.export import Exporter, ExportError, run_settings
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.latency_filter import Lateness
 from nurbseg.app.live.opening import open_chosen
@@ -78,13 +78,19 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
             _log.info("source: %s", opened.uri)
             report = RunReport(config, opened.uri, opened.source.metadata)
             _write_report(config, report, None, "still running")
+            temporal = config.live.follows(every_frame=opened.every_frame)
+            # Where every frame is wanted, none is hurried, and none too late.
+            target_hz = 0.0 if opened.every_frame else config.live.target_fps
             exports: list[Consumer] = []
             if config.export.directory is not None:
-                exporter = Exporter(
-                    Path(config.export.directory),
-                    metric=config.segmentation.metric,
+                settings = run_settings(
+                    config.segmentation,
+                    source=opened.uri,
+                    temporal=temporal,
+                    target_fps=target_hz,
                     surfaces=config.export.surfaces,
                 )
+                exporter = Exporter(Path(config.export.directory), settings)
                 exports.append(("export", exporter.write))
             name = Path(opened.uri).name
             shown = config.shown
@@ -115,9 +121,6 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                         if config.record.only:
                             _pass_by(capture, report, interruption)
                         else:
-                            temporal = config.live.follows(every_frame=opened.every_frame)
-                            # Where every frame is wanted, none is hurried, and none too late.
-                            target_hz = 0.0 if opened.every_frame else config.live.target_fps
                             segmenter = Segmenter(config.segmentation, temporal=temporal, target_hz=target_hz)
                             lateness = Lateness(0.0 if opened.every_frame else config.live.age_max_ms)
                             _work(capture, segmenter, exports, view, lateness, report, interruption)

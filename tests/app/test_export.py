@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nurbseg.app.atomic_file import write_atomically
-from nurbseg.app.export import Exporter, ExportError, surfaces_npz, tree_document
+from nurbseg.app.export import Exporter, ExportError, run_settings, surfaces_npz, tree_document
 from nurbseg.app.live.worker import FrameResult, process_frame
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.segments import SegmentationTree, Trial
@@ -21,15 +21,18 @@ def merged_result(request: pytest.FixtureRequest, small_result: FrameResult) -> 
     return process_frame(small_result.frame, SegmentationConfig(method="nurbseg", level=request.param))
 
 
+SETTINGS = run_settings(SegmentationConfig(method="stag15"), surfaces=True)
+
+
 def exported(result: FrameResult, folder: Path, *, surfaces: bool = True) -> None:
-    Exporter(folder, metric="mse", surfaces=surfaces).write(result)
+    Exporter(folder, {**SETTINGS, "surfaces": surfaces}).write(result)
 
 
 def test_files_are_named_by_the_frames_number(small_result: FrameResult, tmp_path: Path) -> None:
     result = replace(small_result, frame=replace(small_result.frame, index=42))
     exported(result, tmp_path / "out")
     names = sorted(path.name for path in (tmp_path / "out").iterdir())
-    assert names == ["000042_labels.png", "000042_surfaces.npz", "000042_tree.json"]
+    assert names == ["000042_labels.png", "000042_surfaces.npz", "000042_tree.json", "settings.json"]
 
 
 def test_surfaces_are_written_only_when_asked_for(small_result: FrameResult, tmp_path: Path) -> None:
@@ -110,6 +113,41 @@ def test_the_surfaces_file_gives_the_surfaces_back(small_result: FrameResult, tm
             assert np.array_equal(evaluate(surface, u, v), evaluate(original, u, v))
 
 
+def test_the_surfaces_file_gives_the_measured_pixels_back(merged_result: FrameResult, tmp_path: Path) -> None:
+    exported(merged_result, tmp_path)
+    with np.load(tmp_path / "000000_surfaces.npz") as arrays:
+        for each in merged_result.tree.segments:
+            measured = np.cumsum(arrays[f"P{each.name}_measured"])
+            assert measured.size > 0
+            assert np.array_equal(measured, each.fit.pixels)
+
+
+def test_the_settings_are_written_beside_the_frames(small_result: FrameResult, tmp_path: Path) -> None:
+    config = SegmentationConfig(metric="vgc", splits_max=7)
+    settings = run_settings(config, source="kitchen.mcap", temporal=True, target_fps=30.0)
+    Exporter(tmp_path, settings).write(small_result)
+    found = json.loads((tmp_path / "settings.json").read_text())
+    assert (found["source"], found["temporal"], found["target_fps"]) == ("kitchen.mcap", True, 30.0)
+    assert SegmentationConfig(**found["segmentation"]) == config
+    assert json.loads((tmp_path / "000000_tree.json").read_text())["metric"] == "vgc"
+
+
+def test_results_of_other_settings_are_not_mixed(small_result: FrameResult, tmp_path: Path) -> None:
+    exported(small_result, tmp_path)
+    exported(small_result, tmp_path)
+    other = run_settings(SegmentationConfig(method="stag15", ratio_max=0.5))
+    with pytest.raises(
+        ExportError, match=r"settings\.json: .* ratio_max is 1\.0 there and 0\.5 now; export to"
+    ):
+        Exporter(tmp_path, other)
+    (tmp_path / "settings.json").write_text("{")
+    with pytest.raises(ExportError, match=r"settings\.json: cannot be read"):
+        Exporter(tmp_path, SETTINGS)
+    (tmp_path / "settings.json").unlink()
+    with pytest.raises(ExportError, match=r"holds results without settings\.json"):
+        Exporter(tmp_path, SETTINGS)
+
+
 def test_a_frame_without_a_point_is_exported_too(
     small_result: FrameResult, empty_result: Callable[[FrameResult], FrameResult], tmp_path: Path
 ) -> None:
@@ -145,7 +183,7 @@ def test_infinite_values_become_null(small_result: FrameResult) -> None:
 def test_a_file_that_cannot_be_written_ends_with_what_is_kept(
     small_result: FrameResult, tmp_path: Path
 ) -> None:
-    exporter = Exporter(tmp_path, metric="mse")
+    exporter = Exporter(tmp_path, SETTINGS)
     exporter.write(small_result)
     following = replace(small_result, frame=replace(small_result.frame, index=1))
     (tmp_path / "000001_labels.png").mkdir()
@@ -157,7 +195,7 @@ def test_a_file_that_cannot_be_written_ends_with_what_is_kept(
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ExportError, match="file/out: cannot be made: Not a directory"):
-        Exporter(tmp_path / "file" / "out", metric="mse")
+        Exporter(tmp_path / "file" / "out", SETTINGS)
 
 
 def test_an_interrupted_write_leaves_the_old_file_and_no_other(
