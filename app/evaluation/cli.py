@@ -11,13 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nurbseg.app.command.threads import one_thread_for_products
+from nurbseg.app.evaluation.check.command import add_arguments, check_command
 from nurbseg.app.evaluation.computer import same_products_everywhere
 
 if TYPE_CHECKING:
     from nurbseg.app.evaluation.study import Study
+    from nurbseg.drivers.registry import SourceOptions
     from nurbseg.segmentation.config import SegmentationConfig
 
-_COMMANDS = ("run", "tune", "noise")
+_COMMANDS = ("run", "tune", "noise", "check")
 _METRICS = "mse,mae,ve,nle,vmxc,vmec,vgc,mmxc,nlc"
 
 _DESCRIPTION = """\
@@ -28,8 +30,8 @@ DATA is what nurbseg-live replays: a folder of pairs with NAME_label.png, a reco
 _EPILOG = """\
 methods: nurbseg, stag15, pz14 (trees of surface fits), dmzc12, fh04, fh04-depth, slic-ncut, kmeans,
 lccp and pcl-organized (with Debian's libpcl-dev, cmake and g++)
-exit codes: 0 done, 1 failed while running, 2 usage or no data, 130 interrupted; a killed run goes on
-where it was when it is started again with the same --out
+exit codes: 0 done, 1 failed while running or findings, 2 usage or no data, 130 interrupted; a killed run
+goes on where it was when it is started again with the same --out
 example: nurbseg-eval run my_frames --methods stag15,fh04 --metrics all --thresholds 1,0.9,0.8 --out study"""
 
 
@@ -41,7 +43,7 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    commands = parser.add_subparsers(dest="command", required=True, metavar="run|tune|noise")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="run|tune|noise|check")
     run = commands.add_parser("run", help="score methods and settings, write tables and a report")
     run.add_argument("--methods", default="nurbseg,stag15", help="names, separated by commas (%(default)s)")
     run.add_argument(
@@ -82,12 +84,17 @@ def _parser() -> argparse.ArgumentParser:
         "--out", type=Path, default=Path("tuned.toml"), help="configuration for nurbseg-live (%(default)s)"
     )
     noise = commands.add_parser("noise", help="measure the sensor's noise on the largest plane")
+    check = commands.add_parser(
+        "check", help="hold what nurbseg-live exported against itself and its recording"
+    )
+    add_arguments(check)
     for each in (run, tune, noise):
         kind = "frames, labelled or not" if each is noise else "labelled frames"
         each.add_argument("data", nargs="+", metavar="DATA", help=kind)
         each.add_argument("--frames", type=int, help="frames of each source at the most (all)")
         each.add_argument("--start", type=int, default=0, help="first frame (%(default)s)")
         each.add_argument("--seed", type=int, help="of all that draws random numbers (0)")
+    for each in (run, tune, noise, check):
         each.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="of data without calibration, pixels")
         each.add_argument("--depth-scale", type=float, help="depth units per metre of data that does not say")
     for each in (run, tune):
@@ -127,7 +134,7 @@ def main(words: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code: 0 done, 1 failed while running, 2 usage or no data, 130 interrupted.
+        Exit code: 0 done, 1 failed while running or findings, 2 usage or no data, 130 interrupted.
     """
     one_thread_for_products()
     words = list(sys.argv[1:] if words is None else words)
@@ -138,6 +145,8 @@ def main(words: Sequence[str] | None = None) -> int:
     from nurbseg.drivers.errors import BackendMissingError, DeviceNotFoundError, DriverError
 
     try:
+        if given.command == "check":
+            return check_command(given, _source_options(given))
         study = _study(given)
         if given.command == "run":
             _run(given, study, _base_config(given), words)
@@ -167,7 +176,23 @@ def main(words: Sequence[str] | None = None) -> int:
 
 def _study(given: argparse.Namespace) -> Study:
     from nurbseg.app.evaluation.study import Study
-    from nurbseg.drivers.options import SourceOptions
+
+    for name, least in (("frames", 1), ("start", 0), ("jobs", 1), ("seed", 0), ("pictures", 0)):
+        value = getattr(given, name, None)
+        if value is not None and value < least:
+            raise ValueError(f"--{name}: expected at least {least}, got {value}")
+    return Study(
+        sources=tuple(given.data),
+        variants=(),
+        options=_source_options(given),
+        seed=given.seed or 0,
+        frames=given.frames,
+        start=given.start,
+    )
+
+
+def _source_options(given: argparse.Namespace) -> SourceOptions:
+    from nurbseg.drivers.registry import SourceOptions
 
     intrinsics = None
     if given.intrinsics is not None:
@@ -176,18 +201,7 @@ def _study(given: argparse.Namespace) -> Study:
         except ValueError:
             raise ValueError(f"--intrinsics {given.intrinsics}: expected FX,FY,CX,CY in pixels") from None
         intrinsics = (fx, fy, cx, cy)
-    for name, least in (("frames", 1), ("start", 0), ("jobs", 1), ("seed", 0), ("pictures", 0)):
-        value = getattr(given, name, None)
-        if value is not None and value < least:
-            raise ValueError(f"--{name}: expected at least {least}, got {value}")
-    return Study(
-        sources=tuple(given.data),
-        variants=(),
-        options=SourceOptions(intrinsics=intrinsics, depth_scale=given.depth_scale),
-        seed=given.seed or 0,
-        frames=given.frames,
-        start=given.start,
-    )
+    return SourceOptions(intrinsics=intrinsics, depth_scale=given.depth_scale)
 
 
 def _base_config(given: argparse.Namespace) -> SegmentationConfig:

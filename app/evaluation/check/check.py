@@ -1,0 +1,139 @@
+"""Holds a folder of exports against itself, its settings and its recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+from nurbseg.app.evaluation.check.exported import ExportedFrame, Finding
+from nurbseg.app.evaluation.check.reading import DamagedExportError, read_frame, read_settings
+from nurbseg.app.evaluation.check.reasons import check_splits, check_stops, grid_step
+from nurbseg.app.evaluation.check.structure import check_names, check_partition
+from nurbseg.app.evaluation.check.surfaces import check_measured, check_surfaces
+from nurbseg.app.evaluation.check.values import check_values
+from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError
+from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.drivers.registry import SourceOptions, open_source
+from nurbseg.drivers.source import FrameSource
+from nurbseg.segmentation.points.registration import register
+
+
+class FolderCheck:
+    """Checks the frames of a folder of exports.
+
+    Nothing here calls what made the values: surfaces are evaluated by SciPy; metrics, ratios and the order of
+    the tree are computed anew. What is shared is the recording's frames and their registration.
+
+    Parameters
+    ----------
+    folder : Path
+        Written by ``nurbseg-live --export``.
+    recording : str, optional
+        The source that was segmented; without it no value is recomputed from points.
+    options : SourceOptions, optional
+        How to open the recording.
+
+    Attributes
+    ----------
+    frames, segments, recomputed : int
+        What was checked so far: frames, their segments, and those of them whose values were recomputed.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds no export, or a recording is given for one without surfaces.
+    """
+
+    def __init__(
+        self, folder: Path, recording: str | None = None, options: SourceOptions | None = None
+    ) -> None:
+        self.frames = self.segments = self.recomputed = 0
+        self._folder = folder
+        self._recording = recording
+        self._options = options or SourceOptions()
+        self._settings = read_settings(folder)
+        self._stems = sorted(path.name.removesuffix("_tree.json") for path in folder.glob("*_tree.json"))
+        if not self._stems:
+            raise ValueError(f"{folder}: holds no NNNNNN_tree.json")
+        if recording is not None and not self._settings.surfaces:
+            raise ValueError(
+                f"{folder}: holds no surfaces to recompute values from; --export-surfaces writes them"
+            )
+
+    def findings(self) -> Iterator[Finding]:
+        """Check frame after frame.
+
+        Yields
+        ------
+        Finding
+            What is wrong.
+
+        Raises
+        ------
+        nurbseg.drivers.errors.DriverError
+            If the recording cannot be read.
+        """
+        with ExitStack() as stack:
+            source = None
+            if self._recording is not None:
+                source = stack.enter_context(open_source(self._recording, self._options))
+            for stem in self._stems:
+                try:
+                    frame = read_frame(self._folder, stem, surfaces=self._settings.surfaces)
+                except DamagedExportError as err:
+                    yield Finding(err.file, "", "", "a file of an export", str(err))
+                    continue
+                self.frames += 1
+                self.segments += len(frame.segments)
+                yield from self._check(frame, source)
+
+    def _check(self, frame: ExportedFrame, source: FrameSource | None) -> Iterator[Finding]:
+        settings, config = self._settings, self._settings.config
+        names = list(check_names(frame))
+        yield from names
+        if names:
+            # The rest asks which segment is part of which.
+            return
+        yield from check_partition(frame, in_order=not settings.temporal)
+        step = grid_step(frame, settings)
+        pixels_min = config.segment_pixels_min if config.method == "stag15" else config.piece_pixels_min
+        points_min = pixels_min * frame.shape[0] * frame.shape[1] / (640 * 480) / step**2
+        yield from check_splits(frame, settings, points_min)
+        if settings.grows_anew:
+            yield from check_stops(frame, settings, points_min)
+        if not settings.surfaces:
+            return
+        damaged = [*check_measured(frame, step), *check_surfaces(frame)]
+        yield from damaged
+        if source is not None and not damaged:
+            yield from self._check_against(frame, _recorded(source, frame))
+
+    def _check_against(self, frame: ExportedFrame, recorded: RGBDFrame | None) -> Iterator[Finding]:
+        if recorded is None:
+            yield Finding(frame.tree_file, "", "frame", "one of the recording", str(frame.frame))
+            return
+        for field, expected, found in (
+            ("name", recorded.name, frame.name),
+            ("timestamp_ns", recorded.timestamp_ns, frame.timestamp_ns),
+        ):
+            if found != expected:
+                yield Finding(frame.tree_file, "", field, f"{expected} as recorded", str(found))
+        yield from check_values(frame, register(recorded), self._settings.config)
+        self.recomputed += len(frame.surfaces)
+
+
+def _recorded(source: FrameSource, frame: ExportedFrame) -> RGBDFrame | None:
+    """Read on up to the frame of an export; None where the recording does not hold it."""
+    while True:
+        try:
+            recorded = source.read()
+        except FrameFormatError:
+            continue
+        except EndOfRecordingError:
+            return None
+        if recorded.index >= frame.frame:
+            return recorded if recorded.index == frame.frame else None
+
+
+__all__ = ["FolderCheck"]

@@ -1,0 +1,182 @@
+"""What a folder of exports holds, as it is read back, and what is found to be wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.config import SegmentationConfig
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One place where an export contradicts itself, its settings or its recording.
+
+    Parameters
+    ----------
+    file : str
+        In which file.
+    segment : str
+        Of which segment ("P010"), or what else; empty for the whole frame.
+    field : str
+        Which value of it.
+    expected, found : str
+        What the value should be, and what it is.
+    """
+
+    file: str
+    segment: str
+    field: str
+    expected: str
+    found: str
+
+    def __str__(self) -> str:
+        where = " ".join(each for each in (self.segment, self.field) if each)
+        contradiction = f"expected {self.expected}, found {self.found}"
+        return f"{self.file}: {where}: {contradiction}" if where else f"{self.file}: {contradiction}"
+
+
+@dataclass(frozen=True, slots=True)
+class RunSettings:
+    """What all frames of an export were made with; see `nurbseg.app.export.run_settings`."""
+
+    source: str
+    temporal: bool
+    target_fps: float
+    surfaces: bool
+    config: SegmentationConfig
+
+    @property
+    def grows_anew(self) -> bool:
+        """Whether the tree of each frame is grown for that frame alone."""
+        lives_on = self.config.method == "nurbseg" and self.config.fit_of == "inverse-depth"
+        return not (self.temporal and lives_on)
+
+
+@dataclass(frozen=True, slots=True)
+class ExportedTrial:
+    """A split that was tried: (value, points) of the whole and of each part; no value reads as None."""
+
+    metric: str
+    whole: tuple[float | None, int]
+    parts: tuple[tuple[float | None, int], ...]
+    kept: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ExportedSegment:
+    """A segment as the tree's file describes it."""
+
+    name: str
+    parent: str | None
+    children: tuple[str, ...]
+    size: int
+    depth: int
+    value: float | None
+    values: Mapping[str, float | None]
+    ratio: float | None
+    trial: ExportedTrial | None
+    division: str | None
+    stop: str | None
+    points: int
+    surface: bool
+    reason: str
+    label: int | None
+    leaf: int | None
+    object: int | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExportedSurface:
+    """A surface as the file of surfaces holds it; shapes and units are those of `NurbsSurface`."""
+
+    degree: tuple[int, int]
+    knots_u: NDArray[np.float64]
+    knots_v: NDArray[np.float64]
+    control_points_m: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    window: tuple[int, int, int, int]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExportedFrame:
+    """All files of a frame.
+
+    Parameters
+    ----------
+    stem : str
+        The number that the files' names begin with.
+    frame, name, timestamp_ns : int, str, int
+        Which frame of the source it is.
+    shape : (int, int)
+        Rows and columns.
+    metric, level : str
+        Which metric decided, and what a label stands for.
+    segments : mapping of str to ExportedSegment
+        By name, in the order of the file.
+    objects : mapping of int to tuple of str
+        Names of the leaves of each object; none where nothing was merged.
+    contacts : tuple of (str, str, bool)
+        Two leaves that meet, and whether they were merged.
+    images : mapping of str to (H, W) uint16
+        "labels" and, where there are objects, "surfaces" and "objects".
+    surfaces, measured : mapping of str to ExportedSurface and to (N,) int64
+        By name, the pixels as flat indices; empty where surfaces are not exported.
+    """
+
+    stem: str
+    frame: int
+    name: str
+    timestamp_ns: int
+    shape: tuple[int, int]
+    metric: str
+    level: str
+    segments: Mapping[str, ExportedSegment]
+    objects: Mapping[int, tuple[str, ...]]
+    contacts: tuple[tuple[str, str, bool], ...]
+    images: Mapping[str, NDArray[np.uint16]]
+    surfaces: Mapping[str, ExportedSurface]
+    measured: Mapping[str, NDArray[np.int64]]
+
+    @property
+    def tree_file(self) -> str:
+        """Name of the file that holds the tree."""
+        return f"{self.stem}_tree.json"
+
+    @property
+    def surfaces_file(self) -> str:
+        """Name of the file that holds surfaces and measured pixels."""
+        return f"{self.stem}_surfaces.npz"
+
+    @property
+    def leaf_image(self) -> NDArray[np.uint16]:
+        """Which leaf each pixel belongs to, by the leaf's own label, (H, W)."""
+        return self.images["surfaces" if self.objects else "labels"]
+
+    def leaves(self) -> Iterator[ExportedSegment]:
+        """Return the segments that have no parts."""
+        return (each for each in self.segments.values() if not each.children)
+
+    def parts(self, name: str) -> list[ExportedSegment]:
+        """Return the parts of a split, going through segments that only hold others together."""
+        found, waiting = [], [self.segments[child] for child in self.segments[name].children]
+        while waiting:
+            part = waiting.pop(0)
+            if part.division == "gap":
+                waiting[:0] = [self.segments[child] for child in part.children]
+            else:
+                found.append(part)
+        return found
+
+
+__all__ = [
+    "ExportedFrame",
+    "ExportedSegment",
+    "ExportedSurface",
+    "ExportedTrial",
+    "Finding",
+    "RunSettings",
+]

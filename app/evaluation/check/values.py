@@ -1,0 +1,171 @@
+"""Whether the values of the nine metrics follow from the surfaces and the points of the recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.app.evaluation.check.exported import ExportedFrame, Finding
+from nurbseg.app.evaluation.check.surfaces import derivatives
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.points.registration import PointMap
+
+#: Residuals that are no more than this are the rounding of the points, and count as 0.
+_ROUNDING_M = 1e-6
+#: Inverse depths and distances are of single precision: a residual may be off by this share of both.
+_SINGLE = 2.0**-22
+#: What is computed in double precision agrees to this share, curvature included.
+_DOUBLE = 1e-9
+#: Tangents whose parallelogram is smaller than this share of their squares span no plane.
+_FLAT_SHARE = 1e-9
+#: How far the surface of a pixel may lie beside the pixel's ray, radians: half a pixel of an image 640 wide.
+_BESIDE_MOST = 1e-3
+
+#: Least and most that a value may be.
+Bounds = tuple[float, float]
+
+
+def check_values(frame: ExportedFrame, cloud: PointMap, config: SegmentationConfig) -> Iterator[Finding]:
+    """Recompute the values of every segment from its surface and the points at its measured pixels.
+
+    Parameters
+    ----------
+    frame : ExportedFrame
+        With surfaces and measured pixels that are whole.
+    cloud : PointMap
+        The points of the same frame.
+    config : SegmentationConfig
+        Method, and the limits of the metrics that count.
+
+    Yields
+    ------
+    Finding
+        Each value that is not that of its surface.
+    """
+    labelled = frame.leaf_image > 0
+    if not np.array_equal(labelled, cloud.valid):
+        row, column = np.argwhere(labelled != cloud.valid)[0].tolist()
+        expected = "a label" if cloud.valid[row, column] else "no label, there is no point"
+        found = f"{frame.leaf_image[row, column]} there"
+        yield Finding(f"{frame.stem}_labels.png", "", f"pixel [{row}, {column}]", expected, found)
+        return
+    for name, surface in frame.surfaces.items():
+        rows, columns = np.divmod(frame.measured[name], frame.shape[1])
+        points_m = cloud.points_m[rows, columns].astype(np.float64)
+        values = frame.segments[name].values
+        S = derivatives(surface, rows, columns, order=2 if "vgc" in values else 0)
+        if config.method == "nurbseg" and config.fit_of == "inverse-depth":
+            residuals_m, off_m, beside = _along_rays(S[0, 0], points_m)
+            if beside > _BESIDE_MOST:
+                expected = f"surface points on their rays, to {_BESIDE_MOST} rad"
+                yield Finding(frame.surfaces_file, name, "control_points_m", expected, f"{beside:.2g} rad")
+        else:
+            residuals_m = np.linalg.norm(S[0, 0] - points_m, axis=1)
+            off_m = _DOUBLE * np.linalg.norm(points_m, axis=1)
+        bounds = residual_bounds(residuals_m, off_m, config)
+        if "vgc" in values:
+            bounds |= {
+                key: (value * (1.0 - _DOUBLE), value * (1.0 + _DOUBLE))
+                for key, value in curvature_values(S, config).items()
+            }
+        if set(values) != set(bounds):
+            yield Finding(frame.tree_file, name, "values", str(sorted(bounds)), str(sorted(values)))
+        for key in values.keys() & bounds.keys():
+            (least, most), value = bounds[key], values[key]
+            if value is None or not least <= value <= most:
+                yield Finding(frame.tree_file, name, key, f"{least:.9g} to {most:.9g}", repr(value))
+
+
+def _along_rays(
+    on_surface_m: NDArray[np.float64], points_m: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Return distances of points to a surface along their rays, how far these may be off, and the rays.
+
+    A surface of inverse depth meets the ray of each pixel in one point, whose distance is in proportion to
+    the depths. The last value is the largest angle between a point's ray and that of its surface point.
+    """
+    distances_m = np.linalg.norm(points_m, axis=1)
+    residuals_m = distances_m * np.abs(on_surface_m[:, 2] / points_m[:, 2] - 1.0)
+    rays = (each[:, :2] / each[:, 2:] for each in (on_surface_m, points_m))
+    beside = np.abs(np.subtract(*rays)).max(initial=0.0)
+    return residuals_m, _SINGLE * (distances_m + residuals_m), float(beside)
+
+
+def residual_bounds(
+    residuals_m: NDArray[np.float64], off_m: NDArray[np.float64], config: SegmentationConfig
+) -> dict[str, Bounds]:
+    """Recompute the metrics of residuals (eq. 7, 9, 11 and section 4.4).
+
+    Parameters
+    ----------
+    residuals_m : (N,) float64
+        Distance of each point to its surface point, metres.
+    off_m : (N,) float64
+        By how much each may be off, metres.
+    config : SegmentationConfig
+        Its `large_error_m` is T_l.
+
+    Returns
+    -------
+    dict of str to (float, float)
+        Bounds of ``mse``, ``mae``, ``ve`` and ``nle``.
+    """
+    low, high = np.maximum(residuals_m - off_m, 0.0), residuals_m + off_m
+    # A standard deviation changes by no more than the root mean square of what is added.
+    deviation, added = float(residuals_m.std()), float(np.sqrt(np.mean(off_m**2)))
+    fewest, most = (float(np.count_nonzero(each > config.large_error_m)) for each in (low, high))
+    bounds: dict[str, Bounds] = {
+        "mse": (float(np.mean(low**2)), float(np.mean(high**2))),
+        "mae": (float(low.mean()), float(high.mean())),
+        "ve": (max(deviation - added, 0.0) ** 2, (deviation + added) ** 2),
+        "nle": (fewest, most),
+    }
+    if low.max() <= _ROUNDING_M:
+        bounds = {key: (0.0, largest) for key, (_, largest) in bounds.items()}
+    return bounds
+
+
+def curvature_values(
+    S: Mapping[tuple[int, int], NDArray[np.float64]], config: SegmentationConfig
+) -> dict[str, float]:
+    """Recompute the metrics of curvature (eq. 14 to 19 and section 4.9) by the two fundamental forms.
+
+    Parameters
+    ----------
+    S : mapping of (int, int) to (N, 3) float64
+        Derivatives up to the second order at the measured pixels.
+    config : SegmentationConfig
+        Its `large_curvature_per_m` is T_c.
+
+    Returns
+    -------
+    dict of str to float
+        ``vmxc``, ``vmec``, ``vgc``, ``mmxc`` and ``nlc``.
+
+    References
+    ----------
+    .. [1] M. do Carmo, "Differential Geometry of Curves and Surfaces", 1976, section 3-3.
+    """
+    normal = np.cross(S[1, 0], S[0, 1])
+    area = np.linalg.norm(normal, axis=1)
+    E, F, G = (np.sum(S[a] * S[b], axis=1) for a, b in (((1, 0), (1, 0)), ((1, 0), (0, 1)), ((0, 1), (0, 1))))
+    plane = area > _FLAT_SHARE * (E + G)
+    if not plane.any():
+        return dict.fromkeys(("vmxc", "vmec", "vgc", "mmxc", "nlc"), 0.0)
+    L, M, N = (np.sum(S[at] * normal, axis=1)[plane] / area[plane] for at in ((2, 0), (1, 1), (0, 2)))
+    E, F, G = E[plane], F[plane], G[plane]
+    gaussian = (L * N - M**2) / area[plane] ** 2
+    mean = (E * N - 2.0 * F * M + G * L) / (2.0 * area[plane] ** 2)
+    largest = np.abs(mean) + np.sqrt(np.maximum(mean**2 - gaussian, 0.0))
+    return {
+        "vmxc": float(np.var(largest)),
+        "vmec": float(np.var(mean)),
+        "vgc": float(np.var(gaussian)),
+        "mmxc": float(np.mean(largest)),
+        "nlc": float(np.count_nonzero(largest > config.large_curvature_per_m)),
+    }
+
+
+__all__ = ["check_values", "curvature_values", "residual_bounds"]

@@ -1,0 +1,98 @@
+"""Exports of two frames by settings that give every reason to stop, and copies of them to damage."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nurbseg.app.evaluation.check.check import FolderCheck
+from nurbseg.app.export import Exporter, run_settings
+from nurbseg.app.live.worker import process_frame
+from nurbseg.drivers.registry import open_source
+from nurbseg.segmentation.config import SegmentationConfig
+
+RECORDING = "synthetic:?width=160&height=120&frames=2"
+CONFIGS = {
+    "stag15": SegmentationConfig(method="stag15", segment_pixels_min=600, depth_max=3, splits_max=5),
+    "curvature": SegmentationConfig(
+        method="stag15", segment_pixels_min=600, splits_max=4, metric="vmxc", ratio_max=3.0
+    ),
+    "counts": SegmentationConfig(
+        method="stag15", segment_pixels_min=600, metric="nle", large_error_m=0.02, decimation=1
+    ),
+    "nurbseg": SegmentationConfig(splits_max=8, depth_max=4),
+    "strict": SegmentationConfig(ratio_max=0.3, noise_per_m=1e-3, depth_max=3),
+    "surfaces": SegmentationConfig(level="surfaces", splits_max=4, decimation=3),
+}
+
+
+class Export:
+    """A folder of exports that can be changed."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def tree(self, change: Callable[[dict[str, dict[str, Any]]], object], *, frame: int = 0) -> None:
+        """Change the segments of a frame by their names."""
+        self.document(lambda tree: change({each["name"]: each for each in tree["segments"]}), frame=frame)
+
+    def document(self, change: Callable[[dict[str, Any]], object], *, frame: int = 0) -> None:
+        """Change what a tree's file holds."""
+        path = self.folder / f"{frame:06d}_tree.json"
+        document = json.loads(path.read_text())
+        change(document)
+        path.write_text(json.dumps(document))
+
+    def segments(self, *, frame: int = 0) -> dict[str, dict[str, Any]]:
+        """Return the segments of a frame by name."""
+        document = json.loads((self.folder / f"{frame:06d}_tree.json").read_text())
+        return {each["name"]: each for each in document["segments"]}
+
+    def arrays(self, change: Callable[[dict[str, Any]], object]) -> None:
+        """Change the arrays of the first frame's surfaces."""
+        path = self.folder / "000000_surfaces.npz"
+        with np.load(path) as file:
+            arrays = dict(file)
+        change(arrays)
+        np.savez_compressed(path, **arrays)
+
+    def setting(self, name: str, value: object) -> None:
+        """Change a setting of the segmentation."""
+        path = self.folder / "settings.json"
+        settings = json.loads(path.read_text())
+        settings["segmentation"][name] = value
+        path.write_text(json.dumps(settings))
+
+    def findings(self, recording: str | None = None) -> list[str]:
+        """Return what the check finds."""
+        return [str(each) for each in FolderCheck(self.folder, recording).findings()]
+
+
+@pytest.fixture(scope="session")
+def exports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A folder of each configuration."""
+    folder = tmp_path_factory.mktemp("exports")
+    with open_source(RECORDING) as source:
+        frames = list(source)
+    for name, config in CONFIGS.items():
+        exporter = Exporter(folder / name, run_settings(config, source=RECORDING, surfaces=True))
+        for frame in frames:
+            exporter.write(process_frame(frame, config))
+    return {name: folder / name for name in CONFIGS}
+
+
+@pytest.fixture
+def export(exports: dict[str, Path], tmp_path: Path) -> Callable[[str], Export]:
+    """A function that returns a copy of an export."""
+
+    def copy(name: str) -> Export:
+        return Export(Path(shutil.copytree(exports[name], Path(mkdtemp(dir=tmp_path)) / name)))
+
+    return copy

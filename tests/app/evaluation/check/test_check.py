@@ -1,0 +1,563 @@
+"""The check finds nothing wrong with what was exported, and whatever is made wrong with it."""
+
+import json
+import os
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.interpolate import BSpline
+
+from nurbseg.app.evaluation.cli import main
+from nurbseg.app.export import Exporter, run_settings
+from nurbseg.app.live.worker import process_frame
+from nurbseg.drivers.registry import SourceOptions, open_source
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.points.registration import register
+
+RECORDING = "synthetic:?width=160&height=120&frames=2"
+GUIDE = Path(__file__).parents[4] / "docs/files.md"
+ALL = pytest.mark.parametrize("name", ["stag15", "curvature", "counts", "nurbseg", "strict", "surfaces"])
+BOTH = pytest.mark.parametrize("name", ["stag15", "nurbseg"])
+
+
+@ALL
+def test_nothing_is_found_in_what_was_exported(export, name):
+    assert export(name).findings(RECORDING) == []
+
+
+def test_the_exports_hold_all_that_is_damaged_below(export):
+    reasons, kept = set(), set()
+    for name in ("stag15", "counts", "nurbseg", "strict"):
+        for each in (*export(name).segments().values(), *export(name).segments(frame=1).values()):
+            reasons.add(each["stop"])
+            kept.add((name, each["division"], each["trial"] and each["trial"]["kept"]))
+    assert reasons >= {None, "criterion", "child-too-small", "too-small", "depth", "splits", "noise"}
+    assert kept >= {
+        ("stag15", "cut", True),
+        ("stag15", None, False),
+        ("nurbseg", "gap", None),
+        ("strict", None, False),
+    }
+
+
+@pytest.mark.parametrize("method", ["stag15", "nurbseg"])
+def test_nothing_is_found_in_a_real_frame(real_data, tmp_path, method):
+    recording = os.fspath(real_data("mosd_learn"))
+    camera = (525.0, 525.0, 319.5, 239.5)
+    config = SegmentationConfig(method=method)
+    with open_source(recording, SourceOptions(intrinsics=camera)) as source:
+        Exporter(tmp_path, run_settings(config, surfaces=True)).write(process_frame(source.read(), config))
+    words = ["check", os.fspath(tmp_path), "--frames", recording]
+    assert main([*words, "--intrinsics", ",".join(map(str, camera))]) == 0
+    # Seen by another camera, these are other points.
+    assert main([*words, "--intrinsics", "600,600,319.5,239.5"]) == 1
+
+
+def change(what, factor=1, add=0):
+    """A change of one number of a segment."""
+    return lambda each: each.update({what: each[what] * factor + add})
+
+
+def swap_children(each):
+    each["children"].reverse()
+
+
+def value_and_values(each):
+    each["values"]["mse"] = each["value"] = each["value"] * (1 + 1e-9)
+
+
+def of_trial(change_trial):
+    return lambda each: change_trial(each["trial"])
+
+
+def first_part(what, by):
+    def make(trial):
+        trial["parts"][0][what] += by
+
+    return of_trial(make)
+
+
+#: What is changed of a cut, and the field that the finding names.
+OF_A_CUT = {
+    "ratio": (change("ratio", 1 + 1e-9), "ratio"),
+    "no ratio": (lambda each: each.update(ratio=None), "ratio"),
+    "value": (value_and_values, "ratio"),
+    "value of the metric": (change("value", 1 + 1e-9), "value"),
+    "size": (change("size", add=1), "size"),
+    "points": (change("points", add=1), "points"),
+    "depth": (change("depth", add=1), "depth"),
+    "parent": (lambda each: each.update(parent="P"), "parent"),
+    "order of children": (swap_children, "children"),
+    "division": (lambda each: each.update(division="gap"), "division"),
+    "no division": (lambda each: each.update(division=None), "division"),
+    "stop": (lambda each: each.update(stop="criterion"), "stop"),
+    "trial": (lambda each: each.update(trial=None), "trial"),
+    "kept": (of_trial(lambda trial: trial.update(kept=False)), "trial"),
+    "metric of the trial": (of_trial(lambda trial: trial.update(metric="mae")), "trial metric"),
+    "value of a part": (first_part("value", 1e-9), "ratio"),
+    "points of a part": (first_part("points", 1), "trial parts"),
+    "label": (lambda each: each.update(label=3), "label"),
+    "leaf": (lambda each: each.update(leaf=3), "leaf"),
+    "surface": (lambda each: each.update(surface=False), "names"),
+}
+
+
+@BOTH
+@pytest.mark.parametrize("damage", OF_A_CUT)
+def test_a_wrong_field_of_a_cut_is_found(export, name, damage):
+    folder = export(name)
+    make, field = OF_A_CUT[damage]
+    cut = next(key for key, each in folder.segments().items() if each["division"] == "cut" and len(key) > 2)
+    folder.tree(lambda segments: make(segments[cut]))
+    found = folder.findings()
+    of = "" if field == "names" else f"{cut} "
+    assert any(f": {of}{field}: expected" in each for each in found), found
+
+
+#: What is changed of a leaf whose split was rejected, and the field that the finding names.
+OF_A_LEAF = {
+    "size": (change("size", add=-1), "size"),
+    "label": (change("label", add=1), "label"),
+    "leaf": (change("leaf", add=1), "leaf"),
+    "children": (lambda each: each.update(children=["P0", "P1"]), "children"),
+    "division": (lambda each: each.update(division="cut"), "division"),
+    "no stop": (lambda each: each.update(stop=None), "stop"),
+    "ratio": (change("ratio", 1 - 1e-9), "ratio"),
+    "trial": (lambda each: each.update(trial=None), "ratio"),
+    "trial and ratio": (lambda each: each.update(trial=None, ratio=None), "stop"),
+    "kept": (of_trial(lambda trial: trial.update(kept=True)), "trial"),
+    "value before": (of_trial(change("value", 1.001)), "trial"),
+    "points before": (of_trial(change("points", add=1)), "trial"),
+    "points of parts": (first_part("points", -2000), "trial parts"),
+    "reason": (lambda each: each.update(reason="none"), "reason"),
+}
+
+
+@pytest.mark.parametrize("name", ["stag15", "strict"])
+@pytest.mark.parametrize("damage", OF_A_LEAF)
+def test_a_wrong_field_of_a_leaf_is_found(export, name, damage):
+    folder = export(name)
+    make, field = OF_A_LEAF[damage]
+    leaf = next(key for key, each in folder.segments().items() if each["trial"] and not each["children"])
+    folder.tree(lambda segments: make(segments[leaf]))
+    found = folder.findings()
+    assert any(f": {leaf} {field}: expected" in each for each in found), found
+
+
+#: Reasons that an export does not tell from each other.
+ALIKE = {frozenset({"no-cut", "child-too-small"})}
+REASONS = ["criterion", "child-too-small", "too-small", "depth", "splits", "no-cut", "no-fit", "no-points"]
+
+
+@pytest.mark.parametrize("name", ["stag15", "counts", "nurbseg", "strict"])
+def test_every_wrong_reason_to_stop_is_found(export, name):
+    folder = export(name)
+    leaves = {key: each["stop"] for key, each in folder.segments().items() if each["stop"]}
+    tried = 0
+    for leaf, stop in leaves.items():
+        for other in REASONS:
+            if other == stop or stop == "noise" or frozenset({stop, other}) in ALIKE:
+                continue
+            folder.tree(lambda segments, leaf=leaf, other=other: segments[leaf].update(stop=other))
+            assert any(each.startswith(f"000000_tree.json: {leaf} ") for each in folder.findings()), (
+                leaf,
+                other,
+            )
+            folder.tree(lambda segments, leaf=leaf, stop=stop: segments[leaf].update(stop=stop))
+            tried += 1
+    assert tried >= 7
+    assert folder.findings() == []
+
+
+def test_the_paper_has_no_noise_stop(export):
+    folder = export("stag15")
+    leaf = next(key for key, each in folder.segments().items() if each["stop"] == "depth")
+    folder.tree(lambda segments: segments[leaf].update(stop="noise"))
+    assert any(f"{leaf} stop: expected no noise stop" in each for each in folder.findings())
+
+
+#: Settings under which an export could not have come about, and the field that the finding names.
+OTHER_SETTINGS = {
+    "stag15": [
+        ("ratio_max", 1e-3, "trial"),
+        ("depth_max", 2, "depth"),
+        ("depth_max", 4, "stop"),
+        ("splits_max", 1, "splits"),
+        ("splits_max", 6, "stop"),
+        ("segment_pixels_min", 3000, "trial parts"),
+        ("metric", "mae", "metric"),
+        ("decimation", 1, "points"),
+        ("decimation", 4, "points"),
+    ],
+    "counts": [
+        ("segment_pixels_min", 300, "stop"),
+        ("segment_pixels_min", 1200, "trial parts"),
+        ("first_split", "judged", None),
+    ],
+    "nurbseg": [
+        ("ratio_max", 1e-3, "trial"),
+        ("depth_max", 2, "depth"),
+        ("depth_max", 5, "stop"),
+        ("splits_max", 3, "splits"),
+        ("splits_max", 9, "stop"),
+        ("piece_pixels_min", 4000, "trial parts"),
+        ("piece_pixels_min", 150, "stop"),
+        ("method", "stag15", "division"),
+    ],
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "setting", "value", "field"),
+    [(name, *each) for name, settings in OTHER_SETTINGS.items() for each in settings],
+)
+def test_other_settings_contradict_the_trees(export, name, setting, value, field):
+    folder = export(name)
+    folder.setting(setting, value)
+    found = folder.findings()
+    if field is None:
+        assert found == []
+    else:
+        assert any(re.search(rf": (P[01]* )?{field}: expected", each) for each in found), found
+
+
+def test_a_first_split_that_made_it_worse_is_kept_only_where_it_is_not_judged(export):
+    folder = export("curvature")
+    assert folder.segments()["P"]["ratio"] > 3.0
+    folder.setting("first_split", "judged")
+    assert any(": P trial: expected kept where" in each for each in folder.findings())
+
+
+def test_segments_in_another_order_or_missing_are_found(export):
+    folder = export("stag15")
+    folder.document(lambda tree: tree["segments"].append(tree["segments"].pop(1)))
+    assert any("segments: expected" in each for each in folder.findings())
+    folder = export("nurbseg")
+    folder.document(lambda tree: tree["segments"].pop())
+    assert any("segments: expected" in each for each in folder.findings())
+
+
+def test_a_renamed_segment_is_found(export):
+    folder = export("stag15")
+    leaf = next(key for key, each in folder.segments().items() if each["stop"])
+    folder.tree(lambda segments: segments[leaf].update(name=f"{leaf}1"))
+    assert any("segments: expected" in each for each in folder.findings())
+
+
+def paint(folder, file, change_image):
+    path = folder.folder / file
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    change_image(image)
+    cv2.imwrite(str(path), image)
+
+
+@pytest.mark.parametrize("file", ["labels", "surfaces", "objects"])
+def test_one_wrong_pixel_is_found_in_each_image(export, file):
+    for value in (0, 1, 60_000):
+        folder = export("nurbseg")
+
+        def other(image, value=value):
+            row, column = np.argwhere((image != value) & (image > 0))[5]
+            image[row, column] = value
+
+        paint(folder, f"000000_{file}.png", other)
+        found = folder.findings()
+        images = {"labels", "objects"} if file == "surfaces" else {file}
+        assert any(each.startswith(f"000000_{kind}.png: pixel") for each in found for kind in images), found
+        if file == "surfaces":
+            assert any(" size: expected " in each for each in found)
+
+
+@pytest.mark.parametrize("value", [0, 1, 60_000])
+def test_one_wrong_pixel_is_found_where_labels_are_leaves(export, value):
+    folder = export("stag15")
+
+    def other(image):
+        row, column = np.argwhere((image != value) & (image > 0))[5]
+        image[row, column] = value
+
+    paint(folder, "000001_labels.png", other)
+    found = folder.findings()
+    assert sum(" size: expected " in each for each in found) == (2 if value == 1 else 1), found
+    assert any("label 60000: expected a leaf" in each for each in found) == (value == 60_000)
+
+
+def test_a_label_where_there_is_no_point_is_found(export):
+    folder = export("stag15")
+    with open_source(RECORDING) as source:
+        row, column = np.argwhere(~register(source.read()).valid)[0]
+    leaf = folder.segments()["P0"]
+    while leaf["children"]:
+        leaf = folder.segments()[leaf["children"][0]]
+
+    def fill(image):
+        image[row | 1, column] = leaf["leaf"]
+
+    paint(folder, "000000_labels.png", fill)
+    folder.tree(
+        lambda segments: [
+            segments[leaf["name"][:n]].update(size=segments[leaf["name"][:n]]["size"] + 1)
+            for n in range(1, len(leaf["name"]) + 1)
+        ]
+    )
+    found = folder.findings(RECORDING)
+    assert [each for each in found if "no label, there is no point" in each], found
+
+
+def test_an_object_without_one_of_its_leaves_is_found(export):
+    folder = export("nurbseg")
+    folder.document(lambda tree: tree["objects"][0]["leaves"].pop())
+    found = folder.findings()
+    assert any("objects: expected each of the leaves" in each for each in found)
+    assert any(" object: expected None" in each for each in found)
+
+
+def test_a_contact_that_is_not_what_became_of_it_is_found(export):
+    folder = export("nurbseg")
+
+    def turn(tree):
+        tree["contacts"][0]["merged"] = not tree["contacts"][0]["merged"]
+        tree["contacts"][1]["second"] = "P"
+
+    folder.document(turn)
+    found = folder.findings()
+    assert any(" merged: expected" in each for each in found)
+    assert any(" contact: expected two leaves" in each for each in found)
+
+
+def times(name, factor):
+    def make(arrays):
+        arrays[name] = arrays[name] * factor
+
+    return make
+
+
+def smaller_window(side):
+    def make(arrays):
+        arrays["window"][0, side] += 1 if side < 2 else -1
+
+    return make
+
+
+def one_pixel_less(arrays):
+    name = arrays["names"][-1]
+    arrays[f"{name}_measured"] = arrays[f"{name}_measured"][:-1]
+
+
+def another_pixel(arrays):
+    name = arrays["names"][-1]
+    arrays[f"{name}_measured"][0] += 1
+
+
+def turned_weights(arrays):
+    arrays[f"{arrays['names'][0]}_weights"][0, 0] = -1.0
+
+
+def fewer_knots(arrays):
+    name = f"{arrays['names'][0]}_knots_u"
+    arrays[name] = arrays[name][:-1]
+
+
+def one_name_less(arrays):
+    for key in ("names", "degree", "window"):
+        arrays[key] = arrays[key][1:]
+
+
+#: What is changed of the surfaces, and the field that the finding names.
+OF_SURFACES = {
+    "top": (smaller_window(0), "window"),
+    "left": (smaller_window(1), "window"),
+    "bottom": (smaller_window(2), "window"),
+    "right": (smaller_window(3), "window"),
+    "a window beyond the image": (times("window", 3), "window"),
+    "a pixel less": (one_pixel_less, "measured"),
+    "another pixel": (another_pixel, "measured"),
+    "a negative weight": (turned_weights, "weights"),
+    "a knot less": (fewer_knots, "knots_u"),
+    "a surface less": (one_name_less, "names"),
+}
+
+
+@BOTH
+@pytest.mark.parametrize("damage", OF_SURFACES)
+def test_damaged_surfaces_are_found(export, name, damage):
+    folder = export(name)
+    make, field = OF_SURFACES[damage]
+    folder.arrays(make)
+    found = folder.findings()
+    assert any(re.search(rf"surfaces.npz: (P[01]* )?{field}: expected", each) for each in found), found
+
+
+def moved(name, by_m):
+    """Move all control points of a segment along the line of sight."""
+
+    def make(arrays):
+        arrays[f"{name}_control_points_m"] = arrays[f"{name}_control_points_m"] * (1 + by_m)
+
+    return make
+
+
+@ALL
+@pytest.mark.parametrize("deep", [False, True])
+def test_a_surface_that_moved_a_little_is_found(export, name, deep):
+    folder = export(name)
+    surfaces = [key for key, each in folder.segments().items() if each["surface"]]
+    segment = surfaces[-1] if deep else surfaces[0]
+    folder.arrays(moved(segment, 1e-4))
+    assert folder.findings() == []
+    found = folder.findings(RECORDING)
+    assert {re.match(r"\d+_tree.json: (P[01]*) ", each)[1] for each in found} == {segment}, found
+    assert any(f"{segment} mse: expected" in each for each in found)
+
+
+def test_a_surface_beside_the_rays_of_its_pixels_is_found(export):
+    folder = export("nurbseg")
+
+    def aside(arrays):
+        arrays[f"{arrays['names'][0]}_control_points_m"][..., 0] += 0.01
+
+    folder.arrays(aside)
+    assert any(
+        "control_points_m: expected surface points on their rays" in each
+        for each in folder.findings(RECORDING)
+    )
+
+
+@ALL
+def test_every_wrong_value_is_found_with_the_recording(export, name):
+    folder = export(name)
+    leaf = next(key for key, each in folder.segments().items() if each["surface"] and not each["trial"])
+    values = folder.segments()[leaf]["values"]
+    assert {"mse", "mae", "ve", "nle"} <= set(values)
+    for metric, value in values.items():
+        for wrong in (None, value + 1 if metric in ("nle", "nlc") else value * 1.001):
+            folder.tree(
+                lambda segments, metric=metric, wrong=wrong: segments[leaf]["values"].update({metric: wrong})
+            )
+            found = folder.findings(RECORDING)
+            assert any(f"{leaf} {metric}: expected" in each for each in found), (metric, found)
+        folder.tree(
+            lambda segments, metric=metric, value=value: segments[leaf]["values"].update({metric: value})
+        )
+    assert folder.findings(RECORDING) == []
+
+
+def test_another_recording_is_found(export):
+    found = export("stag15").findings("synthetic:?width=160&height=120&frames=2&seed=5")
+    assert [each.split(": ")[0] for each in found] == ["000000_labels.png", "000001_labels.png"]
+    assert all(re.search(r"png: pixel \[\d+, \d+\]: expected (a label|no label)", each) for each in found)
+    found = export("stag15").findings("synthetic:?width=160&height=120&frames=1")
+    assert found == ["000001_tree.json: frame: expected one of the recording, found 1"]
+
+
+def test_a_frame_of_another_time_is_found(export):
+    folder = export("stag15")
+    folder.document(lambda tree: tree.update(timestamp_ns=7, name="another"))
+    fields = {each.split(": ")[1] for each in folder.findings(RECORDING)}
+    assert fields == {"timestamp_ns", "name"}
+
+
+def truncated(path):
+    path.write_bytes(path.read_bytes()[:-30])
+
+
+def without_a_key(path):
+    document = json.loads(path.read_text())
+    del document["segments"][0]["points"]
+    path.write_text(json.dumps(document))
+
+
+def with_a_text(path):
+    path.write_text(path.read_text().replace('"points": ', '"points": "many", "x": ', 1))
+
+
+def of_another_size(path):
+    cv2.imwrite(str(path), np.zeros((3, 4), dtype=np.uint16))
+
+
+@pytest.mark.parametrize(
+    ("file", "damage", "text"),
+    [
+        ("tree.json", truncated, "000000_tree.json: expected a file of an export"),
+        ("tree.json", without_a_key, "found P points is missing"),
+        ("tree.json", with_a_text, "found P points: expected int, got 'many'"),
+        ("labels.png", Path.unlink, "000000_labels.png: expected a file of an export, found cannot be read"),
+        ("labels.png", truncated, "000000_labels.png: expected a file of an export, found expected an image"),
+        ("labels.png", of_another_size, "found expected an image (120, 160) uint16, got (3, 4) uint16"),
+        (
+            "surfaces.npz",
+            Path.unlink,
+            "000000_surfaces.npz: expected a file of an export, found cannot be read",
+        ),
+        ("surfaces.npz", truncated, "000000_surfaces.npz: expected a file of an export"),
+    ],
+)
+def test_a_damaged_file_is_a_finding_and_the_next_frame_is_checked(export, file, damage, text):
+    folder = export("stag15")
+    damage(folder.folder / f"000000_{file}")
+    folder.tree(lambda segments: segments["P"].update(size=1), frame=1)
+    first, *others = folder.findings()
+    assert text in first
+    assert any(each.startswith("000001_tree.json: P size") for each in others)
+
+
+def test_the_command_prints_findings_and_ends_with_1(export, capsys):
+    folder = export("stag15")
+    assert main(["check", os.fspath(folder.folder), "--frames", RECORDING]) == 0
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert "0 findings in 2 frames" in printed.err
+    folder.tree(lambda segments: segments["P"].update(ratio=0.5))
+    assert main(["check", os.fspath(folder.folder)]) == 1
+    printed = capsys.readouterr()
+    lines = printed.out.splitlines()
+    assert lines
+    assert all(line.startswith("000000_tree.json: P ratio: expected ") for line in lines)
+    assert f"{len(lines)} findings in 2 frames" in printed.err
+
+
+def test_wrong_usage_ends_with_2(export, tmp_path, capsys):
+    assert main(["check", os.fspath(tmp_path)]) == 2
+    assert "settings.json: does not exist; nurbseg-live --export writes it" in capsys.readouterr().err
+    folder = export("stag15").folder
+    for file in folder.glob("*_tree.json"):
+        file.unlink()
+    assert main(["check", os.fspath(folder)]) == 2
+    assert "holds no NNNNNN_tree.json" in capsys.readouterr().err
+    (folder / "settings.json").write_text('{"source": "", "temporal": false}')
+    assert main(["check", os.fspath(folder)]) == 2
+    assert "segmentation is missing; export again" in capsys.readouterr().err
+
+
+def test_values_cannot_be_recomputed_without_surfaces(small_result, tmp_path, capsys):
+    Exporter(tmp_path, run_settings(SegmentationConfig(method="stag15"))).write(small_result)
+    assert main(["check", os.fspath(tmp_path)]) == 0
+    assert main(["check", os.fspath(tmp_path), "--frames", RECORDING]) == 2
+    assert "--export-surfaces writes them" in capsys.readouterr().err
+
+
+def program(marker):
+    """Return a program of the guide."""
+    text = rf"<!-- run by the tests: {marker} -->\n```python\n(.*?)```"
+    (found,) = re.findall(text, GUIDE.read_text(), re.DOTALL)
+    return found
+
+
+@BOTH
+def test_ratios_and_values_follow_as_the_guide_says(export, monkeypatch, name):
+    monkeypatch.chdir(export(name).folder)
+    known = {"json": json, "Path": Path, "np": np, "BSpline": BSpline}
+    exec(program("ratios"), known)
+    cuts = [key for key, each in known["tree"].items() if each["division"] == "cut"]
+    assert len(cuts) > 2
+    for cut in cuts:
+        assert known["ratio"](cut) == pytest.approx(known["tree"][cut]["ratio"], rel=1e-12)
+    with open_source(RECORDING) as source:
+        known["points_m"] = register(source.read()).points_m.astype(np.float64)
+    with_surface = [key for key, each in known["tree"].items() if each["surface"]]
+    for key in with_surface:
+        exec(program("values").replace("P1", key), known)
+        assert known["mse"] == pytest.approx(known["tree"][key]["value"], rel=1e-3)
