@@ -8,7 +8,8 @@ from pathlib import Path
 
 from nurbseg.app.evaluation.check.exported import ExportedFrame, Finding
 from nurbseg.app.evaluation.check.reading import DamagedExportError, read_frame, read_settings
-from nurbseg.app.evaluation.check.reasons import check_splits, check_stops, grid_step
+from nurbseg.app.evaluation.check.splits import check_splits, grid_step
+from nurbseg.app.evaluation.check.stops import check_live_stops, check_stops
 from nurbseg.app.evaluation.check.structure import check_names, check_partition
 from nurbseg.app.evaluation.check.surfaces import check_measured, check_surfaces
 from nurbseg.app.evaluation.check.values import check_values
@@ -100,8 +101,8 @@ class FolderCheck:
         pixels_min = config.segment_pixels_min if config.method == "stag15" else config.piece_pixels_min
         points_min = pixels_min * frame.shape[0] * frame.shape[1] / (640 * 480) / step**2
         yield from check_splits(frame, settings, points_min)
-        if settings.grows_anew:
-            yield from check_stops(frame, settings, points_min)
+        stops = check_stops if settings.grows_anew else check_live_stops
+        yield from stops(frame, settings, points_min)
         if not settings.surfaces:
             return
         damaged = [*check_measured(frame, step), *check_surfaces(frame)]

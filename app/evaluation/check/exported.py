@@ -68,7 +68,10 @@ class ExportedTrial:
 
 @dataclass(frozen=True, slots=True)
 class ExportedSegment:
-    """A segment as the tree's file describes it."""
+    """A segment as the tree's file describes it.
+
+    `floor` is 0, and `measured` and `judged` are the number of the file's frame, where it does not tell them.
+    """
 
     name: str
     parent: str | None
@@ -87,6 +90,14 @@ class ExportedSegment:
     label: int | None
     leaf: int | None
     object: int | None
+    floor: float
+    measured: int
+    judged: int
+
+    @property
+    def counted(self) -> float:
+        """What the value counts for in a ratio: no less than its floor, and 0 where nothing was measured."""
+        return max(self.value or 0.0, self.floor)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,6 +170,10 @@ class ExportedFrame:
     def leaves(self) -> Iterator[ExportedSegment]:
         """Return the segments that have no parts."""
         return (each for each in self.segments.values() if not each.children)
+
+    def below(self, name: str) -> list[ExportedSegment]:
+        """Return the leaves below a segment; of a leaf, itself."""
+        return [leaf for leaf in self.leaves() if leaf.name.startswith(name)]
 
     def parts(self, name: str) -> list[ExportedSegment]:
         """Return the parts of a split, going through segments that only hold others together."""

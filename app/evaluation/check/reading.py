@@ -81,7 +81,8 @@ def read_frame(folder: Path, stem: str, *, surfaces: bool) -> ExportedFrame:
         document = json.loads((folder / file).read_text(encoding="utf-8"))
         if not isinstance(document, dict):
             raise ValueError("expected an object")
-        segments = [_segment(each) for each in _typed(document, "segments", list)]
+        number, timestamp_ns = (_typed(document, key, int) for key in ("frame", "timestamp_ns"))
+        segments = [_segment(each, number) for each in _typed(document, "segments", list)]
         objects = {
             _typed(each, "object", int): tuple(_typed(each, "leaves", list))
             for each in _typed(document, "objects", list)
@@ -92,7 +93,6 @@ def read_frame(folder: Path, stem: str, *, surfaces: bool) -> ExportedFrame:
         )
         shape = _typed(document, "height", int), _typed(document, "width", int)
         about = [_typed(document, key, str) for key in ("name", "metric", "level")]
-        number, timestamp_ns = (_typed(document, key, int) for key in ("frame", "timestamp_ns"))
         if len({each.name for each in segments}) < len(segments) or not segments:
             raise ValueError("segments: expected at least one, and each name once")
     except OSError as err:
@@ -133,8 +133,13 @@ def _typed(document: Any, key: str, *kinds: type) -> Any:
 _NUMBER = (float, int, type(None))
 
 
-def _segment(document: Any) -> ExportedSegment:
+def _segment(document: Any, frame: int) -> ExportedSegment:
     name = _typed(document, "name", str)
+    # Told where they differ from what they usually are.
+    document = {"floor": 0.0, **document}
+    for key in ("measured", "judged"):
+        if document.get(key) is None:
+            document[key] = frame
     try:
         tried = _typed(document, "trial", dict, type(None))
         return ExportedSegment(
@@ -157,6 +162,9 @@ def _segment(document: Any) -> ExportedSegment:
             label=_typed(document, "label", int, type(None)),
             leaf=_typed(document, "leaf", int, type(None)),
             object=_typed(document, "object", int, type(None)),
+            floor=_typed(document, "floor", float, int),
+            measured=_typed(document, "measured", int),
+            judged=_typed(document, "judged", int),
         )
     except ValueError as err:
         raise ValueError(f"{name} {err}") from err

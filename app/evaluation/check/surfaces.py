@@ -37,13 +37,18 @@ def check_measured(frame: ExportedFrame, step: int) -> Iterator[Finding]:
         pixels = frame.measured[name]
         if pixels.size != each.points:
             yield Finding(file, name, "measured", f"{each.points} pixels", str(pixels.size))
-        if name == "P" and not np.array_equal(pixels, np.flatnonzero(on_grid)):
-            expected = f"the pixels with a label of every {step} rows and columns"
-            yield Finding(file, name, "measured", expected, "others")
-        if each.children:
-            below = np.concatenate([frame.measured[child] for child in each.children])
-            if not np.array_equal(pixels, np.sort(below)):
-                yield Finding(file, name, "measured", "the pixels of its children", "others")
+        # What was measured in another frame has that one's pixels, and what a live tree did not cut has none.
+        own = each.measured == frame.frame and (pixels.size or each.points)
+        if each.children and own and not np.array_equal(pixels, _measured_below(frame, name)):
+            yield Finding(file, name, "measured", "the pixels of its leaves", "others")
+    if not np.array_equal(_measured_below(frame, "P"), np.flatnonzero(on_grid)):
+        expected = f"in all leaves the pixels with a label of every {step} rows and columns"
+        yield Finding(file, "P", "measured", expected, "others")
+
+
+def _measured_below(frame: ExportedFrame, name: str) -> NDArray[np.int64]:
+    """Return the measured pixels of all leaves below a segment, in order."""
+    return np.sort(np.concatenate([frame.measured[leaf.name] for leaf in frame.below(name)]))
 
 
 def check_surfaces(frame: ExportedFrame) -> Iterator[Finding]:

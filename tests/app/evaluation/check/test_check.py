@@ -117,6 +117,12 @@ def test_a_wrong_field_of_a_cut_is_found(export, name, damage):
     assert any(f": {of}{field}: expected" in each for each in found), found
 
 
+def a_split_that_was_never_made(each):
+    each["trial"]["kept"], each["ratio"] = True, 0.0
+    for part in each["trial"]["parts"]:
+        part["value"] = 0.0
+
+
 #: What is changed of a leaf whose split was rejected, and the field that the finding names.
 OF_A_LEAF = {
     "size": (change("size", add=-1), "size"),
@@ -129,6 +135,7 @@ OF_A_LEAF = {
     "trial": (lambda each: each.update(trial=None), "ratio"),
     "trial and ratio": (lambda each: each.update(trial=None, ratio=None), "stop"),
     "kept": (of_trial(lambda trial: trial.update(kept=True)), "trial"),
+    "split": (a_split_that_was_never_made, "division"),
     "value before": (of_trial(change("value", 1.001)), "trial"),
     "points before": (of_trial(change("points", add=1)), "trial"),
     "points of parts": (first_part("points", -2000), "trial parts"),
@@ -155,9 +162,9 @@ REASONS = ["criterion", "child-too-small", "too-small", "depth", "splits", "no-c
 @pytest.mark.parametrize("name", ["stag15", "counts", "nurbseg", "strict"])
 def test_every_wrong_reason_to_stop_is_found(export, name):
     folder = export(name)
-    leaves = {key: each["stop"] for key, each in folder.segments().items() if each["stop"]}
+    leaf_of = {each["stop"]: key for key, each in folder.segments().items() if each["stop"]}
     tried = 0
-    for leaf, stop in leaves.items():
+    for stop, leaf in leaf_of.items():
         for other in REASONS:
             if other == stop or stop == "noise" or frozenset({stop, other}) in ALIKE:
                 continue

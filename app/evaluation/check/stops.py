@@ -1,0 +1,116 @@
+"""Whether each leaf stopped for the reason that is told, the tree being grown again in its order (eq. 6)."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator
+
+from nurbseg.app.evaluation.check.exported import ExportedFrame, ExportedSegment, Finding, RunSettings
+from nurbseg.app.evaluation.check.splits import cuts_above
+
+
+def check_stops(frame: ExportedFrame, settings: RunSettings, points_min: float) -> Iterator[Finding]:
+    """Grow the tree again in its order, the worst segment first, and hold the reasons against it.
+
+    Parameters
+    ----------
+    frame : ExportedFrame
+        Whose tree was grown for this frame alone.
+    settings : RunSettings
+        Of its run.
+    points_min : float
+        T_p in points of the grid.
+
+    Yields
+    ------
+    Finding
+        Each leaf with a reason that is not its own.
+    """
+    root = frame.segments["P"]
+    first = frame.parts("P") if root.division == "gap" else [root]
+    waiting = [(-(each.counted), each.name) for each in first]
+    heapq.heapify(waiting)
+    splits = 0
+    while waiting:
+        _, name = heapq.heappop(waiting)
+        each = frame.segments[name]
+        expected = _early_stop(frame, each, settings, points_min, splits)
+        if each.division == "cut":
+            if expected is not None:
+                yield Finding(frame.tree_file, name, "stop", expected, "split")
+            splits += 1
+            for part in frame.parts(name):
+                heapq.heappush(waiting, (-(part.counted), part.name))
+        elif each.stop == "noise":
+            if settings.config.method == "stag15":
+                yield Finding(frame.tree_file, name, "stop", "no noise stop in stag15", "noise")
+        elif expected is not None or each.trial is not None:
+            if each.stop != (expected or "criterion"):
+                yield Finding(frame.tree_file, name, "stop", expected or "criterion", str(each.stop))
+            if expected is not None and each.trial is not None:
+                yield Finding(frame.tree_file, name, "trial", f"none, it stopped by {expected}", "a trial")
+        elif each.stop not in ("no-cut", "child-too-small"):
+            yield Finding(
+                frame.tree_file, name, "stop", "no-cut or child-too-small, without a trial", str(each.stop)
+            )
+
+
+def _early_stop(
+    frame: ExportedFrame, each: ExportedSegment, settings: RunSettings, points_min: float, splits: int
+) -> str | None:
+    """Return why a segment is not cut at all (eq. 6); None where it is."""
+    config = settings.config
+    if each.points == 0:
+        return "no-points"
+    if each.points <= 2.0 * points_min:
+        return "too-small"
+    if cuts_above(frame, each.name) >= config.depth_max:
+        return "depth"
+    if splits >= config.splits_max:
+        return "splits"
+    if not each.surface:
+        return "no-fit"
+    # What is 0 cannot improve; the paper's first split asks for no improvement.
+    first = config.method == "stag15" and each.name == "P" and (each.values.get("mse") or 0.0) > 0
+    return None if each.counted > 0 or first else "criterion"
+
+
+def check_live_stops(frame: ExportedFrame, settings: RunSettings, points_min: float) -> Iterator[Finding]:
+    """Hold the reasons of a live tree's leaves against what they say, in any order.
+
+    Parameters
+    ----------
+    frame : ExportedFrame
+        Whose tree goes on from frame to frame.
+    settings : RunSettings
+        Of its run.
+    points_min : float
+        T_p in points of the grid.
+
+    Yields
+    ------
+    Finding
+        Each leaf with a reason that does not hold.
+    """
+    config = settings.config
+    cuts = sum(each.division == "cut" for each in frame.segments.values())
+    for leaf in frame.leaves():
+        tried = leaf.trial is not None
+        holds = {
+            "no-points": leaf.points == 0,
+            "too-small": leaf.points <= 2.0 * points_min,
+            "depth": cuts_above(frame, leaf.name) >= config.depth_max,
+            "splits": cuts >= config.splits_max,
+            "no-fit": not leaf.surface,
+            "noise": True,
+            "criterion": tried or not leaf.counted > 0,
+            "child-too-small": True,
+            "no-cut": True,
+            "untried": True,
+        }
+        if not holds.get(leaf.stop or "", False) or (tried and leaf.stop != "criterion"):
+            expected = "criterion" if tried else "a reason that holds"
+            yield Finding(frame.tree_file, leaf.name, "stop", expected, str(leaf.stop))
+
+
+__all__ = ["check_live_stops", "check_stops"]
