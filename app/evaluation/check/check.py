@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from nurbseg.app.evaluation.check.exported import ExportedFrame, Finding
+from nurbseg.app.evaluation.check.history import History
 from nurbseg.app.evaluation.check.reading import DamagedExportError, read_frame, read_settings
 from nurbseg.app.evaluation.check.splits import check_splits, grid_step
 from nurbseg.app.evaluation.check.stops import check_live_stops, check_stops
@@ -39,6 +40,8 @@ class FolderCheck:
     ----------
     frames, segments, recomputed : int
         What was checked so far: frames, their segments, and those of them whose values were recomputed.
+    history : History
+        What they told, and how much belongs to frames that are not there.
 
     Raises
     ------
@@ -50,6 +53,7 @@ class FolderCheck:
         self, folder: Path, recording: str | None = None, options: SourceOptions | None = None
     ) -> None:
         self.frames = self.segments = self.recomputed = 0
+        self.history = History()
         self._folder = folder
         self._recording = recording
         self._options = options or SourceOptions()
@@ -103,6 +107,7 @@ class FolderCheck:
         yield from check_splits(frame, settings, points_min)
         stops = check_stops if settings.grows_anew else check_live_stops
         yield from stops(frame, settings, points_min)
+        yield from self.history.check(frame)
         if not settings.surfaces:
             return
         damaged = [*check_measured(frame, step), *check_surfaces(frame)]

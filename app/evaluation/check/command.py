@@ -55,8 +55,9 @@ def check_command(given: argparse.Namespace, options: SourceOptions) -> int:
         print(finding)
     per_frame_ms = 1e3 * (time.perf_counter() - started_s) / max(check.frames, 1)
     print(
-        f"{findings} findings in {check.frames} frames with {check.segments} segments; the values of "
-        f"{check.recomputed} surfaces recomputed from their points; {per_frame_ms:.0f} ms per frame",
+        f"{findings} findings in {check.frames} frames with {check.segments} segments; {check.recomputed} "
+        f"surfaces held against their points; not checked: {check.history.unchecked} values and trials of "
+        f"frames that are not there; {per_frame_ms:.0f} ms per frame",
         file=sys.stderr,
     )
     return 1 if findings else 0

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
+from nurbseg.app.evaluation.check.check import FolderCheck
 from nurbseg.app.evaluation.cli import main
 from nurbseg.app.export import Exporter, run_settings
 from nurbseg.app.live.worker import process_frame
@@ -450,6 +451,28 @@ def test_every_wrong_value_is_found_with_the_recording(export, name):
             lambda segments, metric=metric, value=value: segments[leaf]["values"].update({metric: value})
         )
     assert folder.findings(RECORDING) == []
+
+
+def test_what_belongs_to_another_frame_is_held_against_that_frame(export):
+    folder = export("nurbseg")
+    settings = json.loads((folder.folder / "settings.json").read_text())
+    (folder.folder / "settings.json").write_text(json.dumps({**settings, "temporal": True}))
+    assert folder.findings() == []
+    cut = next(key for key, each in folder.segments(frame=1).items() if each["division"] == "cut")
+    before = next(each for each in folder.segments().values() if each["division"] == "cut")
+    of_it = {key: before[key] for key in ("value", "values", "points", "trial", "ratio")}
+    folder.tree(lambda segments: segments[cut].update(of_it, measured=0, judged=0), frame=1)
+    # Its surface and pixels are those of frame 1 still.
+    assert {each.split(": ")[1] for each in folder.findings()} == {f"{cut} measured"}
+    folder.tree(lambda segments: segments[cut].update(points=1), frame=1)
+    assert any(f"{cut} value: expected one of frame 0" in each for each in folder.findings())
+    folder.tree(lambda segments: segments[cut]["trial"].update(points=1), frame=1)
+    assert any(f"{cut} trial: expected one of frame 0" in each for each in folder.findings())
+    for file in folder.folder.glob("000000_*"):
+        file.unlink()
+    check = FolderCheck(folder.folder)
+    assert not any(" of frame 0" in str(each) for each in check.findings())
+    assert check.history.unchecked == 2
 
 
 def test_another_recording_is_found(export):
