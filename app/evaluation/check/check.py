@@ -110,9 +110,9 @@ class FolderCheck:
         yield from self.history.check(frame)
         if not settings.surfaces:
             return
-        damaged = [*check_measured(frame, step), *check_surfaces(frame)]
-        yield from damaged
-        if source is not None and not damaged:
+        yield from check_measured(frame, step)
+        yield from check_surfaces(frame)
+        if source is not None:
             yield from self._check_against(frame, _recorded(source, frame))
 
     def _check_against(self, frame: ExportedFrame, recorded: RGBDFrame | None) -> Iterator[Finding]:

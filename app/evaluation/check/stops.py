@@ -28,7 +28,7 @@ def check_stops(frame: ExportedFrame, settings: RunSettings, points_min: float) 
     """
     root = frame.segments["P"]
     first = frame.parts("P") if root.division == "gap" else [root]
-    waiting = [(-(each.counted), each.name) for each in first]
+    waiting = [(-each.counted, each.name) for each in first]
     heapq.heapify(waiting)
     splits = 0
     while waiting:
@@ -40,7 +40,7 @@ def check_stops(frame: ExportedFrame, settings: RunSettings, points_min: float) 
                 yield Finding(frame.tree_file, name, "stop", expected, "split")
             splits += 1
             for part in frame.parts(name):
-                heapq.heappush(waiting, (-(part.counted), part.name))
+                heapq.heappush(waiting, (-part.counted, part.name))
         elif each.stop == "noise":
             if settings.config.method == "stag15":
                 yield Finding(frame.tree_file, name, "stop", "no noise stop in stag15", "noise")

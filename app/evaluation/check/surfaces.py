@@ -74,7 +74,7 @@ def check_surfaces(frame: ExportedFrame) -> Iterator[Finding]:
     for name, surface in frame.surfaces.items():
         if name not in frame.segments:
             continue
-        wrong = _malformed(surface)
+        wrong = malformed(surface)
         if wrong:
             yield Finding(frame.surfaces_file, name, *wrong)
         rows, columns = np.divmod(frame.measured.get(name, np.zeros(0, dtype=np.int64)), frame.shape[1])
@@ -115,7 +115,7 @@ def _boxes(frame: ExportedFrame) -> dict[str, tuple[int, int, int, int]]:
     return boxes
 
 
-def _malformed(surface: ExportedSurface) -> tuple[str, str, str] | None:
+def malformed(surface: ExportedSurface) -> tuple[str, str, str] | None:
     """Return what of a surface's arrays is wrong: the field, what is expected, and what was found."""
     n, m = surface.weights.shape if surface.weights.ndim == 2 else (0, 0)
     if surface.control_points_m.shape != (n, m, 3):
@@ -183,4 +183,4 @@ def derivatives(
     return S
 
 
-__all__ = ["check_measured", "check_surfaces", "derivatives"]
+__all__ = ["check_measured", "check_surfaces", "derivatives", "malformed"]

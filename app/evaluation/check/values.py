@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.evaluation.check.exported import ExportedFrame, Finding
-from nurbseg.app.evaluation.check.surfaces import derivatives
+from nurbseg.app.evaluation.check.surfaces import derivatives, malformed
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap
 
@@ -33,7 +33,7 @@ def check_values(frame: ExportedFrame, cloud: PointMap, config: SegmentationConf
     Parameters
     ----------
     frame : ExportedFrame
-        With surfaces and measured pixels that are whole.
+        With surfaces and measured pixels; those that are not whole are passed over.
     cloud : PointMap
         The points of the same frame.
     config : SegmentationConfig
@@ -52,7 +52,14 @@ def check_values(frame: ExportedFrame, cloud: PointMap, config: SegmentationConf
         yield Finding(f"{frame.stem}_labels.png", "", f"pixel [{row}, {column}]", expected, found)
         return
     for name, surface in frame.surfaces.items():
-        rows, columns = np.divmod(frame.measured[name], frame.shape[1])
+        if malformed(surface) or name not in frame.segments:
+            continue
+        pixels = frame.measured.get(name, np.zeros(0, dtype=np.int64))
+        inside = pixels[(pixels >= 0) & (pixels < cloud.valid.size)]
+        if not pixels.size or inside.size < pixels.size or not cloud.valid.ravel()[inside].all():
+            yield Finding(frame.surfaces_file, name, "measured", "pixels that have a point", "others")
+            continue
+        rows, columns = np.divmod(pixels, frame.shape[1])
         points_m = cloud.points_m[rows, columns].astype(np.float64)
         values = frame.segments[name].values
         S = derivatives(surface, rows, columns, order=2 if "vgc" in values else 0)
