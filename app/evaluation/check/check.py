@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from nurbseg.app.evaluation.check.exported import ExportedFrame, Finding
+from nurbseg.app.evaluation.check.floors import check_floors
 from nurbseg.app.evaluation.check.history import History
 from nurbseg.app.evaluation.check.reading import DamagedExportError, read_frame, read_settings
 from nurbseg.app.evaluation.check.splits import check_splits, grid_step
@@ -125,7 +126,9 @@ class FolderCheck:
         ):
             if found != expected:
                 yield Finding(frame.tree_file, "", field, f"{expected} as recorded", str(found))
-        yield from check_values(frame, register(recorded), self._settings.config)
+        cloud, config = register(recorded), self._settings.config
+        yield from check_values(frame, cloud, config)
+        yield from check_floors(frame, cloud, config, grid_step(frame, self._settings))
         self.recomputed += len(frame.surfaces)
 
 

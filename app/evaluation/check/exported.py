@@ -70,7 +70,7 @@ class ExportedTrial:
 class ExportedSegment:
     """A segment as the tree's file describes it.
 
-    `floor` is 0, and `measured` and `judged` are the number of the file's frame, where it does not tell them.
+    `measured` and `judged` are the number of the file's frame where it does not tell them.
     """
 
     name: str

@@ -135,8 +135,7 @@ _NUMBER = (float, int, type(None))
 
 def _segment(document: Any, frame: int) -> ExportedSegment:
     name = _typed(document, "name", str)
-    # Told where they differ from what they usually are.
-    document = {"floor": 0.0, **document}
+    # Told where they are another frame's.
     for key in ("measured", "judged"):
         if document.get(key) is None:
             document[key] = frame

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 from nurbseg.app.evaluation.check.exported import ExportedFrame, ExportedSegment, Finding, RunSettings
 from nurbseg.app.evaluation.check.splits import cuts_above
+from nurbseg.segmentation.config import SegmentationConfig
 
 
 def check_stops(frame: ExportedFrame, settings: RunSettings, points_min: float) -> Iterator[Finding]:
@@ -41,9 +42,6 @@ def check_stops(frame: ExportedFrame, settings: RunSettings, points_min: float) 
             splits += 1
             for part in frame.parts(name):
                 heapq.heappush(waiting, (-part.counted, part.name))
-        elif each.stop == "noise":
-            if settings.config.method == "stag15":
-                yield Finding(frame.tree_file, name, "stop", "no noise stop in stag15", "noise")
         elif expected is not None or each.trial is not None:
             if each.stop != (expected or "criterion"):
                 yield Finding(frame.tree_file, name, "stop", expected or "criterion", str(each.stop))
@@ -60,6 +58,8 @@ def _early_stop(
 ) -> str | None:
     """Return why a segment is not cut at all (eq. 6); None where it is."""
     config = settings.config
+    if _hopeless(each, config):
+        return "noise"
     if each.points == 0:
         return "no-points"
     if each.points <= 2.0 * points_min:
@@ -73,6 +73,11 @@ def _early_stop(
     # What is 0 cannot improve; the paper's first split asks for no improvement.
     first = config.method == "stag15" and each.name == "P" and (each.values.get("mse") or 0.0) > 0
     return None if each.counted > 0 or first else "criterion"
+
+
+def _hopeless(each: ExportedSegment, config: SegmentationConfig) -> bool:
+    """Say whether a value is so near its floor that no ratio of floored values is below T."""
+    return each.floor > 0 and each.floor >= config.ratio_max * each.counted
 
 
 def check_live_stops(frame: ExportedFrame, settings: RunSettings, points_min: float) -> Iterator[Finding]:
@@ -102,7 +107,7 @@ def check_live_stops(frame: ExportedFrame, settings: RunSettings, points_min: fl
             "depth": cuts_above(frame, leaf.name) >= config.depth_max,
             "splits": cuts >= config.splits_max,
             "no-fit": not leaf.surface,
-            "noise": True,
+            "noise": _hopeless(leaf, config),
             "criterion": tried or not leaf.counted > 0,
             "child-too-small": True,
             "no-cut": True,

@@ -29,6 +29,7 @@ CONFIGS = {
     ),
     "nurbseg": SegmentationConfig(splits_max=8, depth_max=4),
     "strict": SegmentationConfig(ratio_max=0.3, noise_per_m=1e-3, depth_max=3),
+    "floored": SegmentationConfig(metric="nle", large_error_m=0.02, splits_max=4),
     "surfaces": SegmentationConfig(level="surfaces", splits_max=4, decimation=3),
 }
 

@@ -157,7 +157,17 @@ def test_a_wrong_field_of_a_leaf_is_found(export, name, damage):
 
 #: Reasons that an export does not tell from each other.
 ALIKE = {frozenset({"no-cut", "child-too-small"})}
-REASONS = ["criterion", "child-too-small", "too-small", "depth", "splits", "no-cut", "no-fit", "no-points"]
+REASONS = [
+    "criterion",
+    "child-too-small",
+    "too-small",
+    "depth",
+    "splits",
+    "no-cut",
+    "no-fit",
+    "no-points",
+    "noise",
+]
 
 
 @pytest.mark.parametrize("name", ["stag15", "counts", "nurbseg", "strict"])
@@ -167,7 +177,7 @@ def test_every_wrong_reason_to_stop_is_found(export, name):
     tried = 0
     for stop, leaf in leaf_of.items():
         for other in REASONS:
-            if other == stop or stop == "noise" or frozenset({stop, other}) in ALIKE:
+            if other == stop or frozenset({stop, other}) in ALIKE:
                 continue
             folder.tree(lambda segments, leaf=leaf, other=other: segments[leaf].update(stop=other))
             assert any(each.startswith(f"000000_tree.json: {leaf} ") for each in folder.findings()), (
@@ -180,11 +190,15 @@ def test_every_wrong_reason_to_stop_is_found(export, name):
     assert folder.findings() == []
 
 
-def test_the_paper_has_no_noise_stop(export):
-    folder = export("stag15")
-    leaf = next(key for key, each in folder.segments().items() if each["stop"] == "depth")
-    folder.tree(lambda segments: segments[leaf].update(stop="noise"))
-    assert any(f"{leaf} stop: expected no noise stop" in each for each in folder.findings())
+@pytest.mark.parametrize("name", ["stag15", "nurbseg", "floored"])
+def test_a_wrong_floor_is_found(export, name):
+    folder = export(name)
+    segment = next(key for key, each in folder.segments().items() if each["surface"])
+    floor = folder.segments()[segment]["floor"]
+    assert (floor > 0) == (name != "stag15")
+    for wrong in (0.999 * floor, 1.001 * floor) if floor else (1e-9,):
+        folder.tree(lambda segments, wrong=wrong: segments[segment].update(floor=wrong))
+        assert any(f": {segment} floor: expected" in each for each in folder.findings(RECORDING))
 
 
 #: Settings under which an export could not have come about, and the field that the finding names.

@@ -1,0 +1,90 @@
+"""Whether the floors of the metrics follow from the sensor's noise at the measured points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_erosion
+from scipy.special import erfc
+
+from nurbseg.app.evaluation.check.exported import ExportedFrame, Finding
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.points.registration import PointMap
+
+#: Points at the rim of a segment are taken to be so much noisier.
+_RIM_FACTOR = 3.0
+#: Inverse depths and distances are of single precision: noise may be off by this share.
+_SINGLE = 2.0**-21
+
+
+def check_floors(
+    frame: ExportedFrame, cloud: PointMap, config: SegmentationConfig, step: int
+) -> Iterator[Finding]:
+    """Recompute what noise leaves of the metric that decides at the measured pixels of every segment.
+
+    Noise of inverse depth moves a point along its ray by its deviation, times depth, times distance. The
+    floors of curvature do not depend on the points: they are held against each other only.
+
+    Parameters
+    ----------
+    frame : ExportedFrame
+        With measured pixels that are whole.
+    cloud : PointMap
+        The points of the same frame.
+    config : SegmentationConfig
+        Method, metric, noise and T_l.
+    step : int
+        Pixels from one place of the grid to the next.
+
+    Yields
+    ------
+    Finding
+        Each floor that is not that of its points.
+    """
+    floored = config.method == "nurbseg" and config.noise_floor > 0
+    per_point: dict[str, float] = {}
+    for name, each in frame.segments.items():
+        if each.measured != frame.frame:
+            continue
+        least = most = 0.0
+        if floored and each.surface:
+            if config.metric not in ("mse", "mae", "ve", "nle"):
+                per_point[name] = each.floor / (each.points if config.metric == "nlc" else 1)
+                continue
+            noise_m = _noise(frame.measured[name], cloud, step)
+            noise_m *= config.noise_floor * config.noise_per_m
+            least, most = (_floor(noise_m * factor, config) for factor in (1.0 - _SINGLE, 1.0 + _SINGLE))
+        if not least <= each.floor <= most:
+            yield Finding(frame.tree_file, name, "floor", f"{least:.9g} to {most:.9g}", repr(each.floor))
+    for name, floor in per_point.items():
+        first = next(iter(per_point.values()))
+        if not floor > 0 or abs(floor - first) > 1e-9 * first:
+            yield Finding(
+                frame.tree_file, name, "floor", f"{first:.9g} as of others, more than 0", repr(floor)
+            )
+
+
+def _noise(pixels: NDArray[np.int64], cloud: PointMap, step: int) -> NDArray[np.float64]:
+    """Return by how much inverse depth off by 1/m moves each point, metres, times the factor of the rim."""
+    rows, columns = np.divmod(pixels, cloud.valid.shape[1])
+    own = np.zeros(cloud.valid[::step, ::step].shape, dtype=np.bool_)
+    own[rows // step, columns // step] = True
+    inside = binary_erosion(own, np.ones((3, 3)))[rows // step, columns // step]
+    points_m = cloud.points_m[rows, columns].astype(np.float64)
+    moved = np.linalg.norm(points_m, axis=1) * points_m[:, 2]
+    noise: NDArray[np.float64] = np.where(inside, moved, _RIM_FACTOR * moved)
+    return noise
+
+
+def _floor(noise_m: NDArray[np.float64], config: SegmentationConfig) -> float:
+    """Return the expected metric of normal errors of these deviations."""
+    if config.metric == "mae":
+        return float(np.sqrt(2.0 / np.pi) * noise_m.mean())
+    if config.metric == "nle":
+        return float(erfc(config.large_error_m / (np.sqrt(2.0) * noise_m)).sum())
+    return float(np.mean(noise_m**2)) * (1.0 if config.metric == "mse" else 1.0 - 2.0 / np.pi)
+
+
+__all__ = ["check_floors"]
