@@ -219,6 +219,7 @@ OTHER_SETTINGS = {
         ("segment_pixels_min", 1200, "trial parts"),
         ("first_split", "judged", None),
     ],
+    "strict": [("piece_pixels_min", 2, "stop")],
     "nurbseg": [
         ("ratio_max", 1e-3, "trial"),
         ("depth_max", 2, "depth"),
@@ -226,7 +227,6 @@ OTHER_SETTINGS = {
         ("splits_max", 3, "splits"),
         ("splits_max", 9, "stop"),
         ("piece_pixels_min", 4000, "trial parts"),
-        ("piece_pixels_min", 150, "stop"),
         ("method", "stag15", "division"),
     ],
 }
