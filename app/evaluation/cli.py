@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from nurbseg.app.command.threads import one_thread_for_products
 from nurbseg.app.evaluation.check.command import add_arguments, check_command
 from nurbseg.app.evaluation.computer import same_products_everywhere
+from nurbseg.app.evaluation.progress import Progress
 
 if TYPE_CHECKING:
     from nurbseg.app.evaluation.study import Study
@@ -250,7 +251,7 @@ def _run(given: argparse.Namespace, study: Study, config: SegmentationConfig, wo
         ),
     )
     store = StudyStore(given.out, study.description())
-    refs = run_study(study, store, jobs=given.jobs, scheduler=given.scheduler, report=_Progress("frames"))
+    refs = run_study(study, store, jobs=given.jobs, scheduler=given.scheduler, report=Progress("frames"))
     results = StudyResults.load(store, study.variants, {ref.key for ref in refs})
     if not results.frames:
         raise ValueError(f"{', '.join(study.sources)}: no frame has ground truth; see {given.out}/frames")
@@ -296,7 +297,7 @@ def _tune(given: argparse.Namespace, study: Study, config: SegmentationConfig) -
         config = replace(config, method=given.method)
     if not given.out.parent.is_dir():
         raise ValueError(f"--out {given.out}: no such folder")
-    progress = _Progress("settings")
+    progress = Progress("settings")
     found = tune(
         study,
         config,
@@ -346,22 +347,6 @@ def _noise(study: Study) -> None:
 
 def _words(text: str) -> list[str]:
     return [each.strip() for each in text.split(",") if each.strip()]
-
-
-class _Progress:
-    """One line on stderr that grows, where somebody watches; silent in a file."""
-
-    def __init__(self, unit: str) -> None:
-        self._unit = unit
-        self._shown = sys.stderr.isatty()
-
-    def __call__(self, done: int, total: int, more: str = "") -> None:
-        if not self._shown:
-            return
-        filled = round(30 * done / max(total, 1))
-        bar = "#" * filled + "." * (30 - filled)
-        end = "\n" if done == total else ""
-        print(f"\r[{bar}] {done}/{total} {self._unit} {more}", end=end, file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":
