@@ -10,6 +10,7 @@ from scipy.ndimage import binary_erosion
 from scipy.special import erfc
 
 from nurbseg.app.evaluation.check.exported import ExportedFrame, Finding
+from nurbseg.app.evaluation.check.values import have_points
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap
 
@@ -30,7 +31,7 @@ def check_floors(
     Parameters
     ----------
     frame : ExportedFrame
-        With measured pixels that are whole.
+        With measured pixels; segments whose pixels are not whole are passed over.
     cloud : PointMap
         The points of the same frame.
     config : SegmentationConfig
@@ -46,14 +47,15 @@ def check_floors(
     floored = config.method == "nurbseg" and config.noise_floor > 0
     per_point: dict[str, float] = {}
     for name, each in frame.segments.items():
-        if each.measured != frame.frame:
+        pixels = frame.measured.get(name, np.zeros(0, dtype=np.int64))
+        if each.measured != frame.frame or (each.surface and not have_points(pixels, cloud)):
             continue
         least = most = 0.0
         if floored and each.surface:
             if config.metric not in ("mse", "mae", "ve", "nle"):
                 per_point[name] = each.floor / (each.points if config.metric == "nlc" else 1)
                 continue
-            noise_m = _noise(frame.measured[name], cloud, step)
+            noise_m = _noise(pixels, cloud, step)
             noise_m *= config.noise_floor * config.noise_per_m
             least, most = (_floor(noise_m * factor, config) for factor in (1.0 - _SINGLE, 1.0 + _SINGLE))
         if not least <= each.floor <= most:

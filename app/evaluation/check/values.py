@@ -55,8 +55,7 @@ def check_values(frame: ExportedFrame, cloud: PointMap, config: SegmentationConf
         if malformed(surface) or name not in frame.segments:
             continue
         pixels = frame.measured.get(name, np.zeros(0, dtype=np.int64))
-        inside = pixels[(pixels >= 0) & (pixels < cloud.valid.size)]
-        if not pixels.size or inside.size < pixels.size or not cloud.valid.ravel()[inside].all():
+        if not have_points(pixels, cloud):
             yield Finding(frame.surfaces_file, name, "measured", "pixels that have a point", "others")
             continue
         rows, columns = np.divmod(pixels, frame.shape[1])
@@ -83,6 +82,12 @@ def check_values(frame: ExportedFrame, cloud: PointMap, config: SegmentationConf
             (least, most), value = bounds[key], values[key]
             if value is None or not least <= value <= most:
                 yield Finding(frame.tree_file, name, key, f"{least:.9g} to {most:.9g}", repr(value))
+
+
+def have_points(pixels: NDArray[np.int64], cloud: PointMap) -> bool:
+    """Say whether there are pixels, all in the image, and each with a point."""
+    inside = pixels[(pixels >= 0) & (pixels < cloud.valid.size)]
+    return 0 < inside.size == pixels.size and bool(cloud.valid.ravel()[inside].all())
 
 
 def _along_rays(
@@ -175,4 +180,4 @@ def curvature_values(
     }
 
 
-__all__ = ["check_values", "curvature_values", "residual_bounds"]
+__all__ = ["check_values", "curvature_values", "have_points", "residual_bounds"]
