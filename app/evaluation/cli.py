@@ -17,7 +17,7 @@ from nurbseg.app.evaluation.progress import Progress
 
 if TYPE_CHECKING:
     from nurbseg.app.evaluation.study import Study
-    from nurbseg.drivers.registry import SourceOptions
+    from nurbseg.drivers.options import SourceOptions
     from nurbseg.segmentation.config import SegmentationConfig
 
 _COMMANDS = ("run", "tune", "noise", "check")
@@ -193,7 +193,7 @@ def _study(given: argparse.Namespace) -> Study:
 
 
 def _source_options(given: argparse.Namespace) -> SourceOptions:
-    from nurbseg.drivers.registry import SourceOptions
+    from nurbseg.drivers.options import SourceOptions
 
     intrinsics = None
     if given.intrinsics is not None:

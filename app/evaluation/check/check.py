@@ -17,7 +17,8 @@ from nurbseg.app.evaluation.check.surfaces import check_measured, check_surfaces
 from nurbseg.app.evaluation.check.values import check_values
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError
 from nurbseg.drivers.frame import RGBDFrame
-from nurbseg.drivers.registry import SourceOptions, open_source
+from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
 from nurbseg.segmentation.points.registration import register
 

@@ -14,7 +14,8 @@ from nurbseg.app.evaluation.check.check import FolderCheck
 from nurbseg.app.evaluation.cli import main
 from nurbseg.app.export import Exporter, run_settings
 from nurbseg.app.live.worker import process_frame
-from nurbseg.drivers.registry import SourceOptions, open_source
+from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import register
 
