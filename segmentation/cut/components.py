@@ -48,7 +48,7 @@ def _small_pieces(
     small = stats[:, cv2.CC_STAT_AREA] < pixels_min
     small[0] = False
     if not small.any():
-        return small[pieces]
+        return np.zeros(region.shape, dtype=np.bool_)
     near = cv2.dilate(other.view(np.uint8), np.ones((3, 3), dtype=np.uint8))
     touching = np.zeros(count, dtype=np.bool_)
     touching[pieces[near.view(np.bool_)]] = True
