@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.splitting import segment_nurbseg
 from nurbseg.segmentation.labels.regions import Joints, connected_pieces, joints
@@ -124,7 +125,10 @@ class LiveTree:
             As that of a frame alone; a part that is split off or gone changes the names of those below
             the same split.
         """
-        budget = budget or Budget()
+        with one_blas_thread():
+            return self._segmented(cloud, budget or Budget())
+
+    def _segmented(self, cloud: PointMap, budget: Budget) -> SegmentationTree:
         config = self._config_on(budget.decimation or self._config.decimation)
         reason = self._no_continuation(cloud)
         if not reason:

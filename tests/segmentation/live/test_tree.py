@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.live import tree as live_tree
 from nurbseg.segmentation.live.tree import Budget, LiveTree, lives
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.stag15 import SegmentationTree, segment
@@ -65,6 +67,28 @@ def test_the_first_frame_is_that_of_a_frame_alone() -> None:
     alone = segment(scene(BOX), CONFIG)
     assert np.array_equal(found.labels("surfaces"), alone.labels("surfaces"))
     assert [each.name for each in found.segments] == [each.name for each in alone.segments]
+
+
+def test_matrix_products_of_every_frame_are_made_on_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[set[int]] = []
+
+    def watched(name: str) -> None:
+        function = getattr(live_tree, name)
+
+        def watch(*args: object) -> object:
+            seen.append({each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"})
+            return function(*args)
+
+        monkeypatch.setattr(live_tree, name, watch)
+
+    # The one is called for a frame that is segmented anew, the other for one that follows.
+    watched("segment_nurbseg")
+    watched("finished_segments")
+    with threadpool_limits(2, user_api="blas"):
+        live = LiveTree(CONFIG)
+        for _ in range(2):
+            live.segment(scene(BOX))
+    assert seen == [{1}, {1}]
 
 
 def test_a_scene_that_stands_still_keeps_its_labels(tree: LiveTree) -> None:
