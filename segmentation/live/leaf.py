@@ -46,8 +46,6 @@ class LiveLeaf:
         The same at the last trial of a split, or when the leaf was made; NaN where that is not known.
     rms_per_m : float
         Root mean square residual of inverse depth, 1/m.
-    patience : int
-        Frames until it is looked at again for what its surface does not explain.
     """
 
     node: Node
@@ -57,7 +55,6 @@ class LiveLeaf:
     level: float = float("nan")
     tried: float = float("nan")
     rms_per_m: float = 0.0
-    patience: int = 0
 
     def __post_init__(self) -> None:
         self.surface = self.node.fit.surface

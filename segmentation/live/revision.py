@@ -6,7 +6,6 @@ from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,10 +35,6 @@ _FOLD_WORSE, _FOLD_NOISE_SHARE = 1.1, 0.05
 _MEETING_LEAST = 4
 #: Places cut in one frame, unless one leaf has more; leaves with as many are cut at a quarter of them.
 _CUT_PLACES, _MANY_PLACES = 2000, 3000
-#: Frames between two looks at one leaf for what its surface does not explain.
-_PATIENCE = 3
-#: Size of a patch that is looked at, without its rim, as a share of the smallest segment.
-_PATCH_SHARE = 0.4
 #: A leaf with fewer places than this share of the smallest is gone.
 _GONE_SHARE = 0.25
 #: Things that appear in one frame, at most; the others wait.
@@ -237,8 +232,6 @@ class _Revision:
                 break
             if self._try(number):
                 cuts, places = cuts + 1, places + int(m.places[number])
-        if most and not waiting:
-            self._try_unexplained()
 
     def fold(
         self,
@@ -316,37 +309,6 @@ class _Revision:
         for part in parts[1:]:
             self._growth.labels.ravel()[part.places] = self._growth.adopt(part)
         return True
-
-    def _try_unexplained(self) -> None:
-        """Set the largest patch apart that its leaf's surface does not explain but one of its own does."""
-        m = self._measures
-        unexplained = ((m.deviations > 3.0) & m.inner).view(np.uint8)
-        kernel = np.ones((3, 3), dtype=np.uint8)
-        far = cv2.morphologyEx(unexplained, cv2.MORPH_OPEN, kernel)
-        patches, image, stats, _ = cv2.connectedComponentsWithStats(far, connectivity=4)
-        if patches < 2:
-            return
-        for patch in np.argsort(-stats[1:, cv2.CC_STAT_AREA])[:4] + 1:
-            if stats[patch, cv2.CC_STAT_AREA] < _PATCH_SHARE * self._places_min:
-                return
-            mask = image == patch
-            number = int(np.bincount(self._growth.labels[mask]).argmax())
-            # Its rim, which tells less and was left out.
-            mask = (cv2.dilate(mask.view(np.uint8), kernel) > 0) & (m.deviations > 2.0)
-            leaf = self._growth.by_number.get(number)
-            if leaf is None or leaf.patience > 0:
-                continue
-            leaf.patience = _PATIENCE
-            mask &= self._growth.labels == number
-            places = np.flatnonzero(mask)
-            if places.size < 0.75 * self._places_min:
-                continue
-            self._growth.done.trials += 1
-            part = measured(self._scene, places, self._config)
-            if part[2] is StopReason.NOISE:
-                self._growth.insert(number, part)
-                self._growth.done.splits += 1
-            return
 
 
 def scene_of(cloud: PointMap, scene: Scene, places: NDArray[np.intp], config: SegmentationConfig) -> Scene:

@@ -214,7 +214,6 @@ class LiveTree:
         for leaf, surface in zip(self._leaves, surfaces, strict=True):
             leaf.surface = surface
             leaf.age += 1
-            leaf.patience = max(0, leaf.patience - 1)
 
         # Labels grow into what is open; what stays open is new, or too small to be anything.
         on_grid = grown_labels(on_grid, grid.per_m, lattice, limits)
