@@ -52,59 +52,96 @@ def noise_floor(
     float
         In the unit of the metric.
     """
+    return float(_floors(grid, window[:2], np.ascontiguousarray(mask).view(np.uint8), 2, config)[1])
+
+
+def noise_floors(
+    grid: DepthGrid, labels: NDArray[np.int32], size: int, config: SegmentationConfig
+) -> NDArray[np.float64]:
+    """Return the floor of every label at once.
+
+    Parameters
+    ----------
+    grid : DepthGrid
+        The points.
+    labels : (h, w) int32
+        Labels on the grid, less than `size`; those above 0 have a point.
+    size : int
+        One more than the largest label that may be asked for.
+    config : SegmentationConfig
+        As for `noise_floor`.
+
+    Returns
+    -------
+    (size,) float64
+        As of `noise_floor`, by label; 0 where a label has no place.
+    """
+    if config.noise_floor == 0:
+        return np.zeros(size)
+    return _floors(grid, (0, 0), labels, size, config)
+
+
+def _floors(
+    grid: DepthGrid,
+    first: tuple[int, int],
+    labels: NDArray[np.integer],
+    size: int,
+    config: SegmentationConfig,
+) -> NDArray[np.float64]:
+    """Return the floor of each label of a window that begins at a row and a column; 0 is no label."""
     deviation_per_m = config.noise_floor * config.noise_per_m
     if config.metric in CURVATURE_METRICS:
-        return _curvature_floor(deviation_per_m, int(np.count_nonzero(mask)), grid, config)
-    count, total, squares, large = _noise_sums(
-        *(grid.per_m, grid.distances_m, np.ascontiguousarray(mask), window[0], window[1]),
-        *(deviation_per_m, config.large_error_m if config.metric == "nle" else 0.0),
-    )
+        counts = np.bincount(labels.ravel(), minlength=size)
+        return np.array([_curvature_floor(deviation_per_m, int(n), grid, config) for n in counts])
+    sums = np.zeros((size, 4))
+    limit_m = config.large_error_m if config.metric == "nle" else 0.0
+    _noise_sums(grid.per_m, grid.distances_m, labels, *first, deviation_per_m, limit_m, sums)
+    _, total, squares, _ = sums.T / np.maximum(sums[:, 0], 1.0)
     # The absolute value of a normal variable: its mean, and its variance, in units of the deviation.
     mean, variance = np.sqrt(2.0 / np.pi), 1.0 - 2.0 / np.pi
-    floors = {
-        "mse": squares / count,
-        "mae": mean * total / count,
-        "ve": variance * squares / count,
-        "nle": large,
-    }
-    return float(floors[config.metric])
+    floors = {"mse": squares, "mae": mean * total, "ve": variance * squares, "nle": sums[:, 3]}
+    return np.asarray(floors[config.metric], dtype=np.float64)
 
 
 @compiled
 def _noise_sums(
     per_m: NDArray[np.float32],
     distances_m: NDArray[np.float32],
-    mask: NDArray[np.bool_],
+    labels: NDArray[np.integer],
     top: int,
     left: int,
     deviation_per_m: float,
     large_m: float,
-) -> tuple[int, float, float, float]:
-    """Count places; sum their noise in metres, its square, and how probably it exceeds a limit (0: none)."""
-    height, width = mask.shape
-    inner = np.zeros(width, dtype=np.bool_)
+    sums: NDArray[np.float64],
+) -> None:
+    """Count places by label; sum their noise in metres, its square, and how probably it exceeds a limit."""
+    height, width = labels.shape
     three = np.zeros(width, dtype=np.bool_)
-    count, total, squares, large = 0, 0.0, 0.0, 0.0
     for y in range(height):
-        if 0 < y < height - 1:
-            for x in range(width):
-                three[x] = mask[y - 1, x] & mask[y, x] & mask[y + 1, x]
-            for x in range(1, width - 1):
-                inner[x] = three[x - 1] & three[x] & three[x + 1]
-        else:
-            inner[:] = False
         for x in range(width):
-            if mask[y, x]:
-                noise_m = deviation_per_m * np.float64(distances_m[top + y, left + x])
-                noise_m /= np.float64(per_m[top + y, left + x])
-                if not inner[x]:
-                    noise_m *= _RIM_FACTOR
-                count += 1
-                total += noise_m
-                squares += noise_m * noise_m
-                if large_m > 0.0:
-                    large += math.erfc(large_m / (math.sqrt(2.0) * noise_m))
-    return count, total, squares, large
+            within = 0 < y < height - 1
+            three[x] = within and labels[y - 1, x] == labels[y, x] and labels[y + 1, x] == labels[y, x]
+        x = 0
+        while x < width:
+            # Places in a row with the same label are summed together.
+            label, begin = labels[y, x], x
+            total, squares, large = 0.0, 0.0, 0.0
+            while x < width and labels[y, x] == label:
+                if label > 0:
+                    noise_m = deviation_per_m * distances_m[top + y, left + x] / per_m[top + y, left + x]
+                    ends = x == begin or x + 1 == width or labels[y, x + 1] != label
+                    if ends or not (three[x - 1] and three[x] and three[x + 1]):
+                        noise_m *= _RIM_FACTOR
+                    total += noise_m
+                    squares += noise_m * noise_m
+                    if large_m > 0.0:
+                        large += math.erfc(large_m / (math.sqrt(2.0) * noise_m))
+                x += 1
+            own = sums[label]
+            own[0] += x - begin
+            own[1] += total
+            own[2] += squares
+            own[3] += large
 
 
 def _curvature_floor(
@@ -296,4 +333,4 @@ def _largest_plane(
     return (terms @ plane - d)[kept], d[kept]
 
 
-__all__ = ["SQUARE_MOST", "NoiseEstimate", "measure_noise", "noise_floor"]
+__all__ = ["SQUARE_MOST", "NoiseEstimate", "measure_noise", "noise_floor", "noise_floors"]
