@@ -23,7 +23,8 @@ class StopReason(StrEnum):
     """Why a segment was not split further; the first four are the colors of the paper's figure 3.
 
     ``noise`` is the default method's own, and foretells ``criterion``: the metric is so near to what noise
-    leaves of it that no split can have a ratio below T, and none was tried.
+    leaves of it that no split can have a ratio below T, and none was tried. ``untried`` is the live tree's
+    own: the segment is new, or its last trial so old that it counts no more.
     """
 
     CRITERION = "criterion"
@@ -35,16 +36,19 @@ class StopReason(StrEnum):
     NO_FIT = "no-fit"
     NO_POINTS = "no-points"
     NOISE = "noise"
+    UNTRIED = "untried"
 
 
 class Division(StrEnum):
     """How a segment falls into its parts.
 
     ``cut``: by a normalized cut that the ratio kept. ``gap``: its pixels are not connected, nothing was cut.
+    ``appeared``: part 1 came into view beside or before part 0, nothing was cut.
     """
 
     CUT = "cut"
     GAP = "gap"
+    APPEARED = "appeared"
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +63,7 @@ class Trial:
         Metric of the segment, no less than its floor, and the number of points that it was measured on.
     parts : tuple of (float, int)
         The same for each of its parts: two in the paper; in the default method as many as the two sides of
-        the cut have connected pieces.
+        the cut have connected pieces; where the live tree judges a split again, the leaves below it.
     kept : bool
         Whether the split was kept.
     """
@@ -100,6 +104,13 @@ class Segment:
         Why it is a leaf; None where it is not.
     cut : Cut or None
         The cut between its children; None for a leaf, at a gap, and where one side of the cut was too small.
+    cuts_above : int
+        Cuts between the root and this segment, which T_d limits; gaps and what appeared do not count.
+    measured : int or None
+        Number of the frame in which its surface and values were measured; None for the frame itself.
+    judged : int or None
+        Number of the frame in which `trial`, or else `stop` or `division`, was found; None for the frame
+        itself.
     """
 
     name: str
@@ -111,13 +122,16 @@ class Segment:
     trial: Trial | None
     stop: StopReason | None
     cut: Cut | None = None
+    cuts_above: int = 0
+    measured: int | None = None
+    judged: int | None = None
 
     def __post_init__(self) -> None:
         self.pixels.flags.writeable = False
 
     @property
     def depth(self) -> int:
-        """Number of splits between the root and this segment."""
+        """Number of divisions of any kind between the root and this segment."""
         return len(self.name)
 
     @property
@@ -206,7 +220,11 @@ class SegmentationTree:
 
 @dataclass(slots=True, eq=False)
 class Node:
-    """A segment while the tree grows; `cuts_above` counts those between the root and it."""
+    """A segment while the tree grows.
+
+    `cuts_above` counts the cuts between the root and it, `age` the frames since its split was last judged.
+    `measured` and `judged` are as those of a `Segment`.
+    """
 
     name: str
     places: NDArray[np.intp]
@@ -217,6 +235,9 @@ class Node:
     stop: StopReason | None = None
     cut: Cut | None = None
     cuts_above: int = 0
+    measured: int | None = None
+    judged: int | None = None
+    age: int = 0
 
     def value(self, config: SegmentationConfig) -> float:
         """Return what the metric that decides counts for, 0 where it was not measured."""

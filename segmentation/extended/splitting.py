@@ -177,9 +177,14 @@ def measured(scene: Scene, places: NDArray[np.intp], config: SegmentationConfig)
     if config.noise_floor == 0:
         return places, fit, None
     fit = replace(fit, floor=noise_floor(scene.grid, window, mask, config))
+    return places, fit, StopReason.NOISE if hopeless(fit, config) else None
+
+
+def hopeless(fit: Fit, config: SegmentationConfig) -> bool:
+    """Say whether a fit is so near to what noise leaves that no split can have a ratio (eq. 5) below T."""
     # The floors of parts weigh no less than that of the whole: no ratio is below floor over value.
-    hopeless = fit.floor >= config.ratio_max * metric_value(fit.values, config.metric, fit.floor)
-    return places, fit, StopReason.NOISE if hopeless else None
+    value = metric_value(fit.values, config.metric, fit.floor)
+    return config.noise_floor > 0 and fit.floor >= config.ratio_max * value
 
 
 def best_split(
@@ -356,4 +361,14 @@ def _largest_and_rest(parts: list[Part]) -> tuple[list[Part], list[Part]]:
     return [parts[largest]], [part for n, part in enumerate(parts) if n != largest]
 
 
-__all__ = ["Part", "Scene", "best_split", "children_of", "grow", "measured", "prepare", "segment_nurbseg"]
+__all__ = [
+    "Part",
+    "Scene",
+    "best_split",
+    "children_of",
+    "grow",
+    "hopeless",
+    "measured",
+    "prepare",
+    "segment_nurbseg",
+]

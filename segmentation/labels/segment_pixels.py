@@ -100,6 +100,9 @@ def finished_segments(
             trial=node.trial,
             stop=node.stop,
             cut=node.cut,
+            cuts_above=node.cuts_above,
+            measured=node.measured,
+            judged=node.judged,
         )
         for node in nodes
     )

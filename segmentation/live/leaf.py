@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,15 +12,26 @@ from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.labels.segment_pixels import by_label
 from nurbseg.segmentation.live.follow import inner_places
-from nurbseg.segmentation.segments import Node
+from nurbseg.segmentation.segments import Node, StopReason, Trial
+from nurbseg.segmentation.surfaces.curvature import all_metrics
 from nurbseg.segmentation.surfaces.inverse_depth import DepthGrid
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
-from nurbseg.segmentation.surfaces.noise import SQUARE_MOST
+from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS
+from nurbseg.segmentation.surfaces.noise import SQUARE_MOST, noise_floors
 from nurbseg.segmentation.surfaces.surface import Fit, NurbsSurface
 
 #: A leaf's rim, mixed with what lies behind, is left out where this much of it is left.
 _INNER_SHARE = 0.3
-_FAR_DEVIATIONS = 3.0
+
+
+@dataclass(slots=True)
+class Attempt:
+    """The last try to split a leaf: why that was not done, in which frame, and how many frames ago."""
+
+    stop: StopReason
+    trial: Trial | None
+    frame: int
+    age: int = 0
 
 
 @dataclass(slots=True, eq=False)
@@ -46,6 +57,8 @@ class LiveLeaf:
         The same at the last trial of a split, or when the leaf was made; NaN where that is not known.
     rms_per_m : float
         Root mean square residual of inverse depth, 1/m.
+    attempt : Attempt or None
+        The last try to split it, if that still counts.
     """
 
     node: Node
@@ -55,9 +68,15 @@ class LiveLeaf:
     level: float = float("nan")
     tried: float = float("nan")
     rms_per_m: float = 0.0
+    attempt: Attempt | None = None
 
     def __post_init__(self) -> None:
         self.surface = self.node.fit.surface
+
+    @property
+    def attempt_age(self) -> int:
+        """Frames since the last try to split it that still counts; 0 without one."""
+        return 0 if self.attempt is None else self.attempt.age
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,22 +89,13 @@ class Misfit:
         Places of the grid.
     square : (labels + 1,) float64
         Mean of the squared residuals in units of the noise, each limited; 1 is what noise leaves.
-    far : (labels + 1,) float64
-        Share of places beyond three deviations.
     unreached : (labels + 1,) float64
         Share of places that the surface does not reach.
-    deviations : (h, w) float32
-        Residual of every place in units of the noise, at most 4; 0 where there is no label.
-    inner : (h, w) bool
-        Places whose neighbours have their label.
     """
 
     places: NDArray[np.int64]
     square: NDArray[np.float64]
-    far: NDArray[np.float64]
     unreached: NDArray[np.float64]
-    deviations: NDArray[np.float32]
-    inner: NDArray[np.bool_]
 
 
 def misfit(
@@ -107,16 +117,16 @@ def misfit(
         Number of labels.
     """
     size = leaves + 1
-    deviations, inner = lattice.image(labels), inner_places(labels)
-    # Of the rim and of the inner places: how many, not reached, sum of squares, and how many are far.
-    sums = np.zeros((size, 2, 4))
-    _sum_misfits(labels, grid.per_m, 1.0 / noise_per_m, SQUARE_MOST**0.5, deviations, inner, sums)
+    # Of the rim and of the inner places: how many, not reached, and sum of squares.
+    sums = np.zeros((size, 2, 3))
+    explained, inner = lattice.image(labels), inner_places(labels)
+    _sum_misfits(labels, grid.per_m, 1.0 / noise_per_m, SQUARE_MOST**0.5, explained, inner, sums)
     every = sums.sum(axis=1)
     thin = sums[:, 1, 0] < _INNER_SHARE * every[:, 0]
     judged = np.where(thin[:, np.newaxis], every, sums[:, 1])
-    means = judged / np.maximum(judged[:, :1], 1.0)
+    square = judged[:, 2] / np.maximum(judged[:, 0], 1.0)
     places = every[:, 0].astype(np.int64)
-    return Misfit(places, means[:, 2], means[:, 3], every[:, 1] / np.maximum(places, 1), deviations, inner)
+    return Misfit(places, square, every[:, 1] / np.maximum(places, 1))
 
 
 @compiled
@@ -125,25 +135,22 @@ def _sum_misfits(
     per_m: NDArray[np.float32],
     per_deviation: float,
     most: float,
-    deviations: NDArray[np.float32],
+    explained: NDArray[np.float32],
     inner: NDArray[np.bool_],
     sums: NDArray[np.float64],
 ) -> None:
-    """Turn the surfaces' inverse depths into residuals in units of the noise; sum them by label."""
+    """Sum by label over places at the rim and inner ones: 1, those not reached, limited squared residuals."""
     height, width = labels.shape
     for r in range(height):
         for c in range(width):
             label = labels[r, c]
             if label == 0:
-                deviations[r, c] = 0.0
                 continue
             own = sums[label, np.int64(inner[r, c])]
             own[0] += 1.0
-            own[1] += not deviations[r, c] < np.inf
-            deviation = min(per_deviation * abs(deviations[r, c] - per_m[r, c]), most)
-            deviations[r, c] = deviation
+            own[1] += not explained[r, c] < np.inf
+            deviation = min(per_deviation * abs(explained[r, c] - per_m[r, c]), most)
             own[2] += deviation * deviation
-            own[3] += deviation > _FAR_DEVIATIONS
 
 
 def remeasured(
@@ -152,7 +159,7 @@ def remeasured(
     lattice: SurfaceLattice,
     grid: DepthGrid,
     config: SegmentationConfig,
-) -> None:
+) -> list[LiveLeaf]:
     """Give each leaf its places, its moved surface's residuals, and the metrics of these.
 
     Parameters
@@ -166,12 +173,18 @@ def remeasured(
     grid : DepthGrid
         The points.
     config : SegmentationConfig
-        Its `large_error_m` is T_l.
+        The metric that decides, and its limits.
+
+    Returns
+    -------
+    list of LiveLeaf
+        Leaves whose surface does not reach all of their places. They have their places only, and no fit.
     """
     size = len(leaves) + 1
     order, bounds = by_label(labels.reshape(-1), size)
     residuals_m, pixels = np.empty(order.size), np.empty(order.size, dtype=np.intp)
-    sums = np.zeros((size, 4))
+    sums = np.zeros((size, 5))
+    width = grid.points.image_shape[1]
     _measure(
         order,
         labels.reshape(-1),
@@ -181,27 +194,34 @@ def remeasured(
         # What is far off is not the leaf's own, and does not make room for more of its kind.
         SQUARE_MOST**0.5 * config.noise_per_m,
         config.large_error_m,
-        (labels.shape[1], grid.points.image_shape[1], grid.step),
+        (labels.shape[1], width, grid.step),
         residuals_m,
         pixels,
         sums,
     )
-    mae, mse, _, square = (sums / np.maximum(np.diff(bounds), 1)[:, np.newaxis]).T
+    floors = noise_floors(grid, labels, size, config)
+    mae, mse, _, square, unreached = (sums / np.maximum(np.diff(bounds), 1)[:, np.newaxis]).T
     rms_per_m = np.sqrt(square)
+    not_reached = []
     for label, leaf in enumerate(leaves, start=1):
         own = slice(bounds[label], bounds[label + 1])
         leaf.rms_per_m = float(rms_per_m[label])
-        if leaf.surface is None:
+        leaf.node.places = order[own]
+        if leaf.surface is None or unreached[label] > 0:
+            leaf.node.fit = Fit(None, np.zeros(0), {}, leaf.node.fit.reason, pixels[own])
+            not_reached.append(leaf)
             continue
         values: dict[Metric, float] = {
-            **leaf.node.fit.values,
             "mse": float(mse[label]),
             "mae": float(mae[label]),
             "ve": float(max(mse[label] - mae[label] ** 2, 0.0)),
             "nle": float(sums[label, 2]),
         }
-        leaf.node.places = order[own]
-        leaf.node.fit = Fit(leaf.surface, residuals_m[own], values, "", pixels[own], leaf.node.fit.floor)
+        fit = Fit(leaf.surface, residuals_m[own], values, "", pixels[own], float(floors[label]))
+        if config.metric in CURVATURE_METRICS:
+            fit = replace(fit, values=all_metrics(fit, width, config))
+        leaf.node.fit = fit
+    return not_reached
 
 
 @compiled
@@ -218,7 +238,7 @@ def _measure(
     pixels: NDArray[np.intp],
     sums: NDArray[np.float64],
 ) -> None:
-    """Give residuals in space and pixels in the order of labels; sum them, their squares, and large ones."""
+    """Give residuals in space and pixels in the order of labels; sum them, count large and missing ones."""
     grid_width, image_width, step = widths
     for n in range(order.size):
         place = order[n]
@@ -227,20 +247,18 @@ def _measure(
         label = labels[place]
         if label == 0:
             continue
-        if explained[place] < np.inf:
-            beyond_per_m = abs(np.float64(explained[place]) - per_m[place])
-            # The point and its surface point lie on one ray.
-            residual_m = distances_m[place] * beyond_per_m / explained[place]
-        else:
-            # Beyond the reach of a surface not fitted anew yet, residuals count as the limit of noise.
-            beyond_per_m = most_per_m
-            residual_m = most_per_m / np.float64(per_m[place]) ** 2
-        residuals_m[n] = residual_m
         own = sums[label]
+        if not explained[place] < np.inf:
+            own[4] += 1.0
+            continue
+        beyond_per_m = abs(np.float64(explained[place]) - per_m[place])
+        # The point and its surface point lie on one ray.
+        residual_m = distances_m[place] * beyond_per_m / explained[place]
+        residuals_m[n] = residual_m
         own[0] += residual_m
         own[1] += residual_m * residual_m
         own[2] += residual_m > large_m
         own[3] += min(beyond_per_m, most_per_m) ** 2
 
 
-__all__ = ["LiveLeaf", "Misfit", "misfit", "remeasured"]
+__all__ = ["Attempt", "LiveLeaf", "Misfit", "misfit", "remeasured"]

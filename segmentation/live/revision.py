@@ -11,26 +11,28 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import raw_vectors
-from nurbseg.segmentation.extended.splitting import Scene, best_split, children_of, measured, prepare
+from nurbseg.segmentation.extended.splitting import (
+    Part,
+    Scene,
+    best_split,
+    children_of,
+    hopeless,
+    measured,
+    prepare,
+)
 from nurbseg.segmentation.labels.lookup import looked_up
 from nurbseg.segmentation.labels.regions import Joints
-from nurbseg.segmentation.live.leaf import LiveLeaf, Misfit, misfit
+from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf, Misfit
+from nurbseg.segmentation.live.renewal import TRIAL_FRAMES, Rejected
 from nurbseg.segmentation.live.structure import Growth, Revised
 from nurbseg.segmentation.points.normals import facet_normals
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import Node, StopReason, depth_first
+from nurbseg.segmentation.segments import Division, Node, StopReason, Trial, depth_first
 from nurbseg.segmentation.surfaces.inverse_depth import DepthGrid
-from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
-from nurbseg.segmentation.surfaces.surface import NurbsSurface
+from nurbseg.segmentation.surfaces.metrics import acceptance_ratio, metric_value
 
-#: What a surface leaves beyond noise: mean square, and share beyond three deviations.
-_SQUARE_MOST, _FAR_MOST = 2.2, 0.05
 #: A leaf is tried again for a split when its mean square is this much more than at the last trial.
 _WORSE_FACTOR, _WORSE_BY = 1.5, 0.5
-#: Two leaves become one where so much less noise than there is explains both.
-_FOLD_NOISE = 0.9
-#: The mean square that one surface may leave on either, as a factor on what its own leaves, and on top of it.
-_FOLD_WORSE, _FOLD_NOISE_SHARE = 1.1, 0.05
 #: Places of the grid along which two leaves that are held against one surface meet.
 _MEETING_LEAST = 4
 #: Places cut in one frame, unless one leaf has more; leaves with as many are cut at a quarter of them.
@@ -73,7 +75,7 @@ class Reviser:
     def __init__(self) -> None:
         self._numbers = count(1)
         self._asked: dict[tuple[int, int], int] = {}
-        self._frame = 0
+        self._turn = 0
         self._final = np.zeros(1, dtype=np.uint16)
 
     def leaf(self, node: Node) -> LiveLeaf:
@@ -95,6 +97,8 @@ class Reviser:
         leaves: Sequence[LiveLeaf],
         measures: Misfit,
         together: Container[tuple[int, int]],
+        rejected: Sequence[Rejected],
+        frame: int,
         budget: Budget,
         config: SegmentationConfig,
     ) -> Revised:
@@ -116,6 +120,10 @@ class Reviser:
             How well their surfaces explain them.
         together : container of (int, int)
             Numbers of leaves, the smaller first, that meet and are one object.
+        rejected : sequence of (Node, Attempt)
+            Segments whose split the ratio keeps no longer, and the trial that told so.
+        frame : int
+            Number of the frame.
         budget : Budget
             How much is done.
         config : SegmentationConfig
@@ -126,15 +134,16 @@ class Reviser:
         Revised
             The leaves in their new order, and their labels.
         """
-        self._frame += 1
+        self._turn += 1
         growth = Growth(root, leaves, on_grid, self.leaf)
-        work = _Revision(growth, cloud, grid, joined, measures, config)
+        work = _Revision(growth, cloud, grid, joined, measures, config, self._turn, frame)
+        work.undo(rejected)
         work.take_in(appeared)
         work.take_out()
         work.refit(budget.refits)
         work.split(budget.trials)
-        work.fold(budget.folds, together, self._asked, self._frame)
-        self._asked = {pair: at for pair, at in self._asked.items() if self._frame - at < _FORGOTTEN}
+        work.fold(budget.folds, together, self._asked)
+        self._asked = {pair: at for pair, at in self._asked.items() if self._turn - at < _FORGOTTEN}
         done = growth.finished()
         self._final = done.final
         return done
@@ -151,8 +160,11 @@ class _Revision:
         joined: Joints,
         measures: Misfit,
         config: SegmentationConfig,
+        turn: int,
+        frame: int,
     ) -> None:
         self._growth, self._cloud, self._config = growth, cloud, config
+        self._turn, self._frame = turn, frame
         self._scene = Scene(grid, joined, np.zeros((0, 0), dtype=np.float32), None)
         self._measures = measures
         self._places_min = config.piece_pixels_min * grid.points.pixel_share
@@ -172,8 +184,7 @@ class _Revision:
             if piece > _APPEARING_MOST:
                 self._growth.labels[mask] = host
                 continue
-            self._growth.insert(host, measured(self._scene, np.flatnonzero(mask), self._config))
-            self._growth.done.splits += 1
+            self._growth.insert(host, measured(self._scene, np.flatnonzero(mask), self._config), self._frame)
 
     def take_out(self) -> None:
         """Take leaves out of which next to nothing is left."""
@@ -202,109 +213,134 @@ class _Revision:
                 break
             leaf = self._growth.by_number[number]
             own = np.flatnonzero(self._growth.labels == number)
-            places, fit, stop = measured(self._scene, own, self._config)
+            places, fit, _ = measured(self._scene, own, self._config)
             if fit.surface is None:
                 continue
             leaf.node.places, leaf.node.fit = places, fit
             leaf.surface, leaf.age, leaf.level = fit.surface, 0, float("nan")
-            if stop is not None:
-                leaf.node.stop = stop
-            elif leaf.node.stop in (None, StopReason.NOISE):
-                leaf.node.stop = StopReason.CRITERION
             self._growth.done.refits += 1
 
     def split(self, most: int) -> None:
         """Try leaves for a split that have become worse, the worst first."""
-        m, config = self._measures, self._config
+        m, growth = self._measures, self._growth
+        self._forget_oldest()
         waiting = []
-        for number, leaf in self._growth.by_number.items():
-            if number >= m.square.size or m.places[number] <= 2.0 * self._places_min:
-                continue
-            square, far = float(m.square[number]), float(m.far[number])
-            explained = config.noise_floor > 0 and square < _SQUARE_MOST and far < _FAR_MOST
-            if not explained and square > _WORSE_FACTOR * leaf.tried + _WORSE_BY:
+        for number, leaf in growth.by_number.items():
+            square = float(m.square[number]) if number < m.square.size else 0.0
+            if square > _WORSE_FACTOR * leaf.tried + _WORSE_BY and self._may_be_split(number):
                 waiting.append((square * float(np.sqrt(m.places[number])), number))
         waiting.sort(reverse=True)
+        room = self._config.splits_max - growth.cuts
         cuts = places = 0
         for rank, (_, number) in enumerate(waiting):
-            if cuts == most or (cuts and places + int(m.places[number]) > _CUT_PLACES):
-                self._growth.done.waiting = len(waiting) - rank
-                break
+            full = cuts == most or (cuts and places + int(m.places[number]) > _CUT_PLACES)
+            if full or growth.done.splits >= room:
+                growth.done.waiting = len(waiting) - rank if full else 0
+                return
             if self._try(number):
                 cuts, places = cuts + 1, places + int(m.places[number])
+
+    def _forget_oldest(self) -> None:
+        """Let the oldest attempt count no more, if it is too old; its leaf is tried again."""
+        attempts = [leaf for leaf in self._growth.by_number.values() if leaf.attempt is not None]
+        oldest = max(attempts, key=lambda leaf: leaf.attempt_age, default=None)
+        # One in each frame, so early that none gets older than the limit.
+        if oldest is not None and oldest.attempt_age >= TRIAL_FRAMES - len(attempts):
+            oldest.attempt, oldest.tried = None, 0.0
+
+    def _may_be_split(self, number: int) -> bool:
+        """Say whether neither its size nor its depth, nor how near it is to the noise, forbids a split."""
+        m, node = self._measures, self._growth.by_number[number].node
+        if m.places[number] <= 2.0 * self._places_min or hopeless(node.fit, self._config):
+            return False
+        return node.cuts_above < self._config.depth_max
+
+    def undo(self, rejected: Sequence[Rejected]) -> None:
+        """Make one leaf of each segment whose split the ratio keeps no longer."""
+        for node, attempt in rejected:
+            if node.children and self._growth.holds(node):
+                kept = self._growth.undo(node)
+                places = np.flatnonzero(self._growth.labels == kept)
+                self._fold_into(kept, measured(self._scene, places, self._config), attempt)
 
     def fold(
         self,
         most: int,
         together: Container[tuple[int, int]],
         asked: dict[tuple[int, int], int],
-        frame: int,
     ) -> None:
-        """Let a leaf take in another of its object that its surface explains; the longest unasked first."""
-        config, growth = self._config, self._growth
-        if not (config.noise_floor > 0 and most):
-            return
-        neighbors = growth.neighbors(self._scene.joined, _MEETING_LEAST)
-        quieter = replace(config, noise_per_m=_FOLD_NOISE * config.noise_per_m)
+        """Let a leaf take in another of its object where the ratio keeps no two; in turn."""
+        growth = self._growth
 
         def pair_of(pair: tuple[int, int]) -> tuple[int, int]:
             one, two = (growth.by_number[n].number for n in pair)
             return (one, two) if one < two else (two, one)
 
+        neighbors = growth.neighbors(self._scene.joined, _MEETING_LEAST) if most else []
         candidates = [pair for pair in neighbors if pair_of(pair) in together]
         pairs = sorted((asked.get(pair_of(pair), 0), pair) for pair in candidates)
         for _, pair in pairs[:most]:
-            asked[pair_of(pair)] = frame
-            sizes = growth.sizes()
-            kept, gone = pair if sizes[pair[0]] >= sizes[pair[1]] else (pair[1], pair[0])
-            places = np.flatnonzero((growth.labels == kept) | (growth.labels == gone))
-            _, fit, stop = measured(self._scene, places, quieter)
-            if stop is None or fit.surface is None or not self._is_as_good(pair, fit.surface):
+            asked[pair_of(pair)] = self._turn
+            own = [np.flatnonzero(growth.labels == number) for number in pair]
+            both = measured(self._scene, np.sort(np.concatenate(own), kind="stable"), self._config)
+            trial = self._against(both, own, [growth.by_number[number] for number in pair])
+            if trial is None or trial.kept or both[1].surface is None:
                 continue
+            kept, gone = pair if own[0].size >= own[1].size else (pair[1], pair[0])
             growth.absorb(gone, kept)
-            leaf = growth.by_number[kept]
-            leaf.node.places, leaf.node.fit, leaf.node.stop = places, fit, stop
-            leaf.surface, leaf.age, leaf.level, leaf.tried = fit.surface, 0, float("nan"), float("nan")
-            growth.done.folds += 1
+            self._fold_into(kept, both, Attempt(StopReason.CRITERION, trial, self._frame))
             return
 
-    def _is_as_good(self, pair: tuple[int, int], surface: NurbsSurface) -> bool:
-        """Say whether a surface explains each of two leaves as well as their own surfaces do."""
-        grid, own = self._scene.grid, self._measures.square
-        if max(pair) >= own.size:
-            return False
-        labels = np.zeros(grid.valid.shape, dtype=np.int32)
-        for label, number in enumerate(pair, start=1):
-            labels[self._growth.labels == number] = label
-        both = misfit(
-            labels, SurfaceLattice([surface, surface], grid.step), grid, self._config.noise_per_m, 2
-        )
-        limits = [min(_FOLD_WORSE * own[number] + _FOLD_NOISE_SHARE, _SQUARE_MOST) for number in pair]
-        return all(both.square[n] < limit and both.far[n] < _FAR_MOST for n, limit in enumerate(limits, 1))
+    def _against(
+        self, both: Part, own: Sequence[NDArray[np.intp]], leaves: Sequence[LiveLeaf]
+    ) -> Trial | None:
+        """Hold one surface for two leaves against one for each; None where they are better as they are."""
+        config = self._config
+        whole = metric_value(both[1].values, config.metric, both[1].floor), both[0].size
+        as_they_are = [
+            (leaf.node.value(config), places.size) for leaf, places in zip(leaves, own, strict=True)
+        ]
+        if acceptance_ratio(config.metric, whole, *as_they_are) < config.ratio_max:
+            return None
+        fits = [measured(self._scene, places, config)[1] for places in own]
+        parts = tuple((metric_value(fit.values, config.metric, fit.floor), fit.pixels.size) for fit in fits)
+        kept = acceptance_ratio(config.metric, whole, *parts) < config.ratio_max
+        return Trial(config.metric, *whole, parts, kept)
+
+    def _fold_into(self, number: int, part: Part, attempt: Attempt) -> None:
+        """Give a leaf that has taken in others its fit, and the trial that told so."""
+        leaf = self._growth.by_number[number]
+        leaf.node.places, leaf.node.fit, _ = part
+        leaf.surface, leaf.age, leaf.level, leaf.tried = part[1].surface, 0, float("nan"), float("nan")
+        leaf.attempt = attempt
+        self._growth.done.folds += 1
 
     def _try(self, number: int) -> bool:
         """Try a leaf for a split; say whether it was cut for that, which is what takes time."""
         leaf = self._growth.by_number[number]
         node = leaf.node
-        node.places = np.flatnonzero(self._growth.labels == number)
         self._growth.done.trials += 1
         leaf.tried = float(self._measures.square[number])
-        _, node.fit, stop = measured(self._scene, node.places, self._config)
+        own = np.flatnonzero(self._growth.labels == number)
+        node.places, node.fit, stop = measured(self._scene, own, self._config)
         leaf.surface, leaf.age, leaf.level = node.fit.surface, 0, float("nan")
+        leaf.attempt = None if stop is None else Attempt(stop, None, self._frame)
         if stop is not None or node.fit.surface is None or not node.value(self._config) > 0:
             return False
         scene = scene_of(self._cloud, self._scene, node.places, self._config)
         sides, cut = best_split(scene, node, self._config, thin_from=_MANY_PLACES)
         if cut is None:
+            leaf.attempt = Attempt(node.stop or StopReason.NO_CUT, node.trial, self._frame)
             return True
         self._growth.done.splits += 1
         node.children = children_of(node, sides)
-        node.cut = cut if all(sides) else None
-        node.stop = None
-        parts = [each for each in depth_first(node) if not each.children]
-        parts.sort(key=lambda each: -each.places.size)
-        for part in parts:
-            part.stop = part.stop or StopReason.CRITERION
+        node.division, node.cut, node.stop = Division.CUT, cut if all(sides) else None, None
+        node.measured = node.judged = self._frame
+        node.age = 0
+        below = depth_first(node)[1:]
+        for each in below:
+            each.judged = self._frame
+        parts = sorted((each for each in below if not each.children), key=lambda each: -each.places.size)
         leaf.node, leaf.surface, leaf.tried = parts[0], parts[0].fit.surface, 0.0
         for part in parts[1:]:
             self._growth.labels.ravel()[part.places] = self._growth.adopt(part)

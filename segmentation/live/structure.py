@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import cv2
@@ -13,7 +13,13 @@ from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.extended.splitting import Part
 from nurbseg.segmentation.labels.regions import Joints
 from nurbseg.segmentation.live.leaf import LiveLeaf
-from nurbseg.segmentation.segments import Node, StopReason, depth_first
+from nurbseg.segmentation.segments import Division, Node, depth_first
+from nurbseg.segmentation.surfaces.surface import Fit
+
+#: Why what was divided without a cut has no surface.
+NOT_CUT = "parts that no cut made"
+#: What a node takes over from the one that takes its place.
+_TAKEN_OVER = ("places", "fit", "children", "division", "trial", "stop", "cut", "measured", "judged", "age")
 
 
 @dataclass(slots=True, eq=False)
@@ -37,6 +43,7 @@ class Revised:
     refits: int = 0
     trials: int = 0
     splits: int = 0
+    appeared: int = 0
     folds: int = 0
     waiting: int = 0
 
@@ -142,17 +149,24 @@ class Growth:
         first, second = np.nonzero(np.triu(meetings, 1) >= least)
         return list(zip(first.tolist(), second.tolist(), strict=True))
 
-    def insert(self, host: int, part: Part) -> None:
-        """Split a leaf into itself and a part that is no longer its own."""
+    @property
+    def cuts(self) -> int:
+        """Number of cuts in the tree, which T_s limits."""
+        return sum(node.division is Division.CUT for node in depth_first(self._root))
+
+    def insert(self, host: int, part: Part, frame: int) -> None:
+        """Divide a leaf, without a cut, into itself and a part that came into view in a frame."""
         leaf = self.by_number[host]
         node = leaf.node
-        places, fit, stop = part
-        depth = node.cuts_above + 1
-        rest = Node(f"{node.name}0", node.places, node.fit, stop=node.stop, cuts_above=depth)
-        new = Node(f"{node.name}1", places, fit, stop=stop or StopReason.CRITERION, cuts_above=depth)
-        node.children, node.stop, node.cut, node.trial = (rest, new), None, None, None
+        places, fit, _ = part
+        rest = Node(f"{node.name}0", node.places, node.fit, cuts_above=node.cuts_above)
+        new = Node(f"{node.name}1", places, fit, cuts_above=node.cuts_above)
+        node.children, node.division, node.judged = (rest, new), Division.APPEARED, frame
+        node.fit, node.measured = Fit(None, np.zeros(0), {}, NOT_CUT, np.zeros(0, dtype=np.intp)), None
+        node.stop = node.trial = node.cut = None
         leaf.node = rest
         self.labels.ravel()[places] = self.adopt(new)
+        self.done.appeared += 1
 
     def adopt(self, node: Node) -> int:
         """Make a leaf of a node; return its working number."""
@@ -162,6 +176,25 @@ class Growth:
         # Nobody has tried to split it yet.
         leaf.tried = 0.0
         return number
+
+    def undo(self, node: Node) -> int:
+        """Make one leaf of all below a node; return its working number, that of the largest of them."""
+        below = {id(each) for each in depth_first(node)}
+        numbers = [number for number, leaf in self.by_number.items() if id(leaf.node) in below]
+        sizes = self.sizes()
+        kept = max(numbers, key=lambda number: int(sizes[number]))
+        for number in numbers:
+            if number != kept:
+                del self.by_number[number]
+                self.labels[self.labels == number] = kept
+                self._instead[number] = kept
+        node.children, node.division, node.cut = (), None, None
+        self.by_number[kept].node = node
+        return kept
+
+    def holds(self, node: Node) -> bool:
+        """Say whether a node is in the tree."""
+        return any(each is node for each in depth_first(self._root))
 
     def absorb(self, gone: int, heir: int) -> None:
         """Give the places of one leaf to another, and take it out of the tree."""
@@ -207,12 +240,11 @@ class Growth:
             if node.children and gone in node.children:
                 (kept,) = (child for child in node.children if child is not gone)
                 holder = next((leaf for leaf in self.by_number.values() if leaf.node is kept), None)
-                node.places, node.fit, node.stop = kept.places, kept.fit, kept.stop
-                node.trial, node.cut, node.children = kept.trial, kept.cut, kept.children
-                node.division = kept.division
+                for name in _TAKEN_OVER:
+                    setattr(node, name, getattr(kept, name))
                 if holder is not None:
                     holder.node = node
-                _rename(node.children, node.name)
+                _rename(node)
                 return
 
 
@@ -246,13 +278,12 @@ def _count_meetings(
                 meetings[number, labels[r + 1, c]] += 1
 
 
-def _rename(children: Iterable[Node], above: str) -> None:
-    stack = [(child, f"{above}{place}") for place, child in enumerate(children)]
-    while stack:
-        node, name = stack.pop()
-        node.name = name
-        node.cuts_above = min(node.cuts_above, len(name))
-        stack.extend((child, f"{name}{place}") for place, child in enumerate(node.children))
+def _rename(top: Node) -> None:
+    """Give all below a node names that begin with its own, and count the cuts above them."""
+    for node in depth_first(top):
+        for place, child in enumerate(node.children):
+            child.name = f"{node.name}{place}"
+            child.cuts_above = node.cuts_above + (node.division is Division.CUT)
 
 
-__all__ = ["Growth", "Revised"]
+__all__ = ["NOT_CUT", "Growth", "Revised"]

@@ -9,20 +9,22 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.splitting import segment_nurbseg
+from nurbseg.segmentation.extended.scene import Scene
+from nurbseg.segmentation.extended.splitting import measured, segment_nurbseg
 from nurbseg.segmentation.labels.regions import Joints, connected_pieces, joints
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
 from nurbseg.segmentation.labels.spreading import spread_labels
 from nurbseg.segmentation.live.borders import settled_borders, spread_to_pixels
 from nurbseg.segmentation.live.follow import grown_labels, kept_labels, moved_surfaces
-from nurbseg.segmentation.live.leaf import LiveLeaf, Misfit, misfit, remeasured
+from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf, Misfit, misfit, remeasured
 from nurbseg.segmentation.live.motion import brightness, carried, flow_back, resized
 from nurbseg.segmentation.live.objects import ObjectMemory
+from nurbseg.segmentation.live.renewal import Rejected, give_reasons, renew_splits
 from nurbseg.segmentation.live.revision import Budget, Reviser
 from nurbseg.segmentation.points.grid import decimated_grid
 from nurbseg.segmentation.points.rays import Rays, rays_of
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first
+from nurbseg.segmentation.segments import Division, Node, SegmentationTree, StopReason, depth_first
 from nurbseg.segmentation.surfaces.inverse_depth import DepthGrid, inverse_depth_image
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 from nurbseg.segmentation.surfaces.surface import Fit
@@ -33,6 +35,8 @@ _CHANGED_SHARE = 0.4
 _WAITING_MOST, _WAITING_FRAMES = 6, 15
 #: A leaf's own residuals, in units of their root mean square, beyond which a place is not its own.
 _OWN_DEVIATIONS = 4.0
+#: Reasons that take a cut to find.
+_TRIED = (StopReason.CRITERION, StopReason.CHILD_TOO_SMALL, StopReason.NO_CUT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +49,11 @@ class Revision:
         Why the frame was segmented anew; empty where the tree lived on.
     unexplained : float
         Share of the points that the moved surfaces did not explain.
-    refits, trials, splits, folds : int
-        Surfaces fitted anew, leaves tried for a split, splits made, and splits undone.
+    refits, trials, splits, appeared, folds, judged : int
+        Surfaces fitted anew, leaves tried for a split, splits made, leaves that came into view, splits undone
+        and leaves taken in by others, and splits judged again.
+    oldest, oldest_trial : int
+        Frames since the oldest value or ratio of a split was found, and since the oldest trial of a leaf.
     waiting : int
         Leaves that are to be tried in later frames.
     step : int
@@ -58,7 +65,11 @@ class Revision:
     refits: int = 0
     trials: int = 0
     splits: int = 0
+    appeared: int = 0
     folds: int = 0
+    judged: int = 0
+    oldest: int = 0
+    oldest_trial: int = 0
     waiting: int = 0
     step: int = 1
 
@@ -105,11 +116,20 @@ class LiveTree:
         self._objects = ObjectMemory()
         self._reviser = Reviser()
         self._overdue = 0
+        self._rejected: tuple[Rejected, ...] = ()
+        self._frame = -1
         self._rays: Rays | None = None
         self._lattice = SurfaceLattice([], config.decimation)
         self.labels_before = self._labels
 
-    def segment(self, cloud: PointMap, budget: Budget | None = None) -> SegmentationTree:
+    def segment(
+        self,
+        cloud: PointMap,
+        budget: Budget | None = None,
+        *,
+        frame: int | None = None,
+        every_surface: bool = False,
+    ) -> SegmentationTree:
         """Segment the next frame.
 
         Parameters
@@ -118,6 +138,10 @@ class LiveTree:
             The frame.
         budget : Budget, optional
             How much may be revised; on its grid a frame is segmented anew as well.
+        frame : int, optional
+            Its number, by which later trees tell when something was measured; by default the next one.
+        every_surface : bool
+            Whether segments that were cut get a surface in every frame, and not just in turn.
 
         Returns
         -------
@@ -126,13 +150,14 @@ class LiveTree:
             the same split.
         """
         with one_blas_thread():
-            return self._segmented(cloud, budget or Budget())
+            self._frame = self._frame + 1 if frame is None else frame
+            return self._segmented(cloud, budget or Budget(), every_surface)
 
-    def _segmented(self, cloud: PointMap, budget: Budget) -> SegmentationTree:
+    def _segmented(self, cloud: PointMap, budget: Budget, every_surface: bool) -> SegmentationTree:
         config = self._config_on(budget.decimation or self._config.decimation)
         reason = self._no_continuation(cloud)
         if not reason:
-            tree = self._followed(cloud, config, budget)
+            tree = self._followed(cloud, config, budget, every_surface)
             if tree is not None:
                 return tree
             reason = self.revision.cold
@@ -167,7 +192,9 @@ class LiveTree:
                 trial=each.trial,
                 stop=each.stop,
                 cut=each.cut,
-                cuts_above=each.depth,
+                cuts_above=each.cuts_above,
+                measured=self._frame,
+                judged=self._frame,
             )
             for each in tree.segments
         }
@@ -177,6 +204,10 @@ class LiveTree:
         self._root = nodes[""]
         self._reviser = Reviser()
         self._leaves = [self._reviser.leaf(nodes[leaf.name]) for leaf in tree.leaves()]
+        for leaf in self._leaves:
+            if leaf.node.stop in _TRIED:
+                leaf.attempt = Attempt(leaf.node.stop, leaf.node.trial, self._frame)
+        self._rejected = ()
         self.labels_before = np.zeros(tree.shape, dtype=np.uint16)
         self._labels = tree.labels("surfaces").copy()
         self._lattice = SurfaceLattice([leaf.surface for leaf in self._leaves], step)
@@ -187,7 +218,7 @@ class LiveTree:
         self.revision = Revision()
 
     def _followed(
-        self, cloud: PointMap, config: SegmentationConfig, budget: Budget
+        self, cloud: PointMap, config: SegmentationConfig, budget: Budget, every_surface: bool
     ) -> SegmentationTree | None:
         """Let the tree live on into a frame; None where the frame is not explained."""
         step = config.decimation
@@ -214,6 +245,10 @@ class LiveTree:
         for leaf, surface in zip(self._leaves, surfaces, strict=True):
             leaf.surface = surface
             leaf.age += 1
+            if leaf.attempt is not None:
+                leaf.attempt.age += 1
+        for node in depth_first(self._root):
+            node.age += 1
 
         # Labels grow into what is open; what stays open is new, or too small to be anything.
         on_grid = grown_labels(on_grid, grid.per_m, lattice, limits)
@@ -240,6 +275,8 @@ class LiveTree:
             self._leaves,
             measures,
             self._objects.together,
+            self._rejected,
+            self._frame,
             budget,
             config,
         )
@@ -254,9 +291,17 @@ class LiveTree:
         self._gray = gray
         self._overdue = self._overdue + 1 if done.waiting > _WAITING_MOST else 0
         self.revision = Revision(
-            "", unexplained, done.refits, done.trials, done.splits, done.folds, done.waiting, step
+            unexplained=unexplained,
+            refits=done.refits,
+            trials=done.trials,
+            splits=done.splits,
+            appeared=done.appeared,
+            folds=done.folds,
+            waiting=done.waiting,
+            step=step,
         )
-        return self._finished(cloud, grid, labels, before, config)
+        scene = Scene(grid, joined, np.zeros((0, 0), dtype=np.float32), None)
+        return self._finished(cloud, scene, labels, before, config, every_surface)
 
     def _rays_of(self, cloud: PointMap) -> Rays:
         """Return the camera's rays; they stay what a frame of which most was seen has told."""
@@ -299,18 +344,36 @@ class LiveTree:
     def _finished(
         self,
         cloud: PointMap,
-        grid: DepthGrid,
+        scene: Scene,
         labels: NDArray[np.uint16],
         before: NDArray[np.uint16],
         config: SegmentationConfig,
+        every_surface: bool,
     ) -> SegmentationTree:
-        nodes = depth_first(self._root)
-        leaf_nodes = [leaf.node for leaf in self._leaves]
-        surfaces = [leaf.surface for leaf in self._leaves]
-        self._lattice = SurfaceLattice(surfaces, grid.step)
+        """Measure what the tree tells of this frame, and hand it out."""
+        grid, leaves = scene.grid, self._leaves
         on_grid = labels[:: grid.step, :: grid.step].astype(np.int32)
-        remeasured(self._leaves, on_grid, self._lattice, grid, config)
-        segments = finished_segments(nodes, leaf_nodes, labels)
+        self._lattice = SurfaceLattice([leaf.surface for leaf in leaves], grid.step)
+        not_reached = remeasured(leaves, on_grid, self._lattice, grid, config)
+        for leaf in not_reached:
+            leaf.node.fit = measured(scene, leaf.node.places, config)[1]
+            leaf.surface, leaf.age, leaf.level = leaf.node.fit.surface, 0, float("nan")
+        if not_reached:
+            self._lattice = SurfaceLattice([leaf.surface for leaf in leaves], grid.step)
+        renewal = renew_splits(
+            self._root, leaves, on_grid, scene, self._frame, config, every_surface=every_surface
+        )
+        nodes = depth_first(self._root)
+        cuts = sum(node.division is Division.CUT for node in nodes)
+        give_reasons(leaves, cuts, scene.places_min(config), self._frame, config)
+        self._rejected = renewal.rejected
+        self.revision = replace(
+            self.revision,
+            judged=renewal.judged,
+            oldest=renewal.oldest,
+            oldest_trial=max(leaf.attempt_age for leaf in leaves),
+        )
+        segments = finished_segments(nodes, [leaf.node for leaf in leaves], labels)
         objects, contacts = self._objects.merged(self._leaves, on_grid, self._lattice, grid, config)
         # What has no depth in this frame keeps its label for the next one.
         self._labels = self._reviser.renumbered(before)

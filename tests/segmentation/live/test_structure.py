@@ -166,3 +166,45 @@ def test_a_place_that_touches_nothing_belongs_to_the_largest_leaf():
     assert growth.around(mask) == 2
     del growth.by_number[2]
     assert growth.around(mask) is None
+
+
+def cut_tree():
+    """A root cut into a leaf and a segment that was cut, one side of which something came into view in."""
+    fit = Fit(None, np.zeros(0), {}, "", np.zeros(0, dtype=np.intp))
+
+    def node(name, cuts_above, division=None, children=()):
+        return Node(name, np.zeros(0, np.intp), fit, children, division, cuts_above=cuts_above)
+
+    shown = node("11", 2, Division.APPEARED, (node("110", 2), node("111", 2)))
+    root = node("", 0, Division.CUT, (node("0", 0 + 1), node("1", 1, Division.CUT, (node("10", 2), shown))))
+    leaves = [LiveLeaf(each, n) for n, each in enumerate(depth_first(root)) if not each.children]
+    return root, Growth(root, leaves, np.array([[1, 2, 3, 4, 4]], np.int32), lambda node: LiveLeaf(node, 9))
+
+
+def described(root):
+    return [(each.name, each.division, each.cuts_above) for each in depth_first(root)]
+
+
+def test_cuts_above_are_counted_again_where_a_leaf_goes():
+    root, growth = cut_tree()
+    assert growth.cuts == 2
+    growth.absorb(1, 4)
+    assert described(root) == [
+        ("", Division.CUT, 0),
+        ("0", None, 1),
+        ("1", Division.APPEARED, 1),
+        ("10", None, 1),
+        ("11", None, 1),
+    ]
+    assert growth.cuts == 1
+
+
+def test_a_split_undone_is_one_leaf_with_the_label_of_its_largest():
+    root, growth = cut_tree()
+    assert growth.holds(root.children[1])
+    assert growth.undo(root.children[1]) == 4
+    assert described(root) == [("", Division.CUT, 0), ("0", None, 1), ("1", None, 1)]
+    assert growth.by_number[4].node is root.children[1]
+    done = growth.finished()
+    assert done.on_grid.tolist() == [[1, 4, 4, 4, 4]]
+    assert done.final.tolist() == [0, 1, 2, 2, 2]

@@ -266,15 +266,3 @@ def test_only_the_default_method_lives() -> None:
         assert not lives(config)
         with pytest.raises(ValueError, match="nurbseg"):
             LiveTree(config)
-
-
-def test_a_split_that_one_surface_explains_is_undone() -> None:
-    flat = scene(noise=1, wall_m=1.2)
-    live = LiveTree(CONFIG)
-    alone = live.segment(flat)
-    before = len(alone.leaves())
-    live.segment(scene(BOX, noise=2, wall_m=1.2))
-    live.segment(scene(BOX, noise=3, wall_m=1.2))
-    for frame in range(4, 20):
-        found = live.segment(scene(noise=frame, wall_m=1.2))
-    assert len(found.leaves()) <= before

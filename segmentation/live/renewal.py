@@ -1,0 +1,187 @@
+"""What a live tree tells of a frame: values, ratios and reasons that are of it, or renewed in turn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.extended.scene import Scene
+from nurbseg.segmentation.extended.splitting import hopeless, measured
+from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf
+from nurbseg.segmentation.segments import Division, Node, StopReason, Trial, depth_first
+from nurbseg.segmentation.surfaces.metrics import acceptance_ratio, metric_value
+from nurbseg.segmentation.surfaces.surface import Fit
+
+#: A segment whose split is to be undone, and the attempt at a split that its leaf starts with.
+Rejected = tuple[Node, Attempt]
+
+#: Frames within which every split is judged again, and after which the oldest rejected trial counts no more.
+SPLIT_FRAMES, TRIAL_FRAMES = 60, 300
+#: Places of the grid whose splits are judged again in one frame; one split is in any case.
+_JUDGED_PLACES = 4_000
+
+
+@dataclass(frozen=True, slots=True)
+class Renewal:
+    """What was judged again in a frame.
+
+    Parameters
+    ----------
+    judged : int
+        Splits that were.
+    rejected : tuple of (Node, Attempt)
+        Splits of them that the ratio keeps no longer, and what told so.
+    oldest : int
+        Frames since the oldest value or ratio of a split was found.
+    """
+
+    judged: int
+    rejected: tuple[Rejected, ...]
+    oldest: int
+
+
+def renew_splits(
+    root: Node,
+    leaves: Sequence[LiveLeaf],
+    labels: NDArray[np.int32],
+    scene: Scene,
+    frame: int,
+    config: SegmentationConfig,
+    *,
+    every_surface: bool,
+) -> Renewal:
+    """Judge splits again by the ratio (eq. 5), those first for which that is longest ago.
+
+    One surface is fitted to all of a segment and held against those of the leaves below it. A segment that is
+    not fitted in this frame has no surface: what it had belongs to another frame.
+
+    Parameters
+    ----------
+    root : Node
+        Of the tree, whose splits get fits and trials.
+    leaves : sequence of LiveLeaf
+        Of the labels 1, 2, ..., as measured in this frame.
+    labels : (h, w) int32
+        Labels on the grid.
+    scene : Scene
+        The frame.
+    frame : int
+        Its number.
+    config : SegmentationConfig
+        The metric, and T.
+    every_surface : bool
+        Whether every segment that was cut gets its surface of this frame; the same splits are judged.
+
+    Returns
+    -------
+    Renewal
+        Splits that the ratio keeps no longer are undone in the next frame; until then they have the trial
+        by which they were kept last.
+    """
+    label = {id(leaf.node): number for number, leaf in enumerate(leaves, start=1)}
+    reach: dict[int, tuple[int, int]] = {}
+    nodes = depth_first(root)
+    for node in reversed(nodes):
+        if node.children:
+            first, second = node.children
+            reach[id(node)] = reach[id(first)][0], reach[id(second)][1]
+        else:
+            reach[id(node)] = (label[id(node)],) * 2
+    sizes = np.cumsum([0, 0, *(leaf.node.places.size for leaf in leaves)])
+    for node in nodes:
+        if node.division not in (None, Division.CUT):
+            # It has no surface, and its pixels are those of its parts.
+            node.fit = replace(node.fit, pixels=np.zeros(0, dtype=np.intp))
+    rejected: list[Rejected] = []
+    splits = [node for node in nodes if node.division is Division.CUT]
+    judged = places = 0
+    for node in sorted(splits, key=lambda node: -node.age):
+        first_label, last_label = reach[id(node)]
+        size = int(sizes[last_label + 1] - sizes[first_label])
+        turn = judged == 0 or places + size <= _JUDGED_PLACES or node.age >= SPLIT_FRAMES
+        if turn or every_surface:
+            own = np.flatnonzero((labels >= first_label) & (labels <= last_label))
+            node.fit, node.measured = measured(scene, own, config)[1], frame
+        elif node.measured != frame:
+            node.fit = _without_surface(node)
+        if not turn:
+            continue
+        judged, places = judged + 1, places + size
+        trial = _judged(node, size, leaves[first_label - 1 : last_label], scene, config)
+        if trial.kept:
+            node.trial, node.judged, node.age = trial, frame, 0
+        else:
+            rejected.append((node, Attempt(StopReason.CRITERION, trial, frame)))
+    return Renewal(judged, tuple(rejected), max((node.age for node in splits), default=0))
+
+
+def _without_surface(node: Node) -> Fit:
+    return replace(
+        node.fit, surface=None, residuals_m=np.zeros(0), reason=f"measured in frame {node.measured}"
+    )
+
+
+def _judged(
+    node: Node, size: int, below: Sequence[LiveLeaf], scene: Scene, config: SegmentationConfig
+) -> Trial:
+    """Hold a node's surface against those of the leaves below it."""
+    whole = node.value(config), size
+    below = [leaf for leaf in below if leaf.node.places.size]
+    parts = tuple((leaf.node.value(config), leaf.node.places.size) for leaf in below)
+    if acceptance_ratio(config.metric, whole, *parts) >= config.ratio_max:
+        # Moved surfaces explain less than fitted ones: before a split is undone, each gets its best.
+        fits = [measured(scene, leaf.node.places, config)[1] for leaf in below]
+        parts = tuple((metric_value(fit.values, config.metric, fit.floor), fit.pixels.size) for fit in fits)
+    kept = acceptance_ratio(config.metric, whole, *parts) < config.ratio_max
+    return Trial(config.metric, *whole, parts, kept)
+
+
+def give_reasons(
+    leaves: Sequence[LiveLeaf], cuts: int, places_min: float, frame: int, config: SegmentationConfig
+) -> None:
+    """Tell of every leaf why it is one, by what was measured in this frame and by its last trial.
+
+    Parameters
+    ----------
+    leaves : sequence of LiveLeaf
+        As measured in this frame.
+    cuts : int
+        Number of cuts in the tree.
+    places_min : float
+        Fewest places of a segment.
+    frame : int
+        Number of the frame.
+    config : SegmentationConfig
+        T_d, T_s, the metric and T.
+    """
+    for leaf in leaves:
+        node, attempt = leaf.node, leaf.attempt
+        node.measured, node.trial, node.judged = frame, None, frame
+        if node.places.size == 0:
+            node.stop = StopReason.NO_POINTS
+        elif node.fit.surface is None:
+            node.stop = StopReason.NO_FIT
+        elif hopeless(node.fit, config):
+            node.stop = StopReason.NOISE
+        elif node.places.size <= 2.0 * places_min:
+            node.stop = StopReason.TOO_SMALL
+        elif node.cuts_above >= config.depth_max:
+            node.stop = StopReason.DEPTH
+        elif attempt is not None:
+            node.stop, node.trial, node.judged = attempt.stop, attempt.trial, attempt.frame
+        else:
+            node.stop = StopReason.SPLITS if cuts >= config.splits_max else StopReason.UNTRIED
+
+
+__all__ = [
+    "SPLIT_FRAMES",
+    "TRIAL_FRAMES",
+    "Rejected",
+    "Renewal",
+    "give_reasons",
+    "renew_splits",
+]

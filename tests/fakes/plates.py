@@ -1,0 +1,42 @@
+"""A wall with flat plates on it, nearer to it than a gap: what one surface explains badly and cuts find."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nurbseg.segmentation.points.registration import PointMap
+
+SHAPE = (120, 160)
+FOCAL = 130.0
+#: Inverse depth of the wall and how far a plate stands before it, 1/m: less than the smallest gap, 0.025.
+WALL_PER_M, PLATE_PER_M = 0.7, 0.02
+#: Left, top, width and height.
+Box = tuple[int, int, int, int]
+PLATES: tuple[Box, ...] = ((12, 14, 40, 36), (100, 16, 44, 40), (20, 70, 44, 38), (96, 74, 40, 34))
+
+
+def plates(*shown: Box, frame: int = 0, thing: Box | None = None) -> PointMap:
+    """The wall with some plates in colors of their own, and a thing far before it; noise by the frame."""
+    rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
+    per_m = np.full(SHAPE, WALL_PER_M)
+    pattern = 110 + 40 * np.sin(columns / 5.0) * np.cos(rows / 4.0)
+    color = np.repeat(pattern[..., np.newaxis], 3, axis=2)
+    for number, box in enumerate(shown):
+        inside = inside_of(box)
+        per_m[inside] += PLATE_PER_M
+        color[inside] = (200, 50 + 40 * number, 40)
+    if thing is not None:
+        per_m[inside_of(thing)] = 1.2
+        color[inside_of(thing)] = (30, 60, 220)
+    per_m += 5e-4 * np.random.default_rng(frame).standard_normal(SHAPE)
+    depth = 1 / per_m
+    points = np.dstack([(columns - 79.5) / FOCAL * depth, (rows - 59.5) / FOCAL * depth, depth])
+    return PointMap(
+        points.astype(np.float32), color.clip(0, 255).astype(np.uint8), np.ones(SHAPE, dtype=np.bool_)
+    )
+
+
+def inside_of(box: Box) -> tuple[slice, slice]:
+    """The pixels of a box."""
+    left, top, width, height = box
+    return slice(top, top + height), slice(left, left + width)
