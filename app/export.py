@@ -187,7 +187,7 @@ def tree_document(result: FrameResult, metric: Metric) -> dict[str, Any]:
         "level": tree.level,
         "segments": [
             {
-                **_segment_document(each, metric),
+                **_segment_document(each, metric, result.frame.index),
                 "label": label_of.get(each.name),
                 "leaf": leaf_of.get(each.name),
                 "object": object_of.get(each.name),
@@ -213,13 +213,16 @@ def tree_document(result: FrameResult, metric: Metric) -> dict[str, Any]:
     }
 
 
-def _segment_document(each: Segment, metric: Metric) -> dict[str, Any]:
+def _segment_document(each: Segment, metric: Metric, frame: int) -> dict[str, Any]:
     return {
         "name": display_name(each.name),
         "parent": None if each.parent is None else display_name(each.parent),
         "children": [display_name(child) for child in each.children],
         "size": int(each.pixels.size),
         "depth": each.depth,
+        "cuts_above": each.cuts_above,
+        "measured": frame if each.measured is None else each.measured,
+        "judged": frame if each.judged is None else each.judged,
         "value": _number(each.fit.values.get(metric, math.nan)),
         "floor": _number(each.fit.floor),
         "values": {name: _number(value) for name, value in each.fit.values.items()},

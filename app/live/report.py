@@ -22,8 +22,11 @@ from nurbseg.app.atomic_file import write_atomically
 from nurbseg.app.command.config import AppConfig
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.segmentation.live.identity import Event
+from nurbseg.segmentation.live.renewal import SPLIT_FRAMES, TRIAL_FRAMES
 from nurbseg.segmentation.live.tree import Revision
 
+#: What is counted of revisions of the live tree.
+_REVISED = ("refits", "trials", "splits", "appeared", "folds", "judged")
 _PACKAGES = ("nurbseg", "numpy", "scipy", "opencv-python-headless", "rerun-sdk", "mcap")
 
 
@@ -64,14 +67,20 @@ class RunReport:
         self._stages_ms: dict[str, array[float]] = {}
         self._events: Counter[str] = Counter()
         self._anew: Counter[str] = Counter()
+        self._revised: Counter[str] = Counter()
+        self._oldest_split = self._oldest_trial = 0
 
     def add(
         self, elapsed_ms: Mapping[str, float], events: Sequence[Event] = (), revision: Revision | None = None
     ) -> None:
         """Count a frame that was segmented, with each stage's time in milliseconds, and what happened."""
         self._events.update(each.kind for each in events)
-        if revision is not None and revision.cold:
-            self._anew[revision.cold] += 1
+        if revision is not None:
+            if revision.cold:
+                self._anew[revision.cold] += 1
+            self._revised.update({name: getattr(revision, name) for name in _REVISED})
+            self._oldest_split = max(self._oldest_split, revision.oldest)
+            self._oldest_trial = max(self._oldest_trial, revision.oldest_trial)
         self._last_s = time.monotonic()
         if self._first_s is None:
             self._first_s = self._last_s
@@ -129,6 +138,13 @@ class RunReport:
             "latency_ms": {stage: _percentiles(values) for stage, values in self._stages_ms.items()},
             "events": dict(sorted(self._events.items())),
             "segmented_anew": dict(sorted(self._anew.items())),
+            "live_tree": {
+                **self._revised,
+                "oldest_split_frames": self._oldest_split,
+                "oldest_split_frames_limit": SPLIT_FRAMES,
+                "oldest_trial_frames": self._oldest_trial,
+                "oldest_trial_frames_limit": TRIAL_FRAMES,
+            },
             "peak_memory_mb": {
                 "segmentation": round(peak_memory_mb(), 1),
                 "view": round(self.view_peak_mb, 1),

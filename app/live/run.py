@@ -121,7 +121,12 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                         if config.record.only:
                             _pass_by(capture, report, interruption)
                         else:
-                            segmenter = Segmenter(config.segmentation, temporal=temporal, target_hz=target_hz)
+                            segmenter = Segmenter(
+                                config.segmentation,
+                                temporal=temporal,
+                                target_hz=target_hz,
+                                every_surface=bool(exports),
+                            )
                             lateness = Lateness(0.0 if opened.every_frame else config.live.age_max_ms)
                             _work(capture, segmenter, exports, view, lateness, report, interruption)
                     finally:

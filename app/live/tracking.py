@@ -32,10 +32,20 @@ class Segmenter:
         method, the tree of a frame is that of the one before, revised.
     target_hz : float
         Frames per second to hold by doing less for each; 0 for doing the usual.
+    every_surface : bool
+        Whether every segment that was cut has a surface in every frame, as files want it, or just in turn.
     """
 
-    def __init__(self, config: SegmentationConfig, *, temporal: bool, target_hz: float = 0.0) -> None:
+    def __init__(
+        self,
+        config: SegmentationConfig,
+        *,
+        temporal: bool,
+        target_hz: float = 0.0,
+        every_surface: bool = False,
+    ) -> None:
         self.config = config
+        self._every_surface = every_surface
         self._governor = Governor(target_hz, config.decimation) if target_hz > 0 else None
         self._temporal = temporal
         self._live = LiveTree(config) if temporal and lives(config) else None
@@ -65,7 +75,7 @@ class Segmenter:
         cloud = register(frame)
         registered_s = time.perf_counter()
         budget = Budget() if self._governor is None else self._governor.budget
-        tree = self._live.segment(cloud, budget)
+        tree = self._live.segment(cloud, budget, frame=frame.index, every_surface=self._every_surface)
         elapsed_ms = {
             "register": 1e3 * (registered_s - started_s),
             "segment": 1e3 * (time.perf_counter() - registered_s),

@@ -21,6 +21,7 @@ _STOP_TEXTS = {
     "no-fit": "pink: no surface could be fitted",
     "no-points": "white: no points",
     "noise": "turquoise: so near to the sensor's noise that no split can be kept",
+    "untried": "sand: no split was tried lately (live)",
 }
 
 
@@ -140,12 +141,13 @@ yellow {largest_mm * 3 / 4:g} mm, red {largest_mm:g} mm and more.
 **Labels** keep their color from frame to frame. The small dots below the tree's leaves have the colors of
 their labels in the pictures and on the points.
 
-**Tree**: a split segment is gray; a final one has the color of the reason why it was not split further:
+**Tree**: a segment that was cut is gray, one whose parts are not connected or came into view darker; a final
+one has the color of the reason why it was not split further:
 
 {stops}
 
 A split is kept if the parts' {segmentation.metric.upper()} is less than {segmentation.ratio_max:g} of the
-whole's (the column *ratio*).
+whole's (the column *ratio*). What was found in an earlier frame, say 12, is marked *@12*.
 """
 
 

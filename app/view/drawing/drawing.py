@@ -94,7 +94,10 @@ def _nodes(result: FrameResult, metric: Metric) -> tuple[TreeNode, ...]:
             value=each.fit.values.get(metric),
             ratio=each.ratio,
             stop=each.stop,
+            division=each.division,
             has_surface=each.fit.surface is not None,
+            measured=each.measured,
+            judged=each.judged,
         )
         for each in result.tree.segments
     )

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.frame import Calibration
-from nurbseg.segmentation.segments import StopReason
+from nurbseg.segmentation.segments import Division, StopReason
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,11 @@ class TreeNode:
     value: float | None
     ratio: float | None
     stop: StopReason | None
+    division: Division | None
     has_surface: bool
+    #: Frames in which the value, and the ratio or the reason, were found; None for the frame itself.
+    measured: int | None
+    judged: int | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

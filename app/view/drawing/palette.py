@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.segments import StopReason
+from nurbseg.segmentation.segments import Division, StopReason
 
 #: Labels that have a color of their own; the viewer makes up colors beyond.
 LABEL_COLORS = 1023
@@ -23,9 +23,14 @@ STOP_COLORS: dict[StopReason, tuple[int, int, int]] = {
     StopReason.NO_FIT: (240, 98, 180),
     StopReason.NO_POINTS: (240, 240, 240),
     StopReason.NOISE: (45, 190, 200),
+    StopReason.UNTRIED: (214, 196, 120),
 }
-#: Fill of a segment that was split.
-INNER_COLOR = (150, 155, 162)
+#: Fill of a segment that has parts: gray where it was cut, darker where nothing was.
+DIVISION_COLORS: dict[Division, tuple[int, int, int]] = {
+    Division.CUT: (150, 155, 162),
+    Division.GAP: (92, 96, 102),
+    Division.APPEARED: (112, 92, 82),
+}
 
 #: Lines of a plot, in the order of their first appearance.
 SERIES_COLORS = (
@@ -122,4 +127,11 @@ def _oklab(rgb: NDArray[np.uint8]) -> NDArray[np.float64]:
     return lab
 
 
-__all__ = ["INNER_COLOR", "LABEL_COLORS", "SERIES_COLORS", "STOP_COLORS", "label_colors", "residual_colors"]
+__all__ = [
+    "DIVISION_COLORS",
+    "LABEL_COLORS",
+    "SERIES_COLORS",
+    "STOP_COLORS",
+    "label_colors",
+    "residual_colors",
+]

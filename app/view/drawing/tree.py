@@ -9,9 +9,10 @@ import numpy as np
 import rerun as rr
 
 from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame
-from nurbseg.app.view.drawing.palette import INNER_COLOR, LABEL_COLORS, STOP_COLORS, label_colors
+from nurbseg.app.view.drawing.palette import DIVISION_COLORS, LABEL_COLORS, STOP_COLORS, label_colors
 from nurbseg.app.view.drawing.tree_layout import fitted, tidy_positions
 from nurbseg.segmentation.config import Metric
+from nurbseg.segmentation.segments import Division
 
 #: Paths and what is logged there.
 Entities = Iterable[tuple[str, Any]]
@@ -72,12 +73,16 @@ def tree_entities(frame: ViewFrame, metric: Metric) -> Entities:
     yield TREE, rr.GraphEdges(edges, graph_type="directed")
     yield (
         TREE_TABLE,
-        rr.TextDocument(_headline(frame) + tree_table(nodes, metric), media_type=rr.MediaType.MARKDOWN),
+        rr.TextDocument(
+            _headline(frame) + tree_table(nodes, metric, frame.moment.frame), media_type=rr.MediaType.MARKDOWN
+        ),
     )
 
 
 def _node_color(node: TreeNode) -> tuple[int, int, int]:
-    return INNER_COLOR if node.stop is None else STOP_COLORS[node.stop]
+    if node.stop is not None:
+        return STOP_COLORS[node.stop]
+    return DIVISION_COLORS[node.division or Division.CUT]
 
 
 def _headline(frame: ViewFrame) -> str:
@@ -86,10 +91,18 @@ def _headline(frame: ViewFrame) -> str:
     return f"**{name}**: {leaves} final segments of {len(frame.tree)}\n\n"
 
 
-def tree_table(nodes: Iterable[TreeNode], metric: Metric) -> str:
-    """Return the tree as a Markdown table, one line for each segment; leaves have labels."""
+def _mark(found: int | None, frame: int) -> str:
+    return "" if found in (None, frame) else f" @{found}"
+
+
+def tree_table(nodes: Iterable[TreeNode], metric: Metric, frame: int) -> str:
+    """Return the tree of a frame as a Markdown table, one line for each segment; leaves have labels.
+
+    What was found in an earlier frame bears its number: ``0.87 @12``.
+    """
+    value = f"{metric.upper()} ({_METRIC_UNITS[metric]})"
     lines = [
-        f"| segment | label | pixels | {metric.upper()} ({_METRIC_UNITS[metric]}) | ratio | stopped by |",
+        f"| segment | label | pixels | {value} | ratio | parted or stopped by |",
         "|---|---:|---:|---:|---:|---|",
     ]
     for each in nodes:
@@ -97,9 +110,9 @@ def tree_table(nodes: Iterable[TreeNode], metric: Metric) -> str:
             display_name(each.name),
             "" if each.label is None else str(each.label),
             f"{each.pixels:,}",
-            "" if each.value is None else f"{each.value:.3g}",
-            "" if each.ratio is None else f"{each.ratio:.3f}",
-            "" if each.stop is None else str(each.stop),
+            "" if each.value is None else f"{each.value:.3g}" + _mark(each.measured, frame),
+            "" if each.ratio is None else f"{each.ratio:.3f}" + _mark(each.judged, frame),
+            str(each.stop or each.division) + _mark(each.judged, frame),
         )
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
