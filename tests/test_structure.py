@@ -1,6 +1,7 @@
 """The project's structure: folders that can be read, files with one subject, and no circle of imports."""
 
 import ast
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -47,6 +48,13 @@ def test_circles_are_found():
 
 def test_no_module_imports_itself_through_others():
     assert not circles({name: imported(path) - {name} for name, path in MODULES.items()})
+
+
+def test_every_folder_is_packaged():
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        listed = tomllib.load(file)["tool"]["setuptools"]["packages"]
+    folders = {".".join(("nurbseg", *path.parent.relative_to(ROOT).parts)) for path in FILES}
+    assert folders <= set(listed)
 
 
 @pytest.mark.parametrize("folder", sorted({path.parent for path in FILES}), ids=str)
