@@ -206,6 +206,10 @@ def remeasured(
     for label, leaf in enumerate(leaves, start=1):
         own = slice(bounds[label], bounds[label + 1])
         leaf.rms_per_m = float(rms_per_m[label])
+        fitted_now = leaf.age == 0 and leaf.surface is not None and leaf.node.fit.surface is leaf.surface
+        if fitted_now and np.array_equal(leaf.node.places, order[own]):
+            # What the fit told is of these very places, and more exact.
+            continue
         leaf.node.places = order[own]
         if leaf.surface is None or unreached[label] > 0:
             leaf.node.fit = Fit(None, np.zeros(0), {}, leaf.node.fit.reason, pixels[own])

@@ -11,13 +11,10 @@ from numpy.typing import NDArray
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.scene import Scene
 from nurbseg.segmentation.extended.splitting import hopeless, measured
-from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf
+from nurbseg.segmentation.live.leaf import LiveLeaf
 from nurbseg.segmentation.segments import Division, Node, StopReason, Trial, depth_first
-from nurbseg.segmentation.surfaces.metrics import acceptance_ratio, metric_value
+from nurbseg.segmentation.surfaces.metrics import acceptance_ratio
 from nurbseg.segmentation.surfaces.surface import Fit
-
-#: A segment whose split is to be undone, and the attempt at a split that its leaf starts with.
-Rejected = tuple[Node, Attempt]
 
 #: Frames within which every split is judged again, and after which the oldest rejected trial counts no more.
 SPLIT_FRAMES, TRIAL_FRAMES = 60, 300
@@ -33,14 +30,14 @@ class Renewal:
     ----------
     judged : int
         Splits that were.
-    rejected : tuple of (Node, Attempt)
-        Splits of them that the ratio keeps no longer, and what told so.
+    rejected : tuple of Node
+        Splits of them that the ratio no longer keeps, with surfaces that have moved since they were fitted.
     oldest : int
         Frames since the oldest value or ratio of a split was found.
     """
 
     judged: int
-    rejected: tuple[Rejected, ...]
+    rejected: tuple[Node, ...]
     oldest: int
 
 
@@ -96,7 +93,7 @@ def renew_splits(
         if node.division not in (None, Division.CUT):
             # It has no surface, and its pixels are those of its parts.
             node.fit = replace(node.fit, pixels=np.zeros(0, dtype=np.intp))
-    rejected: list[Rejected] = []
+    rejected: list[Node] = []
     splits = [node for node in nodes if node.division is Division.CUT]
     judged = places = 0
     for node in sorted(splits, key=lambda node: -node.age):
@@ -111,11 +108,14 @@ def renew_splits(
         if not turn:
             continue
         judged, places = judged + 1, places + size
-        trial = _judged(node, size, leaves[first_label - 1 : last_label], scene, config)
-        if trial.kept:
+        whole = node.value(config), size
+        below = (leaf.node for leaf in leaves[first_label - 1 : last_label] if leaf.node.places.size)
+        parts = tuple((each.value(config), each.places.size) for each in below)
+        if acceptance_ratio(config.metric, whole, *parts) < config.ratio_max:
+            trial = Trial(config.metric, *whole, parts, kept=True)
             node.trial, node.judged, node.age = trial, frame, 0
         else:
-            rejected.append((node, Attempt(StopReason.CRITERION, trial, frame)))
+            rejected.append(node)
     return Renewal(judged, tuple(rejected), max((node.age for node in splits), default=0))
 
 
@@ -123,21 +123,6 @@ def _without_surface(node: Node) -> Fit:
     return replace(
         node.fit, surface=None, residuals_m=np.zeros(0), reason=f"measured in frame {node.measured}"
     )
-
-
-def _judged(
-    node: Node, size: int, below: Sequence[LiveLeaf], scene: Scene, config: SegmentationConfig
-) -> Trial:
-    """Hold a node's surface against those of the leaves below it."""
-    whole = node.value(config), size
-    below = [leaf for leaf in below if leaf.node.places.size]
-    parts = tuple((leaf.node.value(config), leaf.node.places.size) for leaf in below)
-    if acceptance_ratio(config.metric, whole, *parts) >= config.ratio_max:
-        # Moved surfaces explain less than fitted ones: before a split is undone, each gets its best.
-        fits = [measured(scene, leaf.node.places, config)[1] for leaf in below]
-        parts = tuple((metric_value(fit.values, config.metric, fit.floor), fit.pixels.size) for fit in fits)
-    kept = acceptance_ratio(config.metric, whole, *parts) < config.ratio_max
-    return Trial(config.metric, *whole, parts, kept)
 
 
 def give_reasons(
@@ -160,7 +145,10 @@ def give_reasons(
     """
     for leaf in leaves:
         node, attempt = leaf.node, leaf.attempt
-        node.measured, node.trial, node.judged = frame, None, frame
+        node.measured = node.judged = frame
+        node.trial = None
+        if attempt is not None and attempt.trial is not None:
+            node.trial, node.judged = attempt.trial, attempt.frame
         if node.places.size == 0:
             node.stop = StopReason.NO_POINTS
         elif node.fit.surface is None:
@@ -172,7 +160,7 @@ def give_reasons(
         elif node.cuts_above >= config.depth_max:
             node.stop = StopReason.DEPTH
         elif attempt is not None:
-            node.stop, node.trial, node.judged = attempt.stop, attempt.trial, attempt.frame
+            node.stop, node.judged = attempt.stop, attempt.frame
         else:
             node.stop = StopReason.SPLITS if cuts >= config.splits_max else StopReason.UNTRIED
 
@@ -180,7 +168,6 @@ def give_reasons(
 __all__ = [
     "SPLIT_FRAMES",
     "TRIAL_FRAMES",
-    "Rejected",
     "Renewal",
     "give_reasons",
     "renew_splits",

@@ -23,7 +23,7 @@ from nurbseg.segmentation.extended.splitting import (
 from nurbseg.segmentation.labels.lookup import looked_up
 from nurbseg.segmentation.labels.regions import Joints
 from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf, Misfit
-from nurbseg.segmentation.live.renewal import TRIAL_FRAMES, Rejected
+from nurbseg.segmentation.live.renewal import TRIAL_FRAMES
 from nurbseg.segmentation.live.structure import Growth, Revised
 from nurbseg.segmentation.points.normals import facet_normals
 from nurbseg.segmentation.points.registration import PointMap
@@ -97,7 +97,7 @@ class Reviser:
         leaves: Sequence[LiveLeaf],
         measures: Misfit,
         together: Container[tuple[int, int]],
-        rejected: Sequence[Rejected],
+        rejected: Sequence[Node],
         frame: int,
         budget: Budget,
         config: SegmentationConfig,
@@ -120,7 +120,7 @@ class Reviser:
             How well their surfaces explain them.
         together : container of (int, int)
             Numbers of leaves, the smaller first, that meet and are one object.
-        rejected : sequence of (Node, Attempt)
+        rejected : sequence of Node
             Segments whose split the ratio keeps no longer, and the trial that told so.
         frame : int
             Number of the frame.
@@ -255,13 +255,22 @@ class _Revision:
             return False
         return node.cuts_above < self._config.depth_max
 
-    def undo(self, rejected: Sequence[Rejected]) -> None:
-        """Make one leaf of each segment whose split the ratio keeps no longer."""
-        for node, attempt in rejected:
-            if node.children and self._growth.holds(node):
-                kept = self._growth.undo(node)
-                places = np.flatnonzero(self._growth.labels == kept)
-                self._fold_into(kept, measured(self._scene, places, self._config), attempt)
+    def undo(self, rejected: Sequence[Node]) -> None:
+        """Judge splits again with surfaces fitted anew; make one leaf of each that is not kept."""
+        growth = self._growth
+        for node in rejected:
+            if not (node.children and growth.holds(node)):
+                continue
+            own = [np.flatnonzero(growth.labels == number) for number in growth.below(node)]
+            own = [places for places in own if places.size]
+            if not own:
+                continue
+            whole = measured(self._scene, np.sort(np.concatenate(own), kind="stable"), self._config)
+            trial = self._trial(whole, own)
+            if trial.kept or whole[1].surface is None:
+                node.trial, node.judged, node.age = trial, self._frame, 0
+            else:
+                self._fold_into(growth.undo(node), whole, Attempt(StopReason.CRITERION, trial, self._frame))
 
     def fold(
         self,
@@ -302,10 +311,17 @@ class _Revision:
         ]
         if acceptance_ratio(config.metric, whole, *as_they_are) < config.ratio_max:
             return None
-        fits = [measured(self._scene, places, config)[1] for places in own]
-        parts = tuple((metric_value(fit.values, config.metric, fit.floor), fit.pixels.size) for fit in fits)
-        kept = acceptance_ratio(config.metric, whole, *parts) < config.ratio_max
-        return Trial(config.metric, *whole, parts, kept)
+        return self._trial(both, own)
+
+    def _trial(self, whole: Part, parts: Sequence[NDArray[np.intp]]) -> Trial:
+        """Hold a surface for some places against one fitted to each part of them (eq. 5)."""
+        config = self._config
+        fits = [whole[1], *(measured(self._scene, places, config)[1] for places in parts)]
+        first, *others = (
+            (metric_value(fit.values, config.metric, fit.floor), fit.pixels.size) for fit in fits
+        )
+        kept = acceptance_ratio(config.metric, first, *others) < config.ratio_max
+        return Trial(config.metric, *first, tuple(others), kept)
 
     def _fold_into(self, number: int, part: Part, attempt: Attempt) -> None:
         """Give a leaf that has taken in others its fit, and the trial that told so."""
@@ -324,7 +340,7 @@ class _Revision:
         own = np.flatnonzero(self._growth.labels == number)
         node.places, node.fit, stop = measured(self._scene, own, self._config)
         leaf.surface, leaf.age, leaf.level = node.fit.surface, 0, float("nan")
-        leaf.attempt = None if stop is None else Attempt(stop, None, self._frame)
+        leaf.attempt = None
         if stop is not None or node.fit.surface is None or not node.value(self._config) > 0:
             return False
         scene = scene_of(self._cloud, self._scene, node.places, self._config)

@@ -177,10 +177,14 @@ class Growth:
         leaf.tried = 0.0
         return number
 
+    def below(self, node: Node) -> list[int]:
+        """Return the working numbers of the leaves below a node."""
+        below = {id(each) for each in depth_first(node)}
+        return [number for number, leaf in self.by_number.items() if id(leaf.node) in below]
+
     def undo(self, node: Node) -> int:
         """Make one leaf of all below a node; return its working number, that of the largest of them."""
-        below = {id(each) for each in depth_first(node)}
-        numbers = [number for number, leaf in self.by_number.items() if id(leaf.node) in below]
+        numbers = self.below(node)
         sizes = self.sizes()
         kept = max(numbers, key=lambda number: int(sizes[number]))
         for number in numbers:

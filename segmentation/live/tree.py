@@ -19,7 +19,7 @@ from nurbseg.segmentation.live.follow import grown_labels, kept_labels, moved_su
 from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf, Misfit, misfit, remeasured
 from nurbseg.segmentation.live.motion import brightness, carried, flow_back, resized
 from nurbseg.segmentation.live.objects import ObjectMemory
-from nurbseg.segmentation.live.renewal import Rejected, give_reasons, renew_splits
+from nurbseg.segmentation.live.renewal import give_reasons, renew_splits
 from nurbseg.segmentation.live.revision import Budget, Reviser
 from nurbseg.segmentation.points.grid import decimated_grid
 from nurbseg.segmentation.points.rays import Rays, rays_of
@@ -116,7 +116,7 @@ class LiveTree:
         self._objects = ObjectMemory()
         self._reviser = Reviser()
         self._overdue = 0
-        self._rejected: tuple[Rejected, ...] = ()
+        self._rejected: tuple[Node, ...] = ()
         self._frame = -1
         self._rays: Rays | None = None
         self._lattice = SurfaceLattice([], config.decimation)

@@ -113,9 +113,10 @@ def check_live_stops(frame: ExportedFrame, settings: RunSettings, points_min: fl
             "no-cut": True,
             "untried": True,
         }
-        if not holds.get(leaf.stop or "", False) or (tried and leaf.stop != "criterion"):
-            expected = "criterion" if tried else "a reason that holds"
-            yield Finding(frame.tree_file, leaf.name, "stop", expected, str(leaf.stop))
+        if not holds.get(leaf.stop or "", False):
+            yield Finding(frame.tree_file, leaf.name, "stop", "a reason that holds", str(leaf.stop))
+        if leaf.trial is not None and leaf.trial.kept:
+            yield Finding(frame.tree_file, leaf.name, "trial", "one that was rejected", str(leaf.trial))
 
 
 __all__ = ["check_live_stops", "check_stops"]
