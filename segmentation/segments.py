@@ -51,6 +51,10 @@ class Division(StrEnum):
     APPEARED = "appeared"
 
 
+#: Reasons that a trial, or the lack of one, came to; the others follow from the values themselves.
+TRIED = (StopReason.CRITERION, StopReason.CHILD_TOO_SMALL, StopReason.NO_CUT)
+
+
 @dataclass(frozen=True, slots=True)
 class Trial:
     """A split that was tried: the metric before and after it (eq. 5).
@@ -254,4 +258,4 @@ def depth_first(root: Node) -> list[Node]:
     return nodes
 
 
-__all__ = ["Division", "Node", "Segment", "SegmentationTree", "StopReason", "Trial", "depth_first"]
+__all__ = ["TRIED", "Division", "Node", "Segment", "SegmentationTree", "StopReason", "Trial", "depth_first"]

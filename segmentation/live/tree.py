@@ -24,7 +24,7 @@ from nurbseg.segmentation.live.revision import Budget, Reviser
 from nurbseg.segmentation.points.grid import decimated_grid
 from nurbseg.segmentation.points.rays import Rays, rays_of
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import Division, Node, SegmentationTree, StopReason, depth_first
+from nurbseg.segmentation.segments import TRIED, Division, Node, SegmentationTree, depth_first
 from nurbseg.segmentation.surfaces.inverse_depth import DepthGrid, inverse_depth_image
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 from nurbseg.segmentation.surfaces.surface import Fit
@@ -35,8 +35,6 @@ _CHANGED_SHARE = 0.4
 _WAITING_MOST, _WAITING_FRAMES = 6, 15
 #: A leaf's own residuals, in units of their root mean square, beyond which a place is not its own.
 _OWN_DEVIATIONS = 4.0
-#: Reasons that take a cut to find.
-_TRIED = (StopReason.CRITERION, StopReason.CHILD_TOO_SMALL, StopReason.NO_CUT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +203,7 @@ class LiveTree:
         self._reviser = Reviser()
         self._leaves = [self._reviser.leaf(nodes[leaf.name]) for leaf in tree.leaves()]
         for leaf in self._leaves:
-            if leaf.node.stop in _TRIED:
+            if leaf.node.stop in TRIED:
                 leaf.attempt = Attempt(leaf.node.stop, leaf.node.trial, self._frame)
         self._rejected = ()
         self.labels_before = np.zeros(tree.shape, dtype=np.uint16)

@@ -12,7 +12,7 @@ from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame
 from nurbseg.app.view.drawing.palette import DIVISION_COLORS, LABEL_COLORS, STOP_COLORS, label_colors
 from nurbseg.app.view.drawing.tree_layout import fitted, tidy_positions
 from nurbseg.segmentation.config import Metric
-from nurbseg.segmentation.segments import Division
+from nurbseg.segmentation.segments import TRIED, Division
 
 #: Paths and what is logged there.
 Entities = Iterable[tuple[str, Any]]
@@ -95,6 +95,12 @@ def _mark(found: int | None, frame: int) -> str:
     return "" if found in (None, frame) else f" @{found}"
 
 
+def _reason(node: TreeNode, frame: int) -> str:
+    """Say how a node is divided or why it is a leaf, with the frame of the trial that said so."""
+    by_present_values = node.stop is not None and node.stop not in TRIED
+    return str(node.stop or node.division) + ("" if by_present_values else _mark(node.judged, frame))
+
+
 def tree_table(nodes: Iterable[TreeNode], metric: Metric, frame: int) -> str:
     """Return the tree of a frame as a Markdown table, one line for each segment; leaves have labels.
 
@@ -112,7 +118,7 @@ def tree_table(nodes: Iterable[TreeNode], metric: Metric, frame: int) -> str:
             f"{each.pixels:,}",
             "" if each.value is None else f"{each.value:.3g}" + _mark(each.measured, frame),
             "" if each.ratio is None else f"{each.ratio:.3f}" + _mark(each.judged, frame),
-            str(each.stop or each.division) + _mark(each.judged, frame),
+            _reason(each, frame),
         )
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)

@@ -20,7 +20,7 @@ from rerun.chunk import RrdReader
 
 from nurbseg.app.live.worker import FrameResult, process_frame
 from nurbseg.app.view.config import ViewConfig
-from nurbseg.app.view.drawing.palette import INNER_COLOR, STOP_COLORS
+from nurbseg.app.view.drawing.palette import DIVISION_COLORS, STOP_COLORS
 from nurbseg.app.view.view import NullView, ViewError, open_view
 from nurbseg.app.view.viewer import viewer_executable
 from nurbseg.drivers.frame import Calibration, Intrinsics
@@ -139,7 +139,7 @@ def test_the_trees_nodes_are_filled_by_stop_reason(saved: SavedView, results: li
         ((each >> 24) & 255, (each >> 16) & 255, (each >> 8) & 255) for each in tree["GraphNodes:colors"]
     ]
     assert fills[: len(segments)] == [
-        INNER_COLOR if each.stop is None else STOP_COLORS[each.stop] for each in segments
+        DIVISION_COLORS[each.division] if each.stop is None else STOP_COLORS[each.stop] for each in segments
     ]
     edges = {(edge["first"], edge["second"]) for edge in tree["GraphEdges:edges"]}
     assert edges == {(f"P{each.parent}", f"P{each.name}") for each in segments if each.parent is not None}
@@ -160,7 +160,7 @@ def test_the_table_tells_of_every_segment(saved: SavedView, results: list[FrameR
             assert float(cells[4]) == pytest.approx(each.fit.values["mse"], rel=0.01)
         else:  # a method may fit the final segments only
             assert cells[4].strip() == ""
-        assert cells[6].strip() == (each.stop or "")
+        assert cells[6].strip() == (each.stop or each.division)
 
 
 def test_what_holds_for_the_recording_is_static(saved: SavedView) -> None:
