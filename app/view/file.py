@@ -9,8 +9,8 @@ from pathlib import Path
 
 import rerun as rr
 
+from nurbseg.app.piped_file import PipedFile
 from nurbseg.app.view.drawing.entities import FrameEntities
-from nurbseg.app.view.piped_file import PipedFile
 from nurbseg.app.view.stream import Item, LogLine, Opening, Writer
 from nurbseg.app.view.viewer import ViewError
 from nurbseg.drivers.process.bounded_queue import BoundedQueue

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.cut.features import Normalization, lab, normalization
+from nurbseg.segmentation.cut.features import Normalization, lab, normalization, raw_vectors
 from nurbseg.segmentation.labels.regions import Joints, joints
 from nurbseg.segmentation.points.normals import facet_normals
 from nurbseg.segmentation.points.registration import PointMap
@@ -120,4 +120,43 @@ def node_normalization(
     )
 
 
-__all__ = ["Scene", "node_normalization", "prepare"]
+def scene_of(cloud: PointMap, scene: Scene, places: NDArray[np.intp], config: SegmentationConfig) -> Scene:
+    """Return a scene whose raw vectors are known at some places only, those that are to be split.
+
+    Parameters
+    ----------
+    cloud, scene : PointMap, Scene
+        The frame.
+    places : (N,) intp
+        Flat places of the grid, ascending.
+    config : SegmentationConfig
+        Windows and weights.
+    """
+    if not config.normalize_nodes:
+        return prepare(cloud, config)
+    grid = scene.grid
+    raw = np.zeros((grid.valid.size, 9 if config.normal_weight > 0 else 6), dtype=np.float32)
+    raw[places, :6] = raw_vectors(cloud, grid.points.pixels(places))
+    if config.normal_weight > 0:
+        half = max(1, round(0.5 * config.normal_window_px * grid.unit_px / grid.step - 0.5))
+        rows, columns, (top, left, bottom, right) = grid.points.locate(places)
+        # Windows for normals look at what is around the segment too.
+        top, left = max(0, top - 2 * half), max(0, left - 2 * half)
+        bottom, right = bottom + 2 * half, right + 2 * half
+        shifted = replace(
+            grid.rays,
+            center=(grid.rays.center[0] - left * grid.step, grid.rays.center[1] - top * grid.step),
+        )
+        normals = facet_normals(
+            np.ascontiguousarray(grid.per_m[top:bottom, left:right]),
+            np.ascontiguousarray(grid.valid[top:bottom, left:right]),
+            shifted,
+            step=grid.step,
+            window=2 * half + 1,
+            noise_per_m=config.noise_per_m,
+        )
+        raw[places, 6:] = normals[rows - top, columns - left]
+    return replace(scene, raw=raw)
+
+
+__all__ = ["Scene", "node_normalization", "prepare", "scene_of"]

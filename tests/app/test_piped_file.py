@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from nurbseg.app.view.piped_file import PipedFile
+from nurbseg.app.piped_file import PipedFile
 
 LIMIT_S = 60.0
 
