@@ -14,6 +14,9 @@ from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.config import SplittingPoint
 from nurbseg.segmentation.cut.landmarks import independent_samples
 
+#: Affinities are at least exp(-40), 4e-18: nothing beside 1, and far from subnormal numbers, also when
+#: multiplied, each of which costs some processors a hundred cycles.
+_LEAST_EXPONENT = np.float32(-40.0)
 #: A second eigenvalue at rounding level belongs to points that nothing tells apart.
 _LEAST_EIGENVALUE = 1e-6
 #: Thresholds that are tried where the cut is made at the least Ncut.
@@ -104,6 +107,7 @@ def _affinity(
     right[:, -2], right[:, -1] = -0.5, -0.5 * right[:, -2]
     right *= np.float32(1.0 / scale**2)
     exponent = left @ right.T
+    np.maximum(exponent, _LEAST_EXPONENT, out=exponent)
     return np.asarray(cv2.exp(exponent, dst=exponent), dtype=np.float32)
 
 
