@@ -62,7 +62,7 @@ STAGES: tuple[tuple[str, dict[str, Any]], ...] = (
 METRICS: tuple[Metric, ...] = ("mse", "nle", "vmec")
 THRESHOLDS = (1.0, 0.9, 0.7)
 #: Left out as well: every split that is tried is kept.
-NO_RATIO = ("the ratio (every split is kept)", {"ratio_max": np.inf})
+NO_RATIO = ("the ratio (every split is kept)", {"ratio_max": 1e9})
 
 Frames = Sequence[tuple[PointMap, NDArray[np.uint16]]]
 

@@ -123,7 +123,7 @@ def test_what_is_tried_is_what_may_be_accepted(cloud_of, ratio_max, stop):
 
 def test_a_ratio_that_always_accepts_splits_down_to_the_limits(cloud_of):
     cloud = cloud_of(roof(0.0))
-    tree = segment(cloud, replace(CONFIG, ratio_max=float("inf"), depth_max=3))
+    tree = segment(cloud, replace(CONFIG, ratio_max=1e9, depth_max=3))
     reasons = {leaf.stop for leaf in tree.leaves()}
     assert StopReason.DEPTH in reasons
     assert not reasons & {StopReason.NOISE, StopReason.CRITERION}
