@@ -1,5 +1,6 @@
-"""The project's folders: short enough to be read, and all of them packaged."""
+"""The project's folders: short enough to be read, all of them packaged, and described as they are."""
 
+import re
 import tomllib
 from pathlib import Path
 
@@ -20,3 +21,13 @@ def test_every_folder_is_packaged():
 @pytest.mark.parametrize("folder", sorted({path.parent for path in FILES}), ids=str)
 def test_a_folder_can_be_read(folder: Path):
     assert len([path for path in FILES if path.parent == folder]) <= 14
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").glob("*.md")), ids=lambda page: page.name)
+def test_files_that_a_page_names_exist(page: Path):
+    text = page.read_text()
+    named = set(re.findall(r"`((?:app|drivers|segmentation|tests|benchmarks)/[\w./]*)`", text))
+    linked = {link for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text)}
+    missing = {name for name in named if not (ROOT / name).exists()}
+    missing |= {link for link in linked if not (page.parent / link).exists()}
+    assert not missing
