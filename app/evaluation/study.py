@@ -33,6 +33,8 @@ from nurbseg.segmentation.stag15 import SegmentationTree
 _ALL = 10**9
 #: Longest wait for a Dask cluster's first worker.
 _WORKER_TIMEOUT_S = 20.0
+#: Keeps the current folder off the path of Python processes, also of those that joblib starts.
+_SAFE_PATH = "PYTHONSAFEPATH"
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,6 +184,20 @@ def run_study(
 
 
 @contextmanager
+def _without_current_folder() -> Iterator[None]:
+    """Let no process that is started meanwhile run somebody's threading.py in the current folder."""
+    before = os.environ.get(_SAFE_PATH)
+    os.environ[_SAFE_PATH] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[_SAFE_PATH]
+        else:
+            os.environ[_SAFE_PATH] = before
+
+
+@contextmanager
 def workers(scheduler: str | None, jobs: int) -> Iterator[None]:
     """Choose who does the work, and let go of them afterwards."""
     import joblib
@@ -190,12 +206,10 @@ def workers(scheduler: str | None, jobs: int) -> Iterator[None]:
         if jobs == 1:
             yield
             return
-        # Python would otherwise run what a stranger called threading.py in the current folder.
-        os.environ["PYTHONSAFEPATH"] = "1"
         from joblib.externals.loky import get_reusable_executor
 
         try:
-            with joblib.parallel_config("loky", inner_max_num_threads=1):
+            with _without_current_folder(), joblib.parallel_config("loky", inner_max_num_threads=1):
                 yield
         finally:
             get_reusable_executor().shutdown(wait=True)

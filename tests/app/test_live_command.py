@@ -246,7 +246,8 @@ def test_the_fallback_is_said_and_replayed(live: Live) -> None:
 
 def test_a_full_disk_ends_with_1_and_says_what_is_kept(live: Live, tmp_path: Path) -> None:
     def nearly_full() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+        # Enough for the settings, too little for the labels of a frame.
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1200, 1200))
 
     done = live("--replay", SMALL.format(3), *FAST, "--export", "out", preexec_fn=nearly_full)
     assert done.returncode == 1, done.stderr

@@ -14,6 +14,7 @@ import pytest
 from nurbseg.app.evaluation.cli import main
 from nurbseg.app.evaluation.methods.methods import labels_on_disk
 from nurbseg.app.evaluation.store import StudyStore
+from nurbseg.app.evaluation.study import workers
 from nurbseg.drivers.synthetic.source import SyntheticSource
 
 METHODS = "stag15,pz14,fh04,kmeans"
@@ -60,6 +61,13 @@ def test_a_dask_cluster_of_two_workers_gives_the_same_table(frames: Path, tmp_pa
     ) as cluster:
         shared = evaluate(frames, tmp_path / "shared", "--scheduler", cluster.scheduler_address)
     assert shared == alone
+
+
+def test_workers_leave_the_environment_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    with workers(None, 2):
+        assert os.environ["PYTHONSAFEPATH"] == "1"
+    assert "PYTHONSAFEPATH" not in os.environ
 
 
 def test_no_scheduler_at_the_address_is_a_usage_error(
