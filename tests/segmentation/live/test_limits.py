@@ -261,3 +261,16 @@ def test_splits_are_undone_where_one_surface_explains_their_parts_and_not_before
     assert folds > 0
     (wall_again,) = tree.segments
     assert wall_again.stop is StopReason.NOISE
+
+
+def test_a_split_in_doubt_is_undone_only_if_fitted_surfaces_do_not_keep_it() -> None:
+    live = LiveTree(CONFIG)
+    cloud = plates(*PLATES[:2], frame=0)
+    live.segment(cloud, frame=100)
+    assert live._root.division is Division.CUT
+    # As if surfaces that had moved no longer kept it: those fitted to the wall and its plates do.
+    live._rejected = (live._root,)
+    tree = live.segment(cloud, frame=101)
+    assert tree.root.division is Division.CUT
+    assert tree.root.trial is not None
+    assert ratio_of("mse", (tree.root.trial.value, tree.root.trial.points), tree.root.trial.parts) < 0.9
