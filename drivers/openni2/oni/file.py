@@ -18,6 +18,8 @@ from nurbseg.drivers.errors import RecordingFormatError
 from nurbseg.drivers.openni2.capi import PixelFormat, Sensor
 
 _HEADER = struct.Struct("<4sBBHIQI")  # magic, version, largest time, largest node number
+_LARGEST_NODE = struct.Struct("<I")
+_LARGEST_NODE_AT = _HEADER.size - _LARGEST_NODE.size
 _RECORD = struct.Struct("<IIIIIQ")  # magic, type, node, size with fields, size of payload, undo position
 _MAGIC = 0x0052494E  # "NIR"
 _NODE_ADDED = (0x02, 0x0C, 0x0D)
@@ -235,6 +237,27 @@ def has_begun(path: Path, streams: int) -> bool:
     with path.open("rb") as file:
         file.seek(_HEADER.size)
         return sum(kind == _DATA_BEGIN for kind, *_ in _records(file)) >= streams
+
+
+def correct_header(path: Path) -> bool:
+    """Let the header of a recording count all of its streams; return whether it did not.
+
+    OpenNI2's recorder now and then counts one stream too few until it writes the file's end. Its player
+    refuses such a file, so a recording that was cut short could not be played.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read or written.
+    """
+    with path.open("r+b") as file:
+        *_, counted = _HEADER.unpack(file.read(_HEADER.size))
+        found = max((node for kind, node, *_ in _records(file) if kind in _NODE_ADDED), default=0)
+        if counted >= found:
+            return False
+        file.seek(_LARGEST_NODE_AT)
+        file.write(_LARGEST_NODE.pack(found))
+    return True
 
 
 def _read_note(file: BinaryIO, end: int) -> dict[str, Any]:

@@ -14,7 +14,7 @@ import numpy as np
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.openni2.capi import Sensor, StreamProperty
 from nurbseg.drivers.openni2.isolated.messages import Failure
-from nurbseg.drivers.openni2.oni.file import finish, has_begun, read_structure
+from nurbseg.drivers.openni2.oni.file import correct_header, finish, has_begun, read_structure
 from nurbseg.drivers.openni2.oni.player import End, PlayedImage
 from nurbseg.drivers.openni2.oni.player_process import PlayerProcess
 from nurbseg.drivers.openni2.opened import OpenedDevice
@@ -93,6 +93,7 @@ class OniRecorder:
             if time.monotonic() > deadline:
                 raise DriverError(f"{self.path}: OpenNI2's recorder does not start")
             time.sleep(0.002)
+        correct_header(self.path)
 
     def _destroy(self) -> None:
         native = self._device.library.native

@@ -24,8 +24,8 @@ from nurbseg.drivers.errors import (
 from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.drivers.openni2 import open_uri
 from nurbseg.drivers.openni2.device import DeviceSource
-from nurbseg.drivers.openni2.oni import player_process
-from nurbseg.drivers.openni2.oni.file import read_structure
+from nurbseg.drivers.openni2.oni import player_process, recorder
+from nurbseg.drivers.openni2.oni.file import correct_header, has_begun, read_structure
 from nurbseg.drivers.openni2.oni.playback import OniSource
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.options import SourceOptions
@@ -281,6 +281,39 @@ def test_a_killed_recording_replays_to_its_last_frame(virtual_cameras, tmp_path,
     assert "breaks off" in caplog.text
     assert len(frames) >= 15
     assert_exact(frames, first=0)
+
+
+def test_a_header_that_counts_too_few_streams_is_corrected(recording):
+    """OpenNI2's recorder leaves such a header now and then, where it is killed."""
+    with recording.open("r+b") as file:
+        file.seek(20)
+        assert file.read(4) == b"\x02\0\0\0"
+        file.seek(20)
+        file.write(b"\x01\0\0\0")
+    with pytest.raises(RecordingFormatError, match="OpenNI2 cannot play it"):
+        replay(recording)
+    assert correct_header(recording)
+    assert_exact(replay(recording), first=0)
+    assert not correct_header(recording)
+
+
+def test_a_recorder_that_begins_with_such_a_header_is_corrected(virtual_cameras, tmp_path, monkeypatch):
+    virtual_cameras.add()
+    path = tmp_path / "clip.oni"
+
+    def begin_with_a_wrong_header(path, streams):
+        if not has_begun(path, streams):
+            return False
+        with path.open("r+b") as file:
+            file.seek(20)
+            file.write(b"\x01\0\0\0")
+        return True
+
+    monkeypatch.setattr(recorder, "has_begun", begin_with_a_wrong_header)
+    with DeviceSource() as source:
+        source.start_recording(path)
+        source.read()
+        assert path.read_bytes()[20:24] == b"\x02\0\0\0"
 
 
 @pytest.mark.parametrize("kept", [0.001, 0.3, 0.6, 0.95])
