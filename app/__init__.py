@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from nurbseg.app.command.config import AppConfig
     from nurbseg.app.live.capture import Captured, CaptureThread
-    from nurbseg.app.live.worker import FrameResult, process_frame
+    from nurbseg.app.live.tracking import process_frame
+    from nurbseg.app.result import FrameResult
     from nurbseg.app.view.view import View, open_view
 
 __all__ = [
@@ -25,10 +26,10 @@ _MODULES = {
     "AppConfig": "command.config",
     "CaptureThread": "live.capture",
     "Captured": "live.capture",
-    "FrameResult": "live.worker",
+    "FrameResult": "result",
     "View": "view.view",
     "open_view": "view.view",
-    "process_frame": "live.worker",
+    "process_frame": "live.tracking",
 }
 
 

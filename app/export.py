@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.atomic_file import write_atomically
-from nurbseg.app.live.worker import FrameResult
+from nurbseg.app.result import FrameResult
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.segments import Segment, SegmentationTree, Trial
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 
 from nurbseg.app.live.capture import CaptureThread
-from nurbseg.app.live.worker import FrameResult
+from nurbseg.app.result import FrameResult
 
 _log = logging.getLogger(__name__)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import platform
 import resource
 import sys
 import time
@@ -12,7 +11,6 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +19,13 @@ import numpy as np
 from nurbseg.app.atomic_file import write_atomically
 from nurbseg.app.command.config import AppConfig
 from nurbseg.app.live.capture import CaptureThread
+from nurbseg.app.versions import versions
 from nurbseg.segmentation.live.identity import Event
 from nurbseg.segmentation.live.renewal import SPLIT_FRAMES, TRIAL_FRAMES
 from nurbseg.segmentation.live.tree import Revision
 
 #: What is counted of revisions of the live tree.
 _REVISED = ("refits", "trials", "splits", "appeared", "folds", "judged")
-_PACKAGES = ("nurbseg", "numpy", "scipy", "opencv-python-headless", "rerun-sdk", "mcap")
 
 
 class RunReport:
@@ -176,14 +174,3 @@ def peak_memory_mb() -> float:
     # Linux counts in KiB; macOS in bytes.
     unit = 1 if sys.platform == "darwin" else 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of what the figures depend on."""
-    found = {"python": platform.python_version(), "platform": platform.platform()}
-    for package in _PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "not installed as a package"
-    return found

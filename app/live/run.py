@@ -21,8 +21,8 @@ from nurbseg.app.live.progress import Progress
 from nurbseg.app.live.report import RunReport
 from nurbseg.app.live.tracking import Segmenter
 from nurbseg.app.live.warmup import Loading
-from nurbseg.app.live.worker import FrameResult
 from nurbseg.app.recording.recorder import open_recording, tell_recorded
+from nurbseg.app.result import FrameResult
 from nurbseg.app.view.view import View, ViewError, open_view
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.process.child import ChildProcess

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.live.rate_controller import Governor
-from nurbseg.app.live.worker import FrameResult, process_frame
+from nurbseg.app.result import FrameResult
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.labels.lookup import looked_up
 from nurbseg.segmentation.live.identity import Identities, carry_identities
 from nurbseg.segmentation.live.tree import Budget, LiveTree, lives
 from nurbseg.segmentation.points.registration import register
-from nurbseg.segmentation.stag15 import SegmentationTree
+from nurbseg.segmentation.stag15 import SegmentationTree, segment
 
 
 class Segmenter:
@@ -110,6 +110,33 @@ class Segmenter:
             surface_identities=self._surfaces,
             object_identities=self._objects if tree.objects else None,
         )
+
+
+def process_frame(frame: RGBDFrame, config: SegmentationConfig) -> FrameResult:
+    """Register and segment one frame.
+
+    Parameters
+    ----------
+    frame : RGBDFrame
+        Depth and color.
+    config : SegmentationConfig
+        How to segment.
+
+    Returns
+    -------
+    FrameResult
+        With the stages ``register`` and ``segment``.
+    """
+    started_s = time.perf_counter()
+    cloud = register(frame)
+    registered_s = time.perf_counter()
+    tree = segment(cloud, config)
+    segmented_s = time.perf_counter()
+    elapsed_ms = {
+        "register": 1e3 * (registered_s - started_s),
+        "segment": 1e3 * (segmented_s - registered_s),
+    }
+    return FrameResult(frame, cloud, tree, MappingProxyType(elapsed_ms))
 
 
 def _object_of_label(tree: SegmentationTree) -> NDArray[np.uint16]:

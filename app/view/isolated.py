@@ -12,8 +12,8 @@ from dataclasses import asdict, dataclass, fields
 from types import TracebackType
 from typing import Any, Self
 
-from nurbseg.app.live.report import versions
-from nurbseg.app.live.worker import FrameResult
+from nurbseg.app.result import FrameResult
+from nurbseg.app.versions import versions
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame

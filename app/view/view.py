@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from types import TracebackType
 from typing import Protocol, Self
 
-from nurbseg.app.live.worker import FrameResult
+from nurbseg.app.result import FrameResult
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.process import begin_view
 from nurbseg.app.view.viewer import ViewError

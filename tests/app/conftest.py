@@ -18,7 +18,8 @@ import numpy as np
 import pytest
 from fair_clock import FairClock
 
-from nurbseg.app.live.worker import FrameResult, process_frame
+from nurbseg.app.live.tracking import process_frame
+from nurbseg.app.result import FrameResult
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
 

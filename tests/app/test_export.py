@@ -9,7 +9,8 @@ import pytest
 
 from nurbseg.app.atomic_file import write_atomically
 from nurbseg.app.export import Exporter, ExportError, run_settings, surfaces_npz, tree_document
-from nurbseg.app.live.worker import FrameResult, process_frame
+from nurbseg.app.live.tracking import process_frame
+from nurbseg.app.result import FrameResult
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.segments import SegmentationTree, Trial
 from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from nurbseg.app.live.worker import FrameResult, process_frame
+from nurbseg.app.live.tracking import process_frame
+from nurbseg.app.result import FrameResult
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.live.worker import FrameResult
+from nurbseg.app.result import FrameResult
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.frame import Moment, TreeNode, ViewFrame
 from nurbseg.app.view.drawing.surface_mesh import surface_mesh

@@ -18,7 +18,8 @@ import psutil
 import pytest
 from rerun.chunk import RrdReader
 
-from nurbseg.app.live.worker import FrameResult, process_frame
+from nurbseg.app.live.tracking import process_frame
+from nurbseg.app.result import FrameResult
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.palette import DIVISION_COLORS, STOP_COLORS
 from nurbseg.app.view.view import NullView, ViewError, open_view

@@ -13,7 +13,8 @@ import numpy as np
 import psutil
 import pytest
 
-from nurbseg.app.live.worker import FrameResult, process_frame
+from nurbseg.app.live.tracking import process_frame
+from nurbseg.app.result import FrameResult
 from nurbseg.app.view import isolated as view_isolated
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.isolated import IsolatedView

@@ -18,7 +18,7 @@ import psutil
 import pytest
 from rerun.experimental import ViewerClient
 
-from nurbseg.app.live.worker import FrameResult
+from nurbseg.app.result import FrameResult
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.isolated import IsolatedView
 from nurbseg.app.view.view import ViewError, open_view

@@ -1,22 +1,20 @@
-"""What is done with one frame, in the method's order."""
+"""What one frame gave: its points, its segments, and how long that took."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.frame import RGBDFrame
-from nurbseg.segmentation.config import Level, SegmentationConfig
+from nurbseg.segmentation.config import Level
 from nurbseg.segmentation.labels.lookup import looked_up
 from nurbseg.segmentation.live.identity import Event, Identities
 from nurbseg.segmentation.live.tree import Revision
-from nurbseg.segmentation.points.registration import PointMap, register
-from nurbseg.segmentation.stag15 import SegmentationTree, segment
+from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.segmentation.segments import SegmentationTree
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,30 +95,3 @@ def _each_identified(count: int, identities: Identities | None) -> tuple[int, ..
         return tuple(range(1, count + 1))
     # A leaf may have lost its last pixel to its neighbours: then it has no identity, and its label is 0.
     return tuple(identities.of_label.get(label, 0) for label in range(1, count + 1))
-
-
-def process_frame(frame: RGBDFrame, config: SegmentationConfig) -> FrameResult:
-    """Register and segment one frame.
-
-    Parameters
-    ----------
-    frame : RGBDFrame
-        Depth and color.
-    config : SegmentationConfig
-        How to segment.
-
-    Returns
-    -------
-    FrameResult
-        With the stages ``register`` and ``segment``.
-    """
-    started_s = time.perf_counter()
-    cloud = register(frame)
-    registered_s = time.perf_counter()
-    tree = segment(cloud, config)
-    segmented_s = time.perf_counter()
-    elapsed_ms = {
-        "register": 1e3 * (registered_s - started_s),
-        "segment": 1e3 * (segmented_s - registered_s),
-    }
-    return FrameResult(frame, cloud, tree, MappingProxyType(elapsed_ms))
