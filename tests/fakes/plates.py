@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nurbseg.segmentation.points.registration import PointMap
 
@@ -28,8 +29,13 @@ def plates(*shown: Box, frame: int = 0, thing: Box | None = None) -> PointMap:
     if thing is not None:
         per_m[inside_of(thing)] = 1.2
         color[inside_of(thing)] = (30, 60, 220)
-    per_m += 5e-4 * np.random.default_rng(frame).standard_normal(SHAPE)
-    depth = 1 / per_m
+    return cloud_of(per_m, color, frame)
+
+
+def cloud_of(per_m: NDArray[np.float64], color: NDArray[np.float64], frame: int = 0) -> PointMap:
+    """A frame of inverse depths, 1/m, with the noise of its number; every pixel has a point."""
+    rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
+    depth = 1 / (per_m + 5e-4 * np.random.default_rng(frame).standard_normal(SHAPE))
     points = np.dstack([(columns - 79.5) / FOCAL * depth, (rows - 59.5) / FOCAL * depth, depth])
     return PointMap(
         points.astype(np.float32), color.clip(0, 255).astype(np.uint8), np.ones(SHAPE, dtype=np.bool_)

@@ -145,6 +145,35 @@ def test_a_leaf_of_one_place_has_the_values_of_that_place(grid: DepthGrid, label
     assert leaves[1].node.places.tolist() == [place]
 
 
+def test_a_fit_of_this_frame_is_kept_where_it_is_of_all_places_and_of_this_surface(
+    grid: DepthGrid, labels: np.ndarray
+) -> None:
+    shown = np.where(labels < 3, labels, 0).astype(np.int32)
+
+    def measured(*, age: int = 0, moved: bool = False, places: int = 0) -> bool:
+        leaves = leaves_of(grid, shown)[:2]
+        for leaf in leaves:
+            # As fitted now, to all of its places but for the first few.
+            leaf.node.places = np.flatnonzero(shown == leaf.number)[places:]
+            leaf.age = age
+            if moved:
+                assert leaf.surface is not None
+                leaf.surface = replace(leaf.surface)
+        before = [leaf.node.fit for leaf in leaves]
+        lattice = SurfaceLattice([leaf.surface for leaf in leaves], 2)
+        assert not remeasured(leaves, shown, lattice, grid, CONFIG)
+        assert all(np.array_equal(leaf.node.places, np.flatnonzero(shown == leaf.number)) for leaf in leaves)
+        assert all(leaf.rms_per_m > 0 for leaf in leaves)
+        kept = {leaf.node.fit is fit for leaf, fit in zip(leaves, before, strict=True)}
+        assert len(kept) == 1
+        return kept.pop()
+
+    assert measured()
+    assert not measured(age=1)
+    assert not measured(moved=True)
+    assert not measured(places=1)
+
+
 @pytest.mark.parametrize("metric", ["mse", "mae", "ve", "nle", "vmec", "nlc"])
 def test_floors_are_those_of_each_leaf_alone(grid: DepthGrid, labels: np.ndarray, metric: Metric) -> None:
     config = replace(CONFIG, metric=metric, large_curvature_per_m=1.0)

@@ -208,3 +208,12 @@ def test_a_split_undone_is_one_leaf_with_the_label_of_its_largest():
     done = growth.finished()
     assert done.on_grid.tolist() == [[1, 4, 4, 4, 4]]
     assert done.final.tolist() == [0, 1, 2, 2, 2]
+
+
+def test_a_split_undone_leaves_the_others_what_they_have():
+    grown = Grown()
+    assert grown.growth.undo(grown.nodes["0"]) == 1
+    assert grown.names() == ["", "0", "1"]
+    done = grown.growth.finished()
+    assert done.on_grid.tolist() == [[1, 1, 1, 4]] * 6
+    assert done.final.tolist() == [0, 1, 1, 1, 2]

@@ -1,0 +1,126 @@
+"""A tree whose leaves are upright bands of a wall, as the live tree holds it between two frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from plates import SHAPE, WALL_PER_M, Box, cloud_of, inside_of
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.extended.scene import Scene, prepare
+from nurbseg.segmentation.extended.splitting import measured
+from nurbseg.segmentation.live.leaf import LiveLeaf, Misfit
+from nurbseg.segmentation.live.revision import Budget, Reviser
+from nurbseg.segmentation.live.structure import Revised
+from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.segmentation.segments import Division, Node, Trial
+
+#: A segment has at least 25 places of the grid of every second pixel.
+CONFIG = SegmentationConfig(level="surfaces", samples=60, noise_per_m=5e-4, piece_pixels_min=1600)
+GRID = SHAPE[0] // 2, SHAPE[1] // 2
+#: The frame before the one that is looked at.
+BEFORE, FRAME = 40, 41
+
+
+@dataclass
+class Band:
+    """Columns and rows of the grid that a leaf has, and how much nearer than the wall it is, 1/m."""
+
+    name: str
+    columns: int
+    nearer_per_m: float = 0.0
+    rows: int = GRID[0]
+
+
+@dataclass
+class DesignedTree:
+    """A frame, its labels on the grid, and the tree of them."""
+
+    cloud: PointMap
+    scene: Scene
+    labels: NDArray[np.int32]
+    root: Node
+    leaves: list[LiveLeaf]
+    reviser: Reviser
+    nodes: dict[str, Node]
+
+    def revise(
+        self,
+        *,
+        appeared: NDArray[np.int32] | None = None,
+        square: Sequence[float] = (),
+        unreached: Sequence[float] = (),
+        together: Sequence[tuple[int, int]] = (),
+        rejected: Sequence[Node] = (),
+        budget: Budget | None = None,
+        config: SegmentationConfig = CONFIG,
+    ) -> Revised:
+        """Revise the tree; by default nothing is amiss, and nothing is in the budget."""
+        count = len(self.leaves) + 1
+        places = np.bincount(self.labels.ravel(), minlength=count)
+        misfit = Misfit(
+            places,
+            np.array([0.0, *square]) if square else np.ones(count),
+            np.array([0.0, *unreached]) if unreached else np.zeros(count),
+        )
+        return self.reviser.revise(
+            self.cloud,
+            self.scene.grid,
+            self.scene.joined,
+            self.labels,
+            np.zeros(GRID, np.int32) if appeared is None else appeared,
+            self.root,
+            self.leaves,
+            misfit,
+            set(together),
+            rejected,
+            FRAME,
+            budget or Budget(refits=0, trials=0, folds=0),
+            config,
+        )
+
+
+def designed_tree(
+    *bands: Band, boxes: Sequence[Box] = (), config: SegmentationConfig = CONFIG
+) -> DesignedTree:
+    """Build the tree of some bands, whose names say what is cut where.
+
+    Parameters
+    ----------
+    *bands : Band
+        From left to right, in the order of the tree. What they leave of the wall has no label.
+    boxes : sequence of Box
+        Plates of another color, 0.02 / m nearer than what they stand on, pixels.
+    """
+    per_m = np.full(SHAPE, WALL_PER_M)
+    labels = np.zeros(GRID, np.int32)
+    left = 0
+    for label, band in enumerate(bands, start=1):
+        labels[: band.rows, left : left + band.columns] = label
+        per_m[: 2 * band.rows, 2 * left : 2 * (left + band.columns)] += band.nearer_per_m
+        left += band.columns
+    color = np.full((*SHAPE, 3), 120.0)
+    for box in boxes:
+        per_m[inside_of(box)] += 0.02
+        color[inside_of(box)] = 200, 60, 40
+    cloud = cloud_of(per_m, color)
+    scene = prepare(cloud, config)
+
+    nodes: dict[str, Node] = {}
+    for label, band in enumerate(bands, start=1):
+        places = np.flatnonzero(labels == label)
+        nodes[band.name] = Node(band.name, places, measured(scene, places, config)[1])
+    inner = {band.name[:end] for band in bands for end in range(len(band.name))}
+    for name in sorted(inner, key=len, reverse=True):
+        children = nodes[f"{name}0"], nodes[f"{name}1"]
+        places = np.sort(np.concatenate([child.places for child in children]))
+        node = nodes[name] = Node(name, places, measured(scene, places, config)[1], children, Division.CUT)
+        node.trial = Trial("mse", 9.0, places.size, ((1.0, places.size),), True)
+    for node in nodes.values():
+        node.cuts_above, node.measured, node.judged = len(node.name), BEFORE, BEFORE
+    reviser = Reviser()
+    leaves = [reviser.leaf(nodes[band.name]) for band in bands]
+    return DesignedTree(cloud, scene, labels, nodes[""], leaves, reviser, nodes)
