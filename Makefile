@@ -31,9 +31,10 @@ demo: $(VENV)/demo.stamp
 	@echo "rates, latency, memory:          $(OUT)/demo.json"
 	@echo "live, with a viewer:             $(BIN)/nurbseg-live"
 
-# A run takes minutes. What would not end by itself is ended.
+# A run takes minutes. What would not end by itself is ended. Many tests wait for a camera that has a rate
+# of its own, so there may be more at once than there are cores.
 test: setup-test lint types
-	timeout --foreground --kill-after=30s 40m $(BIN)/pytest
+	timeout --foreground --kill-after=30s 40m $(BIN)/pytest -n 3 --dist worksteal
 
 # Fails where fewer than 85 % of the changes that could be noticed are.
 mutants: setup-test

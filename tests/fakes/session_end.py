@@ -31,7 +31,8 @@ def pytest_unconfigure(config: pytest.Config) -> None:
         print(f"ended by force, threads still run: {', '.join(stuck)}", flush=True)
         sys.stderr.flush()
         os._exit(config.stash[_status])
-    if sys.__stderr__ is not None:
+    is_worker = hasattr(config, "workerinput")  # waits for the others, and is ended by the first process
+    if sys.__stderr__ is not None and not is_worker:
         # Others may be stuck in a library: Rerun's can hold up the interpreter's end for good.
         faulthandler.dump_traceback_later(_END_LIMIT_S, exit=True, file=sys.__stderr__)
 
