@@ -1,4 +1,4 @@
-"""Which results come too late to be shown as live."""
+"""Latency filter: which results come too late to be shown as live."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _log = logging.getLogger(__name__)
 _LONGEST_GAP_S = 1.0
 
 
-class Lateness:
+class LatencyFilter:
     """Holds back results that are older than allowed, but never all of them.
 
     Parameters
@@ -35,7 +35,7 @@ class Lateness:
         self._shown_s: float | None = None
         self._said = False
 
-    def admits(self, age_ms: float) -> bool:
+    def passes(self, age_ms: float) -> bool:
         """Say whether a result of this age is to be shown, and take note of it.
 
         The first one always is, and one that is too old where nothing was shown for a second.
@@ -54,6 +54,3 @@ class Lateness:
                 )
         self._shown_s = now_s
         return True
-
-
-__all__ = ["Lateness"]

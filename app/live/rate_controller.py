@@ -1,4 +1,4 @@
-"""The governor: lowers what a frame may cost until a wanted rate is held, and says so."""
+"""Rate controller: lowers what a frame may cost until a wanted rate is held, and logs that."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from nurbseg.segmentation.live.tree import Budget
 
 _log = logging.getLogger(__name__)
 
-#: Pixels between the places of the grid beyond the usual; more saves nothing. The budget of revisions is left
-#: alone: what is not revised piles up until a frame is segmented anew, which costs more than was saved.
+#: Pixels by which the step of the grid may exceed the usual one; more saves nothing. The budget of revisions
+#: stays: what is put off piles up until a frame is segmented from scratch, which costs more than was saved.
 _COARSER = (0, 1, 2)
 #: Coarsest grid, pixels.
 _DECIMATION_MOST = 8
@@ -25,7 +25,7 @@ _DOWN_AFTER, _UP_AFTER = 8, 60
 _LASTED = 600
 
 
-class Governor:
+class RateController:
     """Chooses the working resolution that holds a rate.
 
     Parameters
@@ -66,7 +66,7 @@ class Governor:
         frame_ms : float
             Time from taking the frame to its labels, milliseconds.
         cold : bool
-            Whether it was segmented anew, which tells nothing of those that follow.
+            Whether it was segmented from scratch, which tells nothing of those that follow.
         """
         self._since += 1
         if cold:

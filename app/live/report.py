@@ -18,8 +18,10 @@ import numpy as np
 
 from nurbseg.app.atomic_file import write_atomically
 from nurbseg.app.command.config import AppConfig
+from nurbseg.app.export import ExportError
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.versions import versions
+from nurbseg.app.view.view import View
 from nurbseg.segmentation.live.identity import Event
 from nurbseg.segmentation.live.renewal import SPLIT_FRAMES, TRIAL_FRAMES
 from nurbseg.segmentation.live.tree import Revision
@@ -34,7 +36,7 @@ class RunReport:
     Parameters
     ----------
     config : AppConfig
-        What the run was told.
+        Of the run; names the file.
     source : str
         What frames come from, as a person names it.
     metadata : mapping of str to str
@@ -46,15 +48,18 @@ class RunReport:
         Frames segmented so far.
     late : int
         Frames of them that were too old to be shown.
-    passed_by : int
-        Frames taken that were to be recorded only.
-    view_peak_mb : float
-        Largest resident size of the process that shows and saves, 10^6 bytes.
+    recorded_only : int
+        Frames taken that were not to be segmented.
+    capture : CaptureThread or None
+        Which reads the frames; None before it does.
+    view : View or None
+        Which shows them; None before it is open.
     """
 
     def __init__(self, config: AppConfig, source: str, metadata: Mapping[str, str]) -> None:
-        self.segmented = self.late = self.passed_by = 0
-        self.view_peak_mb = 0.0
+        self.segmented = self.late = self.recorded_only = 0
+        self.capture: CaptureThread | None = None
+        self.view: View | None = None
         self._config = config
         self._source = source
         self._metadata = metadata
@@ -93,16 +98,9 @@ class RunReport:
             return 0.0
         return (self.segmented - 1) / max(self._last_s - self._first_s, 1e-9)
 
-    def document(self, capture: CaptureThread | None, ended: str) -> dict[str, Any]:
-        """Return all the figures.
-
-        Parameters
-        ----------
-        capture : CaptureThread or None
-            Which read the frames; None where it did not come to that.
-        ended : str
-            Why the run ended.
-        """
+    def document(self, ended: str) -> dict[str, Any]:
+        """Return all the figures, with the reason why the run ended."""
+        capture = self.capture
         read = 0 if capture is None else capture.read
         overwritten = 0 if capture is None else capture.frames.dropped
         withheld = 0 if capture is None else capture.withheld
@@ -117,13 +115,17 @@ class RunReport:
                 "read": read,
                 "segmented": self.segmented,
                 "late": self.late,
-                "recorded_only": self.passed_by,
+                "recorded_only": self.recorded_only,
                 "dropped": {
                     "overwritten_by_a_newer_frame": overwritten,
                     "withheld_for_the_recording": withheld,
                     "damaged": damaged,
                     "without_a_partner": int(self._metadata.get("dropped", 0)),
-                    "unfinished_at_the_end": read - self.segmented - self.passed_by - overwritten - withheld,
+                    "unfinished_at_the_end": read
+                    - self.segmented
+                    - self.recorded_only
+                    - overwritten
+                    - withheld,
                 },
                 "camera": {} if capture is None else dict(capture.losses),
                 "damaged_frames": [] if capture is None else capture.damaged_frames,
@@ -145,23 +147,29 @@ class RunReport:
             },
             "peak_memory_mb": {
                 "segmentation": round(peak_memory_mb(), 1),
-                "view": round(self.view_peak_mb, 1),
+                "view": 0.0 if self.view is None else round(self.view.peak_memory_mb(), 1),
             },
             "configuration": asdict(self._config),
             "versions": versions(),
         }
 
-    def write(self, path: Path, capture: CaptureThread | None, ended: str) -> None:
-        """Write the figures as a JSON file, whole or not at all.
+    def write(self, ended: str) -> None:
+        """Write the figures to the configuration's file, if it names one, whole or not at all.
 
         Raises
         ------
-        OSError
+        ExportError
             If it cannot be written.
         """
-        content = json.dumps(self.document(capture, ended), indent=2) + "\n"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, content.encode())
+        if self._config.export.report is None:
+            return
+        path = Path(self._config.export.report)
+        content = json.dumps(self.document(ended), indent=2) + "\n"
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_atomically(path, content.encode())
+        except OSError as err:
+            raise ExportError(f"{path}: cannot be written: {err.strerror}") from err
 
 
 def _percentiles(values: array[float]) -> dict[str, float]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import gc
 import logging
 import time
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack, nullcontext, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -14,13 +14,13 @@ from types import MappingProxyType
 from nurbseg.app.command.config import AppConfig
 from nurbseg.app.command.interruption import Interruption
 from nurbseg.app.export import Exporter, ExportError, run_settings
-from nurbseg.app.live.capture import CaptureThread
-from nurbseg.app.live.latency_filter import Lateness
-from nurbseg.app.live.opening import open_chosen
+from nurbseg.app.live.capture import Captured, CaptureThread
+from nurbseg.app.live.latency_filter import LatencyFilter
+from nurbseg.app.live.opening import OpenedSource, open_chosen
 from nurbseg.app.live.progress import Progress
 from nurbseg.app.live.report import RunReport
 from nurbseg.app.live.tracking import Segmenter
-from nurbseg.app.live.warmup import Loading
+from nurbseg.app.live.warmup import WarmUp
 from nurbseg.app.recording.recorder import open_recording, tell_recorded
 from nurbseg.app.result import FrameResult
 from nurbseg.app.view.view import View, ViewError, open_view
@@ -34,7 +34,7 @@ _TAKE_TIMEOUT_S = 0.5
 #: Frames after which all that a run needs was imported and compiled.
 _SETTLED_FRAMES = 5
 
-#: What a result is given to, and the name under which the time for that is told.
+#: What a result is passed to, and the name of that stage in the figures.
 Consumer = tuple[str, Callable[[FrameResult], None]]
 
 
@@ -70,160 +70,165 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
         If the run was interrupted.
     """
     with ExitStack() as stack:
-        loading = _begin_loading(config)
-        report: RunReport | None = None
-        try:
+        warm_up = _begin_warm_up(config)
+        with _setup():
             opened = open_chosen(config)
             stack.enter_context(opened.source)
-            _log.info("source: %s", opened.uri)
-            report = RunReport(config, opened.uri, opened.source.metadata)
-            _write_report(config, report, None, "still running")
-            temporal = config.live.follows(every_frame=opened.every_frame)
-            # Where every frame is wanted, none is hurried, and none too late.
-            target_hz = 0.0 if opened.every_frame else config.live.target_fps
-            exports: list[Consumer] = []
-            if config.export.directory is not None:
-                settings = run_settings(
-                    config.segmentation,
-                    source=opened.uri,
-                    temporal=temporal,
-                    target_fps=target_hz,
-                    surfaces=config.export.surfaces,
-                )
-                exporter = Exporter(Path(config.export.directory), settings)
-                exports.append(("export", exporter.write))
-            name = Path(opened.uri).name
-            shown = config.shown
-            if shown.save_index == "auto":
-                shown = replace(shown, save_index="on" if opened.every_frame else "off")
-            view = stack.enter_context(
-                open_view(shown, config.segmentation, opened.source.metadata, name=name, process=view_process)
-            )
-            recording = open_recording(config.record, opened.camera, lossless=opened.every_frame)
-        except (DriverError, ExportError, ViewError, OSError, ValueError, KeyboardInterrupt) as err:
-            if report is not None:
-                with suppress(ExportError):
-                    _write_report(config, report, None, _reason(err, interruption))
-            if isinstance(err, KeyboardInterrupt):
-                raise
-            raise SetupError(str(err)) from err
-        if view.how_to_look:
-            _log.info("to look: %s", view.how_to_look)
-
-        capture = CaptureThread(opened.source, lossless=opened.every_frame, recording=recording)
-        ended = "the source ended"
-        try:
-            with recording or nullcontext():
-                if loading is not None:
-                    loading.wait()
-                with capture:
-                    try:
-                        if config.record.only:
-                            _pass_by(capture, report, interruption)
-                        else:
-                            segmenter = Segmenter(
-                                config.segmentation,
-                                temporal=temporal,
-                                target_hz=target_hz,
-                                every_surface=bool(exports),
-                            )
-                            lateness = Lateness(0.0 if opened.every_frame else config.live.age_max_ms)
-                            _work(capture, segmenter, exports, view, lateness, report, interruption)
-                    finally:
-                        interruption.hold()
+        _log.info("source: %s", opened.uri)
+        report = RunReport(config, opened.uri, opened.source.metadata)
+        with _reported(report, interruption):
+            with _setup():
+                exports = _open_export(config, opened)
+                view = report.view = stack.enter_context(_open_view(config, opened, view_process))
+                recording = open_recording(config.record, opened.camera, lossless=opened.every_frame)
+            if view.how_to_look:
+                _log.info("to look: %s", view.how_to_look)
+            capture = CaptureThread(opened.source, lossless=opened.every_frame, recording=recording)
+            report.capture = capture
+            with ExitStack() as reading:
+                if recording is not None:
+                    reading.enter_context(recording)
+                if warm_up is not None:
+                    warm_up.wait()
+                reading.enter_context(capture)
+                reading.callback(interruption.hold)
+                if config.record.only:
+                    _only_record(capture, report, interruption)
+                else:
+                    _segment(config, opened, capture, exports, view, report, interruption)
             if recording is not None:
                 tell_recorded(recording)
-            if report.segmented + report.passed_by == 0:
+            if report.segmented + report.recorded_only == 0:
                 raise NoFramesError(f"{opened.uri}: no frame could be read ({capture.damaged} damaged)")
-        except BaseException as err:
-            ended = _reason(err, interruption)
-            raise
-        finally:
-            report.view_peak_mb = view.peak_memory_mb()
-            _write_report(config, report, capture, ended)
         if view.serving:
             _log.info("all frames are shown; Ctrl-C ends the serving")
             interruption.wait()
         return report
 
 
-def _reason(err: BaseException, interruption: Interruption) -> str:
-    """Return why a run ended that did not end by itself."""
-    return "interrupted" if interruption.signal_number else f"{type(err).__name__}: {err}"
+@contextmanager
+def _setup() -> Iterator[None]:
+    """Raise what goes wrong before the first frame as `SetupError`."""
+    try:
+        yield
+    except (DriverError, ExportError, ViewError, OSError, ValueError) as err:
+        raise SetupError(str(err)) from err
 
 
-def _begin_loading(config: AppConfig) -> Loading | None:
+@contextmanager
+def _reported(report: RunReport, interruption: Interruption) -> Iterator[None]:
+    """Write the report before the block and after it, with the reason why the run ended."""
+    with _setup():
+        report.write("still running")
+    try:
+        yield
+    except BaseException as err:
+        cause = err.__cause__ if isinstance(err, SetupError) else err
+        ended = "interrupted" if interruption.signal_number else f"{type(cause).__name__}: {cause}"
+        try:
+            report.write(ended)
+        except ExportError as second:
+            _log.error("%s", second)
+        raise
+    report.write("the source ended")
+
+
+def _begin_warm_up(config: AppConfig) -> WarmUp | None:
     """Begin to load what a run needs; None where nothing is segmented, or no frame waits for it in vain."""
     source = config.source
     if config.record.only or (source.speed == 0 and (source.replay is not None or source.synthetic)):
         return None
-    return Loading(config.segmentation, temporal=config.live.follows(every_frame=False))
+    return WarmUp(config.segmentation, temporal=config.live.follows(every_frame=False))
 
 
-def _work(
+def _target_hz(config: AppConfig, opened: OpenedSource) -> float:
+    """Return the rate to hold; 0 where every frame is wanted, and none is hurried."""
+    return 0.0 if opened.every_frame else config.live.target_fps
+
+
+def _open_export(config: AppConfig, opened: OpenedSource) -> list[Consumer]:
+    if config.export.directory is None:
+        return []
+    settings = run_settings(
+        config.segmentation,
+        source=opened.uri,
+        temporal=config.live.follows(every_frame=opened.every_frame),
+        target_fps=_target_hz(config, opened),
+        surfaces=config.export.surfaces,
+    )
+    return [("export", Exporter(Path(config.export.directory), settings).write)]
+
+
+def _open_view(config: AppConfig, opened: OpenedSource, process: ChildProcess | None) -> View:
+    shown = config.shown
+    if shown.save_index == "auto":
+        shown = replace(shown, save_index="on" if opened.every_frame else "off")
+    name = Path(opened.uri).name
+    return open_view(shown, config.segmentation, opened.source.metadata, name=name, process=process)
+
+
+def _segment(
+    config: AppConfig,
+    opened: OpenedSource,
     capture: CaptureThread,
-    segmenter: Segmenter,
     exports: Sequence[Consumer],
     view: View,
-    lateness: Lateness,
     report: RunReport,
     interruption: Interruption,
 ) -> None:
     """Take frame after frame, segment it and hand it on, until the source ends."""
+    segmenter = Segmenter(
+        config.segmentation,
+        temporal=config.live.follows(every_frame=opened.every_frame),
+        target_hz=_target_hz(config, opened),
+        every_surface=bool(exports),
+    )
+    latency_filter = LatencyFilter(0.0 if opened.every_frame else config.live.age_max_ms)
     progress = Progress(capture)
+    for captured in _captured(capture, progress, interruption):
+        if captured is None:
+            continue
+        waited_s = time.monotonic() - captured.arrived_s
+        result = segmenter.process(captured.frame)
+        latency_ms = 1e3 * (time.monotonic() - captured.arrived_s)
+        elapsed_ms = {"wait": 1e3 * waited_s, **result.elapsed_ms, "capture_to_labels": latency_ms}
+        result = replace(result, elapsed_ms=MappingProxyType(elapsed_ms))
+        shown: list[Consumer] = [("show", view.show)] if latency_filter.passes(latency_ms) else []
+        for stage, consume in (*exports, *shown):
+            started_s = time.perf_counter()
+            consume(result)
+            elapsed_ms[stage] = 1e3 * (time.perf_counter() - started_s)
+        report.late = latency_filter.held_back
+        report.add(elapsed_ms, result.events, result.revision)
+        progress.segmented(result, late=latency_filter.held_back)
+        if report.segmented == _SETTLED_FRAMES:
+            # That stays for good, and looking for garbage in it takes a tenth of a second each time.
+            gc.freeze()
+
+
+def _only_record(capture: CaptureThread, report: RunReport, interruption: Interruption) -> None:
+    """Take frame after frame, which are recorded already, until the source or the recording ends."""
+    progress = Progress(capture)
+    for captured in _captured(capture, progress, interruption):
+        if captured is not None:
+            report.recorded_only += 1
+            progress.recorded()
+        if capture.recording is None or capture.recording.ended:
+            return
+
+
+def _captured(
+    capture: CaptureThread, progress: Progress, interruption: Interruption
+) -> Iterator[Captured | None]:
+    """Yield frame after frame until the source ends, and None now and then where none comes."""
     while True:
         interruption.check()
         try:
             captured = capture.frames.take(_TAKE_TIMEOUT_S)
         except TimeoutError:
             progress.waiting()
+            yield None
             continue
         if captured is None:
             return
-        waited_s = time.monotonic() - captured.arrived_s
-        result = segmenter.process(captured.frame)
-        elapsed_ms = {
-            "wait": 1e3 * waited_s,
-            **result.elapsed_ms,
-            "capture_to_labels": 1e3 * (time.monotonic() - captured.arrived_s),
-        }
-        result = replace(result, elapsed_ms=MappingProxyType(elapsed_ms))
-        shown: list[Consumer] = (
-            [("show", view.show)] if lateness.admits(elapsed_ms["capture_to_labels"]) else []
-        )
-        for stage, consume in (*exports, *shown):
-            started_s = time.perf_counter()
-            consume(result)
-            elapsed_ms[stage] = 1e3 * (time.perf_counter() - started_s)
-        report.late = lateness.held_back
-        report.add(elapsed_ms, result.events, result.revision)
-        progress.segmented(result, late=lateness.held_back)
-        if report.segmented == _SETTLED_FRAMES:
-            # That stays for good, and looking for garbage in it takes a tenth of a second each time.
-            gc.freeze()
-
-
-def _pass_by(capture: CaptureThread, report: RunReport, interruption: Interruption) -> None:
-    """Take frame after frame, which are recorded already, until the source or the recording ends."""
-    progress = Progress(capture)
-    while capture.recording is not None and not capture.recording.ended:
-        interruption.check()
-        try:
-            captured = capture.frames.take(_TAKE_TIMEOUT_S)
-        except TimeoutError:
-            progress.waiting()
-            continue
-        if captured is None:
-            return
-        report.passed_by += 1
-        progress.recorded()
-
-
-def _write_report(config: AppConfig, report: RunReport, capture: CaptureThread | None, ended: str) -> None:
-    if config.export.report is None:
-        return
-    path = Path(config.export.report)
-    try:
-        report.write(path, capture, ended)
-    except OSError as err:
-        raise ExportError(f"{path}: cannot be written: {err.strerror}") from err
+        yield captured

@@ -1,4 +1,4 @@
-"""Frame after frame: what is known of the last one is carried into the next."""
+"""Segmentation of frame after frame: each goes on from the one before it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.live.rate_controller import Governor
+from nurbseg.app.live.rate_controller import RateController
 from nurbseg.app.result import FrameResult
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
@@ -46,7 +46,7 @@ class Segmenter:
     ) -> None:
         self.config = config
         self._every_surface = every_surface
-        self._governor = Governor(target_hz, config.decimation) if target_hz > 0 else None
+        self._rate_controller = RateController(target_hz, config.decimation) if target_hz > 0 else None
         self._temporal = temporal
         self._live = LiveTree(config) if temporal and lives(config) else None
         self._surfaces: Identities | None = None
@@ -74,7 +74,7 @@ class Segmenter:
         started_s = time.perf_counter()
         cloud = register(frame)
         registered_s = time.perf_counter()
-        budget = Budget() if self._governor is None else self._governor.budget
+        budget = Budget() if self._rate_controller is None else self._rate_controller.budget
         tree = self._live.segment(cloud, budget, frame=frame.index, every_surface=self._every_surface)
         elapsed_ms = {
             "register": 1e3 * (registered_s - started_s),
@@ -83,8 +83,8 @@ class Segmenter:
         result = FrameResult(frame, cloud, tree, elapsed_ms, revision=self._live.revision)
         cold = bool(self._live.revision.cold)
         result = self._identified(result, None if cold else self._live.labels_before)
-        if self._governor is not None:
-            self._governor.took(sum(result.elapsed_ms.values()), cold=cold)
+        if self._rate_controller is not None:
+            self._rate_controller.took(sum(result.elapsed_ms.values()), cold=cold)
         return result
 
     def _identified(self, result: FrameResult, before: NDArray[np.uint16] | None) -> FrameResult:

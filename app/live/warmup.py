@@ -1,4 +1,4 @@
-"""Loads the compiled loops of a run, while its source and its view are being opened."""
+"""Warm-up: loads the compiled loops of a run while its source and its view are being opened."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _WAIT_S = 120.0
 _LOOK_S = 0.1
 
 
-class Loading:
+class WarmUp:
     """Segments a few small made-up frames on a thread, by which most of the loops of a run are loaded.
 
     Without it the first frame of a camera would do so, and those that come in that half second be lost.
@@ -42,7 +42,7 @@ class Loading:
         self._config = config
         self._temporal = temporal
         # A daemon: a run that cannot begin does not wait for it.
-        self._thread = threading.Thread(target=self._run, name="loading", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="warm-up", daemon=True)
         self._thread.start()
 
     def wait(self) -> None:
@@ -67,7 +67,7 @@ class Loading:
                 )
         except Exception:
             # What is wrong is wrong with the run's own frames too, which tell it better.
-            _log.debug("loading the compiled loops ahead failed", exc_info=True)
+            _log.debug("the warm-up failed", exc_info=True)
 
 
 def _frame(index: int) -> RGBDFrame:
@@ -91,6 +91,3 @@ def _frame(index: int) -> RGBDFrame:
         color=color.astype(np.uint8),
         calibration=Calibration.registered(camera),
     )
-
-
-__all__ = ["Loading"]

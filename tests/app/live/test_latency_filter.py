@@ -4,7 +4,7 @@ import logging
 
 import pytest
 
-from nurbseg.app.live.latency_filter import Lateness
+from nurbseg.app.live.latency_filter import LatencyFilter
 
 
 class Clock:
@@ -17,36 +17,36 @@ class Clock:
 
 def test_what_is_older_than_allowed_is_held_back_and_counted() -> None:
     clock = Clock()
-    lateness = Lateness(100.0, clock=clock)
-    admitted = []
+    latency_filter = LatencyFilter(100.0, clock=clock)
+    passed = []
     for age_ms in (30.0, 100.0, 100.1, 400.0, 60.0):
-        admitted.append(lateness.admits(age_ms))
+        passed.append(latency_filter.passes(age_ms))
         clock.now_s += 0.1
-    assert admitted == [True, True, False, False, True]
-    assert lateness.held_back == 2
+    assert passed == [True, True, False, False, True]
+    assert latency_filter.held_back == 2
 
 
 def test_the_first_is_shown_however_old() -> None:
-    assert Lateness(100.0, clock=Clock()).admits(3000.0)
+    assert LatencyFilter(100.0, clock=Clock()).passes(3000.0)
 
 
 def test_a_slow_computer_shows_one_frame_a_second_and_says_so_once(caplog: pytest.LogCaptureFixture) -> None:
     clock = Clock()
-    lateness = Lateness(100.0, clock=clock)
+    latency_filter = LatencyFilter(100.0, clock=clock)
     shown_s = []
     with caplog.at_level(logging.WARNING):
         for _ in range(50):
-            if lateness.admits(250.0):
+            if latency_filter.passes(250.0):
                 shown_s.append(clock.now_s)
             clock.now_s += 0.25
     assert len(shown_s) == 13
-    assert lateness.held_back == 37
+    assert latency_filter.held_back == 37
     assert [each.getMessage() for each in caplog.records] == [
         "labels come 250 ms after their frame; of those over 100 ms one a second is shown"
     ]
 
 
 def test_with_a_limit_of_0_nothing_is_too_old() -> None:
-    lateness = Lateness(0.0, clock=Clock())
-    assert all(lateness.admits(1e6) for _ in range(10))
-    assert lateness.held_back == 0
+    latency_filter = LatencyFilter(0.0, clock=Clock())
+    assert all(latency_filter.passes(1e6) for _ in range(10))
+    assert latency_filter.held_back == 0

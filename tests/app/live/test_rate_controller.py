@@ -1,4 +1,4 @@
-"""The governor does less while frames take too long, more when there is time, and says so."""
+"""The rate controller does less while frames take too long, more when there is time, and says so."""
 
 import logging
 from dataclasses import replace
@@ -6,62 +6,62 @@ from itertools import pairwise
 
 import pytest
 
-from nurbseg.app.live.rate_controller import Governor
+from nurbseg.app.live.rate_controller import RateController
 from nurbseg.segmentation.live.tree import Budget
 
 
 def test_nothing_is_given_up_while_the_rate_holds(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
-    governor = Governor(30.0, 2)
+    controller = RateController(30.0, 2)
     for _ in range(200):
-        governor.took(25.0)
-    assert governor.level == 0
-    assert governor.budget == Budget(decimation=2)
+        controller.took(25.0)
+    assert controller.level == 0
+    assert controller.budget == Budget(decimation=2)
     assert not caplog.messages
 
 
 def test_less_is_done_step_by_step_until_the_rate_holds(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
-    governor = Governor(30.0, 2)
+    controller = RateController(30.0, 2)
     budgets = []
     for _ in range(200):
         # Half of the time goes with the places of the grid.
-        budget = governor.budget
+        budget = controller.budget
         assert budget.decimation is not None
         budgets.append(budget)
-        governor.took(20.0 + 25.0 * (2 / budget.decimation) ** 2)
+        controller.took(20.0 + 25.0 * (2 / budget.decimation) ** 2)
     steps = [budget.decimation for budget in budgets]
     assert steps == sorted(steps)
     assert steps[0] == 2 < steps[-1]
     assert 20.0 + 25.0 * (2 / steps[-1]) ** 2 < 1000 / 30
-    # What is to be revised is revised: otherwise the frame is segmented anew before long.
+    # What is to be revised is revised: otherwise the frame is segmented from scratch before long.
     assert {replace(each, decimation=None) for each in budgets} == {Budget()}
     assert all("doing less to hold 30 frames/s" in message for message in caplog.messages)
-    assert len(caplog.messages) == governor.level
+    assert len(caplog.messages) == controller.level
 
 
 def test_a_single_slow_frame_changes_nothing() -> None:
-    governor = Governor(30.0, 2)
+    controller = RateController(30.0, 2)
     for frame in range(100):
-        governor.took(60.0 if frame == 50 else 20.0)
-    assert governor.level == 0
+        controller.took(60.0 if frame == 50 else 20.0)
+    assert controller.level == 0
 
 
 def test_the_slow_first_frames_change_nothing() -> None:
-    governor = Governor(30.0, 2)
+    controller = RateController(30.0, 2)
     for frame in range(100):
-        governor.took(80.0 / (1 + frame) + 20.0)
-    assert governor.level == 0
+        controller.took(80.0 / (1 + frame) + 20.0)
+    assert controller.level == 0
 
 
 def test_a_computer_that_is_slow_for_a_while_does_less_for_as_long() -> None:
-    governor = Governor(30.0, 2)
+    controller = RateController(30.0, 2)
     levels = []
     for frame in range(1200):
         factor = 1.5 if 200 <= frame < 600 else 1.0
-        assert governor.budget.decimation is not None
-        governor.took(factor * (14.0 + 12.0 * (2 / governor.budget.decimation) ** 2))
-        levels.append(governor.level)
+        assert controller.budget.decimation is not None
+        controller.took(factor * (14.0 + 12.0 * (2 / controller.budget.decimation) ** 2))
+        levels.append(controller.level)
     assert set(levels[:200]) == {0}
     assert min(levels[230:600]) > 0
     assert sum(a != b for a, b in pairwise(levels[230:600])) <= 6
@@ -69,30 +69,30 @@ def test_a_computer_that_is_slow_for_a_while_does_less_for_as_long() -> None:
 
 
 def test_frames_segmented_anew_tell_nothing() -> None:
-    governor = Governor(30.0, 2)
+    controller = RateController(30.0, 2)
     for _ in range(100):
-        governor.took(500.0, cold=True)
-    assert governor.level == 0
+        controller.took(500.0, cold=True)
+    assert controller.level == 0
 
 
 def test_more_is_done_again_when_there_is_time_but_not_over_and_over() -> None:
-    governor = Governor(30.0, 2)
+    controller = RateController(30.0, 2)
     for _ in range(30):
-        governor.took(100.0)
-    assert governor.level > 0
+        controller.took(100.0)
+    assert controller.level > 0
     for _ in range(10_000):
-        governor.took(5.0)
-    assert governor.level == 0
+        controller.took(5.0)
+    assert controller.level == 0
 
     # A step that is too much each time it is tried is tried less and less often.
     levels = []
     for _ in range(3000):
-        governor.took(40.0 if governor.level == 0 else 15.0)
-        levels.append(governor.level)
+        controller.took(40.0 if controller.level == 0 else 15.0)
+        levels.append(controller.level)
     tries = sum(a == 1 and b == 0 for a, b in pairwise(levels))
     assert 1 <= tries < 3000 / 70 / 2
 
 
 def test_a_rate_is_more_than_0() -> None:
     with pytest.raises(ValueError, match="target_hz"):
-        Governor(0.0, 2)
+        RateController(0.0, 2)

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from scripted_source import ScriptedSource, small_frame
 
-from nurbseg.app.command.config import AppConfig
+from nurbseg.app.command.config import AppConfig, ExportConfig
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.report import RunReport, peak_memory_mb
 from nurbseg.drivers.errors import FrameFormatError
@@ -18,7 +18,8 @@ def test_every_frame_is_accounted_for() -> None:
         capture._thread.join(10.0)
         assert capture.frames.take(10.0) is not None
         report.add({"segment": 5.0})
-    frames = report.document(capture, "the source ended")["frames"]
+    report.capture = capture
+    frames = report.document("the source ended")["frames"]
     assert (frames["read"], frames["segmented"]) == (4, 1)
     assert {why: count for why, count in frames["dropped"].items() if count} == {
         "overwritten_by_a_newer_frame": 3,
@@ -32,13 +33,15 @@ def test_latencies_are_told_as_percentiles() -> None:
     report = RunReport(AppConfig(), "scripted", {})
     for value in range(1, 102):
         report.add({"segment": float(value)})
-    assert report.document(None, "")["latency_ms"] == {"segment": {"p50": 51.0, "p95": 96.0, "max": 101.0}}
+    assert report.document("")["latency_ms"] == {"segment": {"p50": 51.0, "p95": 96.0, "max": 101.0}}
 
 
 def test_the_file_holds_configuration_versions_and_memory(tmp_path: Path) -> None:
-    report = RunReport(AppConfig(), "scripted", {"device": "none"})
-    report.write(tmp_path / "new" / "report.json", None, "interrupted")
-    document = json.loads((tmp_path / "new" / "report.json").read_text())
+    file = tmp_path / "new" / "report.json"
+    config = AppConfig(export=ExportConfig(report=str(file)))
+    report = RunReport(config, "scripted", {"device": "none"})
+    report.write("interrupted")
+    document = json.loads(file.read_text())
     assert document["ended"] == "interrupted"
     assert document["source"] == {"opened": "scripted", "device": "none"}
     assert document["configuration"]["segmentation"]["metric"] == AppConfig().segmentation.metric

@@ -1,4 +1,4 @@
-"""Loading ahead: what a run's first frame would wait for otherwise."""
+"""Warm-up: what a run's first frame would wait for otherwise."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import time
 import pytest
 
 from nurbseg.app.command.config import AppConfig, SourceConfig
-from nurbseg.app.live import warmup as loading
-from nurbseg.app.live.run import _begin_loading
-from nurbseg.app.live.warmup import Loading
+from nurbseg.app.live import warmup
+from nurbseg.app.live.run import _begin_warm_up
+from nurbseg.app.live.warmup import WarmUp
 from nurbseg.app.recording.config import RecordConfig
 from nurbseg.segmentation.config import SegmentationConfig
 
-#: Counts what is loaded by a run's first frames, after loading ahead.
+#: Counts what is loaded by a run's first frames, after the warm-up.
 _SCRIPT = """
 from numba.core.caching import Cache
-from nurbseg.app.live.warmup import Loading
+from nurbseg.app.live.warmup import WarmUp
 from nurbseg.app.live.tracking import Segmenter
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
@@ -33,7 +33,7 @@ Cache.load_overload = counted
 with open_source("synthetic:?width=320&height=240&frames=3") as source:
     frames = list(source)
 loaded.clear()
-Loading(SegmentationConfig(), temporal=True).wait()
+WarmUp(SegmentationConfig(), temporal=True).wait()
 ahead = len(loaded)
 segmenter = Segmenter(SegmentationConfig(), temporal=True)
 for frame in frames:
@@ -53,10 +53,10 @@ def test_little_is_left_to_load_for_the_first_frames() -> None:
 
 @pytest.mark.parametrize("method", ["stag15", "nurbseg"])
 @pytest.mark.parametrize("temporal", [True, False])
-def test_loading_ends_without_a_word(method: str, temporal: bool, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_warm_up_logs_nothing(method: str, temporal: bool, caplog: pytest.LogCaptureFixture) -> None:
     config = SegmentationConfig(method=method)  # type: ignore[arg-type]
     with caplog.at_level(logging.DEBUG, "nurbseg"):
-        Loading(config, temporal=temporal).wait()
+        WarmUp(config, temporal=temporal).wait()
     assert caplog.records == []
 
 
@@ -66,15 +66,15 @@ def test_what_goes_wrong_is_left_to_the_run_and_what_hangs_is_not_waited_for(
     def broken(index: int) -> None:
         raise ValueError("never mind")
 
-    monkeypatch.setattr(loading, "_frame", broken)
+    monkeypatch.setattr(warmup, "_frame", broken)
     with caplog.at_level(logging.DEBUG, "nurbseg"):
-        Loading(SegmentationConfig(), temporal=False).wait()
+        WarmUp(SegmentationConfig(), temporal=False).wait()
     assert [record.levelname for record in caplog.records] == ["DEBUG"]
 
-    monkeypatch.setattr(loading, "_frame", lambda index: time.sleep(2.0))
-    monkeypatch.setattr(loading, "_WAIT_S", 0.2)
+    monkeypatch.setattr(warmup, "_frame", lambda index: time.sleep(2.0))
+    monkeypatch.setattr(warmup, "_WAIT_S", 0.2)
     began_s = time.monotonic()
-    Loading(SegmentationConfig(), temporal=False).wait()
+    WarmUp(SegmentationConfig(), temporal=False).wait()
     assert time.monotonic() - began_s < 1.5
 
 
@@ -92,5 +92,5 @@ def test_what_goes_wrong_is_left_to_the_run_and_what_hangs_is_not_waited_for(
 def test_it_is_for_runs_that_would_lose_frames(
     config: AppConfig, begins: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("nurbseg.app.live.run.Loading", lambda *_, **__: "loading")
-    assert (_begin_loading(config) == "loading") is begins
+    monkeypatch.setattr("nurbseg.app.live.run.WarmUp", lambda *_, **__: "warm-up")
+    assert (_begin_warm_up(config) == "warm-up") is begins
