@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.calibration.lens import Lens
+from nurbseg.drivers.calibration.lens import lens_terms, undistort
 
 #: Coefficients that OpenCV's distortion model accepts (k1, k2, p1, p2[, k3[, k4, k5, k6[, ...]]]).
 _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
@@ -82,17 +82,19 @@ class Intrinsics:
     def rays(self) -> NDArray[np.float32]:
         """Return where each pixel looks: a (H, W, 2) float32 of x / z and y / z, lens distortion removed.
 
-        NaN where the distortion cannot be undone, as at the far corners of a strongly bent lens.
+        NaN where the distortion cannot be undone, as at the far corners of a strongly distorting lens.
         """
         v, u = np.mgrid[: self.height, : self.width]
         x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
+        rays = np.stack([x, y], axis=-1)
         if self.distortion.any():
-            x, y = self.lens().straighten(x, y, 1e-3 / max(self.fx, abs(self.fy)))
-        return np.stack([x, y], axis=-1).astype(np.float32)
+            tolerance = 1e-3 / max(self.fx, abs(self.fy))
+            rays = undistort(rays.reshape(-1, 2), self.distortion, tolerance).reshape(rays.shape)
+        return rays.astype(np.float32)
 
-    def lens(self) -> Lens:
-        """Return the lens, which bends straight image coordinates and straightens bent ones."""
-        return Lens(self.distortion)
+    def lens_terms(self) -> tuple[NDArray[np.float64], float, NDArray[np.float64]]:
+        """Return what a projection computes with, see `nurbseg.drivers.calibration.lens.lens_terms`."""
+        return lens_terms(self.distortion)
 
     def scaled_to(self, width: int, height: int) -> Intrinsics:
         """Return the same camera for an image of another size, pixel centres being at integers."""

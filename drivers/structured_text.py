@@ -1,4 +1,4 @@
-"""Parses TOML, JSON, YAML and XML that somebody else made, within bounds of size, number and nesting.
+"""Parses TOML, YAML and XML that somebody else made, within bounds of size, number and nesting.
 
 Neither recursion nor references can make a small text large: YAML has no aliases here, XML no document type.
 Every fault is a ValueError with a short message; the caller names the file.
@@ -6,10 +6,8 @@ Every fault is a ValueError with a short message; the caller names the file.
 
 from __future__ import annotations
 
-import json
 import tomllib
-from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
@@ -18,7 +16,6 @@ import yaml
 from nurbseg.drivers.errors import quoted
 from nurbseg.drivers.limits import TEXT_BYTES_MAX, TEXT_DEPTH_MAX, TEXT_VALUES_MAX
 
-_T = TypeVar("_T")
 #: A longer line is no setting; the parser takes time with the square of a key's parts.
 _TOML_LINE_MAX = 4096
 _NUMBER_CHARACTERS_MAX = 64
@@ -36,24 +33,9 @@ def parse_toml(text: str) -> dict[str, Any]:
     """
     if any(len(line) > _TOML_LINE_MAX for line in text.splitlines()):
         raise ValueError(f"expected lines of {_TOML_LINE_MAX} characters at most")
-    return _parsed(tomllib.loads, text)
-
-
-def parse_json(text: str) -> Any:
-    """Return what a JSON text says.
-
-    Raises
-    ------
-    ValueError
-        If it is not JSON, or goes past the limits.
-    """
-    return _parsed(json.loads, text)
-
-
-def _parsed(parse: Callable[[str], _T], text: str) -> _T:
     _check_length(text)
     try:
-        return parse(text)
+        return tomllib.loads(text)
     except RecursionError:
         raise ValueError("nested too deeply") from None
     except ValueError as err:

@@ -1,1 +1,1 @@
-"""Calibration files, and the lens model."""
+"""Calibration files, and the model of lens distortion."""

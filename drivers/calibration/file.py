@@ -1,30 +1,32 @@
 """Reads and writes files that hold a sensor's calibration.
 
-The form is told from the content: our TOML, OpenCV's XML or YAML of a stereo calibration, a ROS
-``camera_info`` YAML, Open3D's JSON, the XML that PCL's image grabber writes, or a 3 x 3 matrix as text.
+Read are our TOML, OpenCV's XML or YAML, a ROS ``camera_info`` YAML, and a 3 x 3 matrix as text, which data
+sets bring; written is TOML. The form is recognised by the content.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.calibration import opencv as calibration_forms
-from nurbseg.drivers.calibration import ros as calibration_ros
+from nurbseg.drivers.calibration import matrices
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel, camera_of_matrix, image_size, number
 from nurbseg.drivers.errors import CalibrationError, quoted
 from nurbseg.drivers.files import read_file
 from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.drivers.limits import TEXT_BYTES_MAX
-from nurbseg.drivers.structured_text import parse_json, parse_toml
+from nurbseg.drivers.structured_text import parse_toml
 
-Form = Literal["toml", "opencv", "ros"]
 Size = tuple[int, int]
 
+_FORMS = (
+    "camera matrix: expected 3 rows of 3 numbers, or a calibration as TOML, OpenCV's XML or YAML, or ROS's "
+    "camera_info as YAML"
+)
 _CAMERA_KEYS = {"width", "height", "fx", "fy", "cx", "cy", "distortion"}
 _FILE_KEYS = {"registered", "depth_scale", "color_from_depth", "depth", "color"}
 
@@ -64,50 +66,25 @@ def read_camera_file(path: Path) -> CameraFile:
         text = content.decode()
     except UnicodeDecodeError as err:
         raise CalibrationError(f"{path}: expected text, got bytes that are not UTF-8") from err
-    head = text.lstrip("\ufeff \t\r\n")
-    if path.suffix.lower() == ".toml":
+    head, suffix = text.lstrip("\ufeff \t\r\n"), path.suffix.lower()
+    if suffix == ".toml":
         return _from_toml(path, text)
-    if head.startswith("{"):
-        return _from_json(path, text)
     if head.startswith("<"):
-        return calibration_forms.from_xml(path, text)
-    if head.startswith("%YAML"):
-        return calibration_forms.from_yaml(path, text)
-    if path.suffix.lower() in (".yaml", ".yml"):
-        return calibration_ros.from_yaml(path, text)
+        return matrices.from_xml(path, head)
+    if head.startswith("%YAML") or suffix in (".yaml", ".yml"):
+        return matrices.from_yaml(path, head)
     return _from_matrix_text(path, text)
 
 
-def write_calibration(
-    path: Path, calibration: Calibration, *, form: Form | None = None, depth_scale: float | None = None
-) -> None:
-    """Write a calibration.
-
-    Parameters
-    ----------
-    path : Path
-        The file to write.
-    calibration : Calibration
-        What to write.
-    form : {"toml", "opencv", "ros"}, optional
-        Our TOML, a stereo calibration as OpenCV reads it, or ROS's ``camera_info``, which holds one
-        camera. None takes OpenCV's for ``.xml``, ``.yml`` and ``.yaml`` and TOML for all else.
-    depth_scale : float, optional
-        Depth units per metre of the images it goes with; only TOML can say so.
+def write_calibration(path: Path, calibration: Calibration) -> None:
+    """Write a calibration as TOML.
 
     Raises
     ------
-    ValueError
-        If `form` is "ros" and the calibration is not that of registered images.
+    OSError
+        If the file cannot be written.
     """
-    if form is None:
-        form = "opencv" if path.suffix.lower() in (".xml", ".yml", ".yaml") else "toml"
-    if form == "toml":
-        path.write_text(_to_toml(calibration, depth_scale))
-    elif form == "opencv":
-        calibration_forms.write_opencv(path, calibration)
-    else:
-        path.write_text(calibration_ros.to_yaml(calibration))
+    path.write_text(_to_toml(calibration))
 
 
 def _from_toml(path: Path, text: str) -> CameraFile:
@@ -189,15 +166,13 @@ def _refuse_unknown(path: Path, prefix: str, table: Mapping[str, Any], known: se
             )
 
 
-def _to_toml(calibration: Calibration, depth_scale: float | None) -> str:
+def _to_toml(calibration: Calibration) -> str:
     registered = calibration.is_registered
     lines = [
         "# Calibration of an RGB-D sensor: focal lengths and principal points in pixels, lengths in metres,",
         "# distortion as OpenCV orders it (k1, k2, p1, p2, k3, ...).",
         f"registered = {str(registered).lower()}  # whether depth is registered to color already",
     ]
-    if depth_scale is not None:
-        lines.append(f"depth_scale = {float(depth_scale)!r}  # depth units per metre of 16-bit depth images")
     if not registered:
         lines.append("# p_color = color_from_depth @ p_depth")
         lines.append("color_from_depth = [")
@@ -217,39 +192,15 @@ def _toml_lines(camera: Intrinsics) -> list[str]:
     return [*lines, f"distortion = {[float(value) for value in camera.distortion]}"]
 
 
-def _from_json(path: Path, text: str) -> CameraFile:
-    try:
-        table = parse_json(text)
-    except ValueError as err:
-        raise CalibrationError(f"{path}: not valid JSON ({err})") from err
-    values = table.get("intrinsic_matrix")
-    if not isinstance(values, list) or len(values) != 9:
-        raise CalibrationError(
-            f"{path}: intrinsic_matrix: expected 9 numbers (by columns), got {quoted(values)}"
-        )
-    matrix = np.array([number(path, "intrinsic_matrix", value) for value in values]).reshape(3, 3).T
-    size = None
-    if "width" in table or "height" in table:
-        size = image_size(path, ("width", "height"), (table.get("width"), table.get("height")))
-    camera = camera_of_matrix(path, "intrinsic_matrix", matrix, size=size)
-    return CameraFile(path=path, depth=camera, color=camera)
-
-
 def _from_matrix_text(path: Path, text: str) -> CameraFile:
+    lines = [
+        line.replace(",", " ").split() for line in text.splitlines() if not line.lstrip().startswith("#")
+    ]
     try:
-        rows = [
-            [float(word) for word in line.replace(",", " ").split()]
-            for line in text.splitlines()
-            if line.strip() and not line.lstrip().startswith("#")
-        ]
+        rows = [[float(word) for word in words] for words in lines if words]
     except ValueError as err:
-        raise CalibrationError(
-            f"{path}: camera matrix: expected 3 rows of 3 numbers ({quoted(str(err))})"
-        ) from err
-    if len(rows) != 3 or any(len(row) != 3 for row in rows):
-        raise CalibrationError(
-            f"{path}: camera matrix: expected 3 rows of 3 numbers, "
-            f"got rows of {quoted([len(row) for row in rows])}"
-        )
+        raise CalibrationError(f"{path}: {_FORMS} ({quoted(str(err))})") from err
+    if [len(row) for row in rows] != [3, 3, 3]:
+        raise CalibrationError(f"{path}: {_FORMS}, got rows of {quoted([len(row) for row in rows])}")
     camera = camera_of_matrix(path, "camera matrix", np.array(rows))
     return CameraFile(path=path, depth=camera, color=camera)

@@ -31,8 +31,6 @@ _CALIBRATION_PATTERNS = (
     "camera_info.yaml",
     "intrinsics.txt",
     "camera-intrinsics.txt",
-    "camera*.json",
-    "frame_*.xml",
 )
 _DEFAULT_UNITS_PER_METRE = 1000.0
 #: frame_20121214T142255.814212: the moment in UTC, to the microsecond.
@@ -64,8 +62,7 @@ def folder_camera(
     """Return how to read a folder's images: the user's word, else a calibration file in it.
 
     The files looked for are, in this order, ``camera.toml``, OpenCV's ``calib*.xml|yml|yaml``, ROS's
-    ``camera_info.yaml``, ``intrinsics.txt``, ``camera-intrinsics.txt``, Open3D's ``camera*.json`` and
-    the ``frame_*.xml`` of PCL's grabber.
+    ``camera_info.yaml``, ``intrinsics.txt`` and ``camera-intrinsics.txt``.
 
     Raises
     ------

@@ -138,7 +138,7 @@ class _Registration:
         if self._registered:
             return
         color = calibration.color
-        coefficients, fold, tilt = color.lens().model
+        coefficients, fold, tilt = color.lens_terms()
         self._lens = coefficients.astype(np.float32), np.float32(fold**2), tilt.astype(np.float32)
         self._camera = np.array([color.fx, color.fy, color.cx, color.cy], dtype=np.float32)
         self._size = color.height, color.width
@@ -220,7 +220,7 @@ def _projected(
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
     zero, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
     right, bottom = np.float32(color_width - 1), np.float32(color_height - 1)
-    is_bent = np.any(lens != 0.0)
+    is_distorted = np.any(lens != 0.0)
     to = color_from_depth
     # On one row: coordinates in the color camera's frame, and then in its image; and inverse depth.
     along_x, along_y = np.empty(width, dtype=np.float32), np.empty(width, dtype=np.float32)
@@ -237,8 +237,8 @@ def _projected(
             inverse[n] = near
             along_x[n] = _limited(at_x, -_FAR_ASIDE, _FAR_ASIDE)
             along_y[n] = _limited(at_y, -_FAR_ASIDE, _FAR_ASIDE)
-        if is_bent:
-            _bend_row(along_x, along_y, lens, fold_square, tilt)
+        if is_distorted:
+            _distort_row(along_x, along_y, lens, fold_square, tilt)
         for n in range(width):
             at_u, at_v = along_x[n] * fx + cx, along_y[n] * fy + cy
             # Pixel centres are at integers, so that the image begins half a pixel before its first one.
@@ -265,14 +265,14 @@ def _limited(x: np.float32, least: np.float32, most: np.float32) -> np.float32:
 
 
 @compiled
-def _bend_row(
+def _distort_row(
     along_x: NDArray[np.float32],
     along_y: NDArray[np.float32],
     k: NDArray[np.float32],
     fold_square: np.float32,
     tilt: NDArray[np.float32],
 ) -> None:
-    """Bend a row of places, in place, as `Lens.bend` does whole images."""
+    """Distort a row of image coordinates, in place, by OpenCV's model."""
     one, two = np.float32(1.0), np.float32(2.0)
     k1, k2, p1, p2, k3, k4, k5, k6 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7]
     s1, s2, s3, s4 = k[8], k[9], k[10], k[11]

@@ -11,8 +11,7 @@ from mutants import Form, forms, mutant, read_mutant
 NAMES = (
     "plain.mcap", "png.mcap", "raw.mcap", "jpeg95.mcap", "ascii.pcd", "binary.pcd", "binary_compressed.pcd",
     "depth.txt", "image.png", "image.tiff", "image.pgm", "image.jpg", "image.ppm", "image.bmp", "image.tif",
-    "stereo.toml", "stereo.xml", "stereo.yml", "ros.yaml", "open3d.json", "matrix.txt", "grabber.xml",
-    "config.toml",
+    "stereo.toml", "stereo.xml", "stereo.yml", "ros.yaml", "matrix.txt", "config.toml",
 )  # fmt: skip
 
 

@@ -30,8 +30,8 @@ PRIMESENSE = (525.0, 525.0, 319.5, 239.5)
             True,
             (2, 4),
         ),
-        ("open3d_formats", SourceOptions(depth_scale=5000), 3, 0, False, (2, 4)),
-        ("pcl_grabber", SourceOptions(), 3, 0, False, (0.7, 1.0)),
+        ("open3d_formats", SourceOptions(intrinsics=PRIMESENSE, depth_scale=5000), 3, 0, False, (2, 4)),
+        ("pcl_grabber", SourceOptions(intrinsics=PRIMESENSE), 3, 0, False, (0.7, 1.0)),
     ],
 )
 def test_a_folder_is_replayed_whole(
@@ -69,7 +69,7 @@ def test_organised_clouds_lie_on_a_primesense_cameras_rays(real_data: Data) -> N
 def test_a_cloud_and_the_depth_image_it_was_made_from_agree(real_data: Data) -> None:
     folder = real_data("pcl_grabber")
     cloud = read_pcd(next(folder.glob("*.pcd")))
-    with open_source(folder) as source:
+    with open_source(folder, SourceOptions(intrinsics=PRIMESENSE)) as source:
         frame = source.read()
     depth_mm = np.rint(np.nan_to_num(cloud.points_m[..., 2]) * 1000).astype(np.uint16)
     np.testing.assert_array_equal(depth_mm, frame.depth_mm)

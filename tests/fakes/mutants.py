@@ -14,7 +14,16 @@ import numpy as np
 from mcap.records import Channel, DataEnd, Message, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
-from recorded_scene import APART, REGISTERED, back_projected, scene, scenes, write_mcap, write_pcd, write_tum
+from recorded_scene import (
+    APART,
+    back_projected,
+    scene,
+    scenes,
+    write_mcap,
+    write_opencv,
+    write_pcd,
+    write_tum,
+)
 
 from nurbseg.app.command.config import AppConfig
 from nurbseg.app.command.config_file import ConfigError, format_config, read_config
@@ -29,6 +38,18 @@ _WORDS = (
     b"[" * 300, b"{" * 300, b"<a>" * 300, b"\0", b"\xff", b"'", b'"', b"&a *a",
     b"!!python/object", b"\n", b"=", b": ",
 )  # fmt: skip
+_CAMERA_INFO = b"""image_width: 64
+image_height: 48
+distortion_model: plumb_bob
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [52.5, 0.0, 31.5, 0.0, 52.5, 23.5, 0.0, 0.0, 1.0]
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [0.07, -0.03, -0.01, 0.0, -0.14]
+"""
 _NUMBERS = [0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0xFFFFFFFF, 0x7FFFFFFFFFFFFFFF, 0xFFFFFFFFFFFFFFFF]
 
 
@@ -70,20 +91,13 @@ def forms(folder: Path) -> dict[str, Form]:
         ("ppm", bgr), ("bmp", bgr), ("tif", frame.depth_mm.astype(np.float32)),
     ]:  # fmt: skip
         found[f"image.{extension}"] = cv2.imencode(f".{extension}", image)[1].tobytes(), _decode
-    for name in ("a.toml", "a.xml", "a.yml"):
-        write_calibration(folder / name, APART)
-        found[f"stereo.{name[2:]}"] = (folder / name).read_bytes(), _calibrate
-    write_calibration(folder / "ros.yaml", REGISTERED, form="ros")
-    found["ros.yaml"] = (folder / "ros.yaml").read_bytes(), _calibrate
-    matrix = '{"width": 64, "height": 48, "intrinsic_matrix": [52.5, 0, 0, 0, 52.6, 0, 31.5, 23.5, 1]}'
-    found["open3d.json"] = matrix.encode(), _calibrate
+    write_calibration(folder / "a.toml", APART)
+    for name in ("a.xml", "a.yml"):
+        write_opencv(folder / name, APART)
+    for extension in ("toml", "xml", "yml"):
+        found[f"stereo.{extension}"] = (folder / f"a.{extension}").read_bytes(), _calibrate
+    found["ros.yaml"] = _CAMERA_INFO, _calibrate
     found["matrix.txt"] = b"52.5 0 31.5\n0 52.6 23.5\n0 0 1\n", _calibrate
-    camera = "<focal_length_x>52</focal_length_x><focal_length_y>53</focal_length_y>"
-    camera += "<principal_point_x>32</principal_point_x><principal_point_y>24</principal_point_y>"
-    grabber = (
-        f"<rgb>{camera}</rgb><depth>{camera}<z_multiplication_factor>0.001</z_multiplication_factor></depth>"
-    )
-    found["grabber.xml"] = grabber.encode(), _calibrate
     found["config.toml"] = format_config(AppConfig()).encode(), _configure
     return {name: Form(name, content, read) for name, (content, read) in found.items()}
 

@@ -83,6 +83,21 @@ def write_pairs(folder: Path, frames: list[RGBDFrame], *, calibration: bool = Tr
     return folder
 
 
+def write_opencv(path: Path, calibration: Calibration) -> Path:
+    """Write a stereo calibration as OpenCV does."""
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, camera in (("depth", calibration.depth), ("color", calibration.color)):
+        storage.write(f"{name}_width", camera.width)
+        storage.write(f"{name}_height", camera.height)
+        storage.write(f"{name}_camera_matrix", camera.matrix)
+        if camera.distortion.size:
+            storage.write(f"{name}_distortion", camera.distortion.reshape(1, -1))
+    storage.write("R", np.ascontiguousarray(calibration.color_from_depth[:3, :3]))
+    storage.write("T", np.ascontiguousarray(calibration.color_from_depth[:3, 3:]))
+    storage.release()
+    return path
+
+
 def write_tum(folder: Path, frames: list[RGBDFrame]) -> Path:
     """Write a TUM RGB-D folder; depth has 5000 units per metre, and color is 4 ms late."""
     lines: dict[str, list[str]] = {"rgb": ["# color images"], "depth": ["# depth maps"]}

@@ -2,14 +2,14 @@ import cv2
 import numpy as np
 import pytest
 
-from nurbseg.drivers.calibration.lens import Lens
+from nurbseg.drivers.calibration.lens import lens_terms, undistort
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.synthetic.render import Renderer
 from nurbseg.drivers.synthetic.source import SyntheticOptions, SyntheticSource
 from nurbseg.segmentation.points import registration
 from nurbseg.segmentation.points.registration import PointMap, register
 
-BENT = (0.09, -0.2, 0.001, -0.002, 0.05)
+DISTORTION = (0.09, -0.2, 0.001, -0.002, 0.05)
 
 
 def camera(width=64, height=48, focal=60.0, fy_sign=1, distortion=()):
@@ -62,13 +62,13 @@ def directly_projected(frame):
     [
         (camera(), camera(focal=55), moved(x=-0.025)),
         (
-            camera(distortion=BENT),
-            camera(focal=55, distortion=BENT),
+            camera(distortion=DISTORTION),
+            camera(focal=55, distortion=DISTORTION),
             moved(-0.02, 0.01, 0.02, (0.02, -0.01, 0.03)),
         ),
-        (camera(fy_sign=-1), camera(fy_sign=-1, distortion=BENT[:4]), moved(y=0.03)),
-        (camera(), camera(1280, 1024, 1100.0, distortion=BENT), moved(x=-0.025, turn=(0, 0.01, 0))),
-        (camera(distortion=(*BENT, 0.02, 0.01, -0.01)), camera(32, 24, 28.0), moved(turn=(0.05, 0, 0))),
+        (camera(fy_sign=-1), camera(fy_sign=-1, distortion=DISTORTION[:4]), moved(y=0.03)),
+        (camera(), camera(1280, 1024, 1100.0, distortion=DISTORTION), moved(x=-0.025, turn=(0, 0.01, 0))),
+        (camera(distortion=(*DISTORTION, 0.02, 0.01, -0.01)), camera(32, 24, 28.0), moved(turn=(0.05, 0, 0))),
     ],
     ids=["offset", "bent", "upwards", "large color", "small color"],
 )
@@ -231,42 +231,61 @@ def test_what_the_synthetic_color_camera_sees_is_what_is_colored(sensor):
     assert (labels == frame.labels)[cloud.colored].mean() > 0.995
 
 
+def some_lens(count, rng):
+    scale = np.array([0.1, 0.1, 0.002, 0.002, 0.03, 0.02, 0.02, 0.01, 0.002, 0.002, 0.002, 0.002, 0.02, 0.02])
+    return (rng.uniform(-1, 1, 14) * scale)[:count]
+
+
+def distorted(points, distortion):
+    rays = np.column_stack([points, np.ones(len(points))])
+    return cv2.projectPoints(rays, np.zeros(3), np.zeros(3), np.eye(3), distortion)[0].reshape(-1, 2)
+
+
 @pytest.mark.parametrize("count", [0, 5, 8, 12, 14])
 def test_points_are_projected_through_every_kind_of_lens(count):
     rng = np.random.default_rng(count)
-    scale = np.array([0.1, 0.1, 0.002, 0.002, 0.03, 0.02, 0.02, 0.01, 0.002, 0.002, 0.002, 0.002, 0.02, 0.02])
-    lens = Lens((rng.uniform(-1, 1, 14) * scale)[:count])
-    coefficients, fold, tilt = lens.model
-    x, y = rng.uniform(-1.5, 1.5, (2, 300)).astype(np.float32)
-    expected = np.stack(lens.bend(x.astype(float), y.astype(float)))
-    model = coefficients.astype(np.float32), np.float32(fold**2), tilt.astype(np.float32)
-    registration._bend_row(x, y, *model)
-    np.testing.assert_allclose(np.stack([x, y]), expected, rtol=2e-5, atol=2e-6)
+    distortion = some_lens(count, rng)
+    coefficients, fold_radius, tilt = lens_terms(distortion)
+    x, y = rng.uniform(-1.5, 1.5, (2, 300))
+    # Folding has a test of its own.
+    x, y = (each[np.hypot(x, y) < fold_radius].astype(np.float32) for each in (x, y))
+    assert x.size > 100
+    expected = distorted(np.column_stack([x, y]).astype(float), distortion)
+    model = coefficients.astype(np.float32), np.float32(fold_radius**2), tilt.astype(np.float32)
+    registration._distort_row(x, y, *model)
+    np.testing.assert_allclose(np.column_stack([x, y]), expected, rtol=2e-5, atol=2e-6)
 
 
 @pytest.mark.parametrize("count", [4, 5, 8, 12, 14])
-def test_the_lens_agrees_with_opencv_for_every_number_of_coefficients(count):
+def test_what_a_lens_distorts_is_undistorted(count):
     rng = np.random.default_rng(count)
-    scale = np.array([0.1, 0.1, 0.002, 0.002, 0.03, 0.02, 0.02, 0.01, 0.002, 0.002, 0.002, 0.002, 0.02, 0.02])
-    coefficients = (rng.uniform(-1, 1, 14) * scale)[:count]
-    points = rng.uniform(-0.6, 0.6, (200, 2))
-    expected = cv2.projectPoints(
-        np.column_stack([points, np.ones(200)]), np.zeros(3), np.zeros(3), np.eye(3), coefficients
-    )[0].reshape(-1, 2)
-    lens = Lens(coefficients)
-    bent = np.column_stack(lens.bend(points[:, 0], points[:, 1]))
-    np.testing.assert_allclose(bent, expected, atol=1e-9)
-    again = np.column_stack(lens.straighten(bent[:, 0], bent[:, 1], 1e-10))
+    distortion, points = some_lens(count, rng), rng.uniform(-0.6, 0.6, (200, 2))
+    again = undistort(distorted(points, distortion), distortion, 1e-10)
     np.testing.assert_allclose(again, points, atol=1e-8)
 
 
-def test_what_a_folding_lens_cannot_show_has_no_ray():
-    lens = Lens(np.array([-0.05, 0.24, 0.0, 0.0, -1.0]))
-    x, _ = lens.straighten(np.array([0.3, 0.8]), np.array([0.0, 0.0]), 1e-7)
-    assert np.isfinite(x[0]) and np.isnan(x[1])
-    # And nothing from beyond the fold appears inside the image.
-    far = np.linspace(0.8, 9.0, 50)
-    assert (lens.bend(far, np.zeros(50))[0] > 1).all()
+@pytest.mark.parametrize(
+    ("distortion", "shown", "beyond"),
+    [
+        ((-0.05, 0.24, 0.0, 0.0, -1.0), 0.3, (0.72, 0.8)),
+        # OpenCV finds a point for this place, but beyond the fold.
+        ((-0.5, 0.1, 0.0, 0.0, 0.0), 0.3, (0.785, 0.795)),
+    ],
+)
+def test_what_a_folding_lens_cannot_show_has_no_ray(distortion, shown, beyond):
+    places = np.array([[shown, 0.0], *([x, 0.0] for x in beyond)])
+    x, _ = undistort(places, np.array(distortion), 1e-7).T
+    assert np.isfinite(x).tolist() == [True, False, False]
+
+
+def test_nothing_from_beyond_a_lens_fold_appears_inside_the_image():
+    distortion = np.array([-0.05, 0.24, 0.0, 0.0, -1.0])
+    coefficients, fold_radius, tilt = lens_terms(distortion)
+    far, y = np.linspace(0.8, 9.0, 50, dtype=np.float32), np.zeros(50, np.float32)
+    registration._distort_row(
+        far, y, coefficients.astype(np.float32), np.float32(fold_radius**2), tilt.astype(np.float32)
+    )
+    assert (far > 1).all()
 
 
 def real_pair(folder):
