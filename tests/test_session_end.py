@@ -25,7 +25,10 @@ def test_a_stuck_thread_keeps_no_session_from_ending(
     (tmp_path / "pytest.ini").write_text("[pytest]\n")
     (tmp_path / "test_it.py").write_text(_LEAVES_A_THREAD.format(daemon=daemon, passes=passes))
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-p", "session_end", "-p", "no:cacheprovider", "-q", f"-n{processes}"],
+        [
+            *[sys.executable, "-m", "pytest", "-q", "-p", "session_end", "-p", "no:cacheprovider"],
+            *["-n", str(processes)],
+        ],
         cwd=tmp_path,
         env=os.environ | {"PYTHONPATH": str(Path(__file__).parent / "fakes")},
         capture_output=True,
