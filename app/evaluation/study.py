@@ -5,11 +5,10 @@ from __future__ import annotations
 import importlib.metadata
 import itertools
 import json
-import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import cv2
@@ -22,6 +21,7 @@ from nurbseg.app.evaluation.computer import computer
 from nurbseg.app.evaluation.scoring import score_frame
 from nurbseg.app.evaluation.store import StudyStore
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, Variant
+from nurbseg.app.workers import WorkerLostError, in_order, open_workers
 from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.options import SourceOptions
@@ -31,10 +31,6 @@ from nurbseg.segmentation.stag15 import SegmentationTree
 
 #: More frames than any source has: what passing over all of them is asked with.
 _ALL = 10**9
-#: Longest wait for a Dask cluster's first worker.
-_WORKER_TIMEOUT_S = 20.0
-#: Keeps the current folder off the path of Python processes, also of those that joblib starts.
-_SAFE_PATH = "PYTHONSAFEPATH"
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,9 +150,9 @@ def run_study(
         If a source cannot be opened.
     ValueError
         If the scheduler does not answer, or has no worker.
+    WorkerLostError
+        If a frame ends two processes that work on it.
     """
-    import joblib
-
     todo = []
     refs = frame_refs(study)
     for ref in refs:
@@ -168,67 +164,19 @@ def run_study(
             todo.append((ref, missing))
     done = len(refs) - len(todo)
     report(done, len(refs))
-    with workers(scheduler, jobs):
-        count = jobs if scheduler is None else -1
-        work = joblib.Parallel(n_jobs=count, return_as="generator_unordered", batch_size=1)
-        outcomes: Iterator[FrameOutcome] = work(
-            joblib.delayed(evaluate_frame)(ref, study.options, missing, study.seed) for ref, missing in todo
-        )
-        for outcome in outcomes:
+    evaluate = partial(evaluate_frame, options=study.options, seed=study.seed)
+    with open_workers(jobs, scheduler) as workers:
+        for (ref, _), future in in_order(workers, evaluate, todo):
+            try:
+                outcome = future.result()
+            except WorkerLostError as err:
+                raise WorkerLostError(f"{ref.uri}, frame {ref.index}: {err}") from err
             known = store.frame(outcome.key) or {}
             results = {**known.get("results", {}), **outcome.record.get("results", {})}
             store.keep(outcome.key, {**outcome.record, "results": results}, outcome.files)
             done += 1
             report(done, len(refs))
     return refs
-
-
-@contextmanager
-def _without_current_folder() -> Iterator[None]:
-    """Let no process that is started meanwhile run somebody's threading.py in the current folder."""
-    before = os.environ.get(_SAFE_PATH)
-    os.environ[_SAFE_PATH] = "1"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[_SAFE_PATH]
-        else:
-            os.environ[_SAFE_PATH] = before
-
-
-@contextmanager
-def workers(scheduler: str | None, jobs: int) -> Iterator[None]:
-    """Choose who does the work, and let go of them afterwards."""
-    import joblib
-
-    if scheduler is None:
-        if jobs == 1:
-            yield
-            return
-        from joblib.externals.loky import get_reusable_executor
-
-        try:
-            with _without_current_folder(), joblib.parallel_config("loky", inner_max_num_threads=1):
-                yield
-        finally:
-            get_reusable_executor().shutdown(wait=True)
-        return
-    from distributed import Client
-
-    try:
-        client = Client(scheduler, timeout="10s", set_as_default=True)
-    except (OSError, TimeoutError, ValueError) as err:
-        raise ValueError(f"--scheduler {scheduler}: no Dask scheduler answers there ({err})") from err
-    with client:
-        try:
-            client.wait_for_workers(1, timeout=_WORKER_TIMEOUT_S)
-        except TimeoutError as err:
-            raise ValueError(
-                f"--scheduler {scheduler}: it has no worker; start some: dask worker {scheduler}"
-            ) from err
-        with joblib.parallel_config("dask"):
-            yield
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,7 +202,7 @@ def read_frame(ref: FrameRef, options: SourceOptions) -> RGBDFrame:
 
 
 def evaluate_frame(
-    ref: FrameRef, options: SourceOptions, variants: Sequence[Variant], seed: int
+    task: tuple[FrameRef, Sequence[Variant]], *, options: SourceOptions, seed: int
 ) -> FrameOutcome:
     """Segment one frame with several variants and score each.
 
@@ -263,12 +211,10 @@ def evaluate_frame(
 
     Parameters
     ----------
-    ref : FrameRef
-        Which frame.
+    task : (FrameRef, sequence of Variant)
+        Which frame, and what to do with it.
     options : SourceOptions
         Of its source.
-    variants : sequence of Variant
-        What to do with it.
     seed : int
         With the frame's number, the state of the random generator of each variant.
 
@@ -277,6 +223,7 @@ def evaluate_frame(
     FrameOutcome
         A frame that is damaged, has no ground truth or no pixel that counts is recorded as skipped.
     """
+    ref, variants = task
     cv2.setNumThreads(1)
     try:
         frame = read_frame(ref, options)

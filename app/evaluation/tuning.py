@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, get_args
 
 import numpy as np
@@ -12,7 +13,8 @@ from numpy.typing import NDArray
 
 from nurbseg.app.evaluation.scoring import score_frame
 from nurbseg.app.evaluation.statistics import Estimate, bootstrap_gain
-from nurbseg.app.evaluation.study import FrameRef, Study, frame_refs, read_frame, workers
+from nurbseg.app.evaluation.study import FrameRef, Study, frame_refs, read_frame
+from nurbseg.app.workers import in_order, open_workers
 from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.segmentation.config import Metric, SegmentationConfig, SplittingPoint
 from nurbseg.segmentation.points.registration import PointMap, register
@@ -89,7 +91,6 @@ def tune(
     ValueError
         If there are fewer than two labelled frames, or `budget` or `folds` is below 2.
     """
-    import joblib
     import optuna
 
     if budget < 2:
@@ -102,11 +103,12 @@ def tune(
     search.enqueue_trial(_as_parameters(start))
     tried: list[SegmentationConfig] = []
     scores: list[NDArray[np.float64]] = []
-    with workers(None, jobs), joblib.Parallel(n_jobs=jobs) as work:
+    with open_workers(jobs) as workers:
         for number in range(budget):
             trial = search.ask()
             config = start if number == 0 else _suggested(trial, start)
-            values = np.array(work(joblib.delayed(_frame_objective)(ref, study, config) for ref in refs))
+            judged = in_order(workers, partial(_frame_objective, study=study, config=config), refs)
+            values = np.array([future.result() for _, future in judged])
             if np.isfinite(values).sum() < 2:
                 raise ValueError(f"{', '.join(study.sources)}: expected at least 2 frames with ground truth")
             mean = float(np.nanmean(values))

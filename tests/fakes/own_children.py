@@ -8,7 +8,7 @@ import psutil
 def own_children() -> list[psutil.Process]:
     """Return the processes started by what is tested, and still there.
 
-    Python and joblib each keep a process for the resources of a pool of workers, until this one ends.
+    Python keeps a process for the resources of others, until this one ends.
     """
     children = []
     for child in psutil.Process().children():

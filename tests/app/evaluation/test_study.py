@@ -14,7 +14,6 @@ import pytest
 from nurbseg.app.evaluation.cli import main
 from nurbseg.app.evaluation.methods.methods import labels_on_disk
 from nurbseg.app.evaluation.store import StudyStore
-from nurbseg.app.evaluation.study import workers
 from nurbseg.drivers.synthetic.source import SyntheticSource
 
 METHODS = "stag15,pz14,fh04,kmeans"
@@ -63,13 +62,6 @@ def test_a_dask_cluster_of_two_workers_gives_the_same_table(frames: Path, tmp_pa
     assert shared == alone
 
 
-def test_workers_leave_the_environment_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
-    with workers(None, 2):
-        assert os.environ["PYTHONSAFEPATH"] == "1"
-    assert "PYTHONSAFEPATH" not in os.environ
-
-
 def test_no_scheduler_at_the_address_is_a_usage_error(
     frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -113,7 +105,7 @@ def test_a_scheduler_without_workers_is_a_usage_error(
     frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("nurbseg.app.evaluation.study._WORKER_TIMEOUT_S", 0.2)
+    monkeypatch.setattr("nurbseg.app.workers._WORKER_TIMEOUT_S", 0.2)
     words = ["run", str(frames), "--methods", "fh04", "--out", str(tmp_path / "out")]
     with distributed.LocalCluster(n_workers=0, host="127.0.0.1", dashboard_address=None) as cluster:
         assert main([*words, "--scheduler", cluster.scheduler_address]) == 2
@@ -123,9 +115,10 @@ def test_a_scheduler_without_workers_is_a_usage_error(
 def test_without_the_extra_the_command_says_what_to_install(
     frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "joblib", None)
-    assert main([str(frames), "--methods", "fh04", "--out", str(tmp_path / "out")]) == 2
-    assert "joblib is not installed; evaluation needs the extra 'eval'" in capsys.readouterr().err
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    words = [str(frames), "--methods", "fh04", "--out", str(tmp_path / "out")]
+    assert main([*words, "--scheduler", "tcp://127.0.0.1:9"]) == 2
+    assert "distributed is not installed; evaluation needs the extra 'eval'" in capsys.readouterr().err
 
 
 def test_the_noise_of_planes_is_measured_past_damaged_frames(

@@ -1,0 +1,302 @@
+"""Processes that share out work, of this computer or of a Dask cluster; results come in the tasks' order."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import queue
+import signal
+import threading
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from multiprocessing import connection, get_context, parent_process
+from typing import Any, Protocol, TypeVar
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+#: Longest time for one task, seconds: a study may do a frame with a hundred settings.
+_TASK_LIMIT_S = 3600.0
+#: Longest wait for a process that was killed, and for a cluster's first worker, seconds.
+_KILLED_S, _WORKER_TIMEOUT_S = 10.0, 20.0
+#: What a process that is lost may take to end by itself, seconds.
+_LAST_WORDS_S = 1.0
+#: Keeps the current folder off the path of Python processes.
+_SAFE_PATH = "PYTHONSAFEPATH"
+
+
+class WorkerLostError(RuntimeError):
+    """A process ended in the middle of a task, and so did another one that was given the same task."""
+
+
+class Workers(Protocol):
+    """Who does the work."""
+
+    def submit(self, function: Callable[[Task], Result], task: Task, /) -> Future[Result]:
+        """Have a task done; `function` is found by its name, and the task is copied."""
+        ...
+
+    def ahead(self) -> int:
+        """Return how many tasks may wait or be under way besides the one whose result is wanted."""
+        ...
+
+
+def in_order(
+    workers: Workers, function: Callable[[Task], Result], tasks: Iterable[Task]
+) -> Iterator[tuple[Task, Future[Result]]]:
+    """Do tasks, a bounded number at once, and yield each in its turn with its future, which is done.
+
+    Parameters
+    ----------
+    workers : Workers
+        Of `open_workers`.
+    function : callable
+        Of a module; what it returns or raises is the future's.
+    tasks : iterable
+        Taken as there is room for them.
+
+    Raises
+    ------
+    WorkerLostError
+        If nothing comes any more.
+    """
+    pending: deque[tuple[Task, Future[Result]]] = deque()
+
+    def finished() -> tuple[Task, Future[Result]]:
+        if not wait([pending[0][1]], 2 * _TASK_LIMIT_S + _KILLED_S).done:
+            raise WorkerLostError(f"no worker has answered within {2 * _TASK_LIMIT_S:g} s")
+        return pending.popleft()
+
+    try:
+        for task in tasks:
+            pending.append((task, workers.submit(function, task)))
+            while pending and (len(pending) > workers.ahead() or pending[0][1].done()):
+                yield finished()
+        while pending:
+            yield finished()
+    finally:
+        for _, future in pending:
+            future.cancel()
+
+
+@contextmanager
+def open_workers(count: int, scheduler: str | None = None) -> Iterator[Workers]:
+    """Choose who does the work, and let go of them afterwards.
+
+    Parameters
+    ----------
+    count : int
+        Processes on this computer; 1 for this one alone.
+    scheduler : str, optional
+        Address of a Dask scheduler (``tcp://HOST:8786``) to use instead; its workers must see the same
+        files under the same names.
+
+    Raises
+    ------
+    ValueError
+        If the scheduler does not answer, or has no worker.
+    """
+    if scheduler is not None:
+        with _cluster(scheduler) as cluster:
+            yield cluster
+    elif count == 1:
+        yield _ThisProcess()
+    else:
+        with _without_current_folder():
+            processes = _Processes(count)
+            try:
+                yield processes
+            finally:
+                processes.close()
+
+
+class _ThisProcess:
+    """Does a task when it is given."""
+
+    def submit(self, function: Callable[[Task], Result], task: Task, /) -> Future[Result]:
+        future: Future[Result] = Future()
+        try:
+            future.set_result(function(task))
+        except Exception as err:
+            future.set_exception(err)
+        return future
+
+    def ahead(self) -> int:
+        return 0
+
+
+class _Processes:
+    """Processes on this computer, each with a thread here that waits for it."""
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._idle: queue.SimpleQueue[_Process] = queue.SimpleQueue()
+        self._all: list[_Process] = []
+        self._threads = ThreadPoolExecutor(count, "worker")
+        try:
+            for _ in range(count):
+                self._all.append(_Process())
+                self._idle.put(self._all[-1])
+        except BaseException:
+            self.close()
+            raise
+
+    def submit(self, function: Callable[[Task], Result], task: Task, /) -> Future[Result]:
+        return self._threads.submit(self._done, function, task)
+
+    def ahead(self) -> int:
+        # One more for each, so that it need not wait for the next.
+        return 2 * self._count - 1
+
+    def _done(self, function: Callable[[Task], Result], task: Task) -> Result:
+        process = self._idle.get_nowait()  # there are as many threads as processes
+        try:
+            return process.call(function, task)
+        finally:
+            self._idle.put(process)
+
+    def close(self) -> None:
+        """End all processes, whatever they are doing."""
+        for each in self._all:
+            each.close()
+        self._threads.shutdown(cancel_futures=True)
+
+
+class _Process:
+    """One process, and another one in its place when it is lost; one thread at a time calls it."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._closed = False
+        self._start()
+
+    def _start(self) -> None:
+        context = get_context("spawn")
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        # Ctrl-C is for this process, which ends the others in its own time. They inherit what is blocked.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            self._process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            theirs.close()
+
+    def call(self, function: Callable[[Task], Result], task: Task) -> Result:
+        """Have a task done, once more if the process is lost."""
+        lost = ""
+        for _ in range(2):
+            try:
+                self._connection.send((function, task))
+                if not self._connection.poll(_TASK_LIMIT_S):
+                    raise TimeoutError
+                result, error = self._connection.recv()
+            except (EOFError, OSError):
+                with self._lock:
+                    lost = self._end(_LAST_WORDS_S)
+                    if self._closed:
+                        break
+                    self._start()
+                continue
+            if error is not None:
+                raise error
+            return result  # type: ignore[no-any-return]
+        raise WorkerLostError(f"the process that worked on it {lost}, and so did another one")
+
+    def close(self) -> None:
+        """End the process for good."""
+        with self._lock:
+            self._closed = True
+            self._end(0.0)
+
+    def _end(self, limit_s: float) -> str:
+        """End the process, if it does not within a time, and return how it ended."""
+        self._process.join(limit_s)
+        self._process.kill()
+        self._process.join(_KILLED_S)
+        code = self._process.exitcode
+        return f"ended by signal {-code}" if code is not None and code < 0 else f"ended with code {code}"
+
+
+def _serve(calls: connection.Connection) -> None:
+    """Do what the other end asks for, until it is gone."""
+    threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
+    while True:
+        try:
+            function, task = calls.recv()
+        except EOFError:
+            return
+        answer: tuple[Any, Exception | None]
+        try:
+            answer = function(task), None
+        except Exception as err:
+            answer = None, _sendable(err)
+        calls.send(answer)
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+    os._exit(1)
+
+
+def _sendable(err: Exception) -> Exception:
+    err.add_note(traceback.format_exc())
+    try:
+        pickle.loads(pickle.dumps(err))
+    except Exception:
+        return RuntimeError(f"{type(err).__name__}: {err}")
+    return err
+
+
+@contextmanager
+def _without_current_folder() -> Iterator[None]:
+    """Let no process that is started meanwhile run somebody's threading.py in the current folder."""
+    before = os.environ.get(_SAFE_PATH)
+    os.environ[_SAFE_PATH] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[_SAFE_PATH]
+        else:
+            os.environ[_SAFE_PATH] = before
+
+
+class _Cluster:
+    """The workers of a Dask scheduler."""
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self._executor = client.get_executor()
+
+    def submit(self, function: Callable[[Task], Result], task: Task, /) -> Future[Result]:
+        return self._executor.submit(function, task)  # type: ignore[no-any-return]
+
+    def ahead(self) -> int:
+        return 2 * int(sum(self._client.ncores().values()))
+
+
+@contextmanager
+def _cluster(scheduler: str) -> Iterator[_Cluster]:
+    from distributed import Client
+
+    try:
+        client = Client(scheduler, timeout="10s", set_as_default=False)  # type: ignore[no-untyped-call]
+    except (OSError, TimeoutError, ValueError) as err:
+        raise ValueError(f"--scheduler {scheduler}: no Dask scheduler answers there ({err})") from err
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=_WORKER_TIMEOUT_S)
+        except TimeoutError as err:
+            raise ValueError(
+                f"--scheduler {scheduler}: it has no worker; start some: dask worker {scheduler}"
+            ) from err
+        yield _Cluster(client)
+
+
+__all__ = ["WorkerLostError", "Workers", "in_order", "open_workers"]

@@ -1,0 +1,120 @@
+import os
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+from own_children import own_children
+from worker_tasks import die_at_2, fail_at_1, named, process_of, raise_unsendable, sleep_if
+
+from nurbseg.app.workers import WorkerLostError, Workers, in_order, open_workers
+
+FAKES = str(Path(__file__).parents[1] / "fakes")
+
+
+@pytest.fixture
+def two() -> Iterator[Workers]:
+    with open_workers(2) as workers:
+        yield workers
+
+
+def test_results_come_in_the_order_of_their_tasks(two: Workers, tmp_path: Path) -> None:
+    tasks = [(name, tmp_path) for name in ("first", "second", "third")]
+    done = [(task, future.result()) for task, future in in_order(two, named, tasks)]
+    assert done == [(task, task[0]) for task in tasks]
+
+
+def test_tasks_are_taken_as_there_is_room_for_them(two: Workers) -> None:
+    taken: list[int] = []
+
+    def tasks() -> Iterator[int]:
+        for number in range(40):
+            taken.append(number)
+            yield number
+
+    for number, future in in_order(two, process_of, tasks()):
+        assert future.done()
+        assert len(taken) <= number + 4
+    assert taken == list(range(40))
+
+
+def test_one_worker_is_this_process() -> None:
+    with open_workers(1) as workers:
+        assert [future.result() for _, future in in_order(workers, process_of, range(2))] == 2 * [os.getpid()]
+
+
+def test_two_workers_are_two_others(two: Workers) -> None:
+    found = {future.result() for _, future in in_order(two, process_of, range(20))}
+    assert os.getpid() not in found
+    assert len(found) == 2
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_an_error_is_that_of_its_task_alone(count: int) -> None:
+    with open_workers(count) as workers:
+        futures = [future for _, future in in_order(workers, fail_at_1, range(3))]
+    assert [futures[0].result(), futures[2].result()] == [0, 2]
+    with pytest.raises(FileNotFoundError, match=r"gone: 'frame\.png'"):
+        futures[1].result()
+
+
+def test_an_error_that_cannot_be_sent_keeps_its_words(two: Workers) -> None:
+    [(_, future)] = in_order(two, raise_unsendable, [0])
+    with pytest.raises(RuntimeError, match="UnsendableError: torn apart"):
+        future.result()
+
+
+def test_a_lost_process_is_replaced_and_its_task_done_again(two: Workers, tmp_path: Path) -> None:
+    tasks = [(number, tmp_path, 1) for number in range(6)]
+    assert [future.result() for _, future in in_order(two, die_at_2, tasks)] == list(range(6))
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_task_that_ends_two_processes_is_given_up_alone(two: Workers, tmp_path: Path) -> None:
+    tasks = [(number, tmp_path, 9) for number in range(6)]
+    futures = [future for _, future in in_order(two, die_at_2, tasks)]
+    with pytest.raises(WorkerLostError, match="ended by signal 9, and so did another one"):
+        futures.pop(2).result()
+    assert [future.result() for future in futures] == [0, 1, 3, 4, 5]
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_leaving_ends_processes_whatever_they_are_doing() -> None:
+    before = set(own_children())
+    with open_workers(2) as workers:
+        tasks = in_order(workers, sleep_if, [0, 1])
+        assert next(tasks)[1].result() == 0
+        tasks.close()
+    assert set(own_children()) == before
+
+
+def test_processes_end_with_the_one_that_started_them(tmp_path: Path) -> None:
+    said = tmp_path / "said"
+    code = (
+        f"import sys; sys.path.insert(0, {FAKES!r}); "
+        f"import worker_tasks; worker_tasks.start_and_tell({str(said)!r})"
+    )
+    parent = psutil.Popen([sys.executable, "-c", code])
+    try:
+        limit_s = time.monotonic() + 120
+        while not (said.exists() and said.read_text()):
+            assert parent.poll() is None and time.monotonic() < limit_s
+            time.sleep(0.02)
+        children = parent.children()
+    finally:
+        parent.kill()
+        parent.wait(10)
+    assert len(children) >= 2
+    _, alive = psutil.wait_procs(children, timeout=60)
+    for each in alive:
+        each.kill()
+    assert alive == []
+
+
+def test_workers_leave_the_environment_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    with open_workers(2):
+        assert os.environ["PYTHONSAFEPATH"] == "1"
+    assert "PYTHONSAFEPATH" not in os.environ
