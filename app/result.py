@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.segmentation.config import Level
-from nurbseg.segmentation.labels.lookup import looked_up
+from nurbseg.segmentation.labels.lookup import apply_lookup_table
 from nurbseg.segmentation.live.identity import Event, Identities
-from nurbseg.segmentation.live.tree import Revision
+from nurbseg.segmentation.live.tree import UpdateReport
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import SegmentationTree
 
@@ -34,7 +34,7 @@ class FrameResult:
     surface_identities, object_identities : Identities or None
         Of the tree's leaves and objects, by their labels, where frames continue each other. Then labels are
         identities: a segment keeps its own from frame to frame.
-    revision : Revision or None
+    update : UpdateReport or None
         What was done to the live tree for this frame; None where the frame was segmented for itself.
     """
 
@@ -44,7 +44,7 @@ class FrameResult:
     elapsed_ms: Mapping[str, float]
     surface_identities: Identities | None = None
     object_identities: Identities | None = None
-    revision: Revision | None = None
+    update: UpdateReport | None = None
 
     @property
     def surface_of_leaf(self) -> NDArray[np.uint16]:
@@ -70,7 +70,7 @@ class FrameResult:
         """
         objects = (level or self.tree.level) == "objects"
         of_leaf = self.object_of_leaf if objects else self.surface_of_leaf
-        return looked_up(of_leaf, self.tree.labels("surfaces"))
+        return apply_lookup_table(of_leaf, self.tree.labels("surfaces"))
 
     @property
     def surface_labels(self) -> tuple[int, ...]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from skimage.color import rgb2lab
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.cut.components import give_away_small_pieces
+from nurbseg.segmentation.cut.components import remove_small_components
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.bspline import averaged_knots, basis_matrix
 
@@ -96,7 +96,7 @@ def segment(cloud: PointMap, config: SegmentationConfig) -> NDArray[np.uint16]:
             image, mask = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
             mask.flat[pixels] = True
             image.flat[pixels] = cut(x[row_of[pixels]], config, rng)
-            side = give_away_small_pieces(mask, image, smallest).ravel()[pixels]
+            side = remove_small_components(mask, image, smallest).ravel()[pixels]
             parts = pixels[~side], pixels[side]
             stop = min(part.size for part in parts) < smallest
         if not stop:

@@ -158,8 +158,8 @@ def measure(source: FrameSource, motion: Motion, config: SegmentationConfig, cou
     for place, frame in enumerate(frames_of(source, count)):
         result = segmenter.process(frame)
         cloud = result.cloud
-        if result.revision is not None and result.revision.cold:
-            cold[result.revision.cold] += 1
+        if result.update is not None and result.update.reset:
+            cold[result.update.reset] += 1
         events.update(event.kind for event in result.events)
         live = {level: result.labels(level) for level in get_args(Level)}
         if before is not None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import Level, Metric, SegmentationConfig
-from nurbseg.segmentation.labels.lookup import looked_up
+from nurbseg.segmentation.labels.lookup import apply_lookup_table
 from nurbseg.segmentation.surfaces.metrics import acceptance_ratio, metric_value
 
 if TYPE_CHECKING:
@@ -206,7 +206,7 @@ class SegmentationTree:
         if (level or self.level) == "objects" and self.objects:
             number = {name: n for n, each in enumerate(self.objects, start=1) for name in each.leaves}
             of_label = np.array([0, *(number[leaf.name] for leaf in self.leaves())], dtype=np.uint16)
-            return looked_up(of_label, self.labels("surfaces"))
+            return apply_lookup_table(of_label, self.labels("surfaces"))
         if self.image is not None:
             return self.image
         labels = np.zeros(self.shape[0] * self.shape[1], dtype=np.uint16)

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.cut.components import give_away_small_pieces
+from nurbseg.segmentation.cut.components import remove_small_components
 from nurbseg.segmentation.cut.features import normalization, normalized, raw_vectors
 from nurbseg.segmentation.cut.ncut import Cut, normalized_cut
 from nurbseg.segmentation.extended.splitting import segment_nurbseg
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
-from nurbseg.segmentation.labels.upsample import Split, settle
+from nurbseg.segmentation.labels.upsample import Split, upsample_labels
 from nurbseg.segmentation.points.grid import PixelGrid, decimated_grid, step_with_points
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import (
@@ -56,7 +56,7 @@ def segment(
 
     References
     ----------
-    .. [1] G. Pagnutti and P. Zanuttigh, "Scene segmentation based on NURBS surface fitting metrics",
+    .. [1] G. Pagnutti and P. Zanuttigh, "GridFeatures segmentation based on NURBS surface fitting metrics",
        STAG 2015.
     """
     with one_blas_thread():
@@ -80,7 +80,7 @@ def segment_stag15(
     nodes = depth_first(root)
     leaves = [node for node in nodes if not node.children]
     splits = _splits(nodes, leaves)
-    labels = settle(
+    labels = upsample_labels(
         cloud,
         grid,
         [leaf.places for leaf in leaves],
@@ -232,7 +232,7 @@ def _cleaned(
     mask[at] = True
     image = np.zeros_like(mask)
     image[at] = side
-    cleaned: NDArray[np.bool_] = give_away_small_pieces(mask, image, segment_min)[at]
+    cleaned: NDArray[np.bool_] = remove_small_components(mask, image, segment_min)[at]
     return cleaned
 
 

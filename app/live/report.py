@@ -24,10 +24,10 @@ from nurbseg.app.versions import versions
 from nurbseg.app.view.view import View
 from nurbseg.segmentation.live.identity import Event
 from nurbseg.segmentation.live.renewal import SPLIT_FRAMES, TRIAL_FRAMES
-from nurbseg.segmentation.live.tree import Revision
+from nurbseg.segmentation.live.tree import UpdateReport
 
-#: What is counted of revisions of the live tree.
-_REVISED = ("refits", "trials", "splits", "appeared", "folds", "judged")
+#: What is counted of updates of the live tree.
+_REVISED = ("refits", "trials", "splits", "appeared", "merges", "judged")
 
 
 class RunReport:
@@ -74,16 +74,19 @@ class RunReport:
         self._oldest_split = self._oldest_trial = 0
 
     def add(
-        self, elapsed_ms: Mapping[str, float], events: Sequence[Event] = (), revision: Revision | None = None
+        self,
+        elapsed_ms: Mapping[str, float],
+        events: Sequence[Event] = (),
+        update: UpdateReport | None = None,
     ) -> None:
         """Count a frame that was segmented, with each stage's time in milliseconds, and what happened."""
         self._events.update(each.kind for each in events)
-        if revision is not None:
-            if revision.cold:
-                self._anew[revision.cold] += 1
-            self._revised.update({name: getattr(revision, name) for name in _REVISED})
-            self._oldest_split = max(self._oldest_split, revision.oldest)
-            self._oldest_trial = max(self._oldest_trial, revision.oldest_trial)
+        if update is not None:
+            if update.reset:
+                self._anew[update.reset] += 1
+            self._revised.update({name: getattr(update, name) for name in _REVISED})
+            self._oldest_split = max(self._oldest_split, update.oldest)
+            self._oldest_trial = max(self._oldest_trial, update.oldest_trial)
         self._last_s = time.monotonic()
         if self._first_s is None:
             self._first_s = self._last_s

@@ -199,7 +199,7 @@ def _segment(
             consume(result)
             elapsed_ms[stage] = 1e3 * (time.perf_counter() - started_s)
         report.late = latency_filter.held_back
-        report.add(elapsed_ms, result.events, result.revision)
+        report.add(elapsed_ms, result.events, result.update)
         progress.segmented(result, late=latency_filter.held_back)
         if report.segmented == _SETTLED_FRAMES:
             # That stays for good, and looking for garbage in it takes a tenth of a second each time.

@@ -13,8 +13,8 @@ from nurbseg.app.live.rate_controller import RateController
 from nurbseg.app.result import FrameResult
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.labels.lookup import looked_up
-from nurbseg.segmentation.live.identity import Identities, carry_identities
+from nurbseg.segmentation.labels.lookup import apply_lookup_table
+from nurbseg.segmentation.live.identity import Identities, track_identities
 from nurbseg.segmentation.live.tree import Budget, LiveTree, lives
 from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.stag15 import SegmentationTree, segment
@@ -80,8 +80,8 @@ class Segmenter:
             "register": 1e3 * (registered_s - started_s),
             "segment": 1e3 * (time.perf_counter() - registered_s),
         }
-        result = FrameResult(frame, cloud, tree, elapsed_ms, revision=self._live.revision)
-        cold = bool(self._live.revision.cold)
+        result = FrameResult(frame, cloud, tree, elapsed_ms, update=self._live.report)
+        cold = bool(self._live.report.reset)
         result = self._identified(result, None if cold else self._live.labels_before)
         if self._rate_controller is not None:
             self._rate_controller.took(sum(result.elapsed_ms.values()), cold=cold)
@@ -95,12 +95,12 @@ class Segmenter:
         started_s = time.perf_counter()
         tree = result.tree
         labels = tree.labels("surfaces")
-        self._surfaces = carry_identities(self._surfaces, labels, result.cloud, before=before)
+        self._surfaces = track_identities(self._surfaces, labels, result.cloud, before=before)
         object_of_label = _object_of_label(tree)
         if tree.objects:
-            objects = None if before is None else looked_up(self._object_of_label, before)
-            self._objects = carry_identities(
-                self._objects, looked_up(object_of_label, labels), result.cloud, before=objects
+            objects = None if before is None else apply_lookup_table(self._object_of_label, before)
+            self._objects = track_identities(
+                self._objects, apply_lookup_table(object_of_label, labels), result.cloud, before=objects
             )
         self._object_of_label = object_of_label
         elapsed_ms = {**result.elapsed_ms, "identify": 1e3 * (time.perf_counter() - started_s)}

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 _CONNECTIVITY = 8
 
 
-def give_away_small_pieces(
+def remove_small_components(
     mask: NDArray[np.bool_], side: NDArray[np.bool_], pixels_min: float
 ) -> NDArray[np.bool_]:
     """Give every connected piece of a side that is too small to the other side (section 3.1).
@@ -56,4 +56,4 @@ def _small_pieces(
     return found
 
 
-__all__ = ["give_away_small_pieces"]
+__all__ = ["remove_small_components"]

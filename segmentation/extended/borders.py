@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.labels.regions import connected_pieces, joints
+from nurbseg.segmentation.labels.regions import connected_components, pixel_adjacency
 from nurbseg.segmentation.labels.spreading import spread_in_place
 from nurbseg.segmentation.surfaces.noise import SQUARE_MOST
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
@@ -38,7 +38,7 @@ def refine_borders(
     surfaces: Sequence[NurbsSurface | None],
     config: SegmentationConfig,
 ) -> NDArray[np.int32]:
-    """Move borders to where the surfaces on both sides, carried beyond them, explain the points best.
+    """Move borders to where the surfaces on both sides, extrapolated beyond them, explain the points best.
 
     The cost of a label at a pixel is the squared residual of inverse depth in units of the noise, limited,
     less the votes of the neighbours, which weigh one over their distance and little across a gap in
@@ -275,7 +275,7 @@ def _severed(
     labels: NDArray[np.int32], per_m: NDArray[np.float32], config: SegmentationConfig
 ) -> NDArray[np.intp]:
     """Find the flat pixels of small pieces that are not the largest of their label."""
-    found = connected_pieces(labels, joints(per_m, labels > 0, config.depth_gap_per_m))
+    found = connected_components(labels, pixel_adjacency(per_m, labels > 0, config.depth_gap_per_m))
     unit = labels.size / (640.0 * 480.0)
     small = ~found.large(config.piece_pixels_min * unit, int(labels.max()))
     small[0] = False

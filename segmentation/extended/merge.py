@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.contact import Meeting, in_contact, meetings
+from nurbseg.segmentation.extended.border_statistics import BorderStatistics, border_statistics, in_contact
 from nurbseg.segmentation.extended.smooth import smooth_borders
 from nurbseg.segmentation.surfaces.inverse_depth import DepthGrid
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
@@ -100,7 +100,7 @@ def merge_surfaces(
     """
     if not (config.merge_crease or config.merge_smooth):
         return (), ()
-    found = meetings(labels, surfaces, grid.rays, gap_per_m=config.depth_gap_per_m)
+    found = border_statistics(labels, surfaces, grid.rays, gap_per_m=config.depth_gap_per_m)
     smooth: set[tuple[int, int]] = set()
     if config.merge_smooth:
         on_grid = labels[:: grid.step, :: grid.step]
@@ -110,7 +110,7 @@ def merge_surfaces(
 
 
 def merged_objects(
-    found: Sequence[Meeting],
+    found: Sequence[BorderStatistics],
     smooth: set[tuple[int, int]],
     labels: NDArray[np.int32],
     names: Sequence[str],
@@ -120,7 +120,7 @@ def merged_objects(
 
     Parameters
     ----------
-    found : sequence of Meeting
+    found : sequence of BorderStatistics
         Of every two labels whose borders meet.
     smooth : set of (int, int)
         Labels, the smaller one first, that meet in a smooth border.
@@ -160,7 +160,7 @@ def _count(labels: NDArray[np.int32], counts: NDArray[np.intp]) -> None:
 
 
 def _merged(
-    found: Sequence[Meeting], smooth: set[tuple[int, int]], count: int, config: SegmentationConfig
+    found: Sequence[BorderStatistics], smooth: set[tuple[int, int]], count: int, config: SegmentationConfig
 ) -> list[int]:
     """Merge greedily; returns the number of each label's group, which is one of the labels in it."""
     group = list(range(count + 1))
@@ -222,18 +222,18 @@ class _Pooled:
 
 
 def _explained(
-    meeting: Meeting,
+    border: BorderStatistics,
     smooth: bool,
     names: Sequence[str],
     group: Sequence[int],
     config: SegmentationConfig,
 ) -> Contact:
     """Say in words why two surfaces are, or are not, one object."""
-    merged = group[meeting.first] == group[meeting.second]
-    touching = in_contact(meeting.samples, meeting.touching)
-    concavity = meeting.concavity_sum / meeting.touching if meeting.touching else float("nan")
+    merged = group[border.first] == group[border.second]
+    touching = in_contact(border.samples, border.touching)
+    concavity = border.concavity_sum / border.touching if border.touching else float("nan")
     if not touching:
-        why = f"a gap: {meeting.touching} of {meeting.samples} places along the border touch"
+        why = f"a gap: {border.touching} of {border.samples} places along the border touch"
     elif smooth:
         why = "a smooth border: one surface explains both sides"
     elif concavity < config.concavity_max:
@@ -246,12 +246,12 @@ def _explained(
     elif not merged and direct:
         why = f"{why}, but their objects meet in a concave one"
     return Contact(
-        first=names[meeting.first - 1],
-        second=names[meeting.second - 1],
+        first=names[border.first - 1],
+        second=names[border.second - 1],
         merged=merged,
         reason=why,
-        samples=meeting.samples,
-        touching=meeting.touching,
+        samples=border.samples,
+        touching=border.touching,
         concavity=concavity,
         smooth=smooth,
     )

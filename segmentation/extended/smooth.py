@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.contact import Meeting, in_contact
+from nurbseg.segmentation.extended.border_statistics import BorderStatistics, in_contact
 from nurbseg.segmentation.labels.strips import BorderStrips
 from nurbseg.segmentation.points.grid import Window
 from nurbseg.segmentation.surfaces.inverse_depth import DepthGrid, residuals_of_fit
@@ -30,7 +30,7 @@ _MEAN_MOST, _FAR_SHARE_MOST = 2.2, 0.05
 
 
 def smooth_borders(
-    found: Sequence[Meeting], on_grid: NDArray[np.int32], grid: DepthGrid, config: SegmentationConfig
+    found: Sequence[BorderStatistics], on_grid: NDArray[np.int32], grid: DepthGrid, config: SegmentationConfig
 ) -> list[bool]:
     """Say of each border whether it is concave and one surface explains both sides.
 
@@ -39,7 +39,7 @@ def smooth_borders(
 
     Parameters
     ----------
-    found : sequence of Meeting
+    found : sequence of BorderStatistics
         Each of two labels.
     on_grid : (h, w) int32
         Labels of the grid's places; 0 where there is no point.
@@ -60,22 +60,24 @@ def smooth_borders(
     return [ask and _is_smooth(each, strips, grid, config) for ask, each in zip(asked, found, strict=True)]
 
 
-def _is_asked(meeting: Meeting, config: SegmentationConfig) -> bool:
+def _is_asked(border: BorderStatistics, config: SegmentationConfig) -> bool:
     """Say whether two surfaces are in contact and not to be merged for their concavity."""
-    if not in_contact(meeting.samples, meeting.touching):
+    if not in_contact(border.samples, border.touching):
         return False
-    return not config.merge_crease or meeting.concavity_sum >= config.concavity_max * meeting.touching
+    return not config.merge_crease or border.concavity_sum >= config.concavity_max * border.touching
 
 
-def _is_smooth(meeting: Meeting, strips: BorderStrips, grid: DepthGrid, config: SegmentationConfig) -> bool:
+def _is_smooth(
+    border: BorderStatistics, strips: BorderStrips, grid: DepthGrid, config: SegmentationConfig
+) -> bool:
     width_px = _STRIP_PX * grid.unit_px
-    window, strip = strips.strip(meeting.first, meeting.second, _reach(width_px, grid))
+    window, strip = strips.strip(border.first, border.second, _reach(width_px, grid))
     per_m = grid.per_m[window[0] : window[2], window[1] : window[3]][strip > 0]
     if per_m.size == 0:
         return False
     wider_px = _STRIP_PX_PER_M * _median(1.0 / per_m) * grid.unit_px
     if wider_px > width_px:
-        window, strip = strips.strip(meeting.first, meeting.second, _reach(wider_px, grid))
+        window, strip = strips.strip(border.first, border.second, _reach(wider_px, grid))
     points = np.count_nonzero(strip)
     if points < _STRIP_POINTS_LEAST:
         return False

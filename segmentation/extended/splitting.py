@@ -1,4 +1,4 @@
-"""The default method: surfaces by normalized cuts, settled borders, and objects of merged surfaces."""
+"""The default method: surfaces by normalized cuts, refined borders, and objects of merged surfaces."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.cut.components import give_away_small_pieces
+from nurbseg.segmentation.cut.components import remove_small_components
 from nurbseg.segmentation.cut.features import Normalization, normalized
 from nurbseg.segmentation.cut.ncut import Cut, normalized_cuts
 from nurbseg.segmentation.extended.borders import refine_borders
+from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features, segment_normalization
 from nurbseg.segmentation.extended.merge import merge_surfaces
-from nurbseg.segmentation.extended.scene import Scene, node_normalization, prepare
-from nurbseg.segmentation.labels.regions import large_pieces
+from nurbseg.segmentation.labels.regions import large_components
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
-from nurbseg.segmentation.labels.upsample import labels_of_every_pixel
+from nurbseg.segmentation.labels.upsample import upsample_by_depth
 from nurbseg.segmentation.points.grid import step_with_points
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import (
@@ -59,17 +59,17 @@ def segment_nurbseg(cloud: PointMap, config: SegmentationConfig) -> Segmentation
         Its leaves are surfaces; its objects, none where merging is off, are merged leaves.
     """
     config = replace(config, decimation=step_with_points(cloud.valid, config.decimation))
-    scene = prepare(cloud, config)
-    root = grow(scene, config)
+    features = grid_features(cloud, config)
+    root = grow(features, config)
     nodes = depth_first(root)
     leaves = [node for node in nodes if not node.children]
 
-    on_grid = np.zeros(scene.grid.valid.size, dtype=np.int32)
+    on_grid = np.zeros(features.grid.valid.size, dtype=np.int32)
     for label, leaf in enumerate(leaves, start=1):
         on_grid[leaf.places] = label
     per_m = inverse_depth_image(cloud)
-    labels = labels_of_every_pixel(
-        on_grid.reshape(scene.grid.valid.shape), scene.grid.per_m, per_m, cloud.valid, config
+    labels = upsample_by_depth(
+        on_grid.reshape(features.grid.valid.shape), features.grid.per_m, per_m, cloud.valid, config
     )
     surfaces = [leaf.fit.surface for leaf in leaves]
     if config.refine_borders:
@@ -77,16 +77,18 @@ def segment_nurbseg(cloud: PointMap, config: SegmentationConfig) -> Segmentation
 
     image = labels.astype(np.uint16)
     segments = finished_segments(nodes, leaves, image)
-    objects, contacts = merge_surfaces(labels, scene.grid, [leaf.name for leaf in leaves], surfaces, config)
+    objects, contacts = merge_surfaces(
+        labels, features.grid, [leaf.name for leaf in leaves], surfaces, config
+    )
     return SegmentationTree(segments, cloud.valid.shape, objects, contacts, config.level, image)
 
 
-def grow(scene: Scene, config: SegmentationConfig) -> Node:
+def grow(features: GridFeatures, config: SegmentationConfig) -> Node:
     """Grow the tree on the grid, the worst open segment first.
 
     Parameters
     ----------
-    scene : Scene
+    features : GridFeatures
         The frame.
     config : SegmentationConfig
         Thresholds and choices.
@@ -95,20 +97,20 @@ def grow(scene: Scene, config: SegmentationConfig) -> Node:
     -------
     Node
         The root. Where parts of a frame or of a side of a cut are not connected, nodes without a surface
-        hold them together, so that every segment has two parts or none.
+        chain them, so that every segment has two parts or none.
     """
-    places = np.flatnonzero(scene.grid.valid)
-    parts = _pieces(scene, places, np.ones(places.size, dtype=np.int32), config)[0] or [places]
-    root = _held_together("", [measured(scene, part, config) for part in parts], 0)
+    places = np.flatnonzero(features.grid.valid)
+    parts = _pieces(features, places, np.ones(places.size, dtype=np.int32), config)[0] or [places]
+    root = _chain_components("", [fit_segment(features, part, config) for part in parts], 0)
     waiting: list[tuple[float, str, Node]] = []
     _push_open(waiting, root, config)
     splits = 0
     while waiting:
         _, _, node = heapq.heappop(waiting)
-        node.stop = _reason_not_to_try(scene, node, splits, config)
+        node.stop = _reason_not_to_try(features, node, splits, config)
         if node.stop is not None:
             continue
-        sides, cut = best_split(scene, node, config)
+        sides, cut = best_split(features, node, config)
         if cut is None:
             continue
         splits += 1
@@ -127,11 +129,11 @@ def _push_open(waiting: list[tuple[float, str, Node]], top: Node, config: Segmen
 
 
 def _reason_not_to_try(
-    scene: Scene, node: Node, splits: int, config: SegmentationConfig
+    features: GridFeatures, node: Node, splits: int, config: SegmentationConfig
 ) -> StopReason | None:
     if node.places.size == 0:
         return StopReason.NO_POINTS
-    if node.places.size <= 2.0 * scene.places_min(config):
+    if node.places.size <= 2.0 * features.places_min(config):
         return StopReason.TOO_SMALL
     if node.cuts_above >= config.depth_max:
         return StopReason.DEPTH
@@ -148,12 +150,12 @@ def _reason_not_to_try(
 Part = tuple[NDArray[np.intp], Fit, StopReason | None]
 
 
-def measured(scene: Scene, places: NDArray[np.intp], config: SegmentationConfig) -> Part:
+def fit_segment(features: GridFeatures, places: NDArray[np.intp], config: SegmentationConfig) -> Part:
     """Fit a surface, with the metric that decides among its values, and what noise leaves of that metric.
 
     Parameters
     ----------
-    scene : Scene
+    features : GridFeatures
         The frame.
     places : (N,) intp
         Flat places of the grid, ascending.
@@ -168,19 +170,19 @@ def measured(scene: Scene, places: NDArray[np.intp], config: SegmentationConfig)
     """
     if places.size == 0:
         return places, Fit(None, np.zeros(0), {}, "0 points, 1 needed", places), StopReason.NO_POINTS
-    window, mask = scene.grid.points.window_mask(places)
-    fit, _ = fit_window(scene.grid, window, mask, config)
+    window, mask = features.grid.points.window_mask(places)
+    fit, _ = fit_window(features.grid, window, mask, config)
     if fit.surface is None:
         return places, fit, None
     if config.metric in CURVATURE_METRICS:
-        fit = replace(fit, values=all_metrics(fit, scene.grid.points.image_shape[1], config))
+        fit = replace(fit, values=all_metrics(fit, features.grid.points.image_shape[1], config))
     if config.noise_floor == 0:
         return places, fit, None
-    fit = replace(fit, floor=noise_floor(scene.grid, window, mask, config))
-    return places, fit, StopReason.NOISE if hopeless(fit, config) else None
+    fit = replace(fit, floor=noise_floor(features.grid, window, mask, config))
+    return places, fit, StopReason.NOISE if at_noise_floor(fit, config) else None
 
 
-def hopeless(fit: Fit, config: SegmentationConfig) -> bool:
+def at_noise_floor(fit: Fit, config: SegmentationConfig) -> bool:
     """Say whether a fit is so near to what noise leaves that no split can have a ratio (eq. 5) below T."""
     # The floors of parts weigh no less than that of the whole: no ratio is below floor over value.
     value = metric_value(fit.values, config.metric, fit.floor)
@@ -188,13 +190,13 @@ def hopeless(fit: Fit, config: SegmentationConfig) -> bool:
 
 
 def best_split(
-    scene: Scene, node: Node, config: SegmentationConfig, *, thin_from: int = _MANY_PLACES
+    features: GridFeatures, node: Node, config: SegmentationConfig, *, thin_from: int = _MANY_PLACES
 ) -> tuple[tuple[list[Part], list[Part]], Cut | None]:
-    """Try the cuts of a node in turn; if none is kept the node is told why and there is no cut.
+    """Try the cuts of a node in turn; if none is kept the node gets the reason and there is no cut.
 
     Parameters
     ----------
-    scene : Scene
+    features : GridFeatures
         The frame; its vectors are read at the node's places.
     node : Node
         Gets the trial of the split that is kept or else of the best one and, where none is, the reason.
@@ -211,13 +213,13 @@ def best_split(
         None where no split is kept.
     """
     # Of a large segment, the places between those that are cut follow them.
-    points = scene.grid.points
+    points = features.grid.points
     drawn = points.every_second(node.places) if node.places.size >= thin_from else node.places
-    scale = scene.whole or node_normalization(scene.raw, drawn, config)
+    scale = features.whole or segment_normalization(features.raw, drawn, config)
     rng = np.random.default_rng([config.seed, int(f"1{node.name}", 2)])
     node.stop, node.trial = StopReason.NO_CUT, None
     for cut in normalized_cuts(
-        normalized(scene.raw, scale, drawn),
+        normalized(features.raw, scale, drawn),
         count=config.cuts,
         samples=config.samples,
         rng=rng,
@@ -227,12 +229,12 @@ def best_split(
     ):
         if cut.reason:
             continue
-        sides_of_places = cut.side if drawn is node.places else _continued(scene, node, drawn, cut, scale)
-        pieces, side_of = _pieces(scene, node.places, 1 + sides_of_places.astype(np.int32), config)
+        sides_of_places = cut.side if drawn is node.places else _continued(features, node, drawn, cut, scale)
+        pieces, side_of = _pieces(features, node.places, 1 + sides_of_places.astype(np.int32), config)
         if len(pieces) < 2:
             node.stop = StopReason.CHILD_TOO_SMALL
             continue
-        parts = [measured(scene, piece, config) for piece in pieces]
+        parts = [fit_segment(features, piece, config) for piece in pieces]
         values = [(metric_value(fit.values, config.metric, fit.floor), own.size) for own, fit, _ in parts]
         whole = node.value(config), node.places.size
         ratio = acceptance_ratio(config.metric, whole, *values)
@@ -253,11 +255,11 @@ def best_split(
 
 
 def _continued(
-    scene: Scene, node: Node, drawn: NDArray[np.intp], cut: Cut, scale: Normalization
+    features: GridFeatures, node: Node, drawn: NDArray[np.intp], cut: Cut, scale: Normalization
 ) -> NDArray[np.bool_]:
     """Continue a cut of every second place to all: where those around agree, and else by its extension."""
-    sides, asked = _neighbors_side(cut.side, drawn, node.places, *scene.grid.points.shape)
-    sides[asked] = cut.classify(normalized(scene.raw, scale, node.places[asked]))
+    sides, asked = _neighbors_side(cut.side, drawn, node.places, *features.grid.points.shape)
+    sides[asked] = cut.classify(normalized(features.raw, scale, node.places[asked]))
     return sides
 
 
@@ -289,30 +291,30 @@ def _neighbors_side(
 
 
 def _pieces(
-    scene: Scene, places: NDArray[np.intp], labels: NDArray[np.int32], config: SegmentationConfig
+    features: GridFeatures, places: NDArray[np.intp], labels: NDArray[np.int32], config: SegmentationConfig
 ) -> tuple[list[NDArray[np.intp]], list[int]]:
     """Split places by label and into connected pieces; small ones go to their neighbours.
 
-    Returns the places of each piece and the label it had, none where no piece is large enough.
+    Returns the places of each piece and the label it had, none where no component is large enough.
     """
     if places.size == 0:
         return [], []
     if config.connected_pieces:
-        return large_pieces(
+        return large_components(
             places,
             labels,
-            scene.joined,
-            scene.grid.per_m,
+            features.adjacency,
+            features.grid.per_m,
             gap_per_m=config.depth_gap_per_m,
-            places_min=scene.places_min(config),
+            places_min=features.places_min(config),
         )
-    rows, columns, (top, left, bottom, right) = scene.grid.points.locate(places)
+    rows, columns, (top, left, bottom, right) = features.grid.points.locate(places)
     at = rows - top, columns - left
     image = np.zeros((bottom - top, right - left), dtype=np.int32)
     image[at] = labels
-    side = give_away_small_pieces(image > 0, image == 2, scene.places_min(config))[at]
+    side = remove_small_components(image > 0, image == 2, features.places_min(config))[at]
     parts = [(places[side == each], 1 + each) for each in (False, True)]
-    kept = [(part, label) for part, label in parts if part.size >= scene.places_min(config)]
+    kept = [(part, label) for part, label in parts if part.size >= features.places_min(config)]
     return [part for part, _ in kept], [label for _, label in kept]
 
 
@@ -335,11 +337,11 @@ def children_of(node: Node, sides: tuple[list[Part], list[Part]]) -> tuple[Node,
     if not (first and second):
         first, second = _largest_and_rest(first or second)
     depth = node.cuts_above + 1
-    return _held_together(f"{node.name}0", first, depth), _held_together(f"{node.name}1", second, depth)
+    return _chain_components(f"{node.name}0", first, depth), _chain_components(f"{node.name}1", second, depth)
 
 
-def _held_together(name: str, parts: list[Part], cuts_above: int) -> Node:
-    """Make one node of some parts that are not connected: the largest, a node of the others, and so on."""
+def _chain_components(name: str, parts: list[Part], cuts_above: int) -> Node:
+    """Chain parts that are not connected: a node of the largest and of a node of the others, and so on."""
     parts = sorted(parts, key=lambda part: -part[0].size)
     places, fit, stop = parts[-1]
     node = Node(f"{name}{'1' * (len(parts) - 1)}", places, fit, stop=stop, cuts_above=cuts_above)
@@ -362,13 +364,13 @@ def _largest_and_rest(parts: list[Part]) -> tuple[list[Part], list[Part]]:
 
 
 __all__ = [
+    "GridFeatures",
     "Part",
-    "Scene",
+    "at_noise_floor",
     "best_split",
     "children_of",
+    "fit_segment",
+    "grid_features",
     "grow",
-    "hopeless",
-    "measured",
-    "prepare",
     "segment_nurbseg",
 ]

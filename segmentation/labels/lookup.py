@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from nurbseg.drivers.compiled import compiled
 
 
-def looked_up(table: NDArray[np.uint16], labels: NDArray[np.uint16]) -> NDArray[np.uint16]:
+def apply_lookup_table(table: NDArray[np.uint16], labels: NDArray[np.uint16]) -> NDArray[np.uint16]:
     """Look up each label of an image.
 
     Parameters
@@ -61,4 +61,4 @@ def _mark(labels: NDArray[np.uint16], is_there: NDArray[np.bool_]) -> None:
             before = label
 
 
-__all__ = ["labels_present", "looked_up", "read_only"]
+__all__ = ["apply_lookup_table", "labels_present", "read_only"]

@@ -1,4 +1,4 @@
-"""Connected pieces of segments where neighbours across a gap in depth are not connected."""
+"""Connected components of segments where neighbours across a gap in depth are not connected."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from nurbseg.segmentation.labels.spreading import spread_in_place
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Joints:
+class PixelAdjacency:
     """Which neighbours on a pixel grid have points with no gap in depth between them.
 
     Parameters
     ----------
     right : (h, w) bool
-        Whether a place is joined to the one to its right; False in the last column.
+        Whether a place is connected to the one to its right; False in the last column.
     down : (h, w) bool
-        Whether it is joined to the one below; False in the last row.
+        Whether it is connected to the one below; False in the last row.
     """
 
     right: NDArray[np.bool_]
@@ -28,17 +28,17 @@ class Joints:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pieces:
-    """Connected pieces of equal label, numbered from 1 in the order of their first places.
+class Components:
+    """Connected components of equal label, numbered from 1 in the order of their first places.
 
     Parameters
     ----------
     numbers : (h, w) int32
-        Number of each place's piece; 0 where the label is 0.
+        Number of each place's component; 0 where the label is 0.
     labels_of : (count + 1,) int32
-        Label of each piece; 0 for number 0.
+        Label of each component; 0 for number 0.
     sizes : (count + 1,) intp
-        Places of each piece; 0 for number 0.
+        Places of each component; 0 for number 0.
     """
 
     numbers: NDArray[np.int32]
@@ -46,12 +46,12 @@ class Pieces:
     sizes: NDArray[np.intp]
 
     def large(self, places_min: float, keep: int) -> NDArray[np.bool_]:
-        """Say which pieces have enough places, or are the largest of a label from 1 to `keep`.
+        """Say which components have enough places, or are the largest of a label from 1 to `keep`.
 
         Returns (count + 1,) bool, False for number 0.
         """
         kept = self.sizes >= places_min
-        # In ascending order of size, so that the largest piece of each label is written last.
+        # In ascending order of size, so that the largest component of each label is written last.
         order = np.argsort(self.sizes, kind="stable")
         largest = np.zeros(max(keep, int(self.labels_of.max())) + 1, dtype=np.intp)
         largest[self.labels_of[order]] = order
@@ -60,8 +60,10 @@ class Pieces:
         return kept
 
 
-def joints(inverse_depth: NDArray[np.float32], valid: NDArray[np.bool_], gap_per_m: float) -> Joints:
-    """Join neighbours whose inverse depths differ by less than a gap.
+def pixel_adjacency(
+    inverse_depth: NDArray[np.float32], valid: NDArray[np.bool_], gap_per_m: float
+) -> PixelAdjacency:
+    """Connect neighbours whose inverse depths differ by less than a gap.
 
     Parameters
     ----------
@@ -74,22 +76,22 @@ def joints(inverse_depth: NDArray[np.float32], valid: NDArray[np.bool_], gap_per
 
     Returns
     -------
-    Joints
+    PixelAdjacency
         Between points only.
     """
-    joined = Joints(np.empty(valid.shape, dtype=np.bool_), np.empty(valid.shape, dtype=np.bool_))
-    _join(
+    adjacency = PixelAdjacency(np.empty(valid.shape, dtype=np.bool_), np.empty(valid.shape, dtype=np.bool_))
+    _connect_neighbors(
         np.ascontiguousarray(inverse_depth),
         np.ascontiguousarray(valid),
         np.float32(gap_per_m),
-        joined.right,
-        joined.down,
+        adjacency.right,
+        adjacency.down,
     )
-    return joined
+    return adjacency
 
 
 @compiled
-def _join(
+def _connect_neighbors(
     per_m: NDArray[np.float32],
     valid: NDArray[np.bool_],
     gap_per_m: np.float32,
@@ -109,31 +111,31 @@ def _join(
     down[height - 1] = False
 
 
-def connected_pieces(labels: NDArray[np.int32], joined: Joints) -> Pieces:
-    """Find the pieces of equal label that are connected through joined neighbours.
+def connected_components(labels: NDArray[np.int32], adjacency: PixelAdjacency) -> Components:
+    """Find the components of equal label that are connected through adjacent places.
 
     Parameters
     ----------
     labels : (h, w) int32
-        0 belongs to no piece.
-    joined : Joints
+        0 belongs to no component.
+    adjacency : PixelAdjacency
         Of the same places.
 
     Returns
     -------
-    Pieces
+    Components
         All of them, however small.
     """
     places = np.flatnonzero(labels > 0)
-    return _connected(places, labels.reshape(-1).take(places).astype(np.int32, copy=False), joined)
+    return _connected(places, labels.reshape(-1).take(places).astype(np.int32, copy=False), adjacency)
 
 
-def _connected(places: NDArray[np.intp], labels: NDArray[np.int32], joined: Joints) -> Pieces:
-    """Find the pieces of some flat places, ascending, that have a label."""
-    numbers = np.zeros(joined.right.shape, dtype=np.int32)
+def _connected(places: NDArray[np.intp], labels: NDArray[np.int32], adjacency: PixelAdjacency) -> Components:
+    """Find the components of some flat places, ascending, that have a label."""
+    numbers = np.zeros(adjacency.right.shape, dtype=np.int32)
     labels_of, sizes = np.empty(places.size + 1, dtype=np.int32), np.empty(places.size + 1, dtype=np.intp)
-    count = _connect(places, labels, joined.right, joined.down, numbers, labels_of, sizes)
-    return Pieces(numbers, labels_of[: count + 1].copy(), sizes[: count + 1].copy())
+    count = _connect(places, labels, adjacency.right, adjacency.down, numbers, labels_of, sizes)
+    return Components(numbers, labels_of[: count + 1].copy(), sizes[: count + 1].copy())
 
 
 @compiled
@@ -154,25 +156,25 @@ def _connect(
     labels_of: NDArray[np.int32],
     sizes: NDArray[np.intp],
 ) -> int:
-    """Give each place the number of its piece; return how many there are.
+    """Give each place the number of its component; return how many there are.
 
     A place takes the number of a neighbour before it, and two numbers that meet become one: the larger has
     the smaller for its parent.
     """
     width = right.shape[1]
-    number_of, joined_right, joined_down = numbers.reshape(-1), right.reshape(-1), down.reshape(-1)
+    number_of, linked_right, linked_down = numbers.reshape(-1), right.reshape(-1), down.reshape(-1)
     parents = np.empty(places.size + 1, dtype=np.int32)
     parents[0] = labels_of[0] = sizes[0] = 0
     count = 0
     number, size = 0, 0
     for n in range(places.size):
         place, label, before = places[n], labels[n], number
-        # Nothing is joined across the ends of rows; number 0 is of no label.
+        # Nothing is connected across the ends of rows; number 0 is of no label.
         if not (
-            place > 0 and joined_right[place - 1] and places[n - 1] == place - 1 and labels[n - 1] == label
+            place > 0 and linked_right[place - 1] and places[n - 1] == place - 1 and labels[n - 1] == label
         ):
             number = 0
-        if place >= width and joined_down[place - width]:
+        if place >= width and linked_down[place - width]:
             above = number_of[place - width]
             if above != number and labels_of[above] == label:
                 if number == 0:
@@ -207,16 +209,16 @@ def _connect(
     return last
 
 
-def large_pieces(
+def large_components(
     places: NDArray[np.intp],
     labels: NDArray[np.int32],
-    joined: Joints,
+    adjacency: PixelAdjacency,
     inverse_depth: NDArray[np.float32],
     *,
     gap_per_m: float,
     places_min: float,
 ) -> tuple[list[NDArray[np.intp]], list[int]]:
-    """Find the connected pieces that are large enough, and give them what the small ones hold.
+    """Find the connected components that are large enough, and give them what the small ones hold.
 
     Parameters
     ----------
@@ -224,25 +226,25 @@ def large_pieces(
         Flat places of a grid, ascending; at least one.
     labels : (N,) int32
         Label of each, more than 0.
-    joined, inverse_depth : Joints, (h, w) float32
+    adjacency, inverse_depth : PixelAdjacency, (h, w) float32
         Of the whole grid.
     gap_per_m : float
         Gap in depth, 1/m.
     places_min : float
-        Smallest number of places of a piece.
+        Smallest number of places of a component.
 
     Returns
     -------
-    pieces : list of (n,) intp
-        Places of each piece kept, ascending; none where no piece is large enough.
+    components : list of (n,) intp
+        Places of each component kept, ascending; none where no component is large enough.
     labels_of : list of int
-        Label that each piece had.
+        Label that each component had.
     """
     # Only the rows that hold places are looked at.
-    width = joined.right.shape[1]
+    width = adjacency.right.shape[1]
     rows = slice(int(places[0]) // width, int(places[-1]) // width + 1)
     at = places - rows.start * width
-    found = _connected(at, labels, Joints(joined.right[rows], joined.down[rows]))
+    found = _connected(at, labels, PixelAdjacency(adjacency.right[rows], adjacency.down[rows]))
     kept = np.flatnonzero(found.sizes[1:] >= places_min) + 1
     if not kept.size:
         return [], []
@@ -267,7 +269,7 @@ def _keep(
     numbers: NDArray[np.int32],
     homeless: NDArray[np.intp],
 ) -> int:
-    """Give places the new number of their piece; list those that it has none for, and return how many."""
+    """Give places the new number of their component; list those that it has none for, and return how many."""
     number_of = numbers.reshape(-1)
     count = 0
     for place in places:
@@ -299,4 +301,4 @@ def _group(
         ends[number] += 1
 
 
-__all__ = ["Joints", "Pieces", "connected_pieces", "joints", "large_pieces"]
+__all__ = ["Components", "PixelAdjacency", "connected_components", "large_components", "pixel_adjacency"]

@@ -36,7 +36,7 @@ class Split:
     cut: Cut
 
 
-def settle(
+def upsample_labels(
     cloud: PointMap,
     grid: PixelGrid,
     leaves: Sequence[NDArray[np.intp]],
@@ -147,7 +147,7 @@ def _decide(
     return numbers
 
 
-def labels_of_every_pixel(
+def upsample_by_depth(
     on_grid: NDArray[np.int32],
     grid_per_m: NDArray[np.float32],
     per_m: NDArray[np.float32],
@@ -214,4 +214,4 @@ def _take_over(
             open_pixels[row, column] = valid[row, column] & (label == 0)
 
 
-__all__ = ["Split", "labels_of_every_pixel", "settle"]
+__all__ = ["Split", "upsample_by_depth", "upsample_labels"]

@@ -41,7 +41,7 @@ def spread_to_pixels(
     return labels
 
 
-def settled_borders(
+def relax_borders(
     labels: NDArray[np.uint16],
     per_m: NDArray[np.float32],
     lattice: SurfaceLattice,
@@ -70,8 +70,8 @@ def settled_borders(
     (H, W) uint16
         The new labels.
     """
-    settled = labels.copy()
-    _settle(
+    relaxed = labels.copy()
+    _relax(
         labels,
         per_m,
         lattice.values,
@@ -80,9 +80,9 @@ def settled_borders(
         1.0 / noise_per_m,
         gap_per_m,
         SQUARE_MOST,
-        settled,
+        relaxed,
     )
-    return settled
+    return relaxed
 
 
 @compiled
@@ -108,7 +108,7 @@ def _spread(
 
 
 @compiled
-def _settle(
+def _relax(
     labels: NDArray[np.uint16],
     per_m: NDArray[np.float32],
     values: NDArray[np.float32],
@@ -117,7 +117,7 @@ def _settle(
     per_deviation: float,
     gap: float,
     square_most: float,
-    settled: NDArray[np.uint16],
+    relaxed: NDArray[np.uint16],
 ) -> None:
     """Write down the cheapest label of pixels at borders."""
     height, width = labels.shape
@@ -163,7 +163,7 @@ def _settle(
                 cost = min(residual * residual, square_most) - vote
                 if cost < cheapest:
                     cheapest = cost
-                    settled[r, c] = label
+                    relaxed[r, c] = label
 
 
 @compiled
@@ -187,4 +187,4 @@ def _explained(
     return float(upper + down * (lower - upper))
 
 
-__all__ = ["settled_borders", "spread_to_pixels"]
+__all__ = ["relax_borders", "spread_to_pixels"]

@@ -27,11 +27,11 @@ def moved_surfaces(
     per_m: NDArray[np.float32],
     noise_per_m: float,
 ) -> list[NurbsSurface | None]:
-    """Move every surface by the linear change of inverse depth that its points tell.
+    """Move every surface by the linear change of inverse depth that its points show.
 
     A spline holds linear functions exactly, so that the moved surface has the same knots. It follows any
-    motion of a plane, and small motions of the others. Places whose neighbours have another label tell
-    nothing.
+    motion of a plane, and small motions of the others. Places whose neighbours have another label do
+    not count.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def _tell_changes(
     change: NDArray[np.float32],
     sums: NDArray[np.float64],
 ) -> None:
-    """Turn surfaces' inverse depths into changes, NaN where a place does not tell; sum 1, c, cc by label."""
+    """Turn surfaces' inverse depths into changes, NaN where a place does not count; sum 1, c, cc by label."""
     height, width = labels.shape
     for r in range(height):
         c = 0

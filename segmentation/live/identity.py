@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from nurbseg.drivers.compiled import compiled
-from nurbseg.segmentation.labels.lookup import labels_present, looked_up, read_only
+from nurbseg.segmentation.labels.lookup import apply_lookup_table, labels_present, read_only
 from nurbseg.segmentation.live.appearance import Appearance, appearances_of, most_alike, updated
 from nurbseg.segmentation.points.registration import PointMap
 
@@ -19,7 +19,7 @@ from nurbseg.segmentation.points.registration import PointMap
 _IDENTITY_MAX = np.iinfo(np.uint16).max
 #: Overlap (intersection over union) under which two segments are not the same.
 _OVERLAP_MIN = 0.2
-#: Share of a segment that another must have taken over for a split or a merge to be told.
+#: Share of a segment that another must have taken over for a split or a merge to be reported.
 _TAKEN_SHARE = 0.3
 #: Pixels of the image are compared on a grid of about this width.
 _GRID_WIDTH = 160
@@ -91,10 +91,10 @@ class Identities:
         table = np.zeros(max(self.of_label, default=0) + 1, dtype=np.uint16)
         for label, identity in self.of_label.items():
             table[label] = identity
-        return looked_up(table, labels)
+        return apply_lookup_table(table, labels)
 
 
-def carry_identities(
+def track_identities(
     previous: Identities | None,
     labels: NDArray[np.uint16],
     cloud: PointMap,
@@ -105,7 +105,7 @@ def carry_identities(
     """Give each segment the identity of the segment of the frame before that it continues.
 
     Segments are matched by their overlap in the image, all at once (the assignment of the greatest total
-    overlap). One that continues none is held against those that were lost within the last frames, by
+    overlap). One that continues none is compared with those that were lost within the last frames, by
     place, size and color; if it resembles none, it is new.
 
     Parameters
@@ -117,7 +117,7 @@ def carry_identities(
     cloud : PointMap
         This frame.
     before : (H, W) uint16, optional
-        Labels of the frame before, carried along the motion between the frames; 0 is none. Without them
+        Labels of the frame before, warped to this one; 0 is none. Without them
         segments are taken to be where they were.
     remembered : int
         Frames for which an identity that is not seen is kept.

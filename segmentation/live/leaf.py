@@ -87,14 +87,14 @@ class Misfit:
     ----------
     places : (labels + 1,) int64
         Places of the grid.
-    square : (labels + 1,) float64
+    mean_squared : (labels + 1,) float64
         Mean of the squared residuals in units of the noise, each limited; 1 is what noise leaves.
     unreached : (labels + 1,) float64
         Share of places that the surface does not reach.
     """
 
     places: NDArray[np.int64]
-    square: NDArray[np.float64]
+    mean_squared: NDArray[np.float64]
     unreached: NDArray[np.float64]
 
 
@@ -153,7 +153,7 @@ def _sum_misfits(
             own[2] += deviation * deviation
 
 
-def remeasured(
+def update_residuals(
     leaves: Sequence[LiveLeaf],
     labels: NDArray[np.int32],
     lattice: SurfaceLattice,
@@ -208,7 +208,7 @@ def remeasured(
         leaf.rms_per_m = float(rms_per_m[label])
         fitted_now = leaf.age == 0 and leaf.surface is not None and leaf.node.fit.surface is leaf.surface
         if fitted_now and np.array_equal(leaf.node.places, order[own]):
-            # What the fit told is of these very places, and more exact.
+            # The fit is of these very places, and more exact.
             continue
         leaf.node.places = order[own]
         if leaf.surface is None or unreached[label] > 0:
@@ -265,4 +265,4 @@ def _measure(
         own[3] += min(beyond_per_m, most_per_m) ** 2
 
 
-__all__ = ["Attempt", "LiveLeaf", "Misfit", "misfit", "remeasured"]
+__all__ = ["Attempt", "LiveLeaf", "Misfit", "misfit", "update_residuals"]

@@ -1,4 +1,4 @@
-"""Where a frame's pixels were in the frame before: labels carried along the motion of the image."""
+"""Where a frame's pixels were in the frame before: labels warped by optical flow."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ def flow_back(now: NDArray[np.uint8], before: NDArray[np.uint8]) -> NDArray[np.f
     return np.asarray(found, dtype=np.float32)
 
 
-def carried(image: NDArray[np.uint16], flow: NDArray[np.float32]) -> NDArray[np.uint16]:
-    """Carry the values of the frame before to where they are now.
+def warped(image: NDArray[np.uint16], flow: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """Warp the values of the frame before to where they are now.
 
     Parameters
     ----------
@@ -65,12 +65,12 @@ def carried(image: NDArray[np.uint16], flow: NDArray[np.float32]) -> NDArray[np.
         The value that each pixel had, the nearest one; 0 for what comes into view.
     """
     found = np.empty_like(image)
-    _carry(np.ascontiguousarray(image), np.ascontiguousarray(flow), found)
+    _warp(np.ascontiguousarray(image), np.ascontiguousarray(flow), found)
     return found
 
 
 @compiled
-def _carry(image: NDArray[np.uint16], flow: NDArray[np.float32], found: NDArray[np.uint16]) -> None:
+def _warp(image: NDArray[np.uint16], flow: NDArray[np.float32], found: NDArray[np.uint16]) -> None:
     """Take each pixel's value from where the flow, linear between its places, says that it was."""
     height, width = image.shape
     h, w = flow.shape[:2]
@@ -101,4 +101,4 @@ def _carry(image: NDArray[np.uint16], flow: NDArray[np.float32], found: NDArray[
                 found[r, c] = 0
 
 
-__all__ = ["brightness", "carried", "flow_back", "resized"]
+__all__ = ["brightness", "flow_back", "resized", "warped"]

@@ -1,4 +1,4 @@
-"""Objects that live: what was measured along borders is remembered, so that merges do not flicker."""
+"""Objects from frame to frame: statistics of borders are filtered, so that merges do not flicker."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.contact import Meeting, meetings
+from nurbseg.segmentation.extended.border_statistics import BorderStatistics, border_statistics
 from nurbseg.segmentation.extended.merge import Contact, SceneObject, merged_objects
 from nurbseg.segmentation.extended.smooth import smooth_borders
 from nurbseg.segmentation.live.leaf import LiveLeaf
@@ -50,7 +50,7 @@ class ObjectMemory:
         self._frame = 0
 
     @property
-    def together(self) -> set[tuple[int, int]]:
+    def same_object(self) -> set[tuple[int, int]]:
         """Numbers of leaves, the smaller first, that met in the last frame and are one object."""
         return {
             pair for pair, border in self._borders.items() if border.merged and border.seen == self._frame
@@ -100,7 +100,7 @@ class ObjectMemory:
             per_m, along_u, along_v = lattice.slopes_at(label, u * step, v * step)
             return per_m, along_u * step, along_v * step
 
-        found = meetings(on_grid, (), rays, gap_per_m=config.depth_gap_per_m, evaluate=evaluate)
+        found = border_statistics(on_grid, (), rays, gap_per_m=config.depth_gap_per_m, evaluate=evaluate)
         pairs = [self._pair(leaves, each) for each in found]
         for pair, each in zip(pairs, found, strict=True):
             self._remember(pair, each, step)
@@ -123,14 +123,14 @@ class ObjectMemory:
         return objects, contacts
 
     @staticmethod
-    def _pair(leaves: Sequence[LiveLeaf], meeting: Meeting) -> _Pair:
-        first, second = leaves[meeting.first - 1].number, leaves[meeting.second - 1].number
+    def _pair(leaves: Sequence[LiveLeaf], found: BorderStatistics) -> _Pair:
+        first, second = leaves[found.first - 1].number, leaves[found.second - 1].number
         return (first, second) if first < second else (second, first)
 
-    def _remember(self, pair: _Pair, meeting: Meeting, step: int) -> None:
-        # Samples count as those on every pixel, to be held against the same limits.
-        samples, touching = meeting.samples * step, meeting.touching * step
-        concavity = meeting.concavity_sum * step
+    def _remember(self, pair: _Pair, found: BorderStatistics, step: int) -> None:
+        # Samples count as those on every pixel, to be compared with the same limits.
+        samples, touching = found.samples * step, found.touching * step
+        concavity = found.concavity_sum * step
         border = self._borders.get(pair)
         if border is None:
             border = self._borders[pair] = _Border(samples, touching, concavity)
@@ -141,32 +141,30 @@ class ObjectMemory:
         border.seen = self._frame
 
     @staticmethod
-    def _remembered(meeting: Meeting, border: _Border) -> Meeting:
-        return Meeting(
-            meeting.first,
-            meeting.second,
+    def _remembered(found: BorderStatistics, border: _Border) -> BorderStatistics:
+        return replace(
+            found,
             samples=round(border.samples),
             touching=round(border.touching),
             concavity_sum=border.concavity_sum,
         )
 
     @staticmethod
-    def _biased(meeting: Meeting, border: _Border, config: SegmentationConfig) -> Meeting:
+    def _biased(known: BorderStatistics, border: _Border, config: SegmentationConfig) -> BorderStatistics:
         if border.merged is None:
-            return meeting
-        bias = _HYSTERESIS * config.concavity_max * meeting.touching
-        biased = meeting.concavity_sum + (-bias if border.merged else bias)
-        return Meeting(meeting.first, meeting.second, meeting.samples, meeting.touching, biased)
+            return known
+        bias = _HYSTERESIS * config.concavity_max * known.touching
+        return replace(known, concavity_sum=known.concavity_sum + (-bias if border.merged else bias))
 
     def _smooth(
         self,
-        known: Sequence[Meeting],
+        known: Sequence[BorderStatistics],
         pairs: Sequence[_Pair],
         on_grid: NDArray[np.int32],
         grid: DepthGrid,
         config: SegmentationConfig,
     ) -> set[tuple[int, int]]:
-        """Return which labels meet in a smooth border; asks anew for some, the longest unasked first."""
+        """Return which labels meet in a smooth border; asks again for some, the longest unasked first."""
         borders = [self._borders[pair] for pair in pairs]
         unasked = [n for n, border in enumerate(borders) if border.smooth is None]
         again = sorted(

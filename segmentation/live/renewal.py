@@ -1,4 +1,4 @@
-"""What a live tree tells of a frame: values, ratios and reasons that are of it, or renewed in turn."""
+"""Values, ratios and reasons of the live tree: of the frame shown, or judged again in turn."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.scene import Scene
-from nurbseg.segmentation.extended.splitting import hopeless, measured
+from nurbseg.segmentation.extended.grid_features import GridFeatures
+from nurbseg.segmentation.extended.splitting import at_noise_floor, fit_segment
 from nurbseg.segmentation.live.leaf import LiveLeaf
 from nurbseg.segmentation.segments import Division, Node, StopReason, Trial, depth_first
 from nurbseg.segmentation.surfaces.metrics import acceptance_ratio
@@ -45,7 +45,7 @@ def renew_splits(
     root: Node,
     leaves: Sequence[LiveLeaf],
     labels: NDArray[np.int32],
-    scene: Scene,
+    features: GridFeatures,
     frame: int,
     config: SegmentationConfig,
     *,
@@ -53,8 +53,8 @@ def renew_splits(
 ) -> Renewal:
     """Judge splits again by the ratio (eq. 5), those first for which that is longest ago.
 
-    One surface is fitted to all of a segment and held against those of the leaves below it. A segment that is
-    not fitted in this frame has no surface: what it had belongs to another frame.
+    One surface is fitted to all of a segment and compared with those of the leaves below it. A segment that
+    is not fitted in this frame has no surface: what it had belongs to another frame.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def renew_splits(
         Of the labels 1, 2, ..., as measured in this frame.
     labels : (h, w) int32
         Labels on the grid.
-    scene : Scene
+    features : GridFeatures
         The frame.
     frame : int
         Its number.
@@ -102,7 +102,7 @@ def renew_splits(
         turn = judged == 0 or places + size <= _JUDGED_PLACES or node.age >= SPLIT_FRAMES
         if turn or every_surface:
             own = np.flatnonzero((labels >= first_label) & (labels <= last_label))
-            node.fit, node.measured = measured(scene, own, config)[1], frame
+            node.fit, node.measured = fit_segment(features, own, config)[1], frame
         elif node.measured != frame:
             node.fit = _without_surface(node)
         if not turn:
@@ -128,7 +128,7 @@ def _without_surface(node: Node) -> Fit:
 def give_reasons(
     leaves: Sequence[LiveLeaf], cuts: int, places_min: float, frame: int, config: SegmentationConfig
 ) -> None:
-    """Tell of every leaf why it is one, by what was measured in this frame and by its last trial.
+    """Give every leaf the reason why it is one, by what was measured in this frame and by its last trial.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def give_reasons(
             node.stop = StopReason.NO_POINTS
         elif node.fit.surface is None:
             node.stop = StopReason.NO_FIT
-        elif hopeless(node.fit, config):
+        elif at_noise_floor(node.fit, config):
             node.stop = StopReason.NOISE
         elif node.places.size <= 2.0 * places_min:
             node.stop = StopReason.TOO_SMALL

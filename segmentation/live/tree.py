@@ -1,4 +1,4 @@
-"""The live tree: it keeps what it knows of a scene from frame to frame, and revises what no longer holds."""
+"""The live tree: a segmentation that is continued from frame to frame and updated where it must be."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.scene import Scene
-from nurbseg.segmentation.extended.splitting import measured, segment_nurbseg
-from nurbseg.segmentation.labels.regions import Joints, connected_pieces, joints
+from nurbseg.segmentation.extended.grid_features import GridFeatures
+from nurbseg.segmentation.extended.splitting import fit_segment, segment_nurbseg
+from nurbseg.segmentation.labels.regions import PixelAdjacency, connected_components, pixel_adjacency
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
 from nurbseg.segmentation.labels.spreading import spread_labels
-from nurbseg.segmentation.live.borders import settled_borders, spread_to_pixels
+from nurbseg.segmentation.live.borders import relax_borders, spread_to_pixels
 from nurbseg.segmentation.live.follow import grown_labels, kept_labels, moved_surfaces
-from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf, Misfit, misfit, remeasured
-from nurbseg.segmentation.live.motion import brightness, carried, flow_back, resized
+from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf, Misfit, misfit, update_residuals
+from nurbseg.segmentation.live.motion import brightness, flow_back, resized, warped
 from nurbseg.segmentation.live.objects import ObjectMemory
 from nurbseg.segmentation.live.renewal import give_reasons, renew_splits
-from nurbseg.segmentation.live.revision import Budget, Reviser
+from nurbseg.segmentation.live.updater import Budget, TreeUpdater
 from nurbseg.segmentation.points.grid import decimated_grid
 from nurbseg.segmentation.points.rays import Rays, rays_of
 from nurbseg.segmentation.points.registration import PointMap
@@ -31,25 +31,25 @@ from nurbseg.segmentation.surfaces.surface import Fit
 
 #: The scene is another one where so much of it is not explained by the surfaces of the frame before.
 _CHANGED_SHARE = 0.4
-#: So many leaves waiting for a trial, over so many frames, are more than revising can do.
+#: So many leaves waiting for a trial, over so many frames, are more than updates can do.
 _WAITING_MOST, _WAITING_FRAMES = 6, 15
 #: A leaf's own residuals, in units of their root mean square, beyond which a place is not its own.
 _OWN_DEVIATIONS = 4.0
 
 
 @dataclass(frozen=True, slots=True)
-class Revision:
+class UpdateReport:
     """What was done to the tree for a frame.
 
     Parameters
     ----------
-    cold : str
-        Why the frame was segmented anew; empty where the tree lived on.
+    reset : str
+        Why the frame was segmented from scratch; empty where the tree was continued.
     unexplained : float
         Share of the points that the moved surfaces did not explain.
-    refits, trials, splits, appeared, folds, judged : int
-        Surfaces fitted anew, leaves tried for a split, splits made, leaves that came into view, splits undone
-        and leaves taken in by others, and splits judged again.
+    refits, trials, splits, appeared, merges, judged : int
+        Surfaces fitted again, leaves tried for a split, splits made, leaves that came into view, merges of
+        leaves, and splits judged again.
     oldest, oldest_trial : int
         Frames since the oldest value or ratio of a split was found, and since the oldest trial of a leaf.
     waiting : int
@@ -58,13 +58,13 @@ class Revision:
         Pixels from one place of the grid to the next.
     """
 
-    cold: str = ""
+    reset: str = ""
     unexplained: float = 0.0
     refits: int = 0
     trials: int = 0
     splits: int = 0
     appeared: int = 0
-    folds: int = 0
+    merges: int = 0
     judged: int = 0
     oldest: int = 0
     oldest_trial: int = 0
@@ -75,11 +75,11 @@ class Revision:
 class LiveTree:
     """Segments frame after frame, each from the tree of the one before.
 
-    Labels are carried along the motion of the image, surfaces move by the linear change of inverse depth that
-    their points tell, and borders are settled by both. Then the tree is revised, the worst first and as far
-    as the budget goes: leaves are fitted anew, a leaf that has become worse is tried for a split, a split
+    Labels are warped by the optical flow of the image, surfaces move by the linear change of inverse depth
+    that their points show, and borders are relaxed by both. Then the tree is updated, the worst first and as
+    far as the budget goes: leaves are fitted again, a leaf that has become worse is tried for a split, one
     that one surface explains again is undone. Borders between surfaces are remembered, so that objects do not
-    flicker. A frame that is not explained is segmented anew.
+    flicker. A frame that is not explained is segmented from scratch.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class LiveTree:
 
     Attributes
     ----------
-    revision : Revision
+    report : UpdateReport
         What was done for the last frame.
     labels_before : (H, W) uint16
         Label that each pixel of the last frame had in the tree before it; 0 where it had none.
@@ -104,7 +104,7 @@ class LiveTree:
             raise ValueError(f"method: expected nurbseg with inverse-depth fits, got {config.method}")
         self._config = config
         self._configs = {config.decimation: config}
-        self.revision = Revision()
+        self.report = UpdateReport()
         self._leaves: list[LiveLeaf] = []
         self._root = Node(
             "", np.zeros(0, dtype=np.intp), Fit(None, np.zeros(0), {}, "", np.zeros(0, dtype=np.intp))
@@ -112,7 +112,7 @@ class LiveTree:
         self._labels = np.zeros((0, 0), dtype=np.uint16)
         self._gray = np.zeros((0, 0), dtype=np.uint8)
         self._objects = ObjectMemory()
-        self._reviser = Reviser()
+        self._updater = TreeUpdater()
         self._overdue = 0
         self._rejected: tuple[Node, ...] = ()
         self._frame = -1
@@ -135,9 +135,9 @@ class LiveTree:
         cloud : PointMap
             The frame.
         budget : Budget, optional
-            How much may be revised; on its grid a frame is segmented anew as well.
+            How much may be updated; its grid holds for a frame segmented from scratch as well.
         frame : int, optional
-            Its number, by which later trees tell when something was measured; by default the next one.
+            Its number, by which later trees say when something was measured; by default the next one.
         every_surface : bool
             Whether segments that were cut get a surface in every frame, and not just in turn.
 
@@ -158,10 +158,10 @@ class LiveTree:
             tree = self._followed(cloud, config, budget, every_surface)
             if tree is not None:
                 return tree
-            reason = self.revision.cold
+            reason = self.report.reset
         tree = segment_nurbseg(cloud, config)
         self._take_over(tree, cloud, config.decimation)
-        self.revision = replace(self.revision, cold=reason, step=config.decimation)
+        self.report = replace(self.report, reset=reason, step=config.decimation)
         return tree
 
     def _config_on(self, step: int) -> SegmentationConfig:
@@ -200,8 +200,8 @@ class LiveTree:
             if each.children:
                 nodes[each.name].children = (nodes[each.children[0]], nodes[each.children[1]])
         self._root = nodes[""]
-        self._reviser = Reviser()
-        self._leaves = [self._reviser.leaf(nodes[leaf.name]) for leaf in tree.leaves()]
+        self._updater = TreeUpdater()
+        self._leaves = [self._updater.leaf(nodes[leaf.name]) for leaf in tree.leaves()]
         for leaf in self._leaves:
             if leaf.node.stop in TRIED:
                 leaf.attempt = Attempt(leaf.node.stop, leaf.node.trial, self._frame)
@@ -213,7 +213,7 @@ class LiveTree:
         self._objects = ObjectMemory()
         self._rays = None
         self._overdue = 0
-        self.revision = Revision()
+        self.report = UpdateReport()
 
     def _followed(
         self, cloud: PointMap, config: SegmentationConfig, budget: Budget, every_surface: bool
@@ -224,7 +224,7 @@ class LiveTree:
         on_every = np.ascontiguousarray(per_m[::step, ::step])
         grid = DepthGrid(decimated_grid(cloud, step), on_every, self._rays_of(cloud))
         gray = brightness(cloud.color, step)
-        before = carried(self._labels, flow_back(gray, resized(self._gray, gray.shape)))
+        before = warped(self._labels, flow_back(gray, resized(self._gray, gray.shape)))
         on_grid = np.where(grid.valid, before[::step, ::step], 0).astype(np.int32)
 
         # Surfaces move with their points, and what they do not explain is open.
@@ -238,7 +238,7 @@ class LiveTree:
         on_grid = kept_labels(on_grid, grid.per_m, lattice, limits)
         unexplained = 1.0 - int(np.count_nonzero(on_grid)) / max(1, known)
         if unexplained > _CHANGED_SHARE or known < (1.0 - _CHANGED_SHARE) * points:
-            self.revision = Revision(cold="another scene", unexplained=unexplained)
+            self.report = UpdateReport(reset="another scene", unexplained=unexplained)
             return None
         for leaf, surface in zip(self._leaves, surfaces, strict=True):
             leaf.surface = surface
@@ -250,29 +250,29 @@ class LiveTree:
 
         # Labels grow into what is open; what stays open is new, or too small to be anything.
         on_grid = grown_labels(on_grid, grid.per_m, lattice, limits)
-        joined = joints(grid.per_m, grid.valid, config.depth_gap_per_m)
-        on_grid, appeared = self._cleaned(on_grid, grid, joined)
+        adjacency = pixel_adjacency(grid.per_m, grid.valid, config.depth_gap_per_m)
+        on_grid, appeared = self._cleaned(on_grid, grid, adjacency)
 
         # Borders on every pixel.
         labels = spread_to_pixels(before, on_grid, per_m, step)
         if config.refine_borders:
-            labels = settled_borders(
+            labels = relax_borders(
                 labels, per_m, lattice, noise_per_m=config.noise_per_m, gap_per_m=config.depth_gap_per_m
             )
         on_grid = np.where(grid.valid & (appeared == 0), labels[::step, ::step], 0).astype(np.int32)
 
-        # The tree is revised.
+        # The tree is updated.
         measures = misfit(on_grid, lattice, grid, config.noise_per_m, len(self._leaves))
-        done = self._reviser.revise(
+        done = self._updater.update(
             cloud,
             grid,
-            joined,
+            adjacency,
             on_grid,
             appeared,
             self._root,
             self._leaves,
             measures,
-            self._objects.together,
+            self._objects.same_object,
             self._rejected,
             self._frame,
             budget,
@@ -288,21 +288,21 @@ class LiveTree:
         self.labels_before = before
         self._gray = gray
         self._overdue = self._overdue + 1 if done.waiting > _WAITING_MOST else 0
-        self.revision = Revision(
+        self.report = UpdateReport(
             unexplained=unexplained,
             refits=done.refits,
             trials=done.trials,
             splits=done.splits,
             appeared=done.appeared,
-            folds=done.folds,
+            merges=done.merges,
             waiting=done.waiting,
             step=step,
         )
-        scene = Scene(grid, joined, np.zeros((0, 0), dtype=np.float32), None)
-        return self._finished(cloud, scene, labels, before, config, every_surface)
+        features = GridFeatures(grid, adjacency, np.zeros((0, 0), dtype=np.float32), None)
+        return self._finished(cloud, features, labels, before, config, every_surface)
 
     def _rays_of(self, cloud: PointMap) -> Rays:
-        """Return the camera's rays; they stay what a frame of which most was seen has told."""
+        """Return the camera's rays; they are estimated once, from a frame of which most was seen."""
         if self._rays is None:
             rays = rays_of(cloud)
             if np.count_nonzero(cloud.valid) < 0.5 * cloud.valid.size:
@@ -317,14 +317,14 @@ class LiveTree:
         return np.asarray(limits, dtype=np.float32)
 
     def _cleaned(
-        self, on_grid: NDArray[np.int32], grid: DepthGrid, joined: Joints
+        self, on_grid: NDArray[np.int32], grid: DepthGrid, adjacency: PixelAdjacency
     ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Give small pieces to their neighbours; return the labels, and the pieces that are new things."""
+        """Give small components to their neighbours; return the labels, and the components that are new."""
         config = self._config
         places_min = config.piece_pixels_min * grid.points.pixel_share
         open_label = len(self._leaves) + 1
         marked = np.where(grid.valid & (on_grid == 0), np.int32(open_label), on_grid)
-        found = connected_pieces(marked, joined)
+        found = connected_components(marked, adjacency)
         # The largest piece of a leaf stays, however small it is.
         kept = found.large(places_min, open_label - 1)
         new = np.flatnonzero(kept & (found.labels_of == open_label))
@@ -342,31 +342,31 @@ class LiveTree:
     def _finished(
         self,
         cloud: PointMap,
-        scene: Scene,
+        features: GridFeatures,
         labels: NDArray[np.uint16],
         before: NDArray[np.uint16],
         config: SegmentationConfig,
         every_surface: bool,
     ) -> SegmentationTree:
-        """Measure what the tree tells of this frame, and hand it out."""
-        grid, leaves = scene.grid, self._leaves
+        """Measure the tree in this frame, and return it."""
+        grid, leaves = features.grid, self._leaves
         on_grid = labels[:: grid.step, :: grid.step].astype(np.int32)
         self._lattice = SurfaceLattice([leaf.surface for leaf in leaves], grid.step)
-        not_reached = remeasured(leaves, on_grid, self._lattice, grid, config)
+        not_reached = update_residuals(leaves, on_grid, self._lattice, grid, config)
         for leaf in not_reached:
-            leaf.node.fit = measured(scene, leaf.node.places, config)[1]
+            leaf.node.fit = fit_segment(features, leaf.node.places, config)[1]
             leaf.surface, leaf.age, leaf.level = leaf.node.fit.surface, 0, float("nan")
         if not_reached:
             self._lattice = SurfaceLattice([leaf.surface for leaf in leaves], grid.step)
         renewal = renew_splits(
-            self._root, leaves, on_grid, scene, self._frame, config, every_surface=every_surface
+            self._root, leaves, on_grid, features, self._frame, config, every_surface=every_surface
         )
         nodes = depth_first(self._root)
         cuts = sum(node.division is Division.CUT for node in nodes)
-        give_reasons(leaves, cuts, scene.places_min(config), self._frame, config)
+        give_reasons(leaves, cuts, features.places_min(config), self._frame, config)
         self._rejected = renewal.rejected
-        self.revision = replace(
-            self.revision,
+        self.report = replace(
+            self.report,
             judged=renewal.judged,
             oldest=renewal.oldest,
             oldest_trial=max(leaf.attempt_age for leaf in leaves),
@@ -374,7 +374,7 @@ class LiveTree:
         segments = finished_segments(nodes, [leaf.node for leaf in leaves], labels)
         objects, contacts = self._objects.merged(self._leaves, on_grid, self._lattice, grid, config)
         # What has no depth in this frame keeps its label for the next one.
-        self._labels = self._reviser.renumbered(before)
+        self._labels = self._updater.renumbered(before)
         np.copyto(self._labels, labels, where=labels > 0)
         return SegmentationTree(segments, cloud.valid.shape, objects, contacts, config.level, labels)
 
@@ -384,4 +384,4 @@ def lives(config: SegmentationConfig) -> bool:
     return config.method == "nurbseg" and config.fit_of == "inverse-depth"
 
 
-__all__ = ["Budget", "LiveTree", "Misfit", "Revision", "lives"]
+__all__ = ["Budget", "LiveTree", "Misfit", "UpdateReport", "lives"]

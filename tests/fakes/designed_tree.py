@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from plates import SHAPE, WALL_PER_M, Box, cloud_of, inside_of
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.scene import Scene, prepare
-from nurbseg.segmentation.extended.splitting import measured
+from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
+from nurbseg.segmentation.extended.splitting import fit_segment
+from nurbseg.segmentation.live.editor import TreeUpdate
 from nurbseg.segmentation.live.leaf import LiveLeaf, Misfit
-from nurbseg.segmentation.live.revision import Budget, Reviser
-from nurbseg.segmentation.live.structure import Revised
+from nurbseg.segmentation.live.updater import Budget, TreeUpdater
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Division, Node, Trial
 
@@ -40,25 +40,25 @@ class DesignedTree:
     """A frame, its labels on the grid, and the tree of them."""
 
     cloud: PointMap
-    scene: Scene
+    features: GridFeatures
     labels: NDArray[np.int32]
     root: Node
     leaves: list[LiveLeaf]
-    reviser: Reviser
+    updater: TreeUpdater
     nodes: dict[str, Node]
 
-    def revise(
+    def update(
         self,
         *,
         appeared: NDArray[np.int32] | None = None,
         square: Sequence[float] = (),
         unreached: Sequence[float] = (),
-        together: Sequence[tuple[int, int]] = (),
+        same_object: Sequence[tuple[int, int]] = (),
         rejected: Sequence[Node] = (),
         budget: Budget | None = None,
         config: SegmentationConfig = CONFIG,
-    ) -> Revised:
-        """Revise the tree; by default nothing is amiss, and nothing is in the budget."""
+    ) -> TreeUpdate:
+        """Update the tree; by default nothing is amiss, and nothing is in the budget."""
         count = len(self.leaves) + 1
         places = np.bincount(self.labels.ravel(), minlength=count)
         misfit = Misfit(
@@ -66,19 +66,19 @@ class DesignedTree:
             np.array([0.0, *square]) if square else np.ones(count),
             np.array([0.0, *unreached]) if unreached else np.zeros(count),
         )
-        return self.reviser.revise(
+        return self.updater.update(
             self.cloud,
-            self.scene.grid,
-            self.scene.joined,
+            self.features.grid,
+            self.features.adjacency,
             self.labels,
             np.zeros(GRID, np.int32) if appeared is None else appeared,
             self.root,
             self.leaves,
             misfit,
-            set(together),
+            set(same_object),
             rejected,
             FRAME,
-            budget or Budget(refits=0, trials=0, folds=0),
+            budget or Budget(refits=0, trials=0, merges=0),
             config,
         )
 
@@ -107,20 +107,22 @@ def designed_tree(
         per_m[inside_of(box)] += 0.02
         color[inside_of(box)] = 200, 60, 40
     cloud = cloud_of(per_m, color)
-    scene = prepare(cloud, config)
+    features = grid_features(cloud, config)
 
     nodes: dict[str, Node] = {}
     for label, band in enumerate(bands, start=1):
         places = np.flatnonzero(labels == label)
-        nodes[band.name] = Node(band.name, places, measured(scene, places, config)[1])
+        nodes[band.name] = Node(band.name, places, fit_segment(features, places, config)[1])
     inner = {band.name[:end] for band in bands for end in range(len(band.name))}
     for name in sorted(inner, key=len, reverse=True):
         children = nodes[f"{name}0"], nodes[f"{name}1"]
         places = np.sort(np.concatenate([child.places for child in children]))
-        node = nodes[name] = Node(name, places, measured(scene, places, config)[1], children, Division.CUT)
+        node = nodes[name] = Node(
+            name, places, fit_segment(features, places, config)[1], children, Division.CUT
+        )
         node.trial = Trial("mse", 9.0, places.size, ((1.0, places.size),), True)
     for node in nodes.values():
         node.cuts_above, node.measured, node.judged = len(node.name), BEFORE, BEFORE
-    reviser = Reviser()
-    leaves = [reviser.leaf(nodes[band.name]) for band in bands]
-    return DesignedTree(cloud, scene, labels, nodes[""], leaves, reviser, nodes)
+    updater = TreeUpdater()
+    leaves = [updater.leaf(nodes[band.name]) for band in bands]
+    return DesignedTree(cloud, features, labels, nodes[""], leaves, updater, nodes)

@@ -13,7 +13,7 @@ from nurbseg.app.view.drawing.frame import Moment, TreeNode, ViewFrame
 from nurbseg.app.view.drawing.surface_mesh import surface_mesh
 from nurbseg.drivers.frame import Calibration
 from nurbseg.segmentation.config import Metric
-from nurbseg.segmentation.labels.lookup import looked_up
+from nurbseg.segmentation.labels.lookup import apply_lookup_table
 from nurbseg.segmentation.live.identity import event_text
 
 
@@ -49,8 +49,8 @@ def drawn(
     frame, tree = result.frame, result.tree
     # Meshes go with the tree's own labels; what is seen bears those that last.
     labels = tree.labels("surfaces")
-    surfaces = looked_up(result.surface_of_leaf, labels)
-    objects = looked_up(result.object_of_leaf, labels) if tree.objects else None
+    surfaces = apply_lookup_table(result.surface_of_leaf, labels)
+    objects = apply_lookup_table(result.object_of_leaf, labels) if tree.objects else None
     points_m, point_labels = _some_points(
         result.cloud.points_m,
         surfaces if objects is None or tree.level == "surfaces" else objects,
@@ -78,8 +78,8 @@ def drawn(
         elapsed_ms=dict(elapsed_ms),
         rate_hz=rate_hz,
         events=tuple(map(event_text, result.events)),
-        grid_step=None if result.revision is None else result.revision.step,
-        anew="" if result.revision is None else result.revision.cold,
+        grid_step=None if result.update is None else result.update.step,
+        anew="" if result.update is None else result.update.reset,
     )
 
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from nurbseg.segmentation.cut.components import give_away_small_pieces
+from nurbseg.segmentation.cut.components import remove_small_components
 
 
 def picture(*rows: str):
@@ -14,29 +14,29 @@ def picture(*rows: str):
 def test_small_pieces_of_either_side_go_to_the_other():
     mask, side = picture("0000111", "0100101", "0000111", "0000111")
     expected = picture("0000111", "0000111", "0000111", "0000111")[1]
-    assert (give_away_small_pieces(mask, side, 2) == expected).all()
+    assert (remove_small_components(mask, side, 2) == expected).all()
 
 
 def test_pieces_of_the_limit_stay():
     mask, side = picture("00000", "01100", "00000")
-    assert (give_away_small_pieces(mask, side, 2) == side).all()
-    assert not give_away_small_pieces(mask, side, 3).any()
+    assert (remove_small_components(mask, side, 2) == side).all()
+    assert not remove_small_components(mask, side, 3).any()
 
 
 def test_pixels_that_touch_at_a_corner_are_one_piece():
     mask, side = picture("00000", "01000", "00100", "00000")
-    assert (give_away_small_pieces(mask, side, 2) == side).all()
+    assert (remove_small_components(mask, side, 2) == side).all()
 
 
 def test_an_island_stays_what_it_is():
     mask, side = picture("000.1", "000..", "000.0", "111..", "111..")
-    assert (give_away_small_pieces(mask, side, 3) == side).all()
+    assert (remove_small_components(mask, side, 3) == side).all()
 
 
 def test_specks_of_both_sides_do_not_change_places():
     # A single 1 within a piece of two 0 within 1: the 1 joins the 0 and then stays there.
     mask, side = picture("111111", "100001", "101001", "100001", "111111")
-    cleaned = give_away_small_pieces(mask, side, 3)
+    cleaned = remove_small_components(mask, side, 3)
     assert not cleaned[2, 2]
     assert (cleaned[0] == 1).all()
 
@@ -44,12 +44,12 @@ def test_specks_of_both_sides_do_not_change_places():
 def test_outside_of_the_mask_there_is_no_side():
     mask, side = picture("0011", "..11")
     side[1, 0] = True
-    assert not give_away_small_pieces(mask, side, 1)[1, 0]
+    assert not remove_small_components(mask, side, 1)[1, 0]
 
 
 def test_no_points_have_no_pieces():
     mask, side = picture("....", "....")
-    assert not give_away_small_pieces(mask, side, 5).any()
+    assert not remove_small_components(mask, side, 5).any()
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -66,7 +66,7 @@ def test_pieces_are_those_that_scipy_finds(seed):
             own = pieces == piece
             if own.sum() < pixels_min and (ndimage.binary_dilation(own, np.ones((3, 3))) & other).any():
                 expected[own] = not value
-    assert (give_away_small_pieces(mask, side, pixels_min) == expected).all()
+    assert (remove_small_components(mask, side, pixels_min) == expected).all()
 
 
 @pytest.mark.parametrize("direction", [d for d in np.ndindex(3, 3) if d != (1, 1)])
@@ -75,4 +75,4 @@ def test_a_piece_may_touch_the_other_side_in_any_direction(direction):
     mask[3, 3] = mask[2 + direction[0], 2 + direction[1]] = True
     side = np.zeros((7, 7), dtype=bool)
     side[3, 3] = True
-    assert not give_away_small_pieces(mask, side, 2).any()
+    assert not remove_small_components(mask, side, 2).any()

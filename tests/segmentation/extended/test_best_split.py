@@ -8,7 +8,7 @@ import pytest
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.ncut import Cut
 from nurbseg.segmentation.extended import splitting
-from nurbseg.segmentation.extended.scene import Scene, prepare
+from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
 from nurbseg.segmentation.extended.splitting import _neighbors_side, _pieces, best_split, children_of
 from nurbseg.segmentation.segments import Division, Node, StopReason, depth_first
 from nurbseg.segmentation.surfaces.surface import Fit
@@ -27,11 +27,11 @@ CONFIG = SegmentationConfig(
 
 
 @pytest.fixture
-def roof(cloud_of) -> Scene:
+def roof(cloud_of) -> GridFeatures:
     """Two slopes that meet in a ridge down the middle, with some noise."""
     columns = np.mgrid[: SIZE[0], : SIZE[1]][1]
     per_m = 0.9 - 0.01 * np.abs(columns - 31.5) + 1e-4 * np.random.default_rng(0).standard_normal(SIZE)
-    return prepare(cloud_of(1.0 / per_m), CONFIG)
+    return grid_features(cloud_of(1.0 / per_m), CONFIG)
 
 
 ROWS, COLUMNS = np.mgrid[: SIZE[0], : SIZE[1]]
@@ -75,7 +75,7 @@ def test_cuts_are_tried_in_turn_until_the_ratio_keeps_one(roof, monkeypatch, cut
 
     monkeypatch.setattr(splitting, "normalized_cuts", scripted)
     places = np.arange(ROWS.size)
-    _, fit, _ = splitting.measured(roof, places, CONFIG)
+    _, fit, _ = splitting.fit_segment(roof, places, CONFIG)
     node = Node("01", places, fit, stop=StopReason.SPLITS)
     sides, cut = best_split(roof, node, CONFIG)
     assert asked == (cuts if stop is not None else cuts[: cuts.index("ridge") + 1])
@@ -83,7 +83,7 @@ def test_cuts_are_tried_in_turn_until_the_ratio_keeps_one(roof, monkeypatch, cut
         assert node.trial is None
     else:
         halves = [np.flatnonzero(SIDES[tried].ravel() == value) for value in (False, True)]
-        found = [splitting.measured(roof, half, CONFIG)[1] for half in halves]
+        found = [splitting.fit_segment(roof, half, CONFIG)[1] for half in halves]
         assert sorted(node.trial.parts) == sorted((each.values["mse"], each.pixels.size) for each in found)
         assert (node.trial.value, node.trial.points) == (fit.values["mse"], ROWS.size)
         assert node.trial.kept == (stop is None)
@@ -154,7 +154,7 @@ def test_places_between_those_that_are_cut_follow_them_where_they_agree(seed):
 
 
 def test_a_large_segment_is_cut_at_every_second_place_and_continued(roof):
-    node = Node("", np.arange(ROWS.size), splitting.measured(roof, np.arange(ROWS.size), CONFIG)[1])
+    node = Node("", np.arange(ROWS.size), splitting.fit_segment(roof, np.arange(ROWS.size), CONFIG)[1])
     sides, cut = best_split(roof, node, CONFIG, thin_from=ROWS.size)
     assert cut is not None
     assert cut.side.size == ROWS.size // 4

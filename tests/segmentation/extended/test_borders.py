@@ -5,7 +5,7 @@ import pytest
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.borders import refine_borders
-from nurbseg.segmentation.labels.upsample import labels_of_every_pixel
+from nurbseg.segmentation.labels.upsample import upsample_by_depth
 from nurbseg.segmentation.surfaces.inverse_depth import (
     depth_grid,
     fit_window,
@@ -125,7 +125,7 @@ def test_every_pixel_with_a_point_gets_the_label_of_its_surface(step):
     valid = rng.random(truth.shape) < 0.9
     per_m[~valid] = 0.0
     on_grid = np.where(valid, truth, 0)[::step, ::step].astype(np.int32)
-    labels = labels_of_every_pixel(
+    labels = upsample_by_depth(
         on_grid, per_m[::step, ::step], per_m, valid, SegmentationConfig(decimation=step)
     )
     assert (labels == np.where(valid, truth, 0)).all()

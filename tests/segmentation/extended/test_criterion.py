@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.ncut import Cut
 from nurbseg.segmentation.extended import splitting
-from nurbseg.segmentation.extended.splitting import best_split, measured, prepare
+from nurbseg.segmentation.extended.splitting import best_split, fit_segment, grid_features
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Division, Node, SegmentationTree, StopReason
 from nurbseg.segmentation.stag15 import segment
@@ -40,11 +40,11 @@ def weight(fit: Fit, cloud: PointMap, noise_per_m: float) -> float:
     return max(float(squares), float(np.sum(noise**2)))
 
 
-def root_of(cloud: PointMap, config: SegmentationConfig) -> tuple[splitting.Scene, Node]:
+def root_of(cloud: PointMap, config: SegmentationConfig) -> tuple[splitting.GridFeatures, Node]:
     """Return a frame of one piece and its root, not yet tried."""
-    scene = prepare(cloud, config)
-    places, fit, stop = measured(scene, np.flatnonzero(scene.grid.valid), config)
-    return scene, Node("", places, fit, stop=stop)
+    features = grid_features(cloud, config)
+    places, fit, stop = fit_segment(features, np.flatnonzero(features.grid.valid), config)
+    return features, Node("", places, fit, stop=stop)
 
 
 def cut_at_middle(tree: SegmentationTree) -> bool:
@@ -71,8 +71,8 @@ def test_a_noisy_plane_stays_whole_since_its_ratio_is_one(cloud_of, seed):
     tree = segment(cloud, CONFIG)
     assert [leaf.stop for leaf in tree.leaves()] == [StopReason.NOISE]
     # What the shortcut foretells, tried.
-    scene, root = root_of(cloud, CONFIG)
-    assert best_split(scene, root, CONFIG)[1] is None
+    features, root = root_of(cloud, CONFIG)
+    assert best_split(features, root, CONFIG)[1] is None
     assert root.stop is StopReason.CRITERION
     assert root.trial is not None
     # The parts' floors are the whole's, and more along the cut, where both have a rim.
@@ -110,10 +110,10 @@ def test_a_threshold_on_either_side_of_the_ratio_decides(cloud_of):
 )
 def test_what_is_tried_is_what_may_be_accepted(cloud_of, ratio_max, stop):
     # By this crease the plane's error is little above noise: floor over value is .824, the ratio .853.
-    scene, root = root_of(cloud_of(roof(0.012)), replace(CONFIG, ratio_max=ratio_max))
+    features, root = root_of(cloud_of(roof(0.012)), replace(CONFIG, ratio_max=ratio_max))
     assert root.fit.floor / root.fit.values["mse"] == pytest.approx(0.824, abs=0.002)
     if root.stop is None:
-        best_split(scene, root, replace(CONFIG, ratio_max=ratio_max, cuts=1))
+        best_split(features, root, replace(CONFIG, ratio_max=ratio_max, cuts=1))
         assert root.trial is not None
         assert root.trial.ratio == pytest.approx(0.853, abs=0.002)
         assert root.trial.kept == (stop is None)
@@ -148,21 +148,21 @@ def test_what_is_not_tried_for_its_noise_would_be_rejected(cloud_of, box_on_tabl
         depth, _ = box_on_table((120, 160), noise_per_m=rng.uniform(1e-3, 4e-3), seed=seed)
         depth[rng.random(depth.shape) < 0.02] *= 0.99
         cloud = cloud_of(depth)
-        scene = prepare(cloud, config)
-        waiting = [splitting.grow(scene, config)]
+        features = grid_features(cloud, config)
+        waiting = [splitting.grow(features, config)]
         while waiting:
             node = waiting.pop()
             waiting.extend(node.children)
             if node.stop is StopReason.NOISE:
                 untried += 1
-                best_split(scene, node, config)
+                best_split(features, node, config)
                 # To rounding: where the whole and the parts are at their floors the ratio may be just 1.
                 assert node.trial is None or node.trial.ratio >= ratio_max * (1 - 1e-12)
     assert untried > 0
 
 
 def test_what_a_later_cut_comes_to_does_not_undo_a_rejection(cloud_of, monkeypatch):
-    scene, root = root_of(cloud_of(roof(0.0)), CONFIG)
+    features, root = root_of(cloud_of(roof(0.0)), CONFIG)
     rows, columns = np.divmod(root.places, SIZE[1])
     speck = (rows < 2) & (columns < 2)
     halves = [columns < 80, rows < 20, columns < 110]
@@ -172,12 +172,12 @@ def test_what_a_later_cut_comes_to_does_not_undo_a_rejection(cloud_of, monkeypat
             yield Cut(side, np.zeros((1, 9), np.float32), np.zeros(1, np.float32), 1.0)
 
     monkeypatch.setattr(splitting, "normalized_cuts", cuts)
-    assert best_split(scene, root, CONFIG, thin_from=10**9)[1] is None
+    assert best_split(features, root, CONFIG, thin_from=10**9)[1] is None
     assert root.stop is StopReason.CRITERION
     cloud = cloud_of(roof(0.0))
 
     def after(side: NDArray[np.bool_]) -> float:
-        parts = (measured(scene, root.places[each], CONFIG)[1] for each in (side, ~side))
+        parts = (fit_segment(features, root.places[each], CONFIG)[1] for each in (side, ~side))
         return sum(weight(part, cloud, CONFIG.noise_per_m) for part in parts)
 
     whole = weight(root.fit, cloud, CONFIG.noise_per_m)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.contact import Meeting, meetings
+from nurbseg.segmentation.extended.border_statistics import BorderStatistics, border_statistics
 from nurbseg.segmentation.extended.merge import merge_surfaces, merged_objects
 from nurbseg.segmentation.points.rays import rays_of
 from nurbseg.segmentation.surfaces.inverse_depth import depth_grid, fit_window
@@ -30,7 +30,8 @@ def test_creases_of_a_box_have_the_sign_and_size_of_their_angle(cloud_of, box_on
     cloud = cloud_of(depth)
     _, surfaces = fitted(cloud, truth)
     found = {
-        (each.first, each.second): each for each in meetings(truth, surfaces, rays_of(cloud), gap_per_m=0.02)
+        (each.first, each.second): each
+        for each in border_statistics(truth, surfaces, rays_of(cloud), gap_per_m=0.02)
     }
     # Normals turned by a right angle differ by sqrt(2), as seen along a chord straight across the crease.
     for pair in ((2, 3), (2, 4), (3, 4)):
@@ -112,10 +113,12 @@ def test_borders_are_compared_across_a_few_pixels_without_depth(cloud_of, box_on
     edge = (labels[:, 1:] != labels[:, :-1]).nonzero()
     holes[edge] = 0
     with_holes = {
-        (each.first, each.second): each for each in meetings(holes, surfaces, grid.rays, gap_per_m=0.02)
+        (each.first, each.second): each
+        for each in border_statistics(holes, surfaces, grid.rays, gap_per_m=0.02)
     }
     without = {
-        (each.first, each.second): each for each in meetings(labels, surfaces, grid.rays, gap_per_m=0.02)
+        (each.first, each.second): each
+        for each in border_statistics(labels, surfaces, grid.rays, gap_per_m=0.02)
     }
     assert with_holes[3, 4].concavity_sum / with_holes[3, 4].touching == pytest.approx(
         without[3, 4].concavity_sum / without[3, 4].touching, abs=0.05
@@ -173,7 +176,7 @@ def test_the_least_concave_pair_is_merged_first_and_its_borders_are_pooled(seed)
         if rng.random() < 0.5:
             samples = int(rng.integers(2, 12))
             touching = int(rng.integers(samples // 3, samples + 1))
-            found.append(Meeting(first, second, samples, touching, touching * rng.normal(0.15, 0.2)))
+            found.append(BorderStatistics(first, second, samples, touching, touching * rng.normal(0.15, 0.2)))
     smooth = {(each.first, each.second) for each in found if rng.random() < 0.2}
     labels = rng.integers(0, count + 1, (9, 13)).astype(np.int32)
     config = SegmentationConfig(merge_crease=bool(seed % 3))
@@ -186,17 +189,17 @@ def test_the_least_concave_pair_is_merged_first_and_its_borders_are_pooled(seed)
     assert pixels == sorted(pixels, reverse=True)
     assert all(list(each.leaves) == sorted(each.leaves) for each in objects)
     together = {name: each for each in objects for name in each.leaves}
-    for contact, meeting in zip(contacts, found, strict=True):
-        assert (contact.first, contact.second) == (names[meeting.first - 1], names[meeting.second - 1])
-        assert (contact.samples, contact.touching) == (meeting.samples, meeting.touching)
+    for contact, border in zip(contacts, found, strict=True):
+        assert (contact.first, contact.second) == (names[border.first - 1], names[border.second - 1])
+        assert (contact.samples, contact.touching) == (border.samples, border.touching)
         assert contact.merged == (together[contact.first] is together[contact.second])
-        assert contact.smooth == ((meeting.first, meeting.second) in smooth)
-        if meeting.touching:
-            assert contact.concavity == meeting.concavity_sum / meeting.touching
+        assert contact.smooth == ((border.first, border.second) in smooth)
+        if border.touching:
+            assert contact.concavity == border.concavity_sum / border.touching
 
 
 @pytest.mark.parametrize(
-    ("meeting", "smooth", "crease", "merged", "reason"),
+    ("border", "smooth", "crease", "merged", "reason"),
     [
         ((20, 20, -8.0), False, True, True, "a convex or flat crease of -0.40"),
         ((20, 20, 2.39), False, True, True, "a convex or flat crease of 0.12"),
@@ -209,26 +212,29 @@ def test_the_least_concave_pair_is_merged_first_and_its_borders_are_pooled(seed)
         ((3, 0, 0.0), False, True, False, "a gap: 0 of 3 places along the border touch"),
     ],
 )
-def test_a_contact_says_why_it_is_merged_or_not(meeting, smooth, crease, merged, reason):
+def test_a_contact_says_why_it_is_merged_or_not(border, smooth, crease, merged, reason):
     config = SegmentationConfig(merge_crease=crease, concavity_max=0.12)
     labels = np.array([[1, 1, 2]], dtype=np.int32)
     pairs = {(1, 2)} if smooth else set()
-    objects, (contact,) = merged_objects([Meeting(1, 2, *meeting)], pairs, labels, ("0", "1"), config)
+    objects, (contact,) = merged_objects([BorderStatistics(1, 2, *border)], pairs, labels, ("0", "1"), config)
     assert (contact.merged, contact.reason) == (merged, reason)
     assert len(objects) == 2 - merged
-    assert np.isnan(contact.concavity) == (meeting[1] == 0)
+    assert np.isnan(contact.concavity) == (border[1] == 0)
 
 
 def test_a_contact_says_that_others_joined_or_parted_it():
     labels = np.array([[1, 2, 3]], dtype=np.int32)
-    convex, concave = (Meeting(1, 2, 20, 20, -8.0), Meeting(2, 3, 20, 20, -8.0)), Meeting(1, 3, 20, 20, 6.0)
+    convex, concave = (
+        (BorderStatistics(1, 2, 20, 20, -8.0), BorderStatistics(2, 3, 20, 20, -8.0)),
+        BorderStatistics(1, 3, 20, 20, 6.0),
+    )
     objects, contacts = merged_objects([*convex, concave], set(), labels, NAMES[:3], CONFIG)
     assert len(objects) == 1
     assert contacts[2].reason.startswith(
         "joined through other surfaces, in spite of a concave crease of 0.30"
     )
     # The third is convex to one of two, but more concave to the other.
-    weak = Meeting(2, 3, 20, 20, -1.0)
+    weak = BorderStatistics(2, 3, 20, 20, -1.0)
     objects, contacts = merged_objects([convex[0], weak, concave], set(), labels, NAMES[:3], CONFIG)
     assert [each.leaves for each in objects] == [NAMES[:2], NAMES[2:3]]
     assert contacts[1].reason == "a convex or flat crease of -0.05, but their objects meet in a concave one"

@@ -2,18 +2,18 @@
 
 import numpy as np
 
-from nurbseg.segmentation.labels.lookup import labels_present, looked_up
+from nurbseg.segmentation.labels.lookup import apply_lookup_table, labels_present
 
 
 def test_every_label_is_looked_up_and_those_beyond_the_table_are_none() -> None:
     labels = np.random.default_rng(0).integers(0, 7, (20, 30)).astype(np.uint16)
     table = np.array([0, 9, 8, 7, 65535], np.uint16)
-    found = looked_up(table, labels)
+    found = apply_lookup_table(table, labels)
     assert np.array_equal(found, np.append(table, [0, 0])[labels])
     # Part of an image will do, and one that may not be written to.
     part = labels[::2, ::3]
     part.flags.writeable = False
-    assert np.array_equal(looked_up(table, part), found[::2, ::3])
+    assert np.array_equal(apply_lookup_table(table, part), found[::2, ::3])
 
 
 def test_the_labels_that_are_there_are_told() -> None:

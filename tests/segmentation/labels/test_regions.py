@@ -3,11 +3,11 @@ from collections import deque
 import numpy as np
 import pytest
 
-from nurbseg.segmentation.labels.regions import connected_pieces, joints, large_pieces
+from nurbseg.segmentation.labels.regions import connected_components, large_components, pixel_adjacency
 
 
 def flooded(labels, per_m, gap):
-    """Pieces by a flood from every place, as plainly as can be."""
+    """Components by a flood from every place, as plainly as can be."""
     height, width = labels.shape
     pieces = np.zeros(labels.shape, dtype=int)
     count = 0
@@ -37,7 +37,7 @@ def test_pieces_are_those_of_a_flood(seed):
     rng = np.random.default_rng(seed)
     labels = rng.integers(0, 3, (17, 23)).astype(np.int32)
     per_m = np.cumsum(rng.normal(0, 0.02, (17, 23)), axis=1).astype(np.float32)
-    found = connected_pieces(labels, joints(per_m, np.ones((17, 23), bool), 0.02))
+    found = connected_components(labels, pixel_adjacency(per_m, np.ones((17, 23), bool), 0.02))
     count, expected = flooded(labels, per_m, np.float32(0.02))
     assert (found.numbers == expected).all()
     assert (found.sizes[1:] == np.bincount(expected.ravel())[1:]).all()
@@ -47,16 +47,16 @@ def test_pieces_are_those_of_a_flood(seed):
 def test_points_alone_are_joined():
     valid = np.ones((4, 5), bool)
     valid[1, 2] = False
-    joined = joints(np.zeros((4, 5), np.float32), valid, 0.02)
-    assert (joined.right[:, :-1] == (valid[:, :-1] & valid[:, 1:])).all()
-    assert (joined.down[:-1] == (valid[:-1] & valid[1:])).all()
-    assert not joined.right[:, -1].any()
-    assert not joined.down[-1].any()
+    adjacency = pixel_adjacency(np.zeros((4, 5), np.float32), valid, 0.02)
+    assert (adjacency.right[:, :-1] == (valid[:, :-1] & valid[:, 1:])).all()
+    assert (adjacency.down[:-1] == (valid[:-1] & valid[1:])).all()
+    assert not adjacency.right[:, -1].any()
+    assert not adjacency.down[-1].any()
 
 
 def test_the_largest_piece_of_a_label_is_kept_however_small():
     labels = np.array([[1, 1, 0, 1, 0, 2, 0, 3, 3, 3, 3]], np.int32)
-    found = connected_pieces(labels, joints(np.ones(labels.shape, np.float32), labels > 0, 0.02))
+    found = connected_components(labels, pixel_adjacency(np.ones(labels.shape, np.float32), labels > 0, 0.02))
     assert found.large(4, 2).tolist() == [False, True, False, True, True]
     assert found.large(5, 2).tolist() == [False, True, False, True, False]
 
@@ -66,13 +66,15 @@ def test_a_gap_in_depth_parts_what_touches_in_the_image():
     per_m[:, 6:] = 1.1
     labels = np.ones((10, 12), np.int32)
     valid = np.ones((10, 12), bool)
-    assert connected_pieces(labels, joints(per_m, valid, 0.02)).sizes.tolist() == [0, 60, 60]
-    assert connected_pieces(labels, joints(per_m, valid, 0.2)).sizes.tolist() == [0, 120]
+    assert connected_components(labels, pixel_adjacency(per_m, valid, 0.02)).sizes.tolist() == [0, 60, 60]
+    assert connected_components(labels, pixel_adjacency(per_m, valid, 0.2)).sizes.tolist() == [0, 120]
 
 
 def test_a_slope_is_no_gap():
     per_m = np.broadcast_to(0.015 * np.arange(40, dtype=np.float32), (10, 40))
-    found = connected_pieces(np.ones((10, 40), np.int32), joints(per_m, np.ones((10, 40), bool), 0.02))
+    found = connected_components(
+        np.ones((10, 40), np.int32), pixel_adjacency(per_m, np.ones((10, 40), bool), 0.02)
+    )
     assert found.sizes.tolist() == [0, 400]
 
 
@@ -83,10 +85,10 @@ def test_small_pieces_go_to_the_neighbour_nearest_in_depth():
     labels[4:6, 10:12] = 1  # a speck of label 1 on the other side of the gap
     # The first row and the last column are not looked at.
     places = np.arange(12 * 20).reshape(12, 20)[1:, :-1].ravel()
-    pieces, label_of = large_pieces(
+    pieces, label_of = large_components(
         places,
         labels.ravel()[places],
-        joints(per_m, np.ones((12, 20), bool), 0.02),
+        pixel_adjacency(per_m, np.ones((12, 20), bool), 0.02),
         per_m,
         gap_per_m=0.02,
         places_min=10,
@@ -98,7 +100,7 @@ def test_small_pieces_go_to_the_neighbour_nearest_in_depth():
 
 def test_nothing_is_found_where_no_piece_is_large_enough():
     per_m = np.ones((4, 4), np.float32)
-    joined = joints(per_m, np.ones((4, 4), bool), 0.02)
+    adjacency = pixel_adjacency(per_m, np.ones((4, 4), bool), 0.02)
     places = np.arange(16)
     labels = np.ones(16, np.int32)
-    assert large_pieces(places, labels, joined, per_m, gap_per_m=0.02, places_min=100) == ([], [])
+    assert large_components(places, labels, adjacency, per_m, gap_per_m=0.02, places_min=100) == ([], [])

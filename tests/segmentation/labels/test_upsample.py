@@ -1,7 +1,7 @@
 import numpy as np
 
 from nurbseg.segmentation.cut.ncut import normalized_cut
-from nurbseg.segmentation.labels.upsample import Split, settle
+from nurbseg.segmentation.labels.upsample import Split, upsample_labels
 from nurbseg.segmentation.points.grid import decimated_grid
 
 
@@ -22,7 +22,7 @@ def scene(cloud_of, step: int):
 def test_pixels_near_a_border_go_where_the_cut_puts_them(cloud_of):
     for step in (1, 2, 3, 4, 7):
         cloud, vectors, grid, cut, leaves = scene(cloud_of, step)
-        labels = settle(cloud, grid, leaves, [Split(0, 1, 2, cut)], vectors.__getitem__)
+        labels = upsample_labels(cloud, grid, leaves, [Split(0, 1, 2, cut)], vectors.__getitem__)
         expected = np.where(cloud.valid.ravel(), cut.classify(vectors), 2)
         assert (labels == expected).all(), step
 
@@ -35,7 +35,7 @@ def test_pixels_away_from_the_border_are_not_asked(cloud_of):
         asked.append(pixels)
         return vectors[pixels]
 
-    settle(cloud, grid, leaves, [Split(0, 1, 2, cut)], vectors_of)
+    upsample_labels(cloud, grid, leaves, [Split(0, 1, 2, cut)], vectors_of)
     columns = np.concatenate(asked) % 61
     assert (np.abs(columns - 30) <= 4).all()
 
@@ -43,7 +43,7 @@ def test_pixels_away_from_the_border_are_not_asked(cloud_of):
 def test_the_clean_up_of_the_grid_is_kept(cloud_of):
     cloud, vectors, grid, cut, _ = scene(cloud_of, 2)
     everything = np.flatnonzero(grid.valid)
-    labels = settle(
+    labels = upsample_labels(
         cloud, grid, [everything[:100], everything[100:]], [Split(0, 1, 2, cut)], vectors.__getitem__
     )
     # Rows from 20 on belong to the second leaf, whatever the cut says about their vectors.
@@ -57,13 +57,15 @@ def test_a_pixel_with_nothing_around_it_walks_down_the_tree(cloud_of):
     valid[:] = np.nan
     valid[11, 51] = 1.0
     lonely = cloud_of(valid)
-    labels = settle(lonely, grid, leaves, [Split(0, 1, 2, cut)], vectors.__getitem__)
+    labels = upsample_labels(lonely, grid, leaves, [Split(0, 1, 2, cut)], vectors.__getitem__)
     none = [places[:0] for places in leaves]
-    alone = settle(lonely, decimated_grid(lonely, 2), none, [Split(0, 1, 2, cut)], vectors.__getitem__)
+    alone = upsample_labels(
+        lonely, decimated_grid(lonely, 2), none, [Split(0, 1, 2, cut)], vectors.__getitem__
+    )
     assert labels[11 * 61 + 51] == alone[11 * 61 + 51] == int(cut.classify(vectors[[11 * 61 + 51]])[0])
 
 
 def test_one_leaf_takes_every_pixel(cloud_of):
     cloud, vectors, grid, _, _ = scene(cloud_of, 3)
-    labels = settle(cloud, grid, [np.flatnonzero(grid.valid)], [], vectors.__getitem__)
+    labels = upsample_labels(cloud, grid, [np.flatnonzero(grid.valid)], [], vectors.__getitem__)
     assert (labels == np.where(cloud.valid.ravel(), 0, 1)).all()

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.live.borders import settled_borders, spread_to_pixels
+from nurbseg.segmentation.live.borders import relax_borders, spread_to_pixels
 from nurbseg.segmentation.live.follow import grown_labels, kept_labels, moved_surfaces
-from nurbseg.segmentation.live.motion import brightness, carried, flow_back
+from nurbseg.segmentation.live.motion import brightness, flow_back, warped
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.inverse_depth import depth_grid, fit_window, inverse_depth_lattice
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
@@ -27,7 +27,7 @@ def cloud_of(per_m: np.ndarray) -> PointMap:
 
 
 def wavy() -> np.ndarray:
-    """Inverse depth of a smooth scene."""
+    """Inverse depth of a smooth features."""
     rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]]
     return 0.8 + 0.001 * columns + 0.05 * np.sin(rows / 30.0)
 
@@ -42,7 +42,7 @@ def fitted(per_m: np.ndarray) -> NurbsSurface:
 
 @pytest.fixture(scope="module")
 def surface() -> NurbsSurface:
-    """Of the smooth scene."""
+    """Of the smooth features."""
     return fitted(wavy())
 
 
@@ -151,7 +151,7 @@ def test_borders_go_to_the_surface_that_explains_the_pixels() -> None:
     labels = np.broadcast_to(np.where(columns < 61, 1, 2), SHAPE).astype(np.uint16)
     lattice = SurfaceLattice([near, far], STEP)
     for _ in range(3):
-        settled = settled_borders(labels, per_m, lattice, noise_per_m=2.5e-3, gap_per_m=0.025)
+        settled = relax_borders(labels, per_m, lattice, noise_per_m=2.5e-3, gap_per_m=0.025)
         # One column in a pass, the one beside the border.
         assert (settled != labels).sum() == SHAPE[0]
         labels = settled
@@ -165,7 +165,7 @@ def test_one_pass_takes_the_cheapest_of_three_labels() -> None:
     labels[:, 64:] = 2
     per_m = (1.0 + 0.004 * rng.standard_normal(SHAPE)).astype(np.float32)
     per_m[rng.random(SHAPE) < 0.05] = 0.0
-    settled = settled_borders(labels, per_m, lattice, noise_per_m=2.5e-3, gap_per_m=0.006)
+    settled = relax_borders(labels, per_m, lattice, noise_per_m=2.5e-3, gap_per_m=0.006)
     for r, c in zip(*(rng.integers(0, extent, 300) for extent in SHAPE), strict=True):
         near = [
             (y, x)
@@ -195,11 +195,11 @@ def test_values_are_carried_along_the_motion() -> None:
     flow = flow_back(
         brightness(np.ascontiguousarray(now), STEP), brightness(np.ascontiguousarray(before), STEP)
     )
-    found = carried(np.ascontiguousarray(labels[:, :180]), flow)
+    found = warped(np.ascontiguousarray(labels[:, :180]), flow)
     inside = np.s_[16:-16, 16:-16]
     assert np.mean(found[inside] == labels[:, 4:184][inside]) > 0.9
     # What comes into view has no label.
-    assert (carried(labels, np.full((*labels.shape, 2), 1000.0, np.float32)) == 0).all()
+    assert (warped(labels, np.full((*labels.shape, 2), 1000.0, np.float32)) == 0).all()
 
 
 def test_values_come_from_the_pixel_nearest_to_where_the_flow_points() -> None:
@@ -212,7 +212,7 @@ def test_values_come_from_the_pixel_nearest_to_where_the_flow_points() -> None:
     inside = (v >= 0) & (v < 50) & (u >= 0) & (u < 70)
     expected = np.where(inside, image[v.clip(0, 49), u.clip(0, 69)], 0)
     # Between two pixels either is the nearest.
-    assert np.mean(carried(image, flow) == expected) > 0.998
+    assert np.mean(warped(image, flow) == expected) > 0.998
 
 
 def test_small_images_stand_still() -> None:

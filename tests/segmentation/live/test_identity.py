@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nurbseg.segmentation.live.identity import Event, Identities, carry_identities
+from nurbseg.segmentation.live.identity import Event, Identities, track_identities
 from nurbseg.segmentation.points.registration import PointMap
 
 SHAPE = (60, 80)
@@ -27,9 +27,9 @@ def scene(*boxes: tuple[int, int, int, int, int]) -> tuple[np.ndarray, PointMap]
 
 def test_a_segment_that_moves_keeps_its_identity_whatever_its_label() -> None:
     labels, cloud = scene((10, 10, 20, 20, 10), (50, 20, 15, 20, 240))
-    first = carry_identities(None, labels, cloud)
+    first = track_identities(None, labels, cloud)
     moved, cloud = scene((47, 22, 15, 20, 240), (14, 11, 20, 20, 10))
-    second = carry_identities(first, moved, cloud)
+    second = track_identities(first, moved, cloud)
     assert second.of_label[2] == first.of_label[3]
     assert second.of_label[3] == first.of_label[2]
     assert second.of_label[1] == first.of_label[1]
@@ -38,63 +38,63 @@ def test_a_segment_that_moves_keeps_its_identity_whatever_its_label() -> None:
 
 def test_a_segment_that_was_hidden_comes_back_as_itself() -> None:
     labels, cloud = scene((10, 10, 20, 20, 10), (50, 20, 15, 20, 240))
-    first = carry_identities(None, labels, cloud)
+    first = track_identities(None, labels, cloud)
     state = first
     for _ in range(10):
-        state = carry_identities(state, *scene((10, 10, 20, 20, 10)))
+        state = track_identities(state, *scene((10, 10, 20, 20, 10)))
     assert first.of_label[3] not in state.of_label.values()
-    back = carry_identities(state, *scene((10, 10, 20, 20, 10), (53, 20, 15, 20, 240)))
+    back = track_identities(state, *scene((10, 10, 20, 20, 10), (53, 20, 15, 20, 240)))
     assert back.of_label[3] == first.of_label[3]
     assert back.events == (Event("back", first.of_label[3]),)
 
 
 def test_another_thing_in_its_place_is_new() -> None:
-    first = carry_identities(None, *scene((50, 20, 15, 20, 240)))
-    gone = carry_identities(first, *scene())
-    other = carry_identities(gone, *scene((50, 20, 15, 20, 10)))
+    first = track_identities(None, *scene((50, 20, 15, 20, 240)))
+    gone = track_identities(first, *scene())
+    other = track_identities(gone, *scene((50, 20, 15, 20, 10)))
     assert other.of_label[2] not in first.of_label.values()
 
 
 def test_a_forgotten_segment_is_new() -> None:
-    state = first = carry_identities(None, *scene((50, 20, 15, 20, 240)))
+    state = first = track_identities(None, *scene((50, 20, 15, 20, 240)))
     for _ in range(4):
-        state = carry_identities(state, *scene(), remembered=3)
-    again = carry_identities(state, *scene((50, 20, 15, 20, 240)), remembered=3)
+        state = track_identities(state, *scene(), remembered=3)
+    again = track_identities(state, *scene((50, 20, 15, 20, 240)), remembered=3)
     assert again.of_label[2] != first.of_label[2]
 
 
 def test_splits_and_merges_are_told_with_both_names() -> None:
-    whole = carry_identities(None, *scene((10, 10, 40, 20, 100)))
-    parted = carry_identities(whole, *scene((10, 10, 26, 20, 100), (36, 10, 14, 20, 100)))
+    whole = track_identities(None, *scene((10, 10, 40, 20, 100)))
+    parted = track_identities(whole, *scene((10, 10, 26, 20, 100), (36, 10, 14, 20, 100)))
     assert parted.of_label[2] == whole.of_label[2]
     assert parted.events == (Event("split", parted.of_label[3], whole.of_label[2]),)
-    joined = carry_identities(parted, *scene((10, 10, 40, 20, 100)))
-    assert joined.of_label[2] == whole.of_label[2]
-    assert joined.events == (Event("merge", parted.of_label[3], whole.of_label[2]),)
+    adjacency = track_identities(parted, *scene((10, 10, 40, 20, 100)))
+    assert adjacency.of_label[2] == whole.of_label[2]
+    assert adjacency.events == (Event("merge", parted.of_label[3], whole.of_label[2]),)
 
 
 def test_the_image_bears_identities_and_keeps_what_has_no_segment() -> None:
     labels, cloud = scene((10, 10, 20, 20, 10))
     labels[:5] = 0
-    found = carry_identities(None, labels, cloud)
+    found = track_identities(None, labels, cloud)
     image = found.image(labels)
     assert (image[:5] == 0).all()
     assert image[15, 15] == found.of_label[2]
 
 
 def test_a_frame_without_segments_has_no_identities_and_forgets_none() -> None:
-    first = carry_identities(None, *scene((10, 10, 20, 20, 10)))
+    first = track_identities(None, *scene((10, 10, 20, 20, 10)))
     _, cloud = scene()
-    empty = carry_identities(first, np.zeros(SHAPE, np.uint16), cloud)
+    empty = track_identities(first, np.zeros(SHAPE, np.uint16), cloud)
     assert empty.of_label == {}
-    again = carry_identities(empty, *scene((10, 10, 20, 20, 10)))
+    again = track_identities(empty, *scene((10, 10, 20, 20, 10)))
     assert again.of_label == first.of_label
 
 
 def test_identities_are_given_anew_when_sixteen_bits_run_out() -> None:
     labels, cloud = scene((10, 10, 20, 20, 10))
     full = Identities({}, np.zeros((60, 80), np.uint16), {}, (), 65_535)
-    found = carry_identities(full, labels, cloud)
+    found = track_identities(full, labels, cloud)
     assert sorted(found.of_label.values()) == [1, 65_535]
 
 
@@ -103,7 +103,7 @@ def test_a_sliver_between_the_pixels_of_the_grid_has_an_identity_too() -> None:
     labels[101, 201:230] = 2
     points = np.ones((480, 640, 3), np.float32)
     cloud = PointMap(points, np.zeros((480, 640, 3), np.uint8), np.ones((480, 640), np.bool_))
-    found = carry_identities(None, labels, cloud)
+    found = track_identities(None, labels, cloud)
     assert set(found.of_label) == {1, 2}
     assert found.image(labels)[101, 210] != found.image(labels)[0, 0]
 
@@ -115,26 +115,26 @@ def test_no_two_segments_of_a_frame_share_an_identity(seed: int) -> None:
     state: Identities | None = None
     for _ in range(4):
         labels = np.repeat(np.repeat(rng.integers(0, 6, (6, 8)), 10, 0), 10, 1).astype(np.uint16)
-        state = carry_identities(state, labels, cloud, remembered=2)
+        state = track_identities(state, labels, cloud, remembered=2)
         assert len(set(state.of_label.values())) == len(state.of_label)
         assert set(state.of_label) == set(np.unique(labels[labels > 0]))
 
 
 def test_what_comes_back_bit_by_bit_is_known_by_what_was_seen_of_it_at_its_best() -> None:
     whole = (50, 20, 16, 20, 240)
-    first = state = carry_identities(None, *scene(whole))
+    first = state = track_identities(None, *scene(whole))
     for width in (12, 8, 4):
-        state = carry_identities(state, *scene((50, 20, width, 20, 240)))
-    state = carry_identities(state, *scene())
-    back = carry_identities(state, *scene((52, 20, 5, 20, 240)))
+        state = track_identities(state, *scene((50, 20, width, 20, 240)))
+    state = track_identities(state, *scene())
+    back = track_identities(state, *scene((52, 20, 5, 20, 240)))
     assert back.of_label[2] == first.of_label[2]
 
 
 def test_identities_go_along_with_what_is_known_of_the_motion() -> None:
-    first = carry_identities(None, *scene((10, 10, 10, 10, 240)))
+    first = track_identities(None, *scene((10, 10, 10, 10, 240)))
     labels, cloud = scene((40, 30, 10, 10, 10))
-    alone = carry_identities(first, labels, cloud)
+    alone = track_identities(first, labels, cloud)
     assert alone.of_label[2] != first.of_label[2]
-    followed = carry_identities(first, labels, cloud, before=labels)
+    followed = track_identities(first, labels, cloud, before=labels)
     assert followed.of_label == first.of_label
     assert followed.events == ()

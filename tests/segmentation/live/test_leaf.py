@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nurbseg.segmentation.config import Metric, SegmentationConfig
-from nurbseg.segmentation.live.leaf import LiveLeaf, misfit, remeasured
+from nurbseg.segmentation.live.leaf import LiveLeaf, misfit, update_residuals
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node
 from nurbseg.segmentation.surfaces.curvature import principal_curvatures
@@ -71,7 +71,7 @@ def test_misfits_are_means_over_the_inner_places_or_all_where_there_are_few(
         own = labels == label
         assert found.places[label] == own.sum()
         judged = np.minimum(residual[own & inner if label < 3 else own], 4.0)
-        assert found.square[label] == pytest.approx(np.mean(judged**2), rel=1e-3)
+        assert found.mean_squared[label] == pytest.approx(np.mean(judged**2), rel=1e-3)
         assert found.unreached[label] == pytest.approx(np.mean(np.isinf(residual[own])))
     assert found.unreached[3] == 1.0
 
@@ -79,7 +79,7 @@ def test_misfits_are_means_over_the_inner_places_or_all_where_there_are_few(
 def test_leaves_are_measured_along_the_rays(grid: DepthGrid, labels: np.ndarray) -> None:
     leaves = leaves_of(grid, labels)
     lattice = SurfaceLattice([leaf.surface for leaf in leaves], 2)
-    not_reached = remeasured(leaves, labels, lattice, grid, CONFIG)
+    not_reached = update_residuals(leaves, labels, lattice, grid, CONFIG)
     assert not_reached == [leaves[2]]
     points = grid.points.coordinates_m.reshape(3, -1).T
     for leaf in leaves:
@@ -127,9 +127,9 @@ def test_the_rim_is_left_out_where_three_tenths_are_inside(
     per_m[labels == 2] += np.where(inside[labels == 2], 1.0, 2.0).astype(np.float32) * NOISE
     found = misfit(labels, Constant(0.5), replace(grid, per_m=per_m), NOISE, 2)
     expected = 1.0 if judged == "inside" else np.mean(np.where(inside[labels == 2], 1.0, 4.0))
-    assert found.square[2] == pytest.approx(expected, rel=1e-3)
+    assert found.mean_squared[2] == pytest.approx(expected, rel=1e-3)
     assert found.places.tolist() == [0, labels.size - rows * columns, rows * columns]
-    assert found.square[0] == 0.0
+    assert found.mean_squared[0] == 0.0
 
 
 def test_a_leaf_of_one_place_has_the_values_of_that_place(grid: DepthGrid, labels: np.ndarray) -> None:
@@ -137,7 +137,7 @@ def test_a_leaf_of_one_place_has_the_values_of_that_place(grid: DepthGrid, label
     place = int(np.flatnonzero(labels == 2)[77])
     alone = np.where(labels == 1, 1, 0).astype(np.int32)
     alone.ravel()[place] = 2
-    remeasured(leaves, alone, SurfaceLattice([leaf.surface for leaf in leaves], 2), grid, CONFIG)
+    update_residuals(leaves, alone, SurfaceLattice([leaf.surface for leaf in leaves], 2), grid, CONFIG)
     (residual_m,) = leaves[1].node.fit.residuals_m
     assert residual_m > 0
     assert leaves[1].node.fit.values["mae"] == pytest.approx(residual_m)
@@ -161,7 +161,7 @@ def test_a_fit_of_this_frame_is_kept_where_it_is_of_all_places_and_of_this_surfa
                 leaf.surface = replace(leaf.surface)
         before = [leaf.node.fit for leaf in leaves]
         lattice = SurfaceLattice([leaf.surface for leaf in leaves], 2)
-        assert not remeasured(leaves, shown, lattice, grid, CONFIG)
+        assert not update_residuals(leaves, shown, lattice, grid, CONFIG)
         assert all(np.array_equal(leaf.node.places, np.flatnonzero(shown == leaf.number)) for leaf in leaves)
         assert all(leaf.rms_per_m > 0 for leaf in leaves)
         kept = {leaf.node.fit is fit for leaf, fit in zip(leaves, before, strict=True)}
@@ -200,7 +200,7 @@ def test_a_curvature_that_decides_is_that_of_the_moved_surface(
         net = leaf.surface.control_points_m * (leaf.surface.weights / bent)[..., np.newaxis]
         leaf.surface = replace(leaf.surface, weights=bent, control_points_m=net)
     lattice = SurfaceLattice([leaf.surface for leaf in leaves], 2)
-    remeasured(leaves, np.where(labels < 3, labels, 0).astype(np.int32), lattice, grid, config)
+    update_residuals(leaves, np.where(labels < 3, labels, 0).astype(np.int32), lattice, grid, config)
     for leaf in leaves:
         fit = leaf.node.fit
         assert leaf.surface is not None

@@ -8,13 +8,13 @@ from plates import PLATES, plates
 
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.live import renewal
-from nurbseg.segmentation.live.tree import Budget, LiveTree, Revision
+from nurbseg.segmentation.live.tree import Budget, LiveTree, UpdateReport
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Division, Segment, SegmentationTree, StopReason
 from nurbseg.segmentation.surfaces.surface import evaluate
 
 CONFIG = SegmentationConfig(level="surfaces", samples=60, noise_per_m=5e-4, piece_pixels_min=1600)
-Seen = tuple[PointMap, SegmentationTree, Revision]
+Seen = tuple[PointMap, SegmentationTree, UpdateReport]
 
 
 def run(config: SegmentationConfig, frames: int = 12, first: int = 100, *, every: bool = False) -> list[Seen]:
@@ -25,8 +25,8 @@ def run(config: SegmentationConfig, frames: int = 12, first: int = 100, *, every
         thing = (70, 50, 16, 20) if 4 <= frame <= 6 else None
         cloud = plates(*PLATES[:count], frame=frame, thing=thing)
         tree = live.segment(cloud, frame=first + frame, every_surface=every)
-        assert bool(live.revision.cold) == (frame == 0)
-        seen.append((cloud, tree, live.revision))
+        assert bool(live.report.reset) == (frame == 0)
+        seen.append((cloud, tree, live.report))
     return seen
 
 
@@ -113,7 +113,7 @@ def test_what_comes_into_view_is_no_cut() -> None:
     live = LiveTree(CONFIG)
     live.segment(plates(frame=0), frame=7)
     tree = live.segment(plates(frame=1, thing=(70, 50, 16, 20)), frame=9)
-    assert (live.revision.appeared, live.revision.splits) == (1, 0)
+    assert (live.report.appeared, live.report.splits) == (1, 0)
     root, rest, new = tree.segments
     assert (root.division, root.judged, root.trial, root.fit.surface) == (Division.APPEARED, 9, None, None)
     assert (rest.cuts_above, new.cuts_above) == (0, 0)
@@ -195,17 +195,17 @@ def test_every_split_is_judged_again_within_its_limit(monkeypatch: pytest.Monkey
     monkeypatch.setattr(renewal, "_JUDGED_PLACES", 0)
     seen = run(CONFIG, 30)
     assert max(len(cuts_of(tree)) for _, tree, _ in seen) > 2
-    for place, (_, tree, revision) in enumerate(seen):
+    for place, (_, tree, report) in enumerate(seen):
         ages = [100 + place - each.judged for each in cuts_of(tree) if each.judged is not None]
         # One in each frame, the oldest first: none waits longer than there are others.
-        assert max(ages, default=0) == revision.oldest <= max(len(cuts_of(each)) for _, each, _ in seen)
+        assert max(ages, default=0) == report.oldest <= max(len(cuts_of(each)) for _, each, _ in seen)
     monkeypatch.setattr(renewal, "SPLIT_FRAMES", 1)
     for place, (_, tree, _) in enumerate(run(CONFIG)):
         assert all(each.judged is None or 100 + place - each.judged <= 1 for each in cuts_of(tree))
 
 
 def test_trials_are_forgotten_within_their_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nurbseg.segmentation.live.revision.TRIAL_FRAMES", 6)
+    monkeypatch.setattr("nurbseg.segmentation.live.updater.TRIAL_FRAMES", 6)
     ages = [
         100 + place - leaf.judged
         for place, (_, tree, _) in enumerate(run(replace(CONFIG, ratio_max=0.5), 30))
@@ -232,13 +232,13 @@ def test_a_split_is_undone_by_its_own_ratio_alone(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(renewal, "_JUDGED_PLACES", 0)
     live = LiveTree(CONFIG)
     for frame in range(10):
-        before = live.segment(plates(*PLATES[: frame // 2], frame=frame), Budget(folds=0))
-        assert live.revision.folds == 0
+        before = live.segment(plates(*PLATES[: frame // 2], frame=frame), Budget(merges=0))
+        assert live.report.merges == 0
     count = len(cuts_of(before))
     assert count > 2
     # One split is judged in each frame, and undone in the next.
     for frame in range(10, 12 + count):
-        flat = live.segment(plates(frame=frame), Budget(folds=0))
+        flat = live.segment(plates(frame=frame), Budget(merges=0))
         assert all(each.trial is not None and each.trial.kept for each in cuts_of(flat))
     (wall,) = flat.segments
     assert wall.stop is StopReason.NOISE
@@ -254,11 +254,11 @@ def test_splits_are_undone_where_one_surface_explains_their_parts_and_not_before
             parts = labels[26:40, 26:40], labels[30:44, 114:128], labels[:9]
             assert len({int(np.bincount(each.ravel()).argmax()) for each in parts}) == 3
             assert cuts_of(tree)
-    folds = 0
+    merges = 0
     for frame in range(46, 50):
         tree = live.segment(plates(frame=frame))
-        folds += live.revision.folds
-    assert folds > 0
+        merges += live.report.merges
+    assert merges > 0
     (wall_again,) = tree.segments
     assert wall_again.stop is StopReason.NOISE
 

@@ -27,7 +27,9 @@ def tree() -> DesignedTree:
 def renewed(tree: DesignedTree, ages: dict[str, int], *, every: bool = False) -> Renewal:
     for name, age in ages.items():
         tree.nodes[name].age = age
-    return renew_splits(tree.root, tree.leaves, tree.labels, tree.scene, FRAME, CONFIG, every_surface=every)
+    return renew_splits(
+        tree.root, tree.leaves, tree.labels, tree.features, FRAME, CONFIG, every_surface=every
+    )
 
 
 def judged(tree: DesignedTree) -> set[str]:

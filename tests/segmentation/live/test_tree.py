@@ -58,7 +58,7 @@ def tree() -> LiveTree:
     """A live tree that has seen a wall and a box."""
     live = LiveTree(CONFIG)
     live.segment(scene(BOX))
-    assert live.revision.cold == "the first frame"
+    assert live.report.reset == "the first frame"
     return live
 
 
@@ -96,8 +96,8 @@ def test_a_scene_that_stands_still_keeps_its_labels(tree: LiveTree) -> None:
     for _ in range(5):
         again = tree.segment(scene(BOX))
         assert np.array_equal(again.labels("surfaces"), first.labels("surfaces"))
-        assert tree.revision.cold == ""
-        assert tree.revision.splits == tree.revision.folds == 0
+        assert tree.report.reset == ""
+        assert tree.report.splits == tree.report.merges == 0
 
 
 def test_noise_moves_no_more_than_the_rims(tree: LiveTree) -> None:
@@ -111,7 +111,7 @@ def test_labels_go_with_the_camera(tree: LiveTree) -> None:
     box = only(tree.segment(scene(BOX)).labels("surfaces")[inside(BOX)])
     for shift in range(2, 22, 2):
         labels = tree.segment(scene(BOX, noise=shift, shift=shift)).labels("surfaces")
-        assert tree.revision.cold == ""
+        assert tree.report.reset == ""
         assert only(labels[inside(BOX, shift)]) == box
         assert labels[60, 5] != box
 
@@ -119,8 +119,8 @@ def test_labels_go_with_the_camera(tree: LiveTree) -> None:
 def test_surfaces_move_with_what_they_explain(tree: LiveTree) -> None:
     for frame in range(1, 8):
         found = tree.segment(scene(BOX, noise=frame, wall_m=1.6 - 0.01 * frame), Budget(refits=0, trials=0))
-        assert tree.revision.cold == ""
-        assert tree.revision.refits == 0
+        assert tree.report.reset == ""
+        assert tree.report.refits == 0
         for leaf in found.leaves():
             # A thousandth of inverse depth is the noise: 1 mm at the box, 3 mm at the wall.
             assert np.sqrt(leaf.fit.values["mse"]) < 5e-3
@@ -131,13 +131,13 @@ def test_what_appears_gets_a_leaf_of_its_own_and_what_goes_loses_it(tree: LiveTr
     with_one = tree.segment(scene(BOX, noise=1))
     box = only(with_one.labels("surfaces")[inside(BOX)])
     found = tree.segment(scene(BOX, new, noise=2))
-    assert tree.revision.cold == ""
+    assert tree.report.reset == ""
     assert len(found.leaves()) == len(with_one.leaves()) + 1
     labels = found.labels("surfaces")
     assert only(labels[inside(new)]) not in (only(labels[inside(BOX)]), labels[10, 10])
     for noise in range(3, 6):
         found = tree.segment(scene(BOX, noise=noise))
-    assert tree.revision.cold == ""
+    assert tree.report.reset == ""
     assert len(found.leaves()) == len(with_one.leaves())
     labels = found.labels("surfaces")
     assert only(labels[inside(BOX)]) == box
@@ -186,44 +186,44 @@ def doors(apart_per_m: float, noise: int) -> PointMap:
     return PointMap(points.astype(np.float32), color.astype(np.uint8), np.ones(SHAPE, dtype=np.bool_))
 
 
-@pytest.mark.parametrize("folds", [0, 2])
-def test_two_leaves_become_one_when_they_are_flush_and_not_before(folds: int) -> None:
+@pytest.mark.parametrize("merges", [0, 2])
+def test_two_leaves_become_one_when_they_are_flush_and_not_before(merges: int) -> None:
     live = LiveTree(CONFIG)
     folded = []
     # The gap closes by a few millimetres in each frame, and is closed for five.
     for frame in range(15):
-        found = live.segment(doors(max(0.0, 0.06 - 0.006 * frame), noise=frame), Budget(folds=folds))
-        folded.append(live.revision.folds)
-        assert (live.revision.cold == "") == (frame > 0)
+        found = live.segment(doors(max(0.0, 0.06 - 0.006 * frame), noise=frame), Budget(merges=merges))
+        folded.append(live.report.merges)
+        assert (live.report.reset == "") == (frame > 0)
         if frame < 10:
             assert len(found.leaves()) == 2
     consistent(found)
     assert sum(folded[:10]) == 0
-    assert sum(folded[10:]) == (1 if folds else 0)
-    assert len(found.leaves()) == (1 if folds else 2)
-    assert (only(found.labels("surfaces")) == 1) if folds else (found.labels("surfaces").max() == 2)
+    assert sum(folded[10:]) == (1 if merges else 0)
+    assert len(found.leaves()) == (1 if merges else 2)
+    assert (only(found.labels("surfaces")) == 1) if merges else (found.labels("surfaces").max() == 2)
 
 
 def test_another_scene_is_segmented_anew(tree: LiveTree) -> None:
     other = scene((10, 10, 120, 90), noise=5, wall_m=3.0)
     found = tree.segment(other)
-    assert tree.revision.cold == "another scene"
+    assert tree.report.reset == "another scene"
     assert np.array_equal(found.labels("surfaces"), segment(other, CONFIG).labels("surfaces"))
     tree.segment(other)
-    assert tree.revision.cold == ""
+    assert tree.report.reset == ""
 
 
 @pytest.mark.parametrize("step", [1, 3])
 def test_a_frame_is_segmented_anew_on_the_grid_of_the_budget(tree: LiveTree, step: int) -> None:
     other = scene((10, 10, 120, 90), noise=5, wall_m=3.0)
     found = tree.segment(other, Budget(decimation=step))
-    assert (tree.revision.cold, tree.revision.step) == ("another scene", step)
+    assert (tree.report.reset, tree.report.step) == ("another scene", step)
     alone = segment(other, replace(CONFIG, decimation=step))
     assert np.array_equal(found.labels("surfaces"), alone.labels("surfaces"))
     # The tree lives on from there, on that grid and on another one.
     for following in (step, 2):
         again = tree.segment(other, Budget(decimation=following))
-        assert (tree.revision.cold, tree.revision.step) == ("", following)
+        assert (tree.report.reset, tree.report.step) == ("", following)
         assert np.mean(again.labels("surfaces") == found.labels("surfaces")) > 0.98
 
 
@@ -233,15 +233,15 @@ def test_images_of_another_size_are_segmented_anew(tree: LiveTree) -> None:
         *(np.ascontiguousarray(each[:100]) for each in (whole.points_m, whole.color, whole.colored))
     )
     assert tree.segment(part).shape == (100, 160)
-    assert tree.revision.cold == "images of another size"
+    assert tree.report.reset == "images of another size"
 
 
 @pytest.mark.parametrize("refits", [0, 1, 2])
 def test_the_budget_is_kept(tree: LiveTree, refits: int) -> None:
     for frame in range(4):
-        tree.segment(scene(BOX, noise=frame), Budget(refits=refits, trials=0, folds=0))
-        assert tree.revision.refits <= refits
-        assert tree.revision.trials == tree.revision.folds == 0
+        tree.segment(scene(BOX, noise=frame), Budget(refits=refits, trials=0, merges=0))
+        assert tree.report.refits <= refits
+        assert tree.report.trials == tree.report.merges == 0
 
 
 def test_the_same_frames_give_the_same_trees() -> None:

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import lab
-from nurbseg.segmentation.extended.scene import node_normalization, prepare
+from nurbseg.segmentation.extended.grid_features import grid_features, segment_normalization
 
 CONFIG = SegmentationConfig(method="nurbseg")
 
@@ -21,10 +21,10 @@ def cloud(box_on_table, cloud_of):
 
 @pytest.mark.parametrize("step", [1, 2, 3, 4])
 def test_vectors_hold_color_position_and_normal_of_each_place(cloud, step):
-    scene = prepare(cloud, replace(CONFIG, decimation=step))
+    features = grid_features(cloud, replace(CONFIG, decimation=step))
     valid = cloud.valid[::step, ::step]
-    assert_array_equal(scene.grid.valid, valid)
-    raw = scene.raw.reshape(*valid.shape, 9)
+    assert_array_equal(features.grid.valid, valid)
+    raw = features.raw.reshape(*valid.shape, 9)
     colors = lab(cloud.color[::step, ::step].reshape(-1, 3)).reshape(*valid.shape, 3)
     assert_array_equal(raw[..., :3], colors)
     assert_array_equal(raw[valid][:, 3:6], cloud.points_m[::step, ::step][valid])
@@ -34,32 +34,32 @@ def test_vectors_hold_color_position_and_normal_of_each_place(cloud, step):
 
 
 def test_there_are_no_normals_where_they_count_for_nothing(cloud):
-    assert prepare(cloud, replace(CONFIG, normal_weight=0.0)).raw.shape[1] == 6
+    assert grid_features(cloud, replace(CONFIG, normal_weight=0.0)).raw.shape[1] == 6
 
 
 def test_places_without_a_point_are_joined_to_nothing(cloud):
-    scene = prepare(cloud, CONFIG)
-    valid, joined = scene.grid.valid, scene.joined
-    assert not joined.right[~valid].any()
-    assert not joined.down[~valid].any()
-    assert joined.right[valid].mean() > 0.8
+    features = grid_features(cloud, CONFIG)
+    valid, adjacency = features.grid.valid, features.adjacency
+    assert not adjacency.right[~valid].any()
+    assert not adjacency.down[~valid].any()
+    assert adjacency.right[valid].mean() > 0.8
 
 
 def test_vectors_are_normalised_for_the_frame_or_for_each_segment(cloud):
-    assert prepare(cloud, CONFIG).whole is None
-    scene = prepare(cloud, replace(CONFIG, normalize_nodes=False))
-    expected = node_normalization(scene.raw, np.flatnonzero(scene.grid.valid), CONFIG)
-    assert scene.whole is not None
-    assert_array_equal(scene.whole.mean, expected.mean)
-    assert_array_equal(scene.whole.factor, expected.factor)
+    assert grid_features(cloud, CONFIG).whole is None
+    features = grid_features(cloud, replace(CONFIG, normalize_nodes=False))
+    expected = segment_normalization(features.raw, np.flatnonzero(features.grid.valid), CONFIG)
+    assert features.whole is not None
+    assert_array_equal(features.whole.mean, expected.mean)
+    assert_array_equal(features.whole.factor, expected.factor)
 
 
 def test_the_smallest_segment_is_the_same_share_of_the_image_on_every_grid(cloud):
-    every, second = (prepare(cloud, replace(CONFIG, decimation=step)) for step in (1, 2))
+    every, second = (grid_features(cloud, replace(CONFIG, decimation=step)) for step in (1, 2))
     assert every.places_min(CONFIG) == pytest.approx(4 * second.places_min(CONFIG))
 
 
 def test_a_frame_without_points_is_laid_out_too(cloud_of):
-    scene = prepare(cloud_of(np.full((24, 32), np.nan)), replace(CONFIG, normalize_nodes=False))
-    assert not scene.grid.valid.any()
-    assert np.isfinite(scene.raw).all()
+    features = grid_features(cloud_of(np.full((24, 32), np.nan)), replace(CONFIG, normalize_nodes=False))
+    assert not features.grid.valid.any()
+    assert np.isfinite(features.raw).all()

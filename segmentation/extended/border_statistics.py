@@ -28,7 +28,7 @@ Evaluation = Callable[[NDArray[np.int32], _Values, _Values], tuple[_Values, _Val
 
 
 @dataclass(frozen=True, slots=True)
-class Meeting:
+class BorderStatistics:
     """What was measured along the common border of two labels.
 
     Parameters
@@ -38,7 +38,7 @@ class Meeting:
     samples : int
         Places along the border where a row or column crosses it.
     touching : int
-        Samples where the tangent planes of both surfaces, carried to the border, agree.
+        Samples where the tangent planes of both surfaces, extrapolated to the border, agree.
     concavity_sum : float
         Sum over the touching samples of the turn of the normals towards each other, about radians: more
         than 0 where the crease is concave, less where it is convex.
@@ -56,14 +56,14 @@ def in_contact(samples: float, touching: float) -> bool:
     return touching >= _TOUCHING_LEAST and touching >= _TOUCHING_SHARE * samples
 
 
-def meetings(
+def border_statistics(
     labels: NDArray[np.int32],
     surfaces: Sequence[NurbsSurface | None],
     rays: Rays,
     *,
     gap_per_m: float,
     evaluate: Evaluation | None = None,
-) -> tuple[Meeting, ...]:
+) -> tuple[BorderStatistics, ...]:
     """Measure every common border of two labels.
 
     Parameters
@@ -82,7 +82,7 @@ def meetings(
 
     Returns
     -------
-    tuple of Meeting
+    tuple of BorderStatistics
         In ascending order of their labels.
     """
     unit = labels.shape[1] / 640.0
@@ -101,7 +101,7 @@ def meetings(
     borders = _no_borders(int(label.max()), count)
     last = _measure(crossings, places, rays.focal_px, gap_per_m, borders)
     rows = zip(*(each[1 : last + 1].tolist() for each in borders[2:]), strict=True)
-    return tuple(Meeting(*row) for row in sorted(rows))
+    return tuple(BorderStatistics(*row) for row in sorted(rows))
 
 
 @compiled
@@ -168,7 +168,7 @@ class _Borders(NamedTuple):
     older : (N + 1,) int32
         The one before with the same smaller label, 0 for none.
     first, second, samples, touching, concavity_sum : (N + 1,)
-        As those of a `Meeting`.
+        As those of a `BorderStatistics`.
     """
 
     newest: NDArray[np.int32]
@@ -246,4 +246,4 @@ def _measure(
     return last
 
 
-__all__ = ["Evaluation", "Meeting", "in_contact", "meetings"]
+__all__ = ["BorderStatistics", "Evaluation", "border_statistics", "in_contact"]

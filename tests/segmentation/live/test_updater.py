@@ -1,4 +1,4 @@
-"""What of a tree is revised: which leaves, in which order, as far as the budget goes, and to what end."""
+"""What of a tree is updated: which leaves, in which order, as far as the budget goes, and to what end."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,10 +9,10 @@ from designed_tree import BEFORE, CONFIG, FRAME, GRID, Band, DesignedTree, desig
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.live.leaf import Attempt
-from nurbseg.segmentation.live.revision import Budget
+from nurbseg.segmentation.live.updater import Budget
 from nurbseg.segmentation.segments import Division, Node, StopReason, Trial, depth_first
 
-NOTHING = Budget(refits=0, trials=0, folds=0)
+NOTHING = Budget(refits=0, trials=0, merges=0)
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def known(
 def refitted(tree: DesignedTree, most: int, **measures: Sequence[float]) -> list[int]:
     """Labels of the leaves that are fitted anew, by their surfaces."""
     before = [leaf.surface for leaf in tree.leaves]
-    done = tree.revise(budget=Budget(refits=most, trials=0, folds=0), **measures)
+    done = tree.update(budget=Budget(refits=most, trials=0, merges=0), **measures)
     found = []
     for label, (leaf, surface) in enumerate(zip(tree.leaves, before, strict=True), start=1):
         if leaf.surface is surface:
@@ -77,7 +77,7 @@ def test_a_leaf_out_of_sight_keeps_its_surface(thirds: DesignedTree) -> None:
     known(thirds, level=(1, 1, 1), age=(50, 0, 0))
     thirds.labels[:, :20] = 0
     before = thirds.leaves[0].surface
-    thirds.revise(square=(9, 1, 1), budget=Budget(refits=1, trials=0, folds=0))
+    thirds.update(square=(9, 1, 1), budget=Budget(refits=1, trials=0, merges=0))
     assert thirds.leaves[0].surface is before
     assert thirds.leaves[0].age == 50
 
@@ -95,7 +95,7 @@ def test_what_appears_is_a_leaf_beside_its_surroundings_six_in_a_frame() -> None
     corners = [(4, 4), (4, 50), (20, 4), (20, 50), (40, 4), (40, 50), (50, 20), (50, 60)]
     appeared = appearing(*corners)
     tree.labels[appeared > 0] = 0
-    done = tree.revise(appeared=appeared)
+    done = tree.update(appeared=appeared)
     assert done.appeared == 6
     # Three in each half; what waits is of its surroundings until then.
     images = done.final[done.on_grid]
@@ -119,7 +119,7 @@ def test_a_leaf_of_less_than_a_quarter_of_the_least_goes(places: int, gone: bool
     # The least is 25 places. The last band stands in the first one, which is smaller than the second.
     tree = designed_tree(Band("0", 30), Band("10", 50), Band("11", 0))
     tree.labels[30, 10 : 10 + places] = 3
-    done = tree.revise()
+    done = tree.update()
     assert len(done.leaves) == (2 if gone else 3)
     assert (done.final[3] == done.final[1]) == gone
 
@@ -129,7 +129,7 @@ def test_of_leaves_that_are_all_next_to_nothing_the_last_stays(thirds: DesignedT
     thirds.labels[:] = 0
     thirds.labels[5, 5:8], thirds.labels[20, 5:7], thirds.labels[40, 5] = 1, 2, 3
     last = thirds.leaves[2]
-    done = thirds.revise()
+    done = thirds.update()
     assert done.leaves == [last]
     assert done.final.tolist() == [0, 1, 1, 1]
     assert thirds.root.children == ()
@@ -138,7 +138,7 @@ def test_of_leaves_that_are_all_next_to_nothing_the_last_stays(thirds: DesignedT
 def test_a_frame_that_shows_no_leaf_takes_out_all_but_the_last(thirds: DesignedTree) -> None:
     thirds.labels[:] = 0
     last = thirds.leaves[2]
-    assert thirds.revise().leaves == [last]
+    assert thirds.update().leaves == [last]
 
 
 #: A plate in each of three bands.
@@ -162,7 +162,7 @@ def tried(
     """Labels of the leaves that are tried, and how many wait."""
     labels = {id(leaf): label for label, leaf in enumerate(tree.leaves, start=1)}
     before = {id(leaf): leaf.node.name for leaf in tree.leaves}
-    done = tree.revise(square=square, budget=Budget(refits=0, trials=most, folds=0), config=config)
+    done = tree.update(square=square, budget=Budget(refits=0, trials=most, merges=0), config=config)
     found = [label for leaf, label in labels.items() if tree.leaves[label - 1].node.name != before[leaf]]
     assert done.trials == done.splits == len(found)
     return found, done.waiting
@@ -214,7 +214,7 @@ def test_no_more_are_tried_than_splits_are_allowed() -> None:
 def test_a_leaf_of_twice_the_least_is_not_tried(rows: int, is_tried: bool) -> None:
     # 60 or 40 places, where the least is 25.
     tree = divided((rows, 24, 24))
-    done = tree.revise(square=(9, 0, 0), budget=Budget(refits=0, trials=3, folds=0))
+    done = tree.update(square=(9, 0, 0), budget=Budget(refits=0, trials=3, merges=0))
     assert done.trials == is_tried
     assert tree.leaves[0].tried == (9.0 if is_tried else 1.0)
 
@@ -222,7 +222,7 @@ def test_a_leaf_of_twice_the_least_is_not_tried(rows: int, is_tried: bool) -> No
 def test_a_leaf_that_is_split_becomes_its_parts() -> None:
     tree = divided((50, 50, 50))
     node = tree.leaves[1].node
-    done = tree.revise(square=(0, 9, 0), budget=Budget(refits=0, trials=1, folds=0))
+    done = tree.update(square=(0, 9, 0), budget=Budget(refits=0, trials=1, merges=0))
     assert (node.division, node.judged, node.measured, node.age) == (Division.CUT, FRAME, FRAME, 0)
     assert node.trial is not None
     assert node.trial.kept
@@ -244,7 +244,7 @@ def test_a_leaf_that_noise_explains_is_not_cut_and_keeps_no_attempt(thirds: Desi
     leaf.attempt = Attempt(StopReason.CRITERION, None, BEFORE)
     # As it is, it is far from the noise.
     leaf.node.fit = type(leaf.node.fit)(leaf.surface, np.zeros(1), {"mse": 1.0}, "", np.zeros(1, np.intp))
-    done = thirds.revise(square=(0, 9, 0), budget=Budget(refits=0, trials=1, folds=0))
+    done = thirds.update(square=(0, 9, 0), budget=Budget(refits=0, trials=1, merges=0))
     assert (done.trials, done.splits, done.waiting) == (1, 0, 0)
     assert (leaf.attempt, leaf.tried, leaf.age) == (None, 9.0, 0)
     assert leaf.node.fit.values["mse"] < 1e-5
@@ -267,7 +267,7 @@ def test_the_oldest_attempt_is_forgotten_before_it_is_too_old(
     known(thirds, level=(1, 1, 1), age=(0, 0, 0))
     for leaf, age in zip(thirds.leaves, ages, strict=True):
         leaf.attempt = None if age is None else Attempt(StopReason.NO_CUT, None, BEFORE, age)
-    thirds.revise()
+    thirds.update()
     assert [leaf.attempt.age for leaf in thirds.leaves if leaf.attempt is not None] == left
     forgotten = [leaf for leaf, age in zip(thirds.leaves, ages, strict=True) if age and leaf.attempt is None]
     assert all(leaf.tried == 0.0 for leaf in forgotten)
@@ -282,8 +282,8 @@ def flush() -> DesignedTree:
 def test_a_split_that_is_not_kept_is_undone(flush: DesignedTree) -> None:
     largest = flush.leaves[3]
     wall = flush.nodes["1"]
-    done = flush.revise(rejected=[wall])
-    assert done.folds == 1
+    done = flush.update(rejected=[wall])
+    assert done.merges == 1
     assert done.leaves == [flush.leaves[0], largest]
     assert done.final.tolist() == [0, 1, 2, 2, 2]
     assert largest.node is wall
@@ -303,8 +303,8 @@ def test_a_split_that_is_not_kept_is_undone(flush: DesignedTree) -> None:
 def test_a_split_that_fitted_surfaces_keep_stays(flush: DesignedTree) -> None:
     root = flush.root
     root.age = 50
-    done = flush.revise(rejected=[root])
-    assert done.folds == 0
+    done = flush.update(rejected=[root])
+    assert done.merges == 0
     assert len(done.leaves) == 4
     assert (root.division, root.judged, root.age) == (Division.CUT, FRAME, 0)
     assert root.trial is not None
@@ -316,21 +316,21 @@ def test_a_split_that_fitted_surfaces_keep_stays(flush: DesignedTree) -> None:
 
 def test_what_is_no_split_any_more_is_not_undone(flush: DesignedTree) -> None:
     elsewhere = Node("1", flush.nodes["1"].places, flush.nodes["1"].fit, flush.nodes["1"].children)
-    done = flush.revise(rejected=[flush.nodes["0"], elsewhere])
-    assert done.folds == 0
+    done = flush.update(rejected=[flush.nodes["0"], elsewhere])
+    assert done.merges == 0
     assert len(done.leaves) == 4
 
 
 def test_a_split_whose_leaves_are_out_of_sight_is_left_alone() -> None:
     tree = designed_tree(Band("0", 30), Band("10", 25), Band("11", 25))
     tree.labels[tree.labels > 1] = 0
-    done = tree.revise(rejected=[tree.nodes["1"]])
-    assert done.folds == 0
+    done = tree.update(rejected=[tree.nodes["1"]])
+    assert done.merges == 0
     assert done.leaves == tree.leaves[:1]
     # And a part that is out of sight is none of the split's.
     tree = designed_tree(Band("0", 30), Band("100", 20), Band("101", 15), Band("11", 15))
     tree.labels[tree.labels == 3] = 0
-    tree.revise(rejected=[tree.nodes["1"]], config=replace(CONFIG, ratio_max=0.5))
+    tree.update(rejected=[tree.nodes["1"]], config=replace(CONFIG, ratio_max=0.5))
     attempt = tree.leaves[1].attempt
     assert attempt is not None
     assert attempt.trial is not None
@@ -341,8 +341,8 @@ def test_the_larger_of_two_leaves_of_an_object_takes_in_the_other_where_one_surf
     for columns, kept in (((50, 30), 1), ((30, 50), 2)):
         tree = designed_tree(Band("0", columns[0]), Band("1", columns[1]))
         leaf = tree.leaves[kept - 1]
-        done = tree.revise(together=[(1, 2)], budget=Budget(refits=0, trials=0, folds=1))
-        assert done.folds == 1
+        done = tree.update(same_object=[(1, 2)], budget=Budget(refits=0, trials=0, merges=1))
+        assert done.merges == 1
         assert done.leaves == [leaf]
         assert done.final.tolist() == [0, 1, 1]
         assert leaf.node.places.size == 4800
@@ -354,10 +354,10 @@ def test_the_larger_of_two_leaves_of_an_object_takes_in_the_other_where_one_surf
 
 def test_leaves_stay_two_where_they_are_better_so_or_no_object() -> None:
     apart = designed_tree(Band("0", 40, 0.02), Band("1", 40))
-    assert len(apart.revise(together=[(1, 2)], budget=Budget(refits=0, trials=0, folds=1)).leaves) == 2
+    assert len(apart.update(same_object=[(1, 2)], budget=Budget(refits=0, trials=0, merges=1)).leaves) == 2
     flush = designed_tree(Band("0", 40), Band("1", 40))
-    assert len(flush.revise(budget=Budget(refits=0, trials=0, folds=1)).leaves) == 2
-    assert len(flush.revise(together=[(1, 2)]).leaves) == 2
+    assert len(flush.update(budget=Budget(refits=0, trials=0, merges=1)).leaves) == 2
+    assert len(flush.update(same_object=[(1, 2)]).leaves) == 2
 
 
 def test_leaves_that_only_surfaces_since_moved_would_part_are_asked_of_their_fits() -> None:
@@ -367,34 +367,34 @@ def test_leaves_that_only_surfaces_since_moved_would_part_are_asked_of_their_fit
         leaf.node.fit = type(leaf.node.fit)(
             leaf.surface, np.zeros(1), {"mse": 1e-12}, "", leaf.node.fit.pixels
         )
-    assert len(tree.revise(together=[(1, 2)], budget=Budget(refits=0, trials=0, folds=1)).leaves) == 2
+    assert len(tree.update(same_object=[(1, 2)], budget=Budget(refits=0, trials=0, merges=1)).leaves) == 2
     # And the other way round: as they are they are worse than one, fitted they are not.
     tree = designed_tree(Band("0", 40, 0.02), Band("1", 40))
     for leaf in tree.leaves:
         leaf.node.fit = type(leaf.node.fit)(leaf.surface, np.zeros(1), {"mse": 1.0}, "", leaf.node.fit.pixels)
-    assert len(tree.revise(together=[(1, 2)], budget=Budget(refits=0, trials=0, folds=1)).leaves) == 2
+    assert len(tree.update(same_object=[(1, 2)], budget=Budget(refits=0, trials=0, merges=1)).leaves) == 2
 
 
 def test_pairs_are_asked_in_turn() -> None:
     tree = designed_tree(Band("0", 20, 0.02), Band("10", 30), Band("11", 30))
-    pairs, one = [(1, 2), (2, 3)], Budget(refits=0, trials=0, folds=1)
+    pairs, one = [(1, 2), (2, 3)], Budget(refits=0, trials=0, merges=1)
     # First the plate and the wall, which stay apart; then the halves of the wall, in spite of their number.
-    assert tree.revise(together=pairs, budget=one).folds == 0
-    assert tree.revise(together=pairs, budget=one).folds == 1
+    assert tree.update(same_object=pairs, budget=one).merges == 0
+    assert tree.update(same_object=pairs, budget=one).merges == 1
     tree = designed_tree(Band("0", 20, 0.02), Band("10", 30), Band("11", 30))
-    assert tree.revise(together=pairs, budget=Budget(refits=0, trials=0, folds=2)).folds == 1
+    assert tree.update(same_object=pairs, budget=Budget(refits=0, trials=0, merges=2)).merges == 1
 
 
-def test_labels_of_the_frame_before_are_known_after_a_revision(flush: DesignedTree) -> None:
-    flush.revise(rejected=[flush.nodes["1"]])
+def test_labels_of_the_frame_before_are_known_after_an_update(flush: DesignedTree) -> None:
+    flush.update(rejected=[flush.nodes["1"]])
     labels = np.array([[0, 1, 2, 3, 4, 9]], np.uint16)
-    assert flush.reviser.renumbered(labels).tolist() == [[0, 1, 2, 2, 2, 0]]
+    assert flush.updater.renumbered(labels).tolist() == [[0, 1, 2, 2, 2, 0]]
 
 
 def test_nothing_is_done_without_need(thirds: DesignedTree) -> None:
     known(thirds, level=(1, 1, 1), age=(0, 0, 0))
     before = [(leaf, leaf.surface, leaf.node.name) for leaf in thirds.leaves]
-    done = thirds.revise(budget=Budget())
+    done = thirds.update(budget=Budget())
     assert [(leaf, leaf.surface, leaf.node.name) for leaf in done.leaves] == before
-    assert (done.refits, done.trials, done.splits, done.appeared, done.folds, done.waiting) == (0,) * 6
+    assert (done.refits, done.trials, done.splits, done.appeared, done.merges, done.waiting) == (0,) * 6
     assert isinstance(thirds.root.trial, Trial)

@@ -1,4 +1,4 @@
-"""The structure of the live tree while it is revised: leaves come, go, and take each other's places."""
+"""The structure of the live tree while it is edited: leaves are added, removed and merged."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.extended.splitting import Part
-from nurbseg.segmentation.labels.regions import Joints
+from nurbseg.segmentation.labels.regions import PixelAdjacency
 from nurbseg.segmentation.live.leaf import LiveLeaf
 from nurbseg.segmentation.segments import Division, Node, depth_first
 from nurbseg.segmentation.surfaces.surface import Fit
@@ -23,8 +23,8 @@ _TAKEN_OVER = ("places", "fit", "children", "division", "trial", "stop", "cut", 
 
 
 @dataclass(slots=True, eq=False)
-class Revised:
-    """What came of a revision.
+class TreeUpdate:
+    """What became of a tree in an update.
 
     Parameters
     ----------
@@ -44,13 +44,13 @@ class Revised:
     trials: int = 0
     splits: int = 0
     appeared: int = 0
-    folds: int = 0
+    merges: int = 0
     waiting: int = 0
 
     def relabelled(
         self, labels: NDArray[np.uint16], per_m: NDArray[np.float32], step: int
     ) -> NDArray[np.uint16]:
-        """Return a label image as it is after the revision.
+        """Return a label image as it is after the update.
 
         Parameters
         ----------
@@ -95,8 +95,8 @@ def _relabel(
             relabelled[r, c] = now if per_m[r, c] > 0 else 0
 
 
-class Growth:
-    """A tree under revision; leaves go by working numbers, their labels so far and then further ones.
+class TreeEditor:
+    """A tree that is edited; leaves have working numbers, their labels so far and then further ones.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ class Growth:
         The leaves.
     labels : (h, w) int32
         Working number of every place.
-    done : Revised
+    done : TreeUpdate
         What was done so far.
     """
 
@@ -127,11 +127,11 @@ class Growth:
         make_leaf: Callable[[Node], LiveLeaf],
     ) -> None:
         self.by_number: dict[int, LiveLeaf] = dict(enumerate(leaves, start=1))
-        self.done = Revised([], on_grid, on_grid.copy())
+        self.done = TreeUpdate([], on_grid, on_grid.copy())
         self.labels = self.done.on_grid
         self._root = root
         self._make_leaf = make_leaf
-        self._instead: dict[int, int] = {}
+        self._merged_into: dict[int, int] = {}
         self._next = len(leaves) + 1
 
     def sizes(self) -> NDArray[np.int64]:
@@ -141,12 +141,12 @@ class Growth:
         sizes[0] = 0
         return sizes
 
-    def neighbors(self, joined: Joints, least: int) -> list[tuple[int, int]]:
-        """Return the leaves that meet along so many places with no gap in depth, the smaller number first."""
-        meetings = np.zeros((self._next, self._next), dtype=np.int64)
-        _count_meetings(self.labels, joined.right, joined.down, meetings)
-        meetings += meetings.T
-        first, second = np.nonzero(np.triu(meetings, 1) >= least)
+    def neighbors(self, adjacency: PixelAdjacency, least: int) -> list[tuple[int, int]]:
+        """Return pairs of leaves that are adjacent along so many places, the smaller number first."""
+        contacts = np.zeros((self._next, self._next), dtype=np.int64)
+        _count_contacts(self.labels, adjacency.right, adjacency.down, contacts)
+        contacts += contacts.T
+        first, second = np.nonzero(np.triu(contacts, 1) >= least)
         return list(zip(first.tolist(), second.tolist(), strict=True))
 
     @property
@@ -154,9 +154,9 @@ class Growth:
         """Number of cuts in the tree, which T_s limits."""
         return sum(node.division is Division.CUT for node in depth_first(self._root))
 
-    def insert(self, host: int, part: Part, frame: int) -> None:
+    def insert(self, neighbor: int, part: Part, frame: int) -> None:
         """Divide a leaf, without a cut, into itself and a part that came into view in a frame."""
-        leaf = self.by_number[host]
+        leaf = self.by_number[neighbor]
         node = leaf.node
         places, fit, _ = part
         rest = Node(f"{node.name}0", node.places, node.fit, cuts_above=node.cuts_above)
@@ -165,10 +165,10 @@ class Growth:
         node.fit, node.measured = Fit(None, np.zeros(0), {}, NOT_CUT, np.zeros(0, dtype=np.intp)), None
         node.stop = node.trial = node.cut = None
         leaf.node = rest
-        self.labels.ravel()[places] = self.adopt(new)
+        self.labels.ravel()[places] = self.add_leaf(new)
         self.done.appeared += 1
 
-    def adopt(self, node: Node) -> int:
+    def add_leaf(self, node: Node) -> int:
         """Make a leaf of a node; return its working number."""
         number = self._next
         self._next += 1
@@ -182,7 +182,7 @@ class Growth:
         below = {id(each) for each in depth_first(node)}
         return [number for number, leaf in self.by_number.items() if id(leaf.node) in below]
 
-    def undo(self, node: Node) -> int:
+    def collapse(self, node: Node) -> int:
         """Make one leaf of all below a node; return its working number, that of the largest of them."""
         numbers = self.below(node)
         sizes = self.sizes()
@@ -191,20 +191,20 @@ class Growth:
             if number != kept:
                 del self.by_number[number]
                 self.labels[self.labels == number] = kept
-                self._instead[number] = kept
+                self._merged_into[number] = kept
         node.children, node.division, node.cut = (), None, None
         self.by_number[kept].node = node
         return kept
 
-    def holds(self, node: Node) -> bool:
+    def contains(self, node: Node) -> bool:
         """Say whether a node is in the tree."""
         return any(each is node for each in depth_first(self._root))
 
-    def absorb(self, gone: int, heir: int) -> None:
+    def merge_leaves(self, gone: int, kept: int) -> None:
         """Give the places of one leaf to another, and take it out of the tree."""
         leaf = self.by_number.pop(gone)
-        self.labels[self.labels == gone] = heir
-        self._instead[gone] = heir
+        self.labels[self.labels == gone] = kept
+        self._merged_into[gone] = kept
         self._remove(leaf.node)
 
     def around(self, mask: NDArray[np.bool_]) -> int | None:
@@ -220,7 +220,7 @@ class Growth:
             number = int(sizes.argmax())
         return number if number in self.by_number else None
 
-    def finished(self) -> Revised:
+    def finished(self) -> TreeUpdate:
         """Give the leaves labels in the order of the tree, and end."""
         by_node = {id(leaf.node): (number, leaf) for number, leaf in self.by_number.items()}
         final = np.zeros(self._next, dtype=np.uint16)
@@ -230,11 +230,11 @@ class Growth:
             number, leaf = by_node[id(node)]
             self.done.leaves.append(leaf)
             final[number] = len(self.done.leaves)
-        for gone in self._instead:
-            heir = gone
-            while heir in self._instead:
-                heir = self._instead[heir]
-            final[gone] = final[heir]
+        for gone in self._merged_into:
+            kept = gone
+            while kept in self._merged_into:
+                kept = self._merged_into[kept]
+            final[gone] = final[kept]
         self.done.final = final
         return self.done
 
@@ -263,13 +263,13 @@ def _count(labels: NDArray[np.int32], sizes: NDArray[np.int64]) -> None:
 
 
 @compiled
-def _count_meetings(
+def _count_contacts(
     labels: NDArray[np.int32],
     right: NDArray[np.bool_],
     down: NDArray[np.bool_],
-    meetings: NDArray[np.int64],
+    contacts: NDArray[np.int64],
 ) -> None:
-    """Count the joined neighbours of two numbers, the first to the left of the second or above it."""
+    """Count the adjacent places of two numbers, the first to the left of the second or above it."""
     height, width = labels.shape
     for r in range(height):
         for c in range(width):
@@ -277,9 +277,9 @@ def _count_meetings(
             if number == 0:
                 continue
             if right[r, c] and labels[r, c + 1] != number:
-                meetings[number, labels[r, c + 1]] += 1
+                contacts[number, labels[r, c + 1]] += 1
             if down[r, c] and labels[r + 1, c] != number:
-                meetings[number, labels[r + 1, c]] += 1
+                contacts[number, labels[r + 1, c]] += 1
 
 
 def _rename(top: Node) -> None:
@@ -290,4 +290,4 @@ def _rename(top: Node) -> None:
             child.cuts_above = node.cuts_above + (node.division is Division.CUT)
 
 
-__all__ = ["NOT_CUT", "Growth", "Revised"]
+__all__ = ["NOT_CUT", "TreeEditor", "TreeUpdate"]

@@ -2,18 +2,18 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from nurbseg.segmentation.labels.regions import joints
+from nurbseg.segmentation.labels.regions import pixel_adjacency
+from nurbseg.segmentation.live.editor import TreeEditor, TreeUpdate
 from nurbseg.segmentation.live.leaf import LiveLeaf
-from nurbseg.segmentation.live.structure import Growth, Revised
 from nurbseg.segmentation.segments import Division, Node, StopReason, Trial, depth_first
 from nurbseg.segmentation.surfaces.surface import Fit
 
 
-def growth_of(labels):
+def editor_of(labels):
     fit = Fit(None, np.zeros(0), {}, "", np.zeros(0, dtype=np.intp))
     root = Node("", np.zeros(0, dtype=np.intp), fit)
     # As many leaves as there are labels; none of them is asked for anything here.
-    return Growth(root, [None] * int(labels.max()), labels, lambda node: None)
+    return TreeEditor(root, [None] * int(labels.max()), labels, lambda node: None)
 
 
 @pytest.mark.parametrize("step", [1, 2, 3])
@@ -26,7 +26,7 @@ def test_pixels_with_the_label_of_their_place_change_with_it(step):
     per_m = rng.choice([0.0, 0.8], (h, w)).astype(np.float32)
     labels[per_m == 0] = 0
     final = np.array([0, 3, 1, 2, 5, 4], dtype=np.uint16)
-    found = Revised([], before, after, final).relabelled(labels, per_m, step)
+    found = TreeUpdate([], before, after, final).relabelled(labels, per_m, step)
     for r, c in np.ndindex(h, w):
         place = r // step, c // step
         number = after[place] if labels[r, c] == before[place] else labels[r, c]
@@ -38,25 +38,25 @@ def test_places_are_counted_by_number():
     labels = np.random.default_rng(0).integers(0, 7, (20, 30)).astype(np.int32)
     expected = np.bincount(labels.ravel(), minlength=int(labels.max()) + 1)
     expected[0] = 0
-    assert (growth_of(labels).sizes() == expected).all()
+    assert (editor_of(labels).sizes() == expected).all()
 
 
 @pytest.mark.parametrize("least", [1, 4, 9])
 def test_neighbors_meet_along_so_many_joined_places(least):
     rng = np.random.default_rng(3)
     labels = rng.integers(0, 6, (24, 31)).astype(np.int32)
-    joined = joints(rng.random(labels.shape).astype(np.float32), labels > 0, 0.4)
+    adjacency = pixel_adjacency(rng.random(labels.shape).astype(np.float32), labels > 0, 0.4)
     counts = {}
     for ahead, behind, among in (
-        (labels[:, :-1], labels[:, 1:], joined.right[:, :-1]),
-        (labels[:-1], labels[1:], joined.down[:-1]),
+        (labels[:, :-1], labels[:, 1:], adjacency.right[:, :-1]),
+        (labels[:-1], labels[1:], adjacency.down[:-1]),
     ):
         for one, other in zip(ahead[among].tolist(), behind[among].tolist(), strict=True):
             if one != other:
                 pair = min(one, other), max(one, other)
                 counts[pair] = counts.get(pair, 0) + 1
     expected = sorted(pair for pair, number in counts.items() if number >= least)
-    assert growth_of(labels).neighbors(joined, least) == expected
+    assert editor_of(labels).neighbors(adjacency, least) == expected
 
 
 class Grown:
@@ -86,7 +86,7 @@ class Grown:
         for name in ("00", "010", "011", "1"):
             self.nodes[name].stop = StopReason.CRITERION
         self.leaves = [LiveLeaf(self.nodes[name], 10 * n) for n, name in enumerate(("00", "010", "011", "1"))]
-        self.growth = Growth(self.nodes[""], self.leaves, self.labels, lambda node: LiveLeaf(node, 99))
+        self.editor = TreeEditor(self.nodes[""], self.leaves, self.labels, lambda node: LiveLeaf(node, 99))
 
     def names(self):
         return [node.name for node in depth_first(self.nodes[""])]
@@ -101,10 +101,10 @@ def fit_of(places):
     [
         # One of two at the bottom: the other is where both were.
         ([(2, 3)], ["", "0", "00", "01", "1"], [0, 2, 3], [0, 1, 2, 2, 3]),
-        # A leaf whose other half has parts: these go up, and the heir is elsewhere.
+        # A leaf whose other half has parts: these go up, and the kept is elsewhere.
         ([(1, 4)], ["", "0", "00", "01", "1"], [1, 2, 3], [0, 3, 1, 2, 3]),
         ([(4, 1)], ["", "0", "1", "10", "11"], [0, 1, 2], [0, 1, 2, 3, 1]),
-        # An heir that goes itself.
+        # An kept that goes itself.
         ([(1, 2), (2, 3)], ["", "0", "1"], [2, 3], [0, 1, 1, 1, 2]),
         ([(3, 2), (4, 2), (1, 2)], [""], [1], [0, 1, 1, 1, 1]),
     ],
@@ -112,10 +112,10 @@ def fit_of(places):
 def test_a_leaf_that_goes_leaves_its_place_to_the_other_part(absorbed, names, by_final, final):
     grown = Grown()
     kept_before = {leaf.number: leaf.node.places for leaf in grown.leaves}
-    for gone, heir in absorbed:
-        grown.growth.absorb(gone, heir)
+    for gone, kept in absorbed:
+        grown.editor.merge_leaves(gone, kept)
     assert grown.names() == names
-    done = grown.growth.finished()
+    done = grown.editor.finished()
     assert [leaf.number for leaf in done.leaves] == [10 * n for n in by_final]
     assert done.final.tolist() == final
     for leaf in done.leaves:
@@ -130,20 +130,20 @@ def test_a_leaf_that_goes_leaves_its_place_to_the_other_part(absorbed, names, by
     # The grid holds working numbers: those of the last heirs.
     last = dict(absorbed)
     expected = grown.labels.copy()
-    for gone, heir in absorbed:
-        expected[expected == gone] = heir
+    for gone, kept in absorbed:
+        expected[expected == gone] = kept
     assert (done.on_grid == expected).all()
     assert (done.before == grown.labels).all()
-    assert set(grown.growth.by_number) == {1, 2, 3, 4} - set(last)
-    assert np.bincount(expected.ravel(), minlength=5).tolist() == grown.growth.sizes().tolist()
+    assert set(grown.editor.by_number) == {1, 2, 3, 4} - set(last)
+    assert np.bincount(expected.ravel(), minlength=5).tolist() == grown.editor.sizes().tolist()
 
 
 def test_what_is_adopted_has_the_next_number_and_nobody_has_tried_it():
     grown = Grown()
-    numbers = [grown.growth.adopt(Node("2", np.arange(2), fit_of(np.arange(2)))) for _ in range(2)]
+    numbers = [grown.editor.add_leaf(Node("2", np.arange(2), fit_of(np.arange(2)))) for _ in range(2)]
     assert numbers == [5, 6]
-    assert [grown.growth.by_number[number].tried for number in numbers] == [0.0, 0.0]
-    assert grown.growth.sizes().tolist() == [0, 6, 6, 6, 6, 0, 0]
+    assert [grown.editor.by_number[number].tried for number in numbers] == [0.0, 0.0]
+    assert grown.editor.sizes().tolist() == [0, 6, 6, 6, 6, 0, 0]
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -154,18 +154,18 @@ def test_a_place_is_surrounded_by_the_leaf_that_touches_it_most(seed):
     mask = ndimage.binary_dilation(rng.random(labels.shape) < 0.02)
     touching = labels[ndimage.binary_dilation(mask, np.ones((3, 3))) & ~mask]
     counts = np.bincount(touching[touching > 0], minlength=5)
-    assert counts[growth_of(labels).around(mask)] == counts.max() > 0
+    assert counts[editor_of(labels).around(mask)] == counts.max() > 0
 
 
 def test_a_place_that_touches_nothing_belongs_to_the_largest_leaf():
     labels = np.zeros((8, 7), dtype=np.int32)
     labels[0, :3], labels[7] = 1, 2
-    growth = growth_of(labels)
+    editor = editor_of(labels)
     mask = np.zeros(labels.shape, dtype=bool)
     mask[4, 3] = True
-    assert growth.around(mask) == 2
-    del growth.by_number[2]
-    assert growth.around(mask) is None
+    assert editor.around(mask) == 2
+    del editor.by_number[2]
+    assert editor.around(mask) is None
 
 
 def cut_tree():
@@ -178,7 +178,9 @@ def cut_tree():
     shown = node("11", 2, Division.APPEARED, (node("110", 2), node("111", 2)))
     root = node("", 0, Division.CUT, (node("0", 0 + 1), node("1", 1, Division.CUT, (node("10", 2), shown))))
     leaves = [LiveLeaf(each, n) for n, each in enumerate(depth_first(root)) if not each.children]
-    return root, Growth(root, leaves, np.array([[1, 2, 3, 4, 4]], np.int32), lambda node: LiveLeaf(node, 9))
+    return root, TreeEditor(
+        root, leaves, np.array([[1, 2, 3, 4, 4]], np.int32), lambda node: LiveLeaf(node, 9)
+    )
 
 
 def described(root):
@@ -186,9 +188,9 @@ def described(root):
 
 
 def test_cuts_above_are_counted_again_where_a_leaf_goes():
-    root, growth = cut_tree()
-    assert growth.cuts == 2
-    growth.absorb(1, 4)
+    root, editor = cut_tree()
+    assert editor.cuts == 2
+    editor.merge_leaves(1, 4)
     assert described(root) == [
         ("", Division.CUT, 0),
         ("0", None, 1),
@@ -196,24 +198,24 @@ def test_cuts_above_are_counted_again_where_a_leaf_goes():
         ("10", None, 1),
         ("11", None, 1),
     ]
-    assert growth.cuts == 1
+    assert editor.cuts == 1
 
 
 def test_a_split_undone_is_one_leaf_with_the_label_of_its_largest():
-    root, growth = cut_tree()
-    assert growth.holds(root.children[1])
-    assert growth.undo(root.children[1]) == 4
+    root, editor = cut_tree()
+    assert editor.contains(root.children[1])
+    assert editor.collapse(root.children[1]) == 4
     assert described(root) == [("", Division.CUT, 0), ("0", None, 1), ("1", None, 1)]
-    assert growth.by_number[4].node is root.children[1]
-    done = growth.finished()
+    assert editor.by_number[4].node is root.children[1]
+    done = editor.finished()
     assert done.on_grid.tolist() == [[1, 4, 4, 4, 4]]
     assert done.final.tolist() == [0, 1, 2, 2, 2]
 
 
 def test_a_split_undone_leaves_the_others_what_they_have():
     grown = Grown()
-    assert grown.growth.undo(grown.nodes["0"]) == 1
+    assert grown.editor.collapse(grown.nodes["0"]) == 1
     assert grown.names() == ["", "0", "1"]
-    done = grown.growth.finished()
+    done = grown.editor.finished()
     assert done.on_grid.tolist() == [[1, 1, 1, 4]] * 6
     assert done.final.tolist() == [0, 1, 1, 1, 2]

@@ -1,4 +1,4 @@
-"""A frame laid out on the grid on which splits are decided: points, joints between them, and raw vectors."""
+"""A frame laid out on the grid on which splits are decided: points, their adjacency, and raw vectors."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import Normalization, lab, normalization, raw_vectors
-from nurbseg.segmentation.labels.regions import Joints, joints
+from nurbseg.segmentation.labels.regions import PixelAdjacency, pixel_adjacency
 from nurbseg.segmentation.points.normals import facet_normals
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.inverse_depth import DepthGrid, depth_grid
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class GridFeatures:
     """A frame on the grid on which splits are decided.
 
     Parameters
     ----------
     grid : DepthGrid
         Points and inverse depths.
-    joined : Joints
+    adjacency : PixelAdjacency
         Neighbours without a gap between them.
     raw : (h * w, 6 or 9) float32
         Lab color, position and, where they are used, normal of every place that has a point.
@@ -33,7 +33,7 @@ class Scene:
     """
 
     grid: DepthGrid
-    joined: Joints
+    adjacency: PixelAdjacency
     raw: NDArray[np.float32]
     whole: Normalization | None
 
@@ -42,8 +42,8 @@ class Scene:
         return config.piece_pixels_min * self.grid.points.pixel_share
 
 
-def prepare(cloud: PointMap, config: SegmentationConfig) -> Scene:
-    """Lay a frame out on the grid: inverse depth, joints and raw vectors.
+def grid_features(cloud: PointMap, config: SegmentationConfig) -> GridFeatures:
+    """Lay a frame out on the grid: inverse depth, adjacency and raw vectors.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def prepare(cloud: PointMap, config: SegmentationConfig) -> Scene:
 
     Returns
     -------
-    Scene
+    GridFeatures
         What the tree grows on.
     """
     grid = depth_grid(cloud, config.decimation)
@@ -72,9 +72,9 @@ def prepare(cloud: PointMap, config: SegmentationConfig) -> Scene:
         )
         directions = normals.reshape(-1, 3)
     raw = _side_by_side(color, points_m, directions)
-    joined = joints(grid.per_m, grid.valid, config.depth_gap_per_m)
-    whole = None if config.normalize_nodes else node_normalization(raw, np.flatnonzero(grid.valid), config)
-    return Scene(grid, joined, raw, whole)
+    adjacency = pixel_adjacency(grid.per_m, grid.valid, config.depth_gap_per_m)
+    whole = None if config.normalize_nodes else segment_normalization(raw, np.flatnonzero(grid.valid), config)
+    return GridFeatures(grid, adjacency, raw, whole)
 
 
 @compiled
@@ -92,7 +92,7 @@ def _side_by_side(
     return raw
 
 
-def node_normalization(
+def segment_normalization(
     raw: NDArray[np.float32], places: NDArray[np.intp], config: SegmentationConfig
 ) -> Normalization:
     """Measure what makes the vectors of a segment comparable, with the weights that are set.
@@ -100,7 +100,7 @@ def node_normalization(
     Parameters
     ----------
     raw : (N, 6 or 9) float32
-        Of the scene.
+        As `GridFeatures.raw`.
     places : (M,) intp
         Of the segment.
     config : SegmentationConfig
@@ -120,12 +120,14 @@ def node_normalization(
     )
 
 
-def scene_of(cloud: PointMap, scene: Scene, places: NDArray[np.intp], config: SegmentationConfig) -> Scene:
-    """Return a scene whose raw vectors are known at some places only, those that are to be split.
+def with_features_at(
+    cloud: PointMap, features: GridFeatures, places: NDArray[np.intp], config: SegmentationConfig
+) -> GridFeatures:
+    """Return features whose raw vectors are known at some places only, those that are to be split.
 
     Parameters
     ----------
-    cloud, scene : PointMap, Scene
+    cloud, features : PointMap, GridFeatures
         The frame.
     places : (N,) intp
         Flat places of the grid, ascending.
@@ -133,8 +135,8 @@ def scene_of(cloud: PointMap, scene: Scene, places: NDArray[np.intp], config: Se
         Windows and weights.
     """
     if not config.normalize_nodes:
-        return prepare(cloud, config)
-    grid = scene.grid
+        return grid_features(cloud, config)
+    grid = features.grid
     raw = np.zeros((grid.valid.size, 9 if config.normal_weight > 0 else 6), dtype=np.float32)
     raw[places, :6] = raw_vectors(cloud, grid.points.pixels(places))
     if config.normal_weight > 0:
@@ -156,7 +158,7 @@ def scene_of(cloud: PointMap, scene: Scene, places: NDArray[np.intp], config: Se
             noise_per_m=config.noise_per_m,
         )
         raw[places, 6:] = normals[rows - top, columns - left]
-    return replace(scene, raw=raw)
+    return replace(features, raw=raw)
 
 
-__all__ = ["Scene", "node_normalization", "prepare", "scene_of"]
+__all__ = ["GridFeatures", "grid_features", "segment_normalization", "with_features_at"]

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from nurbseg.segmentation.extended.contact import Meeting, in_contact, meetings
+from nurbseg.segmentation.extended.border_statistics import BorderStatistics, border_statistics, in_contact
 from nurbseg.segmentation.points.rays import Rays
 
 FOCAL, CENTER = (300.0, 240.0), (150.0, 10.0)
@@ -46,7 +46,7 @@ def crossings(labels: np.ndarray, reach: int):
                     yield turned, line, before, after, row[before], row[after]
 
 
-def expected_meetings(labels, normals, reach, inset) -> list[Meeting]:
+def expected_meetings(labels, normals, reach, inset) -> list[BorderStatistics]:
     found: dict[tuple[int, int], list[float]] = {}
     for turned, line, before, after, one, other in crossings(labels, reach):
         key = min(one, other), max(one, other)
@@ -66,7 +66,7 @@ def expected_meetings(labels, normals, reach, inset) -> list[Meeting]:
         towards = [-plane / np.linalg.norm(plane) for plane in planes]
         chord = (points[1] - points[0]) / np.linalg.norm(points[1] - points[0])
         counts[2] += -(towards[1] - towards[0]) @ chord
-    return [Meeting(*key, *counts) for key, counts in sorted(found.items())]
+    return [BorderStatistics(*key, *counts) for key, counts in sorted(found.items())]
 
 
 @pytest.mark.parametrize(("width", "reach", "inset"), [(320, 3, 2.0), (107, 1, 1.0), (200, 2, 1.25)])
@@ -78,7 +78,7 @@ def test_borders_are_measured_crossing_by_crossing(width, reach, inset):
     labels[rng.random(labels.shape) < 0.25] = 0
     normals = rng.normal([0.0, 0.0, 1.0], [0.4, 0.4, 0.02], (7, 3))
     normals[6] = np.nan
-    found = meetings(labels, (), pinhole(), gap_per_m=GAP, evaluate=Planes(normals))
+    found = border_statistics(labels, (), pinhole(), gap_per_m=GAP, evaluate=Planes(normals))
     expected = expected_meetings(labels, normals, reach, inset)
     assert len(expected) > 10
     assert [each[:4] for each in map(astuple, found)] == [each[:4] for each in map(astuple, expected)]
@@ -89,15 +89,15 @@ def test_borders_are_measured_crossing_by_crossing(width, reach, inset):
     assert (touching[:, 0] < touching[:, 1]).any()
 
 
-def astuple(each: Meeting) -> tuple[float, ...]:
+def astuple(each: BorderStatistics) -> tuple[float, ...]:
     return each.first, each.second, each.samples, each.touching, each.concavity_sum
 
 
 def test_one_label_meets_nobody():
     labels = np.ones((5, 9), dtype=np.int32)
     labels[2, 3:6] = 0
-    assert meetings(labels, (), pinhole(), gap_per_m=GAP, evaluate=Planes(np.ones((1, 3)))) == ()
-    assert meetings(0 * labels, (), pinhole(), gap_per_m=GAP, evaluate=Planes(np.ones((1, 3)))) == ()
+    assert border_statistics(labels, (), pinhole(), gap_per_m=GAP, evaluate=Planes(np.ones((1, 3)))) == ()
+    assert border_statistics(0 * labels, (), pinhole(), gap_per_m=GAP, evaluate=Planes(np.ones((1, 3)))) == ()
 
 
 @pytest.mark.parametrize(
