@@ -72,7 +72,7 @@ $(VENV)/test-dependencies.stamp: $(VENV)/bin/pip pyproject.toml
 	$(BIN)/pip install --quiet --no-build-isolation '.[dev]'
 	touch $@
 
-compiled = $(BIN)/nurbseg-live --quiet --replay 'synthetic:?$(1)' --speed 0 --temporal on --view none --save $(VENV)/first.rrd
+compiled = $(BIN)/nurbseg-live --quiet --replay 'synthetic:?$(1)' --speed 0 --temporal on --view none --save $(VENV)/first.rrd && rm $(VENV)/first.rrd
 
 # ... and the project itself, when one of its files does. It is a plain install: what is tested is what is shipped.
 define install

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 import threading
 from pathlib import Path
 from types import TracebackType
+
+from nurbseg.drivers.files import create_private
 
 #: Read at once, and what the pipe may hold, bytes.
 _PART = 1 << 20
@@ -23,7 +26,7 @@ class PipedFile:
     Parameters
     ----------
     path : Path
-        The file; overwritten.
+        The file, which must not exist; its folder is made. Only this user may read it.
 
     Attributes
     ----------
@@ -38,7 +41,8 @@ class PipedFile:
 
     def __init__(self, path: Path) -> None:
         self.error: OSError | None = None
-        self._file = path.open("wb", buffering=0)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._file = create_private(path, buffering=0)
         self._read_end, self._write_end = os.pipe()
         with contextlib.suppress(OSError):
             # A writer need not wait then for each 64 kB to be taken.
@@ -66,6 +70,8 @@ class PipedFile:
     def _copy(self) -> None:
         while part := memoryview(os.read(self._read_end, _PART)):
             try:
+                if part and self.error is None and os.fstat(self._file.fileno()).st_nlink == 0:
+                    raise OSError(errno.ENOENT, "it was deleted while it was written")
                 while part and self.error is None:
                     part = part[self._file.write(part) :]
             except OSError as err:

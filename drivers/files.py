@@ -1,9 +1,11 @@
-"""Opens and reads files that somebody else made: regular files only, of bounded size."""
+"""Opens and reads files that somebody else made: regular files only, of bounded size; and creates our own."""
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
+from itertools import count
 from pathlib import Path
 from typing import BinaryIO
 
@@ -66,3 +68,49 @@ def read_file(
             return stream.read(most)
         except OSError as err:
             raise error(f"{path}: the {what} cannot be read ({err.strerror})") from err
+
+
+def create_private(path: Path, buffering: int = -1) -> BinaryIO:
+    """Create a file that only this user may read, and open it for writing.
+
+    What cameras see is nobody else's business, whatever the umask is. A device is opened as it is.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    buffering : int
+        As for `open`.
+
+    Raises
+    ------
+    FileExistsError
+        If there is a file of this name already.
+    OSError
+        If it cannot be created.
+    """
+    check_absent(path)
+    new = not path.exists()
+    flags = os.O_WRONLY | os.O_CLOEXEC | (os.O_CREAT | os.O_EXCL if new else 0)
+    return os.fdopen(os.open(path, flags, 0o600), "wb", buffering)
+
+
+def check_absent(path: Path) -> None:
+    """Raise if there is a file of this name, which would be overwritten.
+
+    Raises
+    ------
+    FileExistsError
+        Its `strerror` says what to do.
+    """
+    if path.is_file() or path.is_symlink():
+        raise FileExistsError(errno.EEXIST, "exists already; name another file or remove it", str(path))
+
+
+def part_after(path: Path, parts: int) -> Path:
+    """Return the name of the file that goes on after so many parts: ``NAME-2.mcap`` after the first.
+
+    Names of files that exist are passed over.
+    """
+    numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(parts + 1))
+    return next(each for each in numbered if not each.exists())

@@ -7,11 +7,11 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
-from itertools import count
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameTimeoutError
+from nurbseg.drivers.files import part_after
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.source import FrameSource
 
@@ -117,8 +117,8 @@ class Reconnecting(FrameSource):
         Parameters
         ----------
         path : Path
-            The file; written over. After the camera was away, ``NAME-2.oni`` and so on; there, names
-            of files that exist are passed over.
+            The file, which must not exist. After the camera was away, ``NAME-2.oni`` and so on; there,
+            names of files that exist are passed over.
         lossy : bool
             Whether color may be packed with loss.
 
@@ -143,8 +143,7 @@ class Reconnecting(FrameSource):
         if self._recording is None or self.recording_failure or not isinstance(source, Recordable):
             return
         path, lossy = self._recording
-        numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(len(self.recorded_files) + 1))
-        part = next(each for each in numbered if not each.exists())
+        part = part_after(path, len(self.recorded_files))
         try:
             source.start_recording(part, lossy=lossy)
         except DriverError as err:

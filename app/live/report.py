@@ -176,8 +176,10 @@ class RunReport:
 
 
 def _percentiles(values: array[float]) -> dict[str, float]:
-    p50, p95 = np.percentile(np.asarray(values), [50, 95])
-    return {"p50": round(float(p50), 3), "p95": round(float(p95), 3), "max": round(max(values), 3)}
+    levels = (50, 95, 99.9)
+    found = np.percentile(np.asarray(values), levels)
+    told = {f"p{level:g}": round(float(value), 3) for level, value in zip(levels, found, strict=True)}
+    return {**told, "max": round(max(values), 3)}
 
 
 def peak_memory_mb() -> float:

@@ -25,6 +25,7 @@ from nurbseg.app.recording.recorder import open_recording, tell_recorded
 from nurbseg.app.result import FrameResult
 from nurbseg.app.view.view import View, ViewError, open_view
 from nurbseg.drivers.errors import DriverError
+from nurbseg.drivers.files import check_absent
 from nurbseg.drivers.process.child import ChildProcess
 
 _log = logging.getLogger(__name__)
@@ -69,6 +70,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
     KeyboardInterrupt
         If the run was interrupted.
     """
+    _refuse_existing(config.record.file, config.shown.save)
     with ExitStack() as stack:
         warm_up = _begin_warm_up(config)
         with _setup():
@@ -104,6 +106,16 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
             _log.info("all frames are shown; Ctrl-C ends the serving")
             interruption.wait()
         return report
+
+
+def _refuse_existing(*files: str | None) -> None:
+    """Raise if a file exists, before a camera is opened for it and other files are begun."""
+    for file in files:
+        try:
+            if file is not None:
+                check_absent(Path(file))
+        except OSError as err:
+            raise SetupError(f"{file}: {err.strerror}") from err
 
 
 @contextmanager

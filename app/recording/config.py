@@ -36,6 +36,13 @@ class RecordConfig:
         least=0.0,
         flag="record-delay",
     )
+    split_s: float | None = setting(
+        None,
+        "go on in another file (NAME-2.mcap, NAME-3.mcap ...) after so long; .mcap only",
+        unit="s",
+        least=1.0,
+        flag="record-split",
+    )
     color: RecordColor = setting(
         "jpeg95",
         "how color is kept: JPEG of quality 95, or exactly as PNG or raw (an .oni: JPEG or raw)",
@@ -54,6 +61,8 @@ class RecordConfig:
         check_settings(self)
         if self.file is not None and not self.file.lower().endswith(_SUFFIXES):
             raise ValueError(f"file: expected a name that ends in .mcap or .oni, got {self.file!r}")
-        for name in ("only", "delay_s"):
+        if self.split_s is not None and (self.file or "").lower().endswith(".oni"):
+            raise ValueError(f"split_s: only .mcap recordings are split, not {self.file!r}")
+        for name in ("only", "delay_s", "split_s"):
             if getattr(self, name) and self.file is None:
                 raise ValueError(f"{name}: expected a file to record to as well (--record FILE)")

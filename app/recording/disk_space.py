@@ -1,9 +1,9 @@
-"""How much may still be written to a disk."""
+"""How much was written to a disk, and how much may still be."""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 
@@ -26,3 +26,8 @@ def shortage(path: Path, least_mb: int, free_bytes: Callable[[Path], int] = free
     """
     free = free_bytes(path)
     return "" if free >= least_mb * 1_000_000 else f"only {free // 1_000_000} MB of disk space are left"
+
+
+def megabytes(files: Iterable[Path]) -> float:
+    """Return how large files are together, units of 10^6 bytes; one that is gone counts nothing."""
+    return round(sum(file.stat().st_size for file in files if file.exists()) / 1e6, 1)

@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from nurbseg.app.recording.config import RecordConfig
-from nurbseg.app.recording.disk_space import free_space, shortage
+from nurbseg.app.recording.disk_space import free_space, megabytes, shortage
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.reconnect import Reconnecting, Recordable
@@ -95,6 +95,8 @@ class OniRecording:
             if not self._is_recording:
                 self._start()
             missing = shortage(self.path, self._space_min_mb, self._free_bytes)
+            if not missing and not self.files[-1].exists():
+                missing = f"{self.files[-1]} was deleted or moved"
             if missing:
                 self._is_recording = False
                 self._camera.stop_recording()
@@ -135,7 +137,7 @@ class OniRecording:
             "files": [str(file) for file in files],
             "frames": self.frames,
             "lost": self.lost,
-            "megabytes": round(sum(file.stat().st_size for file in files if file.exists()) / 1e6, 1),
+            "megabytes": megabytes(files),
             "failure": self.failure,
         }
 

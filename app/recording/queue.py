@@ -8,10 +8,11 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Protocol, Self
+from typing import Any, Final, Self
 
 from nurbseg.app.recording.config import RecordConfig
-from nurbseg.app.recording.disk_space import free_space, shortage
+from nurbseg.app.recording.disk_space import free_space, megabytes, shortage
+from nurbseg.app.recording.parts import PartedWriter
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.process.bounded_queue import BoundedQueue
@@ -29,18 +30,6 @@ _DRAIN_S, _INTERRUPTED_DRAIN_S = 60.0, 1.2
 _LAST_FRAME_S = 10.0
 
 
-class FrameWriter(Protocol):
-    """What frames are written with."""
-
-    def write(self, frame: RGBDFrame) -> None:
-        """Add one frame."""
-        ...
-
-    def close(self) -> None:
-        """Finish the file."""
-        ...
-
-
 class QueuedRecording:
     """Takes frames from the thread that captures them and writes them on a thread of its own.
 
@@ -50,35 +39,34 @@ class QueuedRecording:
 
     Parameters
     ----------
-    path : Path
-        The file, which must not exist.
-    writer : FrameWriter
+    writer : PartedWriter
         Open; closed by this one.
     config : RecordConfig
         From when on, and how much space must stay free.
     lossless : bool
         Whether `put` waits for room: for a source that waits too.
     free_bytes : callable
-        Returns the space that is left where `path` is, bytes.
+        Returns the space that is left where a file is, bytes.
 
     Attributes
     ----------
+    path : Path
+        The first file.
     frames, lost : int
-        Frames in the file, and frames that were to be in it and are not.
+        Frames in the files, and frames that were to be in it and are not.
     failure : str
         Why the recording ended before the run did; empty where it did not.
     """
 
     def __init__(
         self,
-        path: Path,
-        writer: FrameWriter,
+        writer: PartedWriter,
         config: RecordConfig,
         *,
         lossless: bool = False,
         free_bytes: Callable[[Path], int] = free_space,
     ) -> None:
-        self.path = path
+        self.path = writer.files[0]
         self.frames = self.lost = 0
         self.failure = ""
         self._writer = writer
@@ -99,8 +87,8 @@ class QueuedRecording:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The file."""
-        return (self.path,)
+        """The files; more than one where the recording is split."""
+        return self._writer.files
 
     @property
     def behind(self) -> bool:
@@ -152,7 +140,7 @@ class QueuedRecording:
                 return self._queue.take(_WAIT_S)
 
     def _check_space(self) -> None:
-        missing = shortage(self.path, self._space_min_mb, self._free_bytes)
+        missing = shortage(self.files[-1], self._space_min_mb, self._free_bytes)
         if missing:
             raise DriverError(missing)
 
@@ -188,12 +176,13 @@ class QueuedRecording:
 
     def figures(self) -> dict[str, Any]:
         """Return what the run's report says of the recording."""
+        files = self.files
         return {
             "file": str(self.path),
-            "files": [str(self.path)],
+            "files": [str(file) for file in files],
             "frames": self.frames,
             "lost": self.lost,
-            "megabytes": round(self.path.stat().st_size / 1e6, 1) if self.path.exists() else 0.0,
+            "megabytes": megabytes(files),
             "failure": self.failure,
         }
 

@@ -10,8 +10,10 @@ from nurbseg.app.export import ExportError
 from nurbseg.app.recording.config import RecordConfig
 from nurbseg.app.recording.disk_space import free_space, shortage
 from nurbseg.app.recording.oni import OniRecording
+from nurbseg.app.recording.parts import PartedWriter
 from nurbseg.app.recording.queue import QueuedRecording
 from nurbseg.drivers.errors import DriverError
+from nurbseg.drivers.files import check_absent
 from nurbseg.drivers.mcap.writer import RecordingWriter
 from nurbseg.drivers.reconnect import Recordable
 from nurbseg.drivers.source import FrameSource
@@ -54,9 +56,12 @@ def open_recording(
     if config.file is None:
         return None
     path = Path(config.file)
-    if path.exists():
-        raise RecordError(f"{path}: exists already; name another file or remove it")
+
+    def open_file(part: Path) -> RecordingWriter:
+        return RecordingWriter(part, source.calibration, color_format=config.color, metadata=source.metadata)
+
     try:
+        check_absent(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         missing = shortage(path, config.space_min_mb, free_bytes)
         if missing:
@@ -65,12 +70,10 @@ def open_recording(
             )
         if path.suffix.lower() == ".oni":
             return _open_oni(path, config, source, free_bytes)
-        writer = RecordingWriter(
-            path, source.calibration, color_format=config.color, metadata=source.metadata
-        )
+        writer = PartedWriter(path, open_file, config.split_s)
     except OSError as err:
         raise RecordError(f"{path}: cannot be written: {err.strerror}") from err
-    return QueuedRecording(path, writer, config, lossless=lossless, free_bytes=free_bytes)
+    return QueuedRecording(writer, config, lossless=lossless, free_bytes=free_bytes)
 
 
 def _open_oni(

@@ -29,7 +29,7 @@ class FileSink:
     Parameters
     ----------
     path : Path
-        The .rrd file; overwritten.
+        The .rrd file, which must not exist.
     opening : Opening
         What it begins with.
     index : bool
@@ -52,7 +52,8 @@ class FileSink:
             with self._file as pipe:
                 self._stream.set_sinks(rr.FileSink(pipe, write_footer=index))
         except (RuntimeError, OSError) as err:
-            raise ViewError(f"{path}: cannot be created: {err}") from err
+            reason = getattr(err, "strerror", None) or err
+            raise ViewError(f"{path}: cannot be created: {reason}") from err
         self._thread = threading.Thread(target=self._run, args=(opening,), name=f"view-file-{path.name}")
         self._thread.start()
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import logging
 import math
+import shlex
 import struct
 import zlib
 from collections.abc import Iterator
@@ -24,7 +25,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Metadata, Schema, Statistics
+from mcap.records import Channel, Header, Metadata, Schema, Statistics
 
 from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.drivers.files import open_regular
@@ -38,15 +39,17 @@ _MESSAGE_HEAD = struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 
 
-_LEARNT = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.STATISTICS))
+_LEARNT = frozenset((Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.STATISTICS))
 
 
 @dataclass(frozen=True, slots=True)
 class McapMessage:
-    """One message: its channel and its undecoded content."""
+    """One message: its channel, its number there, its two times, and its undecoded content."""
 
     channel: Channel
+    sequence: int
     log_time_ns: int
+    publish_time_ns: int
     content: bytes
 
 
@@ -60,6 +63,8 @@ class McapFile:
 
     Attributes
     ----------
+    profile : str
+        What its messages follow, such as "ros2"; may be empty.
     metadata : dict of str to dict
         The file's metadata records.
     schemas, channels : dict
@@ -78,6 +83,7 @@ class McapFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.profile = ""
         self.metadata: dict[str, dict[str, str]] = {}
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
@@ -93,9 +99,11 @@ class McapFile:
             raise
         if not self.whole:
             _log.warning(
-                "%s: the recording is cut off after %d bytes; it is replayed up to its last whole frame",
+                "%s: the recording is cut off after %d bytes; it is replayed up to its last whole frame "
+                "(nurbseg-record repair %s writes a whole one)",
                 path,
                 path.stat().st_size,
+                shlex.quote(str(path)),
             )
 
     def close(self) -> None:
@@ -170,7 +178,9 @@ class McapFile:
 
     def _learn(self, opcode: int, content: bytes) -> None:
         try:
-            if opcode == Opcode.SCHEMA:
+            if opcode == Opcode.HEADER:
+                self.profile = Header.read(_stream(content)).profile
+            elif opcode == Opcode.SCHEMA:
                 schema = Schema.read(_stream(content))
                 self.schemas[schema.id] = schema
             elif opcode == Opcode.CHANNEL:
@@ -187,11 +197,12 @@ class McapFile:
     def _message(self, content: bytes) -> McapMessage | None:
         if len(content) < _MESSAGE_HEAD.size:
             return None
-        channel_id, _, log_time_ns, _ = _MESSAGE_HEAD.unpack_from(content)
+        channel_id, sequence, log_time_ns, publish_time_ns = _MESSAGE_HEAD.unpack_from(content)
         channel = self.channels.get(channel_id)
         if channel is None:
             return None
-        return McapMessage(channel, log_time_ns, content[_MESSAGE_HEAD.size :])
+        body = content[_MESSAGE_HEAD.size :]
+        return McapMessage(channel, sequence, log_time_ns, publish_time_ns, body)
 
 
 def _stream(content: bytes) -> ReadDataStream:

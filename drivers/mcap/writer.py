@@ -12,6 +12,7 @@ from mcap_ros2.writer import Writer
 from numpy.typing import NDArray
 
 from nurbseg.drivers.errors import DriverError
+from nurbseg.drivers.files import create_private
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.mcap import messages as ros
 from nurbseg.drivers.mcap import names
@@ -26,13 +27,13 @@ _ENCODING = {".jpg": [cv2.IMWRITE_JPEG_QUALITY, 95], ".png": []}
 class RecordingWriter:
     """Writes frames to an MCAP file.
 
-    Depth is kept exactly (16UC1, millimetres). What is written reaches the operating system a chunk at a
-    time, two VGA frames or so, so that a killed program loses less than 0.2 s; `close` adds the index.
+    Depth is kept exactly (16UC1, millimetres). Each frame ends a chunk and so reaches the operating system
+    before `write` returns, for a killed program or a full disk to take nothing of it; `close` adds the index.
 
     Parameters
     ----------
     path : Path
-        The file; one that exists is replaced.
+        The file, which must not exist. Only this user may read it.
     calibration : Calibration
         Of the frames.
     color_format : {"jpeg95", "png", "raw"}
@@ -42,8 +43,10 @@ class RecordingWriter:
 
     Raises
     ------
+    FileExistsError
+        If the file exists.
     OSError
-        If the file cannot be written.
+        If it cannot be written.
     ValueError
         If `color_format` is unknown.
     """
@@ -63,10 +66,12 @@ class RecordingWriter:
         self.frames = 0
         self._calibration = calibration
         self._color_format = color_format
-        self._file = self.path.open("wb")
+        self._file = create_private(self.path)
         self._closed = False
         try:
-            self._writer = Writer(self._file)
+            # A chunk ends with the message that makes it larger than this: with a depth image.
+            depth_bytes = 2 * calibration.depth.width * calibration.depth.height
+            self._writer = Writer(self._file, chunk_size=depth_bytes)
             self._writer.add_metadata(
                 names.RECORDING_RECORD, {"version": names.VERSION, "color_format": color_format}
             )

@@ -133,7 +133,7 @@ class DeviceSource(FrameSource):
         Parameters
         ----------
         path : Path
-            The file; written over.
+            The file, which must not exist.
         lossy : bool
             Whether color is packed as JPEG; depth never is.
 

@@ -3,7 +3,9 @@
 import importlib.metadata
 import json
 import resource
+import signal
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -228,6 +230,40 @@ def test_the_report_of_a_run_that_cannot_begin_says_why(live: Live, tmp_path: Pa
     assert done.returncode == 2, done.stderr
     ended = json.loads((tmp_path / "report.json").read_text())["ended"]
     assert ended.startswith(f"ViewError: {tmp_path}: cannot be created: ")
+
+
+@pytest.mark.parametrize("taken", ["a.rrd", "a.mcap"])
+def test_no_file_is_overwritten_and_none_is_begun_where_one_exists(
+    live: Live, tmp_path: Path, taken: str
+) -> None:
+    (tmp_path / taken).write_bytes(b"precious")
+    done = live("--replay", SMALL.format(1), *FAST, "--save", "a.rrd", "--record", "a.mcap")
+    assert done.returncode == 2, done.stderr
+    assert f"{taken}: exists already; name another file or remove it" in done.stderr
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [(taken, b"precious")]
+
+
+def test_what_shows_the_cameras_images_is_for_this_user_alone(live: Live, tmp_path: Path) -> None:
+    words = ("--save", "new/a.rrd", "--record", "other/a.mcap")
+    done = live("--replay", SMALL.format(2), *FAST, *words, umask=0)
+    assert done.returncode == 0, done.stderr
+    for name in ("new/a.rrd", "other/a.mcap"):
+        assert (tmp_path / name).stat().st_mode & 0o777 == 0o600
+
+
+def test_ctrl_c_before_anything_is_begun_ends_the_process_without_a_word() -> None:
+    program = (
+        "import os, signal, sys\n"
+        "class Finder:\n"
+        "    def find_spec(self, name, *rest):\n"
+        "        if name == 'nurbseg.app.command.cli':\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Finder())\n"
+        "from nurbseg.app.commands import live\n"
+        "live()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program, "--help"], capture_output=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, b"", b"")
 
 
 def test_an_unknown_key_ends_with_2_and_its_nearest_neighbour(live: Live, tmp_path: Path) -> None:

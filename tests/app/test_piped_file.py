@@ -1,7 +1,9 @@
 """A file behind a pipe, which takes everything whatever becomes of the file."""
 
 import errno
+import os
 import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -45,5 +47,34 @@ def test_a_writer_that_never_comes_is_not_waited_for(tmp_path: Path) -> None:
 
 
 def test_a_file_that_cannot_be_created_is_an_error_at_once(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError):
-        PipedFile(tmp_path / "nowhere" / "file")
+    (tmp_path / "file").touch()
+    with pytest.raises(FileExistsError, match="File exists"):
+        PipedFile(tmp_path / "file" / "nowhere")
+    with pytest.raises(FileExistsError, match="exists already"):
+        PipedFile(tmp_path / "file")
+
+
+def test_the_file_is_for_this_user_alone_and_its_folder_is_made(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "file"
+    before = os.umask(0)
+    try:
+        piped = PipedFile(path)
+    finally:
+        os.umask(before)
+    with piped:
+        pass
+    assert piped.join(LIMIT_S)
+    assert path.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_file_that_is_deleted_is_an_error(tmp_path: Path) -> None:
+    piped = PipedFile(tmp_path / "file")
+    with piped as path, path.open("wb", buffering=0) as writer:
+        writer.write(b"before")
+        while not (tmp_path / "file").read_bytes():
+            time.sleep(0.001)
+        (tmp_path / "file").unlink()
+        writer.write(b"after")
+    assert piped.join(LIMIT_S)
+    assert piped.error is not None
+    assert piped.error.strerror == "it was deleted while it was written"

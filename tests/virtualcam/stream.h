@@ -1,9 +1,13 @@
 // One stream of a virtual camera: its properties, and the thread that delivers its frames on time.
 #pragma once
 
+#include <fcntl.h>
+#include <unistd.h>
+
 #include <chrono>
 #include <cmath>
 #include <condition_variable>
+#include <cstdio>
 #include <cstring>
 #include <mutex>
 #include <thread>
@@ -184,8 +188,22 @@ private:
             if (!depth()) stamp_us += script->number("color_delay_us", 0);
             const long jump_at = script->number("time_jump_at", -1);
             if (jump_at >= 0 && frame >= jump_at) stamp_us += script->number("time_jump_us", 0);
+            if (depth()) note(script->text("diary"), frame);
             emit(frame, stamp_us);
         }
+    }
+
+    // Adds a line to a file, by the time another process sees it: which image comes, and when.
+    static void note(const std::string& path, long frame) {
+        if (path.empty()) return;
+        const int file = open(path.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0600);
+        if (file < 0) return;
+        char line[64];
+        const long long now_ns = std::chrono::duration_cast<std::chrono::nanoseconds>(
+            Clock::now().time_since_epoch()).count();
+        const int size = std::snprintf(line, sizeof line, "%ld %lld\n", frame, now_ns);
+        if (write(file, line, size) != size) std::perror("virtual camera: diary");
+        close(file);
     }
 
     void emit(long number, long stamp_us) {

@@ -97,6 +97,8 @@ class OniFile:
         Whether the recorder got to write its end; otherwise the frames are those before the break.
     note : dict
         What our own recorder added; empty in the recordings of others.
+    counts_all : bool
+        Whether the header counts all streams, without which OpenNI2's player refuses the file.
     """
 
     path: Path
@@ -104,6 +106,7 @@ class OniFile:
     color: StoredStream
     complete: bool
     note: dict[str, Any]
+    counts_all: bool
 
 
 def read_structure(path: Path) -> OniFile:
@@ -127,6 +130,8 @@ def _read(path: Path, file: BinaryIO) -> OniFile:
         raise RecordingFormatError(f"{path}: header: not an OpenNI recording (.oni)")
     streams: dict[int, StoredStream] = {}
     complete = False
+    *_, counted = _HEADER.unpack(head)
+    largest = 0
     note: dict[str, Any] = {}
     for kind, node, fields, payload_size, end in _records(file):
         if kind == _END:
@@ -134,6 +139,7 @@ def _read(path: Path, file: BinaryIO) -> OniFile:
             break
         if kind in _NODE_ADDED:
             _add_stream(path, streams, node, fields, path.stat().st_size)
+            largest = max(largest, node)
         elif node in streams and kind in (_INT_PROPERTY, _GENERAL_PROPERTY):
             _take_property(path, streams[node], fields)
         elif node in streams and kind == _NEW_DATA:
@@ -143,7 +149,7 @@ def _read(path: Path, file: BinaryIO) -> OniFile:
         if sensor not in found:
             cut = "" if complete else " before it breaks off"
             raise RecordingFormatError(f"{path}: {sensor.name.lower()}: the recording holds no frames{cut}")
-    return OniFile(path, found[Sensor.DEPTH], found[Sensor.COLOR], complete, note)
+    return OniFile(path, found[Sensor.DEPTH], found[Sensor.COLOR], complete, note, counted >= largest)
 
 
 def _records(file: BinaryIO) -> Iterator[tuple[int, int, bytes, int, int]]:
@@ -257,6 +263,26 @@ def correct_header(path: Path) -> bool:
             return False
         file.seek(_LARGEST_NODE_AT)
         file.write(_LARGEST_NODE.pack(found))
+    return True
+
+
+def end(path: Path) -> bool:
+    """Let a recording that was cut short end after its last whole record; return whether it had no end.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read or written.
+    """
+    with path.open("r+b") as file:
+        place = file.seek(_HEADER.size)
+        for kind, *_, end_of_record in _records(file):
+            place = end_of_record
+            if kind == _END:
+                return False
+        file.seek(place)
+        file.write(_RECORD.pack(_MAGIC, _END, 0, _RECORD.size, 0, 0))
+        file.truncate()
     return True
 
 

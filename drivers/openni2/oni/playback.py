@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shlex
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -78,6 +79,11 @@ class OniSource(FrameSource):
         self._cameras = cameras
         find_library()
         file = read_structure(path)
+        if not file.counts_all:
+            raise RecordingFormatError(
+                f"{path}: header: counts one stream too few, so that OpenNI2 refuses the file; "
+                f"nurbseg-record repair {shlex.quote(str(path))} writes one that it plays"
+            )
         if not file.complete:
             logger.warning("%s breaks off: its recording was cut short; what there is is replayed", path)
         self._delay_us = int(file.note.get("color_delay_us", 0))

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from nurbseg.drivers.errors import DriverError
+from nurbseg.drivers.files import create_private
 from nurbseg.drivers.openni2.capi import Sensor, StreamProperty
 from nurbseg.drivers.openni2.isolated.messages import Failure
 from nurbseg.drivers.openni2.oni.file import correct_header, finish, has_begun, read_structure
@@ -45,7 +46,7 @@ class OniRecorder:
         Its streams are not running: the recorder must be there before the first image, or else
         the two streams may begin with different moments, which the file could not tell.
     path : Path
-        The file; written over.
+        The file, which must not exist. Only this user may read it.
     lossy : bool
         Whether color is packed as JPEG.
 
@@ -68,7 +69,7 @@ class OniRecorder:
         self.beyond_limit = 0
         try:
             # OpenNI2 gives no reason where it cannot make a file; this does.
-            path.open("wb").close()
+            create_private(path).close()
         except OSError as err:
             raise DriverError(f"{path}: cannot be recorded to ({err.strerror})") from err
         library.check(

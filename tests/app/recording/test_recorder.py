@@ -1,7 +1,10 @@
 """Recording while a run goes on: what is kept, what is lost, and how it ends."""
 
 import errno
+import os
+import resource
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +28,8 @@ LARGE = 10**12
 class Pen:
     """Writes nothing; waits until it is allowed to, and fails when it is told to."""
 
-    def __init__(self, *, waits=False, fails_at=None, error=None):
+    def __init__(self, path, *, waits=False, fails_at=None, error=None):
+        self.files = (path,)
         self.written = []
         self.closed = threading.Event()
         self.allowed = threading.Event()
@@ -82,8 +86,8 @@ def test_without_a_file_nothing_is_recorded():
 
 def test_putting_a_frame_does_not_wait_for_the_file(path, monkeypatch):
     monkeypatch.setattr(record_queue, "_QUEUE_BYTES_MAX", 5 * small_frame(0).depth_mm.nbytes * 5 // 2)
-    pen = Pen(waits=True)
-    recording = QueuedRecording(path, pen, RecordConfig(), free_bytes=lambda _: LARGE)
+    pen = Pen(path, waits=True)
+    recording = QueuedRecording(pen, RecordConfig(), free_bytes=lambda _: LARGE)
     recording.put(small_frame(0))
     assert pen.began.wait(10)
     assert not recording.behind
@@ -100,8 +104,8 @@ def test_putting_a_frame_does_not_wait_for_the_file(path, monkeypatch):
 
 def test_a_lossless_recording_makes_its_source_wait_and_loses_nothing(path, monkeypatch):
     monkeypatch.setattr(record_queue, "_QUEUE_BYTES_MAX", 1)
-    pen = Pen(waits=True)
-    recording = QueuedRecording(path, pen, RecordConfig(), lossless=True, free_bytes=lambda _: LARGE)
+    pen = Pen(path, waits=True)
+    recording = QueuedRecording(pen, RecordConfig(), lossless=True, free_bytes=lambda _: LARGE)
 
     def put_all():
         for index in range(30):
@@ -120,9 +124,9 @@ def test_a_lossless_recording_makes_its_source_wait_and_loses_nothing(path, monk
 
 def test_while_the_recording_is_behind_frames_are_kept_from_being_segmented(path, monkeypatch):
     monkeypatch.setattr(record_queue, "_QUEUE_BYTES_MAX", 20 * small_frame(0).depth_mm.nbytes * 5 // 2)
-    pen = Pen(waits=True)
+    pen = Pen(path, waits=True)
     source = ScriptedSource([small_frame(index) for index in range(15)])
-    with QueuedRecording(path, pen, RecordConfig(), free_bytes=lambda _: LARGE) as recording:
+    with QueuedRecording(pen, RecordConfig(), free_bytes=lambda _: LARGE) as recording:
         with CaptureThread(source, lossless=True, recording=recording) as capture:
             indexes = []
             while (captured := capture.frames.take(10.0)) is not None:
@@ -136,9 +140,9 @@ def test_while_the_recording_is_behind_frames_are_kept_from_being_segmented(path
 
 
 def test_the_delay_goes_by_the_frames_own_clock(path):
-    pen = Pen()
+    pen = Pen(path)
     config = RecordConfig(file="x.mcap", delay_s=0.5)
-    with QueuedRecording(path, pen, config, free_bytes=lambda _: LARGE) as recording:
+    with QueuedRecording(pen, config, free_bytes=lambda _: LARGE) as recording:
         for index in range(30):
             recording.put(small_frame(index))
     assert pen.written == list(range(15, 30))
@@ -171,8 +175,8 @@ def test_recording_stops_before_the_disk_is_full_and_the_file_can_be_replayed(tm
     ],
 )
 def test_a_write_that_fails_ends_the_recording_but_not_the_run(path, error, words):
-    pen = Pen(fails_at=3, error=error)
-    recording = QueuedRecording(path, pen, RecordConfig(), free_bytes=lambda _: LARGE)
+    pen = Pen(path, fails_at=3, error=error)
+    recording = QueuedRecording(pen, RecordConfig(), free_bytes=lambda _: LARGE)
     for index in range(4):
         recording.put(small_frame(index))
     assert pen.closed.wait(10)
@@ -203,6 +207,73 @@ def test_a_folder_that_cannot_be_made_is_an_error_that_names_the_file(tmp_path):
         open_recording(RecordConfig(file=str(tmp_path / "folder/run.mcap")), ScriptedSource([]))
 
 
+def test_a_recording_and_its_parts_are_for_this_user_alone(tmp_path):
+    path = tmp_path / "run.mcap"
+    before = os.umask(0)
+    try:
+        with open_recording(RecordConfig(file=str(path), split_s=1.0), ScriptedSource([])) as recording:
+            for index in range(40):
+                recording.put(small_frame(index))
+    finally:
+        os.umask(before)
+    assert len(recording.files) == 2
+    assert [file.stat().st_mode & 0o777 for file in recording.files] == [0o600, 0o600]
+
+
+def test_a_recording_goes_on_in_another_file_after_some_time(tmp_path):
+    path, taken = tmp_path / "run.mcap", tmp_path / "run-2.mcap"
+    taken.write_bytes(b"precious")
+    config = RecordConfig(file=str(path), split_s=1.0, color="raw")
+    with open_recording(config, ScriptedSource([])) as recording:
+        for index in range(75):
+            recording.put(small_frame(index))
+    parts = [tmp_path / name for name in ("run.mcap", "run-3.mcap", "run-4.mcap")]
+    assert recording.files == tuple(parts)
+    assert recording.figures()["files"] == [str(part) for part in parts]
+    assert taken.read_bytes() == b"precious"
+    # Thirty frames of 30 Hz are a second.
+    numbers = [[round(frame.timestamp_ns * 30e-9) for frame in recorded(part)] for part in parts]
+    assert numbers == [list(range(30)), list(range(30, 60)), list(range(60, 75))]
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
+def test_as_many_frames_are_told_as_are_in_the_file_when_the_disk_is_full(tmp_path, share, caplog):
+    whole, path = tmp_path / "whole.mcap", tmp_path / "run.mcap"
+    frames = [small_frame(index) for index in range(30)]
+    with open_recording(RecordConfig(file=str(whole)), ScriptedSource([])) as recording:
+        for frame in frames:
+            recording.put(frame)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    recording = open_recording(RecordConfig(file=str(path)), ScriptedSource([]))
+    # The system refuses to let a file grow past this, as a full disk would.
+    resource.setrlimit(resource.RLIMIT_FSIZE, (round(share * whole.stat().st_size), hard))
+    try:
+        for frame in frames:
+            recording.put(frame)
+        recording.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    there = len(recorded(path))
+    assert 0 < there < 30
+    assert (recording.frames, recording.lost) == (there, 30 - there)
+    assert f"{there} frames are in the file" in caplog.text
+
+
+def test_a_recording_that_is_deleted_is_said_once_and_ends(tmp_path, caplog):
+    path = tmp_path / "run.mcap"
+    with open_recording(RecordConfig(file=str(path)), ScriptedSource([])) as recording:
+        recording.put(small_frame(0))
+        while recording.frames == 0:
+            time.sleep(0.001)
+        path.unlink()
+        for index in range(1, 5):
+            recording.put(small_frame(index))
+    assert recording.ended
+    assert caplog.text.count("was deleted or moved") == 1
+    with pytest.raises(RecordError, match=r"run\.mcap was deleted or moved"):
+        tell_recorded(recording)
+
+
 def test_a_recording_without_frames_leaves_no_file(tmp_path):
     path = tmp_path / "run.mcap"
     with open_recording(RecordConfig(file=str(path)), ScriptedSource([])) as recording:
@@ -212,8 +283,8 @@ def test_a_recording_without_frames_leaves_no_file(tmp_path):
 
 
 def test_closing_gives_up_on_what_cannot_be_written_in_time_and_counts_it(path):
-    pen = Pen(waits=True)
-    recording = QueuedRecording(path, pen, RecordConfig(), free_bytes=lambda _: LARGE)
+    pen = Pen(path, waits=True)
+    recording = QueuedRecording(pen, RecordConfig(), free_bytes=lambda _: LARGE)
     for index in range(5):
         recording.put(small_frame(index))
     assert pen.began.wait(10)
@@ -287,6 +358,8 @@ def test_the_files_of_a_camera_that_was_away_are_all_told(tmp_path, caplog):
         ({"file": "run.avi"}, r"\.mcap or \.oni"),
         ({"only": True}, "expected a file"),
         ({"file": "x.mcap", "delay_s": -1.0}, "delay_s: expected at least"),
+        ({"split_s": 60.0}, "expected a file"),
+        ({"file": "x.oni", "split_s": 60.0}, r"only \.mcap recordings are split"),
         ({"file": "x.mcap", "color": "gif"}, "color: expected one of"),
     ],
 )

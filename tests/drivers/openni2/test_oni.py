@@ -25,7 +25,7 @@ from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.drivers.openni2 import open_uri
 from nurbseg.drivers.openni2.device import DeviceSource
 from nurbseg.drivers.openni2.oni import player_process, recorder
-from nurbseg.drivers.openni2.oni.file import correct_header, has_begun, read_structure
+from nurbseg.drivers.openni2.oni.file import correct_header, end, has_begun, read_structure
 from nurbseg.drivers.openni2.oni.playback import OniSource
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.options import SourceOptions
@@ -290,11 +290,32 @@ def test_a_header_that_counts_too_few_streams_is_corrected(recording):
         assert file.read(4) == b"\x02\0\0\0"
         file.seek(20)
         file.write(b"\x01\0\0\0")
-    with pytest.raises(RecordingFormatError, match="OpenNI2 cannot play it"):
+    with pytest.raises(
+        RecordingFormatError, match=r"header: .* nurbseg-record repair .*clip\.oni writes one"
+    ):
         replay(recording)
     assert correct_header(recording)
     assert_exact(replay(recording), first=0)
     assert not correct_header(recording)
+
+
+def test_a_recording_that_was_cut_short_can_be_given_its_end(virtual_cameras, tmp_path):
+    virtual_cameras.add()
+    path, cut = tmp_path / "clip.oni", tmp_path / "cut.oni"
+    with DeviceSource() as source:
+        source.start_recording(path)
+        for _ in range(10):
+            source.read()
+        # As a kill leaves it: in the middle of a record, without an end.
+        cut.write_bytes(path.read_bytes()[:-1000])
+        source.stop_recording()
+    before = replay(cut)
+    assert not read_structure(cut).complete
+    assert end(cut)
+    assert not end(cut)
+    assert read_structure(cut).complete
+    assert_exact(replay(cut), first=0)
+    assert len(replay(cut)) == len(before) > 3
 
 
 def test_a_recorder_that_begins_with_such_a_header_is_corrected(virtual_cameras, tmp_path, monkeypatch):

@@ -1,0 +1,125 @@
+"""The command nurbseg-record: whether recordings are whole, and new ones of those that are not."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from nurbseg.app.recording.inspection import Inspection
+
+WHOLE, NOT_WHOLE, UNREADABLE = 0, 1, 2
+
+_DESCRIPTION = """\
+Check recordings (.mcap, .oni) and files of the viewer (.rrd): how many frames they hold, where some
+are missing, whether their end was written, and whether Rerun opens them. Repair writes what can be
+read of one as a new, whole file; an .mcap then opens in Rerun, Foxglove and ROS."""
+
+_EPILOG = """\
+exit codes: 0 whole; 1 something is wrong with one of them; 2 usage, or one cannot be read at all
+example: nurbseg-record check *.mcap; nurbseg-record repair kitchen.mcap"""
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code.
+
+    Parameters
+    ----------
+    words : sequence of str, optional
+        The arguments; the process's own by default.
+
+    Raises
+    ------
+    SystemExit
+        With code 2 if an argument is wrong, with code 0 after ``--help``.
+    """
+    given = _parser().parse_args(words)
+    from nurbseg.drivers.errors import DriverError
+
+    if given.command == "repair" and given.out is not None and len(given.files) > 1:
+        _parser().error("--out: takes one recording at a time")
+    worst = WHOLE
+    found = []
+    for file in given.files:
+        try:
+            if given.command == "check":
+                inspection = _checked(file, as_text=not given.json)
+            else:
+                inspection = _repaired(file, given.out, force=given.force, as_text=not given.json)
+        except DriverError as err:
+            print(f"nurbseg-record: error: {err}", file=sys.stderr)
+            worst = UNREADABLE
+            continue
+        found.append({**asdict(inspection), "whole": inspection.whole})
+        worst = max(worst, WHOLE if inspection.whole else NOT_WHOLE)
+    if given.json:
+        print(json.dumps(found, indent=2))
+    sys.stdout.flush()
+    return worst
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="nurbseg-record",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    commands = parser.add_subparsers(dest="command", required=True, metavar="check|repair")
+    check = commands.add_parser("check", help="read recordings to their end and say what is wrong with them")
+    repair = commands.add_parser("repair", help="write a new, whole file of each recording that is not")
+    for command in (check, repair):
+        command.add_argument("files", nargs="+", type=Path, metavar="FILE", help=".mcap, .oni or .rrd")
+        command.add_argument("--json", action="store_true", help="write what was found as JSON")
+    repair.add_argument("--out", type=Path, metavar="FILE", help="the new file (NAME-repaired beside it)")
+    repair.add_argument("--force", action="store_true", help="replace the new file if it exists")
+    return parser
+
+
+def _checked(file: Path, *, as_text: bool) -> Inspection:
+    from nurbseg.app.recording.inspection import inspect
+
+    found = inspect(file)
+    if as_text:
+        print(_text(found))
+        if not found.whole:
+            print(f"  to repair it: nurbseg-record repair {shlex.quote(str(file))}")
+    return found
+
+
+def _repaired(file: Path, out: Path | None, *, force: bool, as_text: bool) -> Inspection:
+    from nurbseg.app.recording.inspection import inspect
+    from nurbseg.app.recording.repair import repair
+
+    output = out or file.with_stem(f"{file.stem}-repaired")
+    repair(file, output, force=force)
+    found = inspect(output)
+    if as_text:
+        print(_text(found))
+    return found
+
+
+def _text(found: Inspection) -> str:
+    span_s = 0.0
+    if found.first_ns is not None and found.last_ns is not None:
+        span_s = (found.last_ns - found.first_ns) * 1e-9
+    rate = f", {(found.frames - 1) / span_s:.1f} frames/s" if span_s > 0 else ""
+    lines = [f"{found.file}: {'whole' if found.whole else 'NOT whole'}, {found.frames} frames{rate}"]
+    if found.last_ns is not None:
+        lines.append(f"  last frame: {span_s:.3f} s after the first, stamp {found.last_ns * 1e-9:.6f} s")
+    if found.gaps:
+        frame, longest_s = max(found.gaps, key=lambda gap: gap[1])
+        lines.append(f"  gaps: {len(found.gaps)}, the longest {longest_s:.3f} s, after frame {frame}")
+    if found.opens_in_rerun is not None:
+        lines.append(f"  Rerun: {'opens it' if found.opens_in_rerun else 'does not open it'}")
+    lines += [f"  wrong: {problem}" for problem in found.problems]
+    lines += [f"  note: {remark}" for remark in found.remarks]
+    return os.linesep.join(lines)

@@ -1,0 +1,196 @@
+"""Whether a recording is whole: which frames it holds, what is missing, and who opens it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Literal
+
+import numpy as np
+
+from nurbseg.app.recording import viewer_file
+from nurbseg.drivers.errors import (
+    BackendMissingError,
+    EndOfRecordingError,
+    FrameFormatError,
+    RecordingFormatError,
+)
+from nurbseg.drivers.mcap.file import MAGIC as MCAP_MAGIC
+from nurbseg.drivers.openni2.oni.file import OniFile, read_structure
+from nurbseg.drivers.registry import open_source
+
+Form = Literal["mcap", "oni", "rrd"]
+
+_MAGIC: dict[bytes, Form] = {MCAP_MAGIC: "mcap", b"NI10": "oni", b"RRF2": "rrd"}
+#: A step between two frames is a gap from so many usual steps on.
+_GAP_STEPS = 1.5
+#: Longest wait for a frame, seconds.
+_FRAME_S = 30.0
+
+
+@dataclass(slots=True)
+class Inspection:
+    """What was found of a recording.
+
+    Parameters
+    ----------
+    file : str
+        Its path.
+    form : {"mcap", "oni", "rrd"}
+        By its content.
+    frames : int
+        Frames that can be read.
+    first_ns, last_ns : int or None
+        Their first and last stamp; None where there is none.
+    gaps : list of (int, float)
+        After which frame there is one, counted from 0, and how long it is, seconds.
+    end_written : bool
+        Whether its writer came to the end.
+    opens_in_rerun : bool or None
+        None where Rerun is not made for it.
+    problems : list of str
+        What is wrong with it, for a person.
+    remarks : list of str
+        What else there is to know.
+    """
+
+    file: str
+    form: Form
+    frames: int = 0
+    first_ns: int | None = None
+    last_ns: int | None = None
+    gaps: list[tuple[int, float]] = field(default_factory=list)
+    end_written: bool = True
+    opens_in_rerun: bool | None = None
+    problems: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing is wrong with it."""
+        return not self.problems
+
+
+def form_of(path: Path) -> Form:
+    """Return of which form a file is, by its first bytes.
+
+    Raises
+    ------
+    RecordingFormatError
+        If it cannot be read, or is of none.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(8)
+    except OSError as err:
+        raise RecordingFormatError(f"{path}: cannot be read ({err.strerror})") from err
+    form = next((form for magic, form in _MAGIC.items() if head.startswith(magic)), None)
+    if form is None:
+        raise RecordingFormatError(f"{path}: magic bytes: expected an .mcap, .oni or .rrd file")
+    return form
+
+
+def inspect(path: Path) -> Inspection:
+    """Read a recording to its end, and hold it against what it should be.
+
+    Raises
+    ------
+    DriverError
+        If nothing of it can be read.
+    """
+    form = form_of(path)
+    found = Inspection(str(path), form)
+    look = {"mcap": _look_at_mcap, "oni": _look_at_oni, "rrd": _look_at_rrd}[form]
+    look(path, found)
+    if not found.frames:
+        found.problems.append("it holds no frame")
+    return found
+
+
+def _look_at_mcap(path: Path, found: Inspection) -> None:
+    found.end_written = _read_frames(path, found)["whole"] == "true"
+    if not found.end_written:
+        found.problems.append("its end was not written: the recorder was killed, or the disk was full")
+    found.opens_in_rerun = viewer_file.complaint("mcap", "check", str(path)) == ""
+    if found.end_written and not found.opens_in_rerun:
+        found.problems.append("Rerun does not open it")
+
+
+def _look_at_oni(path: Path, found: Inspection) -> None:
+    file = read_structure(path)
+    found.end_written = file.complete
+    if not file.counts_all:
+        found.problems.append("its header counts one stream too few, so that OpenNI2 refuses it")
+    if not file.complete:
+        found.problems.append("its end was not written: the recorder was killed; it plays up to there")
+    if not file.note:
+        found.remarks.append("it has no note of calibration, registration and serial number at its end")
+    if file.counts_all:
+        try:
+            _read_frames(path, found)
+        except BackendMissingError:
+            found.remarks.append("OpenNI2 is not installed: the images were not decoded")
+    if not found.frames:
+        _count(found, _stored_stamps(file))
+
+
+def _stored_stamps(file: OniFile) -> list[int]:
+    """Return the stamps of the images that would be played, nanoseconds."""
+    pairs = min(len(file.depth.frames), len(file.color.frames))
+    return [1000 * frame.timestamp_us for frame in file.depth.frames[:pairs]]
+
+
+def _look_at_rrd(path: Path, found: Inspection) -> None:
+    problem = viewer_file.complaint("rrd", "verify", "--check-footers=false", str(path))
+    found.opens_in_rerun = problem == ""
+    if problem:
+        found.problems.append(f"Rerun does not open it: {problem}")
+    else:
+        found.end_written = viewer_file.complaint("rrd", "verify", str(path)) == ""
+    try:
+        _count(found, viewer_file.stamps_ns(path))
+    except RuntimeError:
+        found.end_written = False
+        found.problems.append("it is cut off: its writer was killed, or the disk was full")
+        with TemporaryDirectory() as folder:
+            readable = Path(folder) / path.name
+            viewer_file.rewrite(path, readable)
+            _count(found, viewer_file.stamps_ns(readable))
+    else:
+        if not found.end_written:
+            found.remarks.append("it has no index, as live runs write none; Rerun opens it all the same")
+
+
+def _read_frames(path: Path, found: Inspection) -> dict[str, str]:
+    """Read every frame, images and all; return what the source says of itself."""
+    stamps: list[int] = []
+    damaged: list[str] = []
+    with open_source(path) as source:
+        while True:
+            try:
+                stamps.append(source.read(_FRAME_S).timestamp_ns)
+            except FrameFormatError as err:
+                damaged.append(str(err))
+            except EndOfRecordingError:
+                break
+    if damaged:
+        found.problems.append(f"{len(damaged)} damaged: {damaged[0]}")
+    if int(source.metadata.get("dropped", 0)):
+        found.remarks.append(f"{source.metadata['dropped']} images have no partner and are in no frame")
+    _count(found, stamps)
+    return source.metadata
+
+
+def _count(found: Inspection, stamps: Sequence[int]) -> None:
+    found.frames = len(stamps)
+    if stamps:
+        found.first_ns, found.last_ns = stamps[0], stamps[-1]
+    if len(stamps) > 2:
+        steps = np.diff(np.array(stamps, dtype=np.int64)) * 1e-9
+        after = np.flatnonzero(steps > _GAP_STEPS * np.median(steps))
+        found.gaps = [(int(frame), round(float(steps[frame]), 3)) for frame in after]
+
+
+__all__ = ["Inspection", "form_of", "inspect"]

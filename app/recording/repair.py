@@ -1,0 +1,59 @@
+"""Writes a recording that was cut short, or is damaged, as a whole file."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from nurbseg.app.recording import viewer_file
+from nurbseg.app.recording.inspection import Form, form_of
+from nurbseg.drivers.errors import DriverError
+from nurbseg.drivers.files import check_absent, create_private
+from nurbseg.drivers.mcap.repair import rewrite
+from nurbseg.drivers.openni2.oni.file import correct_header, end
+
+
+def repair(path: Path, output: Path, *, force: bool = False) -> Form:
+    """Write what can be read of a recording as a new file; return of which form it is.
+
+    Parameters
+    ----------
+    path : Path
+        The recording, which stays as it is.
+    output : Path
+        The new file, which appears when it is whole. Only this user may read it.
+    force : bool
+        Whether a file of that name is replaced, `path` itself included.
+
+    Raises
+    ------
+    DriverError
+        If nothing of it can be read, the new file exists, or cannot be written.
+    """
+    form = form_of(path)
+    part = output.with_name(f".{output.name}.part")
+    write = {"mcap": _write_mcap, "oni": _write_oni, "rrd": viewer_file.rewrite}[form]
+    try:
+        if not force:
+            check_absent(output)
+        part.unlink(missing_ok=True)
+        try:
+            write(path, part)
+            part.replace(output)
+        finally:
+            part.unlink(missing_ok=True)
+    except OSError as err:
+        raise DriverError(f"{output}: cannot be written: {err.strerror}") from err
+    return form
+
+
+def _write_mcap(path: Path, part: Path) -> None:
+    with create_private(part) as file:
+        rewrite(path, file)
+
+
+def _write_oni(path: Path, part: Path) -> None:
+    with create_private(part) as file, path.open("rb") as source:
+        shutil.copyfileobj(source, file, 1 << 20)
+    correct_header(part)
+    end(part)

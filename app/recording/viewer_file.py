@@ -1,0 +1,68 @@
+"""Files of Rerun's viewer (.rrd), as Rerun's own program sees and rewrites them."""
+
+from __future__ import annotations
+
+import subprocess
+import warnings
+from pathlib import Path
+
+from nurbseg.app.view.viewer import viewer_executable
+from nurbseg.drivers.errors import DriverError
+from nurbseg.drivers.files import create_private
+
+#: Longest wait for Rerun to read or write a file, seconds.
+_LIMIT_S = 3600.0
+#: Where the file has one image for each frame.
+_SHOWN = "world/camera/image/depth"
+
+
+def complaint(*words: str) -> str:
+    """Run Rerun's program; return what it complains of, or nothing."""
+    try:
+        done = subprocess.run(
+            [viewer_executable(), *words], capture_output=True, text=True, timeout=_LIMIT_S, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return f"no answer within {_LIMIT_S:g} s"
+    if done.returncode == 0:
+        return ""
+    said = [line for line in done.stderr.splitlines() if line.strip()]
+    return said[-1] if said else f"exit code {done.returncode}"
+
+
+def rewrite(path: Path, output: Path) -> None:
+    """Write what can be read of a file, with an index, to a new one.
+
+    Raises
+    ------
+    DriverError
+        If Rerun cannot.
+    OSError
+        If the new one cannot be created.
+    """
+    create_private(output).close()
+    problem = complaint("rrd", "optimize", "--continue-on-error", str(path), "-o", str(output))
+    if problem:
+        raise DriverError(f"{path}: Rerun cannot rewrite it: {problem}")
+
+
+def stamps_ns(path: Path) -> list[int]:
+    """Return the stamps of the frames that a file holds, in their order.
+
+    Raises
+    ------
+    RuntimeError
+        If its last message is cut off.
+    """
+    # Late: that imports Rerun, which recordings do not need.
+    from rerun.chunk import RrdReader
+
+    found: dict[int, int] = {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for chunk in RrdReader(str(path)).stream():
+            if chunk.entity_path.strip("/") == _SHOWN and not chunk.is_static:
+                batch = chunk.to_record_batch()
+                times = batch.column("device_time").cast("int64")
+                found.update(zip(batch.column("frame").to_pylist(), times.to_pylist(), strict=True))
+    return [found[frame] for frame in sorted(found)]

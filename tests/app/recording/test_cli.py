@@ -1,0 +1,168 @@
+"""nurbseg-record: recordings that are whole, cut short or damaged, as it tells and repairs them."""
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from recorded_scene import scenes, write_mcap
+from virtual_camera import openni2_redist, virtual_cameras
+
+from nurbseg.app.recording.cli import main
+from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.view.view import open_view
+from nurbseg.drivers.openni2.device import DeviceSource
+from nurbseg.drivers.registry import open_source
+from nurbseg.segmentation.config import SegmentationConfig
+
+__all__ = ["openni2_redist", "virtual_cameras"]
+
+
+def found(capsys, *words):
+    """The command's exit code, and what it found of the first file."""
+    code = main([*words, "--json"])
+    return code, json.loads(capsys.readouterr().out)[0]
+
+
+def replayed(path):
+    with open_source(path) as source:
+        return list(source)
+
+
+@pytest.fixture
+def whole(tmp_path) -> Path:
+    return write_mcap(tmp_path / "a.mcap", scenes(12))
+
+
+@pytest.fixture
+def cut(whole) -> Path:
+    """As a kill leaves it: in the middle of its ninth frame."""
+    path = whole.with_name("cut.mcap")
+    content = whole.read_bytes()
+    path.write_bytes(content[: len(content) * 2 // 3])
+    return path
+
+
+def test_a_whole_recording_is_said_to_be(whole, capsys):
+    code, told = found(capsys, "check", str(whole))
+    assert code == 0
+    assert (told["frames"], told["end_written"], told["opens_in_rerun"]) == (12, True, True)
+    assert (told["problems"], told["gaps"]) == ([], [])
+    assert told["last_ns"] == scenes(12)[-1].timestamp_ns
+
+
+def test_gaps_are_told_by_the_frame_before_them(tmp_path, capsys):
+    frames = scenes(12)
+    path = write_mcap(tmp_path / "a.mcap", frames[:4] + frames[7:])
+    code, told = found(capsys, "check", str(path))
+    assert code == 0
+    assert told["gaps"] == [[3, 0.133]]
+
+
+def test_a_recording_that_was_cut_short_is_repaired_with_an_index(cut, whole, capsys):
+    before = cut.read_bytes()
+    code, told = found(capsys, "check", str(cut))
+    assert code == 1
+    assert not told["end_written"]
+    assert told["opens_in_rerun"] is False
+    frames = replayed(cut)
+    assert told["frames"] == len(frames) > 4
+
+    code, told = found(capsys, "repair", str(cut))
+    repaired = cut.with_name("cut-repaired.mcap")
+    assert (code, told["frames"], told["opens_in_rerun"]) == (0, len(frames), True)
+    assert cut.read_bytes() == before
+    assert repaired.stat().st_mode & 0o777 == 0o600
+    for one, other in zip(frames, replayed(repaired), strict=True):
+        assert one.timestamp_ns == other.timestamp_ns
+        np.testing.assert_array_equal(one.depth_mm, other.depth_mm)
+        np.testing.assert_array_equal(one.color, other.color)
+    with repaired.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        depth = {m.publish_time for _, _, m in reader.iter_messages(topics=["/camera/depth/image_raw"])}
+        assert {frame.timestamp_ns for frame in frames} <= depth
+        assert reader.get_header().profile == "ros2"
+        assert {record.name for record in reader.iter_metadata()} == {"nurbseg", "device"}
+
+
+def test_a_damaged_chunk_costs_its_frames_and_no_more(whole, capsys):
+    content = bytearray(whole.read_bytes())
+    content[len(content) // 2 :][:50] = b""
+    content[len(content) // 2 : len(content) // 2 + 50] = bytes(50)
+    whole.write_bytes(content)
+    code, told = found(capsys, "check", str(whole))
+    assert code == 1
+    assert told["problems"][0].startswith("1 damaged: ")
+    code, told = found(capsys, "repair", str(whole))
+    assert (code, told["frames"], told["opens_in_rerun"]) == (0, 11, True)
+
+
+def test_no_file_is_replaced_unless_that_is_asked_for(cut, capsys):
+    out = cut.with_name("cut-repaired.mcap")
+    out.write_bytes(b"precious")
+    assert main(["repair", str(cut)]) == 2
+    assert "exists already; name another file or remove it" in capsys.readouterr().err
+    assert out.read_bytes() == b"precious"
+    assert main(["repair", str(cut), "--force"]) == 0
+    assert main(["check", str(out)]) == 0
+    assert main(["repair", str(cut), "--out", str(cut), "--force"]) == 0
+    assert main(["check", str(cut)]) == 0
+    assert not list(cut.parent.glob(".*"))
+
+
+def test_the_worst_of_several_files_counts_and_what_is_no_recording_is_named(whole, cut, tmp_path, capsys):
+    other = tmp_path / "notes.txt"
+    other.write_text("notes")
+    assert main(["check", str(whole), str(cut)]) == 1
+    assert "to repair it: nurbseg-record repair" in capsys.readouterr().out
+    assert main(["check", str(other), str(whole)]) == 2
+    told = capsys.readouterr()
+    assert "notes.txt: magic bytes: expected an .mcap, .oni or .rrd file" in told.err
+    assert "a.mcap: whole, 12 frames" in told.out
+    assert main(["check", str(tmp_path / "absent.mcap")]) == 2
+
+
+def test_a_viewers_file_that_was_cut_short_is_repaired(tmp_path, small_result, capsys):
+    path, cut = tmp_path / "a.rrd", tmp_path / "cut.rrd"
+    with open_view(ViewConfig(mode="none", save=str(path)), SegmentationConfig(method="stag15")) as view:
+        view.show(small_result)
+    code, told = found(capsys, "check", str(path))
+    assert (code, told["frames"], told["opens_in_rerun"], told["end_written"]) == (0, 1, True, True)
+    # Without its index, and in the middle of a message.
+    cut.write_bytes(path.read_bytes()[: path.stat().st_size * 9 // 10])
+    code, told = found(capsys, "check", str(cut))
+    assert (code, told["end_written"]) == (1, False)
+    frames = told["frames"]
+    code, told = found(capsys, "repair", str(cut))
+    assert (code, told["frames"], told["end_written"]) == (0 if frames else 1, frames, True)
+
+
+def test_an_oni_file_that_openni2_refuses_is_repaired(virtual_cameras, tmp_path, capsys):
+    virtual_cameras.add()
+    path, killed = tmp_path / "a.oni", tmp_path / "killed.oni"
+    with DeviceSource() as source:
+        source.start_recording(path)
+        for _ in range(10):
+            source.read()
+        content = bytearray(path.read_bytes())
+        source.stop_recording()
+    # OpenNI2's recorder may leave such a header: it counts one stream of two.
+    struct.pack_into("<I", content, 20, 1)
+    killed.write_bytes(content[:-1000])
+    code, told = found(capsys, "check", str(path))
+    assert (code, told["end_written"], told["remarks"]) == (0, True, [])
+    code, told = found(capsys, "check", str(killed))
+    assert code == 1
+    assert [problem.split(":")[0] for problem in told["problems"]] == [
+        "its header counts one stream too few, so that OpenNI2 refuses it",
+        "its end was not written",
+    ]
+    assert "no note of calibration" in told["remarks"][0]
+    frames = told["frames"]
+    code, told = found(capsys, "repair", str(killed))
+    assert (code, told["frames"], told["end_written"]) == (0, frames, True)
+    whole = replayed(path)
+    for one, other in zip(whole, replayed(tmp_path / "killed-repaired.oni"), strict=False):
+        np.testing.assert_array_equal(one.depth_mm, other.depth_mm)
