@@ -30,6 +30,7 @@ from nurbseg.app.evaluation.statistics import bootstrap_gain, bootstrap_mean
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
+from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap, register
 from nurbseg.segmentation.scoring.scores import (
@@ -46,13 +47,10 @@ SCORES = (
     ("VoI", variation_of_information),
     ("obj", object_iou),
 )
-#: Settings that turn each stage off, in the order in which the ladder adds the stages.
+#: Settings of `ExtendedConfig` that turn each stage off, in the order in which the ladder adds the stages.
 STAGES: tuple[tuple[str, dict[str, Any]], ...] = (
     ("merging at convex creases", {"merge_crease": False}),
     ("normals in the vectors, color x 0.25", {"normal_weight": 0.0, "color_weight": 1.0}),
-    ("connected pieces at depth gaps", {"connected_pieces": False}),
-    ("vectors normalised in each segment", {"normalize_nodes": False}),
-    ("fits of inverse depth", {"fit_of": "xyz"}),
     ("metrics no less than noise", {"noise_floor": 0.0}),
     ("further eigenvectors", {"cuts": 1}),
     ("border refinement", {"refine_borders": False}),
@@ -103,14 +101,14 @@ def ladder() -> Iterable[tuple[str, SegmentationConfig]]:
     """Yield settings that add one stage after the other."""
     default = SegmentationConfig()
     off = {name: value for _, settings in STAGES for name, value in settings.items()}
-    bare = replace(default, **off)
-    yield "pieces at depth gaps, no cut", replace(bare, connected_pieces=True, splits_max=0)
+    bare = updated(default, extended=off)
+    yield "pieces at depth gaps, no cut", replace(bare, splits_max=0)
     yield "0 the paper (stag15)", replace(default, method="stag15")
-    yield "1 its tree, in the code of the default method", bare
+    yield "1 its tree, with pieces at gaps and fits of inverse depth", bare
     for number, (name, settings) in enumerate(STAGES, start=2):
         for each in settings:
             off.pop(each)
-        yield f"{number} + {name}", replace(default, **off)
+        yield f"{number} + {name}", updated(default, extended=off)
 
 
 def line(name: str, values: NDArray[np.float64], reference: NDArray[np.float64] | None = None) -> str:
@@ -159,8 +157,8 @@ def decisions(frames: Frames) -> list[str]:
 def left_out(frames: Frames, whole: NDArray[np.float64]) -> list[str]:
     """Lay out what each stage is worth where all others stay."""
     lines = header("without")
-    for name, settings in (*STAGES, NO_RATIO):
-        values = measured(frames, replace(SegmentationConfig(), **settings))
+    for name, settings in (*((stage, {"extended": off}) for stage, off in STAGES), NO_RATIO):
+        values = measured(frames, updated(SegmentationConfig(), **settings))
         print("without", name, np.round(values[:, :4].mean(axis=0), 4), file=sys.stderr, flush=True)
         lines.append(line(name, values, whole))
     return lines

@@ -67,7 +67,7 @@ def mse(cloud: PointMap, pixels: NDArray[np.intp], config: SegmentationConfig) -
     bases = []
     for places, extent in ((rows, height), (columns, width)):
         parameters = np.arange(places.min(), places.max() + 1, dtype=float)
-        share = config.control_points_max * parameters.size / extent
+        share = config.stag15.control_points_max * parameters.size / extent
         count = max(4, min(int(np.floor(share + 0.5)), parameters.size))
         bases.append(basis_matrix(averaged_knots(parameters, count), 3, places.astype(float)))
     system = np.einsum("ka,kb->kab", *bases).reshape(pixels.size, -1)
@@ -85,7 +85,7 @@ def segment(cloud: PointMap, config: SegmentationConfig) -> NDArray[np.uint16]:
     everything = np.flatnonzero(cloud.valid)
     row_of = np.zeros(cloud.valid.size, dtype=np.intp)
     row_of[everything] = np.arange(everything.size)
-    smallest = config.segment_pixels_min * cloud.valid.size / (640 * 480)
+    smallest = config.stag15.segment_pixels_min * cloud.valid.size / (640 * 480)
     waiting = [(-mse(cloud, everything, config), "", everything)]
     leaves, splits = [], 0
     while waiting:

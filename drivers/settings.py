@@ -6,8 +6,8 @@ The command line, the configuration file and the checks are all made from these 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import Field, field, fields
+from collections.abc import Iterator, Mapping
+from dataclasses import Field, field, fields, is_dataclass, replace
 from typing import Any
 
 
@@ -22,6 +22,7 @@ def setting(
     choices: tuple[str, ...] = (),
     symbol: str = "",
     flag: str = "",
+    formerly: str = "",
 ) -> Any:
     """Describe one field of a configuration.
 
@@ -40,6 +41,8 @@ def setting(
         The literature's name of it, a second name for the flag.
     flag : str
         The flag's name where it is not the field's (``duration`` for ``duration_s``).
+    formerly : str
+        The field's name in the version before, which is still understood.
     """
     return field(
         default=default,
@@ -52,6 +55,7 @@ def setting(
             "choices": choices,
             "symbol": symbol,
             "flag": flag,
+            "formerly": formerly,
         },
     )
 
@@ -88,3 +92,108 @@ def check_settings(config: Any) -> None:
 def described_fields(config_type: type[Any]) -> Iterator[Field[Any]]:
     """Yield the fields of a configuration that were made by `setting`."""
     return (each for each in fields(config_type) if each.metadata)
+
+
+def subsections(config_type: type[Any]) -> dict[str, type[Any]]:
+    """Return the configurations that are fields of a configuration, by the fields' names."""
+    made: dict[str, Any] = {each.name: each.default_factory for each in fields(config_type)}
+    return {name: each for name, each in made.items() if isinstance(each, type) and is_dataclass(each)}
+
+
+def setting_paths(config_type: type[Any]) -> Iterator[tuple[str, Field[Any]]]:
+    """Yield every setting of a configuration and its sections, with its path (``extended.cuts``)."""
+    for each in described_fields(config_type):
+        yield each.name, each
+    for name, section in subsections(config_type).items():
+        for path, each in setting_paths(section):
+            yield f"{name}.{path}", each
+
+
+def updated(config: Any, /, **changes: Any) -> Any:
+    """Return a configuration with other values.
+
+    Parameters
+    ----------
+    config : dataclass
+        The configuration.
+    **changes
+        By field; those of a section as a mapping: ``updated(config, ratio_max=0.9, extended={"cuts": 1})``.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of its bounds.
+    TypeError
+        If there is no such field.
+    """
+    return replace(
+        config,
+        **{
+            name: updated(getattr(config, name), **value) if isinstance(value, Mapping) else value
+            for name, value in changes.items()
+        },
+    )
+
+
+def nested(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values by path (``extended.cuts``) as `updated` takes them: those of a section as a mapping."""
+    result: dict[str, Any] = {}
+    for path, value in values.items():
+        *sections, name = path.split(".")
+        target = result
+        for section in sections:
+            target = target.setdefault(section, {})
+        target[name] = value
+    return result
+
+
+def in_sections(config_type: type[Any], values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
+    """Move settings that the version before had elsewhere, or under another name, to where they are now.
+
+    Parameters
+    ----------
+    config_type : type
+        Of a configuration. Its attribute ``REMOVED``, where it has one, names settings that are none any more
+        and the only value of each that is still possible.
+    values : mapping
+        By field; those of a section are a mapping.
+
+    Returns
+    -------
+    values : dict
+        As this version has them. What no version knows is left as it is.
+    moved : dict of str to str
+        Path where each one that was moved is now, or "" for what was left out, by its former name.
+
+    Raises
+    ------
+    ValueError
+        If a value of a removed setting is no longer possible, or a setting is given twice.
+    """
+    removed = getattr(config_type, "REMOVED", {})
+    paths = {name: path for path, each in setting_paths(config_type) for name in _names(each)}
+    inner, moved = subsections(config_type), {}
+    placed: dict[str, Any] = {
+        name: dict(value) if name in inner and isinstance(value, Mapping) else value
+        for name, value in values.items()
+        if name not in removed
+    }
+    for name in removed:
+        if name in values:
+            if values[name] != removed[name]:
+                raise ValueError(f"{name}: is no setting any more; only {removed[name]!r} is possible")
+            moved[name] = ""
+    for name in [name for name in placed if paths.get(name, name) != name]:
+        *sections, last = paths[name].split(".")
+        target = placed
+        for section in sections:
+            target = target.setdefault(section, {})
+        if last in target:
+            raise ValueError(f"{name}: is given as {paths[name]} too")
+        target[last] = placed.pop(name)
+        moved[name] = paths[name]
+    return placed, moved
+
+
+def _names(each: Field[Any]) -> list[str]:
+    return [name for name in (each.name, each.metadata["formerly"]) if name]

@@ -1,29 +1,145 @@
 """The settings of the segmentation; every quantity that the paper leaves open is one of them.
 
 Each field carries what a person needs to set it (text, unit, bounds), so that the command line,
-the configuration file and the checks are made from this one place.
+the configuration file and the checks are made from this one place. The section says who reads it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, get_args
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal, get_args
 
-from nurbseg.drivers.settings import check_settings, described_fields, setting
+from nurbseg.drivers.settings import check_settings, setting
 
 Method = Literal["stag15", "nurbseg"]
 Metric = Literal["mse", "mae", "ve", "nle", "vmxc", "vmec", "vgc", "mmxc", "nlc"]
 SplittingPoint = Literal["zero", "kmeans", "ncut"]
-FirstSplit = Literal["kept", "judged"]
 Level = Literal["surfaces", "objects"]
-FitOf = Literal["inverse-depth", "xyz"]
 ControlPoints = Literal["adaptive", "fixed"]
 LeastSquares = Literal["auto", "svd", "ridge"]
 
 
 @dataclass(frozen=True, slots=True)
+class Stag15Config:
+    """Settings that only the paper's method reads.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of its bounds.
+    """
+
+    segment_pixels_min: int = setting(
+        1500,
+        "T_p, the smallest segment, in pixels of a 640x480 image (scaled with the image)",
+        unit="px",
+        least=1,
+    )
+    control_points_max: int = setting(
+        20, "control points along a direction for a segment that spans the image", least=4, most=200
+    )
+    control_points: ControlPoints = setting(
+        "adaptive",
+        "whether smaller segments get fewer control points, or all the same number (Pagnutti 2014)",
+        choices=get_args(ControlPoints),
+    )
+    least_squares: LeastSquares = setting(
+        "auto",
+        "how points are fitted: svd gives the solution of least norm, as in the paper; ridge is faster and "
+        "holds back what few data decide; auto is svd where a metric of curvature decides, and else ridge",
+        choices=get_args(LeastSquares),
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@dataclass(frozen=True, slots=True)
+class ExtendedConfig:
+    """Settings that only the default method reads, for frames alone and for the live tree.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of its bounds.
+    """
+
+    level: Level = setting(
+        "objects",
+        "what a label stands for, a surface (leaf of the tree) or an object (merged leaves)",
+        choices=get_args(Level),
+    )
+    inverse_depth_noise: float = setting(
+        2.5e-3,
+        "sensor noise, the standard deviation of inverse depth",
+        unit="1/m",
+        above=0.0,
+        formerly="noise_per_m",
+    )
+    noise_floor: float = setting(
+        1.0,
+        "a metric counts in the ratio (eq. 5) as no less than noise of so many times inverse_depth_noise "
+        "leaves; 0 for the ratio alone",
+        least=0.0,
+    )
+    inverse_depth_gap: float = setting(
+        0.025,
+        "smallest step of inverse depth between neighbours, or between surfaces carried to their "
+        "common border, that is a gap",
+        unit="1/m",
+        above=0.0,
+        formerly="depth_gap_per_m",
+    )
+    piece_pixels_min: int = setting(
+        240, "T_p, the smallest segment, in pixels of a 640x480 image", unit="px", least=1
+    )
+    cuts: int = setting(
+        3,
+        "eigenvectors that are tried, from the second on, until one gives a split",
+        least=1,
+        most=10,
+    )
+    color_weight: float = setting(0.25, "weight of color in the vectors", least=0.0)
+    normal_weight: float = setting(1.0, "weight of surface normals in the vectors; 0 for none", least=0.0)
+    normal_window_px: int = setting(
+        17, "side of the windows for normals, in pixels of a 640-wide image", unit="px", least=3
+    )
+    knot_spacing_px: float = setting(
+        50.0,
+        "distance of the knots of a surface, in pixels of a 640-wide image",
+        unit="px",
+        least=8.0,
+    )
+    smoothness: float = setting(
+        1.0,
+        "weight of the squared second differences of a surface's control values, against those of "
+        "residuals at every second row and column",
+        least=0.0,
+    )
+    refine_borders: bool = setting(
+        True, "whether pixels at borders go to the surface that explains them best"
+    )
+    merge_crease: bool = setting(True, "whether surfaces that meet in a convex or flat crease are merged")
+    merge_smooth: bool = setting(
+        True, "whether surfaces that one surface explains across their border are merged"
+    )
+    concavity_max: float = setting(
+        0.12,
+        "surfaces whose normals turn towards each other by less than this are one object",
+        unit="rad",
+        least=0.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@dataclass(frozen=True, slots=True)
 class SegmentationConfig:
     """Settings of the recursive segmentation; symbols are the paper's.
+
+    What both methods read is here; `stag15` and `extended` hold what one of them reads.
 
     Raises
     ------
@@ -58,38 +174,13 @@ class SegmentationConfig:
         "where the second eigenvector is cut: at zero, by 2-means, or at least Ncut",
         choices=get_args(SplittingPoint),
     )
-    segment_pixels_min: int = setting(
-        1500,
-        "stag15: T_p, the smallest segment, in pixels of a 640x480 image (scaled with the image)",
-        unit="px",
-        least=1,
-    )
     depth_max: int = setting(8, "T_d: largest depth of the tree", least=0, most=64)
     splits_max: int = setting(60, "T_s: largest number of splits", least=0, most=10_000)
-    first_split: FirstSplit = setting(
-        "kept",
-        "stag15: whether the first split is kept in any case, as in the paper, or judged like others",
-        choices=get_args(FirstSplit),
-    )
     large_error_m: float = setting(
         0.1, "T_l: residual over which a point counts for NLE", unit="m", above=0.0
     )
     large_curvature_per_m: float = setting(
         10.0, "T_c: curvature over which a point counts for NLC", unit="1/m", above=0.0
-    )
-    control_points_max: int = setting(
-        20, "control points along a direction for a segment that spans the image", least=4, most=200
-    )
-    control_points: ControlPoints = setting(
-        "adaptive",
-        "whether smaller segments get fewer control points, or all the same number (Pagnutti 2014)",
-        choices=get_args(ControlPoints),
-    )
-    least_squares: LeastSquares = setting(
-        "auto",
-        "how points are fitted: svd gives the solution of least norm, as in the paper; ridge is faster and "
-        "holds back what few data decide; auto is svd where a metric of curvature decides, and else ridge",
-        choices=get_args(LeastSquares),
     )
     decimation: int = setting(
         2,
@@ -97,83 +188,17 @@ class SegmentationConfig:
         least=1,
         most=8,
     )
-    level: Level = setting(
-        "objects",
-        "nurbseg: what a label stands for, a surface (leaf of the tree) or an object (merged leaves)",
-        choices=get_args(Level),
-    )
-    noise_per_m: float = setting(
-        2.5e-3,
-        "nurbseg: sensor noise, the standard deviation of inverse depth",
-        unit="1/m",
-        above=0.0,
-    )
-    noise_floor: float = setting(
-        1.0,
-        "nurbseg: a metric counts in the ratio (eq. 5) as no less than noise of so many times noise_per_m "
-        "leaves; 0 for the ratio alone",
-        least=0.0,
-    )
-    depth_gap_per_m: float = setting(
-        0.025,
-        "nurbseg: smallest step of inverse depth between neighbours, or between surfaces carried to their "
-        "common border, that is a gap",
-        unit="1/m",
-        above=0.0,
-    )
-    piece_pixels_min: int = setting(
-        240, "nurbseg: T_p, the smallest segment, in pixels of a 640x480 image", unit="px", least=1
-    )
-    cuts: int = setting(
-        3,
-        "nurbseg: eigenvectors that are tried, from the second on, until one gives a split",
-        least=1,
-        most=10,
-    )
-    color_weight: float = setting(0.25, "nurbseg: weight of color in the vectors", least=0.0)
-    normal_weight: float = setting(
-        1.0, "nurbseg: weight of surface normals in the vectors; 0 for none", least=0.0
-    )
-    normal_window_px: int = setting(
-        17, "nurbseg: side of the windows for normals, in pixels of a 640-wide image", unit="px", least=3
-    )
-    normalize_nodes: bool = setting(
-        True, "nurbseg: whether vectors are normalised anew in each segment, or once for the frame"
-    )
-    connected_pieces: bool = setting(
-        True, "nurbseg: whether a cut falls into its connected pieces at gaps in depth"
-    )
-    fit_of: FitOf = setting(
-        "inverse-depth", "nurbseg: what the surfaces are fitted to", choices=get_args(FitOf)
-    )
-    knot_spacing_px: float = setting(
-        50.0,
-        "nurbseg: distance of the knots of a surface, in pixels of a 640-wide image",
-        unit="px",
-        least=8.0,
-    )
-    smoothness: float = setting(
-        1.0,
-        "nurbseg: weight of the squared second differences of a surface's control values, against those of "
-        "residuals at every second row and column",
-        least=0.0,
-    )
-    refine_borders: bool = setting(
-        True, "nurbseg: whether pixels at borders go to the surface that explains them best"
-    )
-    merge_crease: bool = setting(
-        True, "nurbseg: whether surfaces that meet in a convex or flat crease are merged"
-    )
-    merge_smooth: bool = setting(
-        True, "nurbseg: whether surfaces that one surface explains across their border are merged"
-    )
-    concavity_max: float = setting(
-        0.12,
-        "nurbseg: surfaces whose normals turn towards each other by less than this are one object",
-        unit="rad",
-        least=0.0,
-    )
     seed: int = setting(0, "seed of the random sample; the same seed gives the same tree", least=0)
+    stag15: Stag15Config = field(default_factory=Stag15Config)
+    extended: ExtendedConfig = field(default_factory=ExtendedConfig)
+
+    #: Settings of the version before that are none any more, with the only value that is still possible.
+    REMOVED: ClassVar[Mapping[str, object]] = {
+        "first_split": "kept",
+        "normalize_nodes": True,
+        "connected_pieces": True,
+        "fit_of": "inverse-depth",
+    }
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -181,15 +206,12 @@ class SegmentationConfig:
 
 __all__ = [
     "ControlPoints",
-    "FirstSplit",
-    "FitOf",
+    "ExtendedConfig",
     "LeastSquares",
     "Level",
     "Method",
     "Metric",
     "SegmentationConfig",
     "SplittingPoint",
-    "check_settings",
-    "described_fields",
-    "setting",
+    "Stag15Config",
 ]

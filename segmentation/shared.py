@@ -36,9 +36,7 @@ class SharedWork:
             Makes it.
         """
         if self._latest is None or self._latest[0] is not config:
-            alike = replace(
-                config, metric="mse", ratio_max=1.0, depth_max=0, splits_max=0, first_split="kept"
-            )
+            alike = replace(config, metric="mse", ratio_max=1.0, depth_max=0, splits_max=0)
             self._latest = config, alike
         key = (self._latest[1], name)
         if key not in self._made:

@@ -118,7 +118,7 @@ def grow(
     node
         The root.
     """
-    segment_min = config.segment_pixels_min * grid.pixel_share
+    segment_min = config.stag15.segment_pixels_min * grid.pixel_share
     row_of_place = np.zeros(grid.valid.size, dtype=np.intp)
     row_of_place[places] = np.arange(places.size)
     root = Node("", places, _measured(grid, "", places, config, shared))
@@ -151,7 +151,7 @@ def grow(
         first, second = children
         whole, *halves = ((each.value(config), each.places.size) for each in (node, first, second))
         ratio = acceptance_ratio(config.metric, whole, *halves)
-        kept = ratio < config.ratio_max or (node is root and config.first_split == "kept")
+        kept = ratio < config.ratio_max or node is root
         node.trial = Trial(config.metric, *whole, tuple(halves), kept)
         if not kept:
             node.stop = StopReason.CRITERION

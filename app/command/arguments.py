@@ -5,14 +5,14 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import Field, dataclass, replace
+from dataclasses import Field, dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
 from nurbseg.app.command.config import SOURCE_KINDS, AppConfig, sections
 from nurbseg.app.command.config_file import ConfigError, describe, read_config
 from nurbseg.app.command.values import ValueKind, value_kinds
-from nurbseg.drivers.settings import described_fields
+from nurbseg.drivers.settings import described_fields, nested, updated
 
 _DESCRIPTION = """\
 Segment the frames of a depth camera or a recording, and show and save the result.
@@ -27,6 +27,8 @@ _TITLES = {
     "source": "source",
     "camera": "camera (--calibration also for --replay)",
     "segmentation": "segmentation (the paper's symbols in the text)",
+    "segmentation.stag15": "segmentation by the paper's method, --method stag15",
+    "segmentation.extended": "segmentation by the default method, --method nurbseg",
     "live": "from frame to frame",
     "view": "view",
     "export": "files out",
@@ -148,6 +150,9 @@ def _add_flag(group: Any, key: str, each: Field[Any], kind: ValueKind) -> None:
     else:
         options |= {"type": _reader(kind), "metavar": _metavar(each, kind)}
     group.add_argument(*flags(each), help=text, **options)
+    if metadata["formerly"]:
+        old = metadata["formerly"].replace("_", "-")
+        group.add_argument(f"--{old}", help=argparse.SUPPRESS, **options)
 
 
 def flags(each: Field[Any]) -> list[str]:
@@ -181,11 +186,9 @@ def _overridden(config: AppConfig, given: dict[str, Any]) -> AppConfig:
         # A source named by a flag takes the place of another that the file names.
         given = {"source.device": None, "source.replay": None, "source.synthetic": False} | given
     for name, section in sections().items():
-        values = {key.partition(".")[2]: value for key, value in given.items() if key.startswith(f"{name}.")}
-        if not values:
-            continue
+        values = {key: value for key, value in given.items() if key.rpartition(".")[0] == name}
         try:
-            config = replace(config, **{name: replace(getattr(config, name), **values)})
+            config = updated(config, **nested(values))
         except ValueError as err:
             raise ConfigError(_as_flag(section, str(err))) from err
     return config

@@ -50,13 +50,15 @@ def main(words: Sequence[str] | None = None) -> int:
         With code 2 if an argument is wrong, with code 0 after ``--help`` and ``--version``.
     """
     one_thread_for_products()
+    _begin_logging()
     arguments = parse_arguments(words)
     if arguments.print_config:
         from nurbseg.app.command.config_file import format_config
 
         sys.stdout.write(format_config(arguments.config))
         return DONE
-    _begin_logging(arguments.verbosity)
+    levels = {-1: logging.WARNING, 0: logging.INFO, 1: logging.DEBUG}
+    logging.getLogger("nurbseg").setLevel(levels[arguments.verbosity])
     with Interruption() as interruption:
         try:
             return _run(arguments, interruption)
@@ -122,12 +124,10 @@ class _Format(logging.Formatter):
         return f"nurbseg-live: {level}{super().format(record)}"
 
 
-def _begin_logging(verbosity: int) -> None:
+def _begin_logging() -> None:
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_Format())
     logging.basicConfig(level=logging.WARNING, handlers=[handler], force=True)
-    levels = {-1: logging.WARNING, 0: logging.INFO, 1: logging.DEBUG}
-    logging.getLogger("nurbseg").setLevel(levels[verbosity])
     logging.captureWarnings(True)
 
 

@@ -7,14 +7,14 @@ setting is one new field; a new section is one new dataclass and one new field o
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 from nurbseg.app.live.config import LiveConfig
 from nurbseg.app.recording.config import RecordConfig
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.drivers.openni2.options import DeviceOptions
-from nurbseg.drivers.settings import check_settings, setting
+from nurbseg.drivers.settings import check_settings, setting, subsections
 from nurbseg.segmentation.config import SegmentationConfig
 
 
@@ -127,6 +127,10 @@ class AppConfig:
         return ViewConfig(mode="none") if self.record.only else self.view
 
 
-def sections() -> dict[str, type[Any]]:
-    """Return the sections of `AppConfig` by name, in their order."""
-    return {each.name: each.default_factory for each in fields(AppConfig)}  # type: ignore[misc]
+def sections(config_type: type[Any] = AppConfig) -> dict[str, type[Any]]:
+    """Return the sections of a configuration by path (``segmentation.stag15``), in their order."""
+    found = {}
+    for name, section in subsections(config_type).items():
+        found[name] = section
+        found |= {f"{name}.{path}": inner for path, inner in sections(section).items()}
+    return found

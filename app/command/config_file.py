@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import difflib
 import json
+import logging
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 from nurbseg.app.command.config import AppConfig, sections
 from nurbseg.app.command.values import value_kinds
 from nurbseg.drivers.errors import quoted
-from nurbseg.drivers.settings import described_fields
+from nurbseg.drivers.settings import described_fields, in_sections, subsections
 from nurbseg.drivers.structured_text import parse_toml
+
+_log = logging.getLogger("nurbseg.config")
 
 _HEAD = """\
 # Configuration of nurbseg-live: `nurbseg-live --config FILE` reads it, flags come after it.
@@ -42,7 +46,7 @@ def read_config(path: Path) -> AppConfig:
         raise ConfigError(f"{path}: cannot be read: {err.strerror}") from err
     except ValueError as err:
         raise ConfigError(f"{path}: is not TOML: {err}") from err
-    known = sections()
+    known = subsections(AppConfig)
     values: dict[str, Any] = {}
     for name, table in tables.items():
         if name not in known or not isinstance(table, dict):
@@ -52,9 +56,19 @@ def read_config(path: Path) -> AppConfig:
 
 
 def _read_section(path: Path, name: str, section: type[Any], table: dict[str, Any]) -> Any:
-    kinds = value_kinds(section)
+    try:
+        table, moved = in_sections(section, table)
+    except ValueError as err:
+        raise ConfigError(f"{path}: {name}.{err}") from err
+    for key, now in moved.items():
+        news = f"is now {name}.{now}" if now else "is no setting any more, and says what is done anyway"
+        _log.warning("%s: %s.%s %s", path, name, key, news)
+    kinds, inner = value_kinds(section), subsections(section)
     values = {}
     for key, value in table.items():
+        if key in inner and isinstance(value, dict):
+            values[key] = _read_section(path, f"{name}.{key}", inner[key], value)
+            continue
         if key not in kinds:
             raise ConfigError(f"{path}: unknown key {_short(f'{name}.{key}')}{_nearest(f'{name}.{key}')}")
         try:
@@ -102,7 +116,7 @@ def format_config(config: AppConfig) -> str:
     lines = [_HEAD]
     for name, section in sections().items():
         lines.append(f"[{name}]")
-        values = getattr(config, name)
+        values = attrgetter(name)(config)
         for each in described_fields(section):
             value = getattr(values, each.name)
             lines.append(f"# {describe(each.metadata)}")

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from nurbseg.drivers.errors import quoted
+from nurbseg.drivers.settings import subsections
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +95,12 @@ def value_kinds(section: type[Any]) -> dict[str, ValueKind]:
     TypeError
         If a field's annotation is none that a flag and a TOML value can express.
     """
-    return {name: _kind_of(hint) for name, hint in get_type_hints(section).items()}
+    hints = get_type_hints(section)
+    return {
+        each.name: _kind_of(hints[each.name])
+        for each in fields(section)
+        if each.name not in subsections(section)
+    }
 
 
 def _kind_of(hint: Any) -> ValueKind:

@@ -207,7 +207,8 @@ def _source_options(given: argparse.Namespace) -> SourceOptions:
 
 def _base_config(given: argparse.Namespace) -> SegmentationConfig:
     from nurbseg.app.command.config_file import read_config
-    from nurbseg.app.evaluation.variants import field_named, setting_value
+    from nurbseg.app.evaluation.variants import path_named, setting_value
+    from nurbseg.drivers.settings import nested, updated
     from nurbseg.segmentation.config import SegmentationConfig
 
     config = SegmentationConfig() if given.config is None else read_config(given.config).segmentation
@@ -216,8 +217,9 @@ def _base_config(given: argparse.Namespace) -> SegmentationConfig:
         name, equals, value = text.partition("=")
         if not equals:
             raise ValueError(f"--set {text}: expected NAME=VALUE")
-        chosen[field_named(name)] = setting_value(name, value)
-    return replace(config, **chosen)
+        chosen[path_named(name)] = setting_value(name, value)
+    result: SegmentationConfig = updated(config, **nested(chosen))
+    return result
 
 
 def _run(given: argparse.Namespace, study: Study, config: SegmentationConfig, words: Sequence[str]) -> None:
@@ -337,7 +339,7 @@ def _noise(study: Study) -> None:
 
     refs = frame_refs(study)
     estimate = measure_noise(clouds(), seed=study.seed)
-    print(f"noise_per_m = {estimate.noise_per_m:.6f}")
+    print(f"inverse_depth_noise = {estimate.inverse_depth_noise:.6f}")
     print(
         f"from {estimate.points} points on planes in {estimate.frames} of {len(refs)} frames; "
         f"{estimate.nearest_per_m:.6f} 1/m at {estimate.nearest_m:.2f} m, "

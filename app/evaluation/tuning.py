@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, get_args
 
@@ -16,6 +16,7 @@ from nurbseg.app.evaluation.statistics import Estimate, bootstrap_gain
 from nurbseg.app.evaluation.study import FrameRef, Study, frame_refs, read_frame
 from nurbseg.app.workers import in_order, open_workers
 from nurbseg.drivers.errors import FrameFormatError
+from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import Metric, SegmentationConfig, SplittingPoint
 from nurbseg.segmentation.points.registration import PointMap, register
 from nurbseg.segmentation.stag15 import segment
@@ -169,25 +170,32 @@ def _frame_objective(ref: FrameRef, study: Study, config: SegmentationConfig) ->
 
 
 #: T_p of each method: the setting and its bounds.
-_SMALLEST = {"stag15": ("segment_pixels_min", 50, 4000), "nurbseg": ("piece_pixels_min", 50, 2000)}
+_SMALLEST = {
+    "stag15": ("stag15", "segment_pixels_min", 50, 4000),
+    "nurbseg": ("extended", "piece_pixels_min", 50, 2000),
+}
 
 
 def _as_parameters(config: SegmentationConfig) -> dict[str, Any]:
     names = ("metric", "ratio_max", "geometry_weight", "affinity_scale", "splitting_point")
-    return {name: getattr(config, name) for name in (*names, _SMALLEST[config.method][0])}
+    section, smallest, _, _ = _SMALLEST[config.method]
+    return {name: getattr(config, name) for name in names} | {
+        smallest: getattr(getattr(config, section), smallest)
+    }
 
 
 def _suggested(trial: Any, start: SegmentationConfig) -> SegmentationConfig:
-    smallest, least, most = _SMALLEST[start.method]
-    return replace(
+    section, smallest, least, most = _SMALLEST[start.method]
+    result: SegmentationConfig = updated(
         start,
         metric=trial.suggest_categorical("metric", list(get_args(Metric))),
         ratio_max=trial.suggest_float("ratio_max", 0.5, 1.0),
         geometry_weight=trial.suggest_float("geometry_weight", 0.1, 10.0, log=True),
         affinity_scale=trial.suggest_float("affinity_scale", 0.3, 3.0, log=True),
         splitting_point=trial.suggest_categorical("splitting_point", list(get_args(SplittingPoint))),
-        **{smallest: trial.suggest_int(smallest, least, most, log=True)},
+        **{section: {smallest: trial.suggest_int(smallest, least, most, log=True)}},
     )
+    return result
 
 
 def tunable(config: SegmentationConfig) -> Sequence[tuple[str, Any]]:

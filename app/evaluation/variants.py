@@ -6,10 +6,12 @@ import hashlib
 import itertools
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, get_args
 
+from nurbseg.drivers.settings import nested, setting_paths, updated
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 
 #: Methods decided by the tree of surface fits; the metric and threshold grids apply to them alone.
@@ -19,7 +21,11 @@ TREE_METHODS = ("nurbseg", "stag15", "pz14")
 _FLAT_SETTINGS = ("samples", "affinity_scale")
 
 #: Settings that a method's name stands for.
-_FIXED = {"stag15": ("method",), "nurbseg": ("method",), "pz14": ("method", "metric", "control_points")}
+_FIXED = {
+    "stag15": ("method",),
+    "nurbseg": ("method",),
+    "pz14": ("method", "metric", "stag15.control_points"),
+}
 
 #: Begins the name of a method that stands for label images of another program.
 LABELS_PREFIX = "labels:"
@@ -67,7 +73,7 @@ def setting_value(name: str, text: str) -> Any:
     Parameters
     ----------
     name : str
-        A field of `SegmentationConfig` or its symbol (``lambda``).
+        A setting of `SegmentationConfig` or its symbol (``lambda``).
     text : str
         As written by the user.
 
@@ -76,8 +82,8 @@ def setting_value(name: str, text: str) -> Any:
     ValueError
         If there is no such setting, or the text is no value of it.
     """
-    field = field_named(name)
-    default = getattr(SegmentationConfig(), field)
+    path = path_named(name)
+    default = attrgetter(path)(SegmentationConfig())
     try:
         if isinstance(default, bool):
             value: Any = {"true": True, "1": True, "false": False, "0": False}[text.lower()]
@@ -85,12 +91,12 @@ def setting_value(name: str, text: str) -> Any:
             value = type(default)(text)
     except (ValueError, KeyError):
         raise ValueError(f"{name}: expected a value like {default!r}, got {text!r}") from None
-    replace(SegmentationConfig(), **{field: value})
+    updated(SegmentationConfig(), **nested({path: value}))
     return value
 
 
-def field_named(name: str) -> str:
-    """Return the field that a setting's name or symbol stands for.
+def path_named(name: str) -> str:
+    """Return the path (``stag15.control_points``) of the setting that a name or symbol stands for.
 
     Raises
     ------
@@ -98,10 +104,10 @@ def field_named(name: str) -> str:
         If there is none.
     """
     wanted = name.replace("-", "_")
-    for each in fields(SegmentationConfig):
-        if wanted in (each.name, each.metadata.get("symbol")):
-            return each.name
-    known = ", ".join(each.name for each in fields(SegmentationConfig))
+    for path, each in setting_paths(SegmentationConfig):
+        if wanted in (path, each.name, each.metadata["symbol"], each.metadata["formerly"]):
+            return path
+    known = ", ".join(each.name for _, each in setting_paths(SegmentationConfig))
     raise ValueError(f"{name}: no such setting; there are {known}")
 
 
@@ -119,11 +125,11 @@ def grid_of(texts: Iterable[str]) -> dict[str, list[Any]]:
         name, equals, values = text.partition("=")
         if not equals or not values:
             raise ValueError(f"{text}: expected NAME=VALUE,VALUE,...")
-        field = field_named(name)
-        if field == "method":
+        path = path_named(name)
+        if path == "method":
             raise ValueError(f"{text}: methods are named by --methods")
-        grid[field] = [
-            "auto" if field == "geometry_weight" and value == "auto" else setting_value(name, value)
+        grid[path] = [
+            "auto" if path == "geometry_weight" and value == "auto" else setting_value(name, value)
             for value in values.split(",")
         ]
     return grid
@@ -170,7 +176,12 @@ def variants_of(
         if method not in TREE_METHODS:
             own = {name: axes[name] for name in _FLAT_SETTINGS if method == "dmzc12" and name in axes}
         else:
-            own = {name: values for name, values in axes.items() if name not in _FIXED[method]}
+            read = ("", "extended" if method == "nurbseg" else "stag15")
+            own = {
+                path: values
+                for path, values in axes.items()
+                if path not in _FIXED[method] and path.rpartition(".")[0] in read
+            }
         if method in ("stag15", "nurbseg") and (metrics or thresholds):
             own = {
                 "metric": list(metrics or [base.metric]),
@@ -189,11 +200,11 @@ def _variant(method: str, chosen: Mapping[str, Any], base: SegmentationConfig) -
     if lambda_auto:
         del settings["geometry_weight"]
     words = [method]
-    for field, value in chosen.items():
-        words.append(str(value) if field == "metric" else f"{_symbol(field)}={value}")
-    config = replace(base, method="nurbseg" if method == "nurbseg" else "stag15", **settings)
+    for path, value in chosen.items():
+        words.append(str(value) if path == "metric" else f"{_symbol(path)}={value}")
+    config = updated(base, method="nurbseg" if method == "nurbseg" else "stag15", **nested(settings))
     if method == "pz14":
-        config = replace(config, metric="mse", control_points="fixed")
+        config = updated(config, metric="mse", stag15={"control_points": "fixed"})
     return Variant(name=" ".join(words), method=method, config=config, lambda_auto=lambda_auto)
 
 
@@ -203,8 +214,8 @@ def _state_of_images(folder: Path) -> str:
     return json.dumps([(name, status.st_size, status.st_mtime_ns) for name, status in found])
 
 
-def _symbol(field: str) -> str:
-    if field == "ratio_max":
+def _symbol(path: str) -> str:
+    if path == "ratio_max":
         return "T"
-    symbols = {each.name: each.metadata.get("symbol") for each in fields(SegmentationConfig)}
-    return symbols[field] or field
+    each = dict(setting_paths(SegmentationConfig))[path]
+    return each.metadata["symbol"] or each.name

@@ -8,7 +8,8 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
+from operator import attrgetter
 from types import TracebackType
 from typing import Any, Self
 
@@ -23,6 +24,7 @@ from nurbseg.drivers.frame import Calibration
 from nurbseg.drivers.process.bounded_queue import BoundedQueue
 from nurbseg.drivers.process.channel import ChannelClosedError
 from nurbseg.drivers.process.child import ChildProcess
+from nurbseg.drivers.settings import setting_paths
 from nurbseg.segmentation.config import SegmentationConfig
 
 #: Frames that may wait to be sent, where every one is saved.
@@ -319,7 +321,7 @@ def _properties(
     config: ViewConfig, segmentation: SegmentationConfig, metadata: Mapping[str, str]
 ) -> dict[str, dict[str, str]]:
     """Return what is kept with a recording, by subject, as text."""
-    settings = {each.name: getattr(segmentation, each.name) for each in fields(segmentation)}
+    settings = {each.name: attrgetter(path)(segmentation) for path, each in setting_paths(type(segmentation))}
     properties: dict[str, Mapping[str, Any]] = {
         "segmentation": settings,
         "view": {key: value for key, value in asdict(config).items() if value is not None},

@@ -72,7 +72,7 @@ def refine_borders(
     refined = _cheapest(labels, per_m, surfaces, config)
     severed = _severed(refined, per_m, config)
     if severed.size:
-        spread_in_place(refined, severed, per_m, config.depth_gap_per_m)
+        spread_in_place(refined, severed, per_m, config.extended.inverse_depth_gap)
     lost = present & ~_present(refined, len(surfaces))
     if lost.any():
         kept = lost[labels]
@@ -93,11 +93,11 @@ def _cheapest(
     table = SurfaceTable(surfaces)
     padded, depths = np.pad(labels, _REACH), np.pad(per_m, _REACH).ravel()
     flat, width = padded.reshape(-1), padded.shape[1]
-    gaps = (config.depth_gap_per_m * np.sqrt(_DISTANCES)).astype(np.float32)
+    gaps = (config.extended.inverse_depth_gap * np.sqrt(_DISTANCES)).astype(np.float32)
     # A pixel has no vote on itself.
     votes = np.where(_DISTANCES > 0, _VOTE / np.maximum(_DISTANCES, 1.0), 0.0).astype(np.float32)
     across = np.float32(_ACROSS_GAP) * votes
-    per_deviation = np.float32(1.0 / config.noise_per_m)
+    per_deviation = np.float32(1.0 / config.extended.inverse_depth_noise)
 
     reached = np.empty(flat.size, dtype=np.bool_)
     pixels = np.flatnonzero(_near_borders(padded))
@@ -275,9 +275,11 @@ def _severed(
     labels: NDArray[np.int32], per_m: NDArray[np.float32], config: SegmentationConfig
 ) -> NDArray[np.intp]:
     """Find the flat pixels of small pieces that are not the largest of their label."""
-    found = connected_components(labels, pixel_adjacency(per_m, labels > 0, config.depth_gap_per_m))
+    found = connected_components(
+        labels, pixel_adjacency(per_m, labels > 0, config.extended.inverse_depth_gap)
+    )
     unit = labels.size / (640.0 * 480.0)
-    small = ~found.large(config.piece_pixels_min * unit, int(labels.max()))
+    small = ~found.large(config.extended.piece_pixels_min * unit, int(labels.max()))
     small[0] = False
     return np.flatnonzero(small.take(found.numbers)) if small.any() else np.zeros(0, dtype=np.intp)
 

@@ -26,20 +26,17 @@ class GridFeatures:
         Points and inverse depths.
     adjacency : PixelAdjacency
         Neighbours without a gap between them.
-    raw : (h * w, 6 or 9) float32
-        Lab color, position and, where they are used, normal of every place that has a point.
-    whole : Normalization or None
-        Of the whole frame, where segments do not have their own.
+    raw : (h * w, 9) float32
+        Lab color, position and normal of every place that has a point.
     """
 
     grid: DepthGrid
     adjacency: PixelAdjacency
     raw: NDArray[np.float32]
-    whole: Normalization | None
 
     def places_min(self, config: SegmentationConfig) -> float:
         """Return the fewest places of a segment."""
-        return config.piece_pixels_min * self.grid.points.pixel_share
+        return config.extended.piece_pixels_min * self.grid.points.pixel_share
 
 
 def grid_features(cloud: PointMap, config: SegmentationConfig) -> GridFeatures:
@@ -59,36 +56,33 @@ def grid_features(cloud: PointMap, config: SegmentationConfig) -> GridFeatures:
     """
     grid = depth_grid(cloud, config.decimation)
     color = lab(cloud.color[:: grid.step, :: grid.step].reshape(-1, 3))
-    points_m, directions = grid.points.coordinates_m.reshape(3, -1), np.zeros((len(color), 0), np.float32)
-    if config.normal_weight > 0:
-        half = round(0.5 * config.normal_window_px * grid.unit_px / grid.step - 0.5)
-        normals = facet_normals(
-            grid.per_m,
-            grid.valid,
-            grid.rays,
-            step=grid.step,
-            window=2 * max(1, half) + 1,
-            noise_per_m=config.noise_per_m,
-        )
-        directions = normals.reshape(-1, 3)
-    raw = _side_by_side(color, points_m, directions)
-    adjacency = pixel_adjacency(grid.per_m, grid.valid, config.depth_gap_per_m)
-    whole = None if config.normalize_nodes else segment_normalization(raw, np.flatnonzero(grid.valid), config)
-    return GridFeatures(grid, adjacency, raw, whole)
+    normals = facet_normals(
+        grid.per_m,
+        grid.valid,
+        grid.rays,
+        step=grid.step,
+        window=2 * _half_window(grid, config) + 1,
+        noise_per_m=config.extended.inverse_depth_noise,
+    )
+    raw = _side_by_side(color, grid.points.coordinates_m.reshape(3, -1), normals.reshape(-1, 3))
+    adjacency = pixel_adjacency(grid.per_m, grid.valid, config.extended.inverse_depth_gap)
+    return GridFeatures(grid, adjacency, raw)
+
+
+def _half_window(grid: DepthGrid, config: SegmentationConfig) -> int:
+    """Return how far the windows for normals reach, places of the grid."""
+    return max(1, round(0.5 * config.extended.normal_window_px * grid.unit_px / grid.step - 0.5))
 
 
 @compiled
 def _side_by_side(
-    color: NDArray[np.float32], points_m: NDArray[np.float32], directions: NDArray[np.float32]
+    color: NDArray[np.float32], points_m: NDArray[np.float32], normals: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Put (N, 3) colors, (3, N) points and (N, 3) or (N, 0) directions into one vector for each place."""
-    more = directions.shape[1]
-    raw = np.empty((color.shape[0], 6 + more), dtype=np.float32)
+    """Put (N, 3) colors, (3, N) points and (N, 3) normals into one vector for each place."""
+    raw = np.empty((color.shape[0], 9), dtype=np.float32)
     for n in range(color.shape[0]):
         for k in range(3):
-            raw[n, k], raw[n, 3 + k] = color[n, k], points_m[k, n]
-        for k in range(more):
-            raw[n, 6 + k] = directions[n, k]
+            raw[n, k], raw[n, 3 + k], raw[n, 6 + k] = color[n, k], points_m[k, n], normals[n, k]
     return raw
 
 
@@ -99,7 +93,7 @@ def segment_normalization(
 
     Parameters
     ----------
-    raw : (N, 6 or 9) float32
+    raw : (N, 9) float32
         As `GridFeatures.raw`.
     places : (M,) intp
         Of the segment.
@@ -114,8 +108,8 @@ def segment_normalization(
     return normalization(
         raw,
         config.geometry_weight,
-        color_weight=config.color_weight,
-        normal_weight=config.normal_weight,
+        color_weight=config.extended.color_weight,
+        normal_weight=config.extended.normal_weight,
         rows=places,
     )
 
@@ -134,30 +128,26 @@ def with_features_at(
     config : SegmentationConfig
         Windows and weights.
     """
-    if not config.normalize_nodes:
-        return grid_features(cloud, config)
-    grid = features.grid
-    raw = np.zeros((grid.valid.size, 9 if config.normal_weight > 0 else 6), dtype=np.float32)
+    grid, half = features.grid, _half_window(features.grid, config)
+    raw = np.zeros((grid.valid.size, 9), dtype=np.float32)
     raw[places, :6] = raw_vectors(cloud, grid.points.pixels(places))
-    if config.normal_weight > 0:
-        half = max(1, round(0.5 * config.normal_window_px * grid.unit_px / grid.step - 0.5))
-        rows, columns, (top, left, bottom, right) = grid.points.locate(places)
-        # Windows for normals look at what is around the segment too.
-        top, left = max(0, top - 2 * half), max(0, left - 2 * half)
-        bottom, right = bottom + 2 * half, right + 2 * half
-        shifted = replace(
-            grid.rays,
-            center=(grid.rays.center[0] - left * grid.step, grid.rays.center[1] - top * grid.step),
-        )
-        normals = facet_normals(
-            np.ascontiguousarray(grid.per_m[top:bottom, left:right]),
-            np.ascontiguousarray(grid.valid[top:bottom, left:right]),
-            shifted,
-            step=grid.step,
-            window=2 * half + 1,
-            noise_per_m=config.noise_per_m,
-        )
-        raw[places, 6:] = normals[rows - top, columns - left]
+    rows, columns, (top, left, bottom, right) = grid.points.locate(places)
+    # Windows for normals look at what is around the segment too.
+    top, left = max(0, top - 2 * half), max(0, left - 2 * half)
+    bottom, right = bottom + 2 * half, right + 2 * half
+    shifted = replace(
+        grid.rays,
+        center=(grid.rays.center[0] - left * grid.step, grid.rays.center[1] - top * grid.step),
+    )
+    normals = facet_normals(
+        np.ascontiguousarray(grid.per_m[top:bottom, left:right]),
+        np.ascontiguousarray(grid.valid[top:bottom, left:right]),
+        shifted,
+        step=grid.step,
+        window=2 * half + 1,
+        noise_per_m=config.extended.inverse_depth_noise,
+    )
+    raw[places, 6:] = normals[rows - top, columns - left]
     return replace(features, raw=raw)
 
 

@@ -98,11 +98,11 @@ def merge_surfaces(
     ----------
     .. [1] S. C. Stein et al., "Object partitioning using local convexity", CVPR 2014.
     """
-    if not (config.merge_crease or config.merge_smooth):
+    if not (config.extended.merge_crease or config.extended.merge_smooth):
         return (), ()
-    found = border_statistics(labels, surfaces, grid.rays, gap_per_m=config.depth_gap_per_m)
+    found = border_statistics(labels, surfaces, grid.rays, gap_per_m=config.extended.inverse_depth_gap)
     smooth: set[tuple[int, int]] = set()
-    if config.merge_smooth:
+    if config.extended.merge_smooth:
         on_grid = labels[:: grid.step, :: grid.step]
         answers = smooth_borders(found, on_grid, grid, config)
         smooth = {(each.first, each.second) for each, yes in zip(found, answers, strict=True) if yes}
@@ -172,13 +172,13 @@ def _merged(
             each.samples,
             each.touching,
             0.0 if is_smooth else each.concavity_sum,
-            config.merge_crease or is_smooth,
+            config.extended.merge_crease or is_smooth,
         )
     mergeable: dict[tuple[int, int], float] = {}
 
     def judge(pair: tuple[int, int]) -> None:
         concavity = pooled[pair].concavity()
-        if concavity < config.concavity_max:
+        if concavity < config.extended.concavity_max:
             mergeable[pair] = concavity
 
     for pair in pooled:
@@ -236,11 +236,13 @@ def _explained(
         why = f"a gap: {border.touching} of {border.samples} places along the border touch"
     elif smooth:
         why = "a smooth border: one surface explains both sides"
-    elif concavity < config.concavity_max:
+    elif concavity < config.extended.concavity_max:
         why = f"a convex or flat crease of {concavity:.2f}"
     else:
-        why = f"a concave crease of {concavity:.2f}, {config.concavity_max:g} at most is merged"
-    direct = touching and (smooth or (config.merge_crease and concavity < config.concavity_max))
+        why = f"a concave crease of {concavity:.2f}, {config.extended.concavity_max:g} at most is merged"
+    direct = touching and (
+        smooth or (config.extended.merge_crease and concavity < config.extended.concavity_max)
+    )
     if merged and not direct:
         why = f"joined through other surfaces, in spite of {why}"
     elif not merged and direct:

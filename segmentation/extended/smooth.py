@@ -64,7 +64,10 @@ def _is_asked(border: BorderStatistics, config: SegmentationConfig) -> bool:
     """Say whether two surfaces are in contact and not to be merged for their concavity."""
     if not in_contact(border.samples, border.touching):
         return False
-    return not config.merge_crease or border.concavity_sum >= config.concavity_max * border.touching
+    return (
+        not config.extended.merge_crease
+        or border.concavity_sum >= config.extended.concavity_max * border.touching
+    )
 
 
 def _is_smooth(
@@ -86,7 +89,7 @@ def _is_smooth(
     if not explained:
         return False
     two = sum(_squares(window, strip == side, grid, config)[0] for side in (1, 2))
-    rounding = points * (_ROUNDING_SHARE * config.noise_per_m) ** 2
+    rounding = points * (_ROUNDING_SHARE * config.extended.inverse_depth_noise) ** 2
     return bool(one + rounding <= _RATIO_MOST * (two + rounding))
 
 
@@ -110,7 +113,7 @@ def _squares(
     mask = np.ascontiguousarray(marked[top : top + height, left : left + width])
     top, left = window[0] + top, window[1] + left
     residuals_per_m = residuals_of_fit(grid, (top, left, top + height, left + width), mask, config)
-    squares = np.square(residuals_per_m / config.noise_per_m)
+    squares = np.square(residuals_per_m / config.extended.inverse_depth_noise)
     far = np.count_nonzero(squares > 9.0)
     explained = np.minimum(squares, SQUARE_MOST).mean() < _MEAN_MOST and far < _FAR_SHARE_MOST * squares.size
     return float(residuals_per_m @ residuals_per_m), bool(explained)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.cut.components import remove_small_components
 from nurbseg.segmentation.cut.features import Normalization, normalized
 from nurbseg.segmentation.cut.ncut import Cut, normalized_cuts
 from nurbseg.segmentation.extended.borders import refine_borders
@@ -72,7 +71,7 @@ def segment_nurbseg(cloud: PointMap, config: SegmentationConfig) -> Segmentation
         on_grid.reshape(features.grid.valid.shape), features.grid.per_m, per_m, cloud.valid, config
     )
     surfaces = [leaf.fit.surface for leaf in leaves]
-    if config.refine_borders:
+    if config.extended.refine_borders:
         labels = refine_borders(labels, per_m, surfaces, config)
 
     image = labels.astype(np.uint16)
@@ -80,7 +79,7 @@ def segment_nurbseg(cloud: PointMap, config: SegmentationConfig) -> Segmentation
     objects, contacts = merge_surfaces(
         labels, features.grid, [leaf.name for leaf in leaves], surfaces, config
     )
-    return SegmentationTree(segments, cloud.valid.shape, objects, contacts, config.level, image)
+    return SegmentationTree(segments, cloud.valid.shape, objects, contacts, config.extended.level, image)
 
 
 def grow(features: GridFeatures, config: SegmentationConfig) -> Node:
@@ -176,7 +175,7 @@ def fit_segment(features: GridFeatures, places: NDArray[np.intp], config: Segmen
         return places, fit, None
     if config.metric in CURVATURE_METRICS:
         fit = replace(fit, values=all_metrics(fit, features.grid.points.image_shape[1], config))
-    if config.noise_floor == 0:
+    if config.extended.noise_floor == 0:
         return places, fit, None
     fit = replace(fit, floor=noise_floor(features.grid, window, mask, config))
     return places, fit, StopReason.NOISE if at_noise_floor(fit, config) else None
@@ -186,7 +185,7 @@ def at_noise_floor(fit: Fit, config: SegmentationConfig) -> bool:
     """Say whether a fit is so near to what noise leaves that no split can have a ratio (eq. 5) below T."""
     # The floors of parts weigh no less than that of the whole: no ratio is below floor over value.
     value = metric_value(fit.values, config.metric, fit.floor)
-    return config.noise_floor > 0 and fit.floor >= config.ratio_max * value
+    return config.extended.noise_floor > 0 and fit.floor >= config.ratio_max * value
 
 
 def best_split(
@@ -215,12 +214,12 @@ def best_split(
     # Of a large segment, the places between those that are cut follow them.
     points = features.grid.points
     drawn = points.every_second(node.places) if node.places.size >= thin_from else node.places
-    scale = features.whole or segment_normalization(features.raw, drawn, config)
+    scale = segment_normalization(features.raw, drawn, config)
     rng = np.random.default_rng([config.seed, int(f"1{node.name}", 2)])
     node.stop, node.trial = StopReason.NO_CUT, None
     for cut in normalized_cuts(
         normalized(features.raw, scale, drawn),
-        count=config.cuts,
+        count=config.extended.cuts,
         samples=config.samples,
         rng=rng,
         affinity_scale=config.affinity_scale,
@@ -299,23 +298,14 @@ def _pieces(
     """
     if places.size == 0:
         return [], []
-    if config.connected_pieces:
-        return large_components(
-            places,
-            labels,
-            features.adjacency,
-            features.grid.per_m,
-            gap_per_m=config.depth_gap_per_m,
-            places_min=features.places_min(config),
-        )
-    rows, columns, (top, left, bottom, right) = features.grid.points.locate(places)
-    at = rows - top, columns - left
-    image = np.zeros((bottom - top, right - left), dtype=np.int32)
-    image[at] = labels
-    side = remove_small_components(image > 0, image == 2, features.places_min(config))[at]
-    parts = [(places[side == each], 1 + each) for each in (False, True)]
-    kept = [(part, label) for part, label in parts if part.size >= features.places_min(config)]
-    return [part for part, _ in kept], [label for _, label in kept]
+    return large_components(
+        places,
+        labels,
+        features.adjacency,
+        features.grid.per_m,
+        gap_per_m=config.extended.inverse_depth_gap,
+        places_min=features.places_min(config),
+    )
 
 
 def children_of(node: Node, sides: tuple[list[Part], list[Part]]) -> tuple[Node, Node]:

@@ -181,11 +181,11 @@ def upsample_by_depth(
         np.ascontiguousarray(per_m),
         np.ascontiguousarray(valid),
         config.decimation,
-        np.float32(config.depth_gap_per_m),
+        np.float32(config.extended.inverse_depth_gap),
         labels,
         open_pixels,
     )
-    return spread_labels(labels, open_pixels, per_m, config.depth_gap_per_m)
+    return spread_labels(labels, open_pixels, per_m, config.extended.inverse_depth_gap)
 
 
 @compiled

@@ -192,7 +192,7 @@ def update_residuals(
         grid.per_m.reshape(-1),
         grid.distances_m.reshape(-1),
         # What is far off is not the leaf's own, and does not make room for more of its kind.
-        SQUARE_MOST**0.5 * config.noise_per_m,
+        SQUARE_MOST**0.5 * config.extended.inverse_depth_noise,
         config.large_error_m,
         (labels.shape[1], width, grid.step),
         residuals_m,

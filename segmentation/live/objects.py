@@ -84,7 +84,7 @@ class ObjectMemory:
         objects, contacts
             As those of `merge_surfaces`.
         """
-        if not (config.merge_crease or config.merge_smooth):
+        if not (config.extended.merge_crease or config.extended.merge_smooth):
             return (), ()
         self._frame += 1
         step = grid.step
@@ -100,13 +100,15 @@ class ObjectMemory:
             per_m, along_u, along_v = lattice.slopes_at(label, u * step, v * step)
             return per_m, along_u * step, along_v * step
 
-        found = border_statistics(on_grid, (), rays, gap_per_m=config.depth_gap_per_m, evaluate=evaluate)
+        found = border_statistics(
+            on_grid, (), rays, gap_per_m=config.extended.inverse_depth_gap, evaluate=evaluate
+        )
         pairs = [self._pair(leaves, each) for each in found]
         for pair, each in zip(pairs, found, strict=True):
             self._remember(pair, each, step)
         known = [self._remembered(each, self._borders[pair]) for pair, each in zip(pairs, found, strict=True)]
         smooth: set[tuple[int, int]] = set()
-        if config.merge_smooth:
+        if config.extended.merge_smooth:
             smooth = self._smooth(known, pairs, on_grid, grid, config)
         biased = [
             self._biased(each, self._borders[pair], config) for pair, each in zip(pairs, known, strict=True)
@@ -153,7 +155,7 @@ class ObjectMemory:
     def _biased(known: BorderStatistics, border: _Border, config: SegmentationConfig) -> BorderStatistics:
         if border.merged is None:
             return known
-        bias = _HYSTERESIS * config.concavity_max * known.touching
+        bias = _HYSTERESIS * config.extended.concavity_max * known.touching
         return replace(known, concavity_sum=known.concavity_sum + (-bias if border.merged else bias))
 
     def _smooth(

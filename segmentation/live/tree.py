@@ -84,7 +84,7 @@ class LiveTree:
     Parameters
     ----------
     config : SegmentationConfig
-        Of the default method with surfaces of inverse depth.
+        Of the default method.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class LiveTree:
 
     def __init__(self, config: SegmentationConfig) -> None:
         if not lives(config):
-            raise ValueError(f"method: expected nurbseg with inverse-depth fits, got {config.method}")
+            raise ValueError(f"method: expected nurbseg, got {config.method}")
         self._config = config
         self._configs = {config.decimation: config}
         self.report = UpdateReport()
@@ -231,7 +231,9 @@ class LiveTree:
         surfaces = [leaf.surface for leaf in self._leaves]
         if self._lattice.step != step:
             self._lattice = SurfaceLattice(surfaces, step)
-        surfaces = moved_surfaces(surfaces, self._lattice, on_grid, grid.per_m, config.noise_per_m)
+        surfaces = moved_surfaces(
+            surfaces, self._lattice, on_grid, grid.per_m, config.extended.inverse_depth_noise
+        )
         lattice = SurfaceLattice(surfaces, step)
         limits = self._limits_per_m()
         points, known = int(np.count_nonzero(grid.valid)), int(np.count_nonzero(on_grid))
@@ -250,19 +252,23 @@ class LiveTree:
 
         # Labels grow into what is open; what stays open is new, or too small to be anything.
         on_grid = grown_labels(on_grid, grid.per_m, lattice, limits)
-        adjacency = pixel_adjacency(grid.per_m, grid.valid, config.depth_gap_per_m)
+        adjacency = pixel_adjacency(grid.per_m, grid.valid, config.extended.inverse_depth_gap)
         on_grid, appeared = self._cleaned(on_grid, grid, adjacency)
 
         # Borders on every pixel.
         labels = spread_to_pixels(before, on_grid, per_m, step)
-        if config.refine_borders:
+        if config.extended.refine_borders:
             labels = relax_borders(
-                labels, per_m, lattice, noise_per_m=config.noise_per_m, gap_per_m=config.depth_gap_per_m
+                labels,
+                per_m,
+                lattice,
+                noise_per_m=config.extended.inverse_depth_noise,
+                gap_per_m=config.extended.inverse_depth_gap,
             )
         on_grid = np.where(grid.valid & (appeared == 0), labels[::step, ::step], 0).astype(np.int32)
 
         # The tree is updated.
-        measures = misfit(on_grid, lattice, grid, config.noise_per_m, len(self._leaves))
+        measures = misfit(on_grid, lattice, grid, config.extended.inverse_depth_noise, len(self._leaves))
         done = self._updater.update(
             cloud,
             grid,
@@ -282,9 +288,9 @@ class LiveTree:
         labels = done.relabelled(labels, per_m, step)
         missed = (labels == 0) & (per_m > 0)
         if missed.any():
-            labels = spread_labels(labels.astype(np.int32), missed, per_m, config.depth_gap_per_m).astype(
-                np.uint16
-            )
+            labels = spread_labels(
+                labels.astype(np.int32), missed, per_m, config.extended.inverse_depth_gap
+            ).astype(np.uint16)
         self.labels_before = before
         self._gray = gray
         self._overdue = self._overdue + 1 if done.waiting > _WAITING_MOST else 0
@@ -298,7 +304,7 @@ class LiveTree:
             waiting=done.waiting,
             step=step,
         )
-        features = GridFeatures(grid, adjacency, np.zeros((0, 0), dtype=np.float32), None)
+        features = GridFeatures(grid, adjacency, np.zeros((0, 0), dtype=np.float32))
         return self._finished(cloud, features, labels, before, config, every_surface)
 
     def _rays_of(self, cloud: PointMap) -> Rays:
@@ -313,7 +319,7 @@ class LiveTree:
     def _limits_per_m(self) -> NDArray[np.float32]:
         """Return from which residual on a place is not a leaf's own, by label."""
         own = [_OWN_DEVIATIONS * leaf.rms_per_m for leaf in self._leaves]
-        limits = np.maximum(np.array([0.0, *own]), self._config.depth_gap_per_m)
+        limits = np.maximum(np.array([0.0, *own]), self._config.extended.inverse_depth_gap)
         return np.asarray(limits, dtype=np.float32)
 
     def _cleaned(
@@ -321,7 +327,7 @@ class LiveTree:
     ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Give small components to their neighbours; return the labels, and the components that are new."""
         config = self._config
-        places_min = config.piece_pixels_min * grid.points.pixel_share
+        places_min = config.extended.piece_pixels_min * grid.points.pixel_share
         open_label = len(self._leaves) + 1
         marked = np.where(grid.valid & (on_grid == 0), np.int32(open_label), on_grid)
         found = connected_components(marked, adjacency)
@@ -333,7 +339,7 @@ class LiveTree:
         cleaned = labels_of[found.numbers]
         homeless = (cleaned == 0) & grid.valid
         if homeless.any():
-            cleaned = spread_labels(cleaned, homeless, grid.per_m, config.depth_gap_per_m)
+            cleaned = spread_labels(cleaned, homeless, grid.per_m, config.extended.inverse_depth_gap)
         is_new = cleaned >= open_label
         appeared = np.where(is_new, cleaned - np.int32(open_label - 1), 0)
         cleaned[is_new] = 0
@@ -376,12 +382,12 @@ class LiveTree:
         # What has no depth in this frame keeps its label for the next one.
         self._labels = self._updater.renumbered(before)
         np.copyto(self._labels, labels, where=labels > 0)
-        return SegmentationTree(segments, cloud.valid.shape, objects, contacts, config.level, labels)
+        return SegmentationTree(segments, cloud.valid.shape, objects, contacts, config.extended.level, labels)
 
 
 def lives(config: SegmentationConfig) -> bool:
     """Say whether the tree of a configuration can live on from frame to frame."""
-    return config.method == "nurbseg" and config.fit_of == "inverse-depth"
+    return config.method == "nurbseg"
 
 
 __all__ = ["Budget", "LiveTree", "Misfit", "UpdateReport", "lives"]

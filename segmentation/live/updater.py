@@ -156,9 +156,9 @@ class _Update:
     ) -> None:
         self._editor, self._cloud, self._config = editor, cloud, config
         self._turn, self._frame = turn, frame
-        self._features = GridFeatures(grid, adjacency, np.zeros((0, 0), dtype=np.float32), None)
+        self._features = GridFeatures(grid, adjacency, np.zeros((0, 0), dtype=np.float32))
         self._measures = measures
-        self._places_min = config.piece_pixels_min * grid.points.pixel_share
+        self._places_min = config.extended.piece_pixels_min * grid.points.pixel_share
         for number, leaf in editor.by_number.items():
             if np.isnan(leaf.level) and leaf.age <= 1:
                 leaf.level = float(measures.mean_squared[number])

@@ -22,7 +22,7 @@ from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, basis_matrix
 from nurbseg.segmentation.surfaces.knot_lattice import lattice_basis
 from nurbseg.segmentation.surfaces.leastsquares import LinAlgError, fit_splines
 from nurbseg.segmentation.surfaces.metrics import residual_metrics
-from nurbseg.segmentation.surfaces.surface import Fit, NurbsSurface, fit_on_grid
+from nurbseg.segmentation.surfaces.surface import Fit, NurbsSurface
 
 #: How far beyond its segment a surface goes on without leaving its knots, pixels of a 640-wide image.
 _MARGIN_PX = 24.0
@@ -142,7 +142,7 @@ def fit_window(
     mask : (h, w) bool
         Places of the window to fit, at least one, each of which has a point.
     config : SegmentationConfig
-        Says what is fitted (`fit_of`), how far knots are apart and how smooth the surface is.
+        Says how far knots are apart and how smooth the surface is.
 
     Returns
     -------
@@ -156,18 +156,8 @@ def fit_window(
     .. [1] P. Eilers and B. Marx, "Flexible smoothing with B-splines and penalties", Statistical Science
        11(2), 1996.
     """
-    top, left, bottom, right = window
     mask = np.ascontiguousarray(mask)
     pixels = grid.points.pixels_of_window(window, mask)
-    if config.fit_of == "xyz":
-        fit = fit_on_grid(grid.points, grid.points.places_of_window(window, mask), config)
-        if fit.surface is None:
-            return fit, np.full(pixels.size, np.inf)
-        u = np.arange(left, right, dtype=np.float64) * grid.step
-        v = np.arange(top, bottom, dtype=np.float64) * grid.step
-        fitted = inverse_depth_lattice(fit.surface, u, v)[0]
-        return fit, (fitted - grid.per_m[top:bottom, left:right])[mask]
-
     try:
         spline = _fitted_spline(grid, window, mask, config)
     except LinAlgError as error:
@@ -200,8 +190,6 @@ def residuals_of_fit(
     (N,) float64
         1/m, in row order.
     """
-    if config.fit_of == "xyz":
-        return fit_window(grid, window, mask, config)[1]
     mask = np.ascontiguousarray(mask)
     try:
         spline = _fitted_spline(grid, window, mask, config)
@@ -234,8 +222,8 @@ class _Spline:
 def knots_on(grid: DepthGrid, config: SegmentationConfig) -> tuple[float, float]:
     """Return the distance of the knots, places of the grid, and the weight of second differences there."""
     return (
-        config.knot_spacing_px * grid.unit_px / grid.step,
-        config.smoothness * (2.0 * grid.unit_px / grid.step) ** 2,
+        config.extended.knot_spacing_px * grid.unit_px / grid.step,
+        config.extended.smoothness * (2.0 * grid.unit_px / grid.step) ** 2,
     )
 
 

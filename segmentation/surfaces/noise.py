@@ -76,7 +76,7 @@ def noise_floors(
     (size,) float64
         As of `noise_floor`, by label; 0 where a label has no place.
     """
-    if config.noise_floor == 0:
+    if config.extended.noise_floor == 0:
         return np.zeros(size)
     return _floors(grid, (0, 0), labels, size, config)
 
@@ -89,7 +89,7 @@ def _floors(
     config: SegmentationConfig,
 ) -> NDArray[np.float64]:
     """Return the floor of each label of a window that begins at a row and a column; 0 is no label."""
-    deviation_per_m = config.noise_floor * config.noise_per_m
+    deviation_per_m = config.extended.noise_floor * config.extended.inverse_depth_noise
     if config.metric in CURVATURE_METRICS:
         counts = np.bincount(labels.ravel(), minlength=size)
         return np.array([_curvature_floor(deviation_per_m, int(n), grid, config) for n in counts])
@@ -209,7 +209,7 @@ class NoiseEstimate:
 
     Parameters
     ----------
-    noise_per_m : float
+    inverse_depth_noise : float
         Root mean square residual of inverse depth on the planes, 1/m: what the setting of that name takes.
     nearest_per_m, farthest_per_m : float
         The same for the nearest and the farthest third of the points. Where they differ much, the noise
@@ -222,7 +222,7 @@ class NoiseEstimate:
         Frames that had a plane.
     """
 
-    noise_per_m: float
+    inverse_depth_noise: float
     nearest_per_m: float
     farthest_per_m: float
     nearest_m: float
@@ -287,7 +287,7 @@ def measure_noise(clouds: Iterable[PointMap], *, seed: int = 0) -> NoiseEstimate
         return float(np.sqrt(np.mean(np.square(values))))
 
     return NoiseEstimate(
-        noise_per_m=size(residual),
+        inverse_depth_noise=size(residual),
         nearest_per_m=size(residual[near]),
         farthest_per_m=size(residual[far]),
         nearest_m=float(1.0 / per_m[near].mean()),

@@ -334,9 +334,9 @@ def has_least_norm(config: SegmentationConfig) -> bool:
     bool
         Curvature takes second derivatives, which a ridge changes much more than residuals.
     """
-    if config.least_squares == "auto":
+    if config.stag15.least_squares == "auto":
         return config.metric in CURVATURE_METRICS
-    return config.least_squares == "svd"
+    return config.stag15.least_squares == "svd"
 
 
 def control_point_count(extent: int, image_extent: int, config: SegmentationConfig) -> int:
@@ -355,8 +355,8 @@ def control_point_count(extent: int, image_extent: int, config: SegmentationConf
     int
         At least 4, which a cubic needs, and beyond that no more than there are pixels.
     """
-    share = 1.0 if config.control_points == "fixed" else extent / image_extent
-    wanted = int(np.floor(config.control_points_max * share + 0.5))
+    share = 1.0 if config.stag15.control_points == "fixed" else extent / image_extent
+    wanted = int(np.floor(config.stag15.control_points_max * share + 0.5))
     return max(_FEWEST_CONTROL_POINTS, min(wanted, extent))
 
 

@@ -1,6 +1,6 @@
 import json
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import cv2
@@ -11,7 +11,7 @@ from nurbseg.app.atomic_file import write_atomically
 from nurbseg.app.export import Exporter, ExportError, run_settings, surfaces_npz, tree_document
 from nurbseg.app.live.tracking import process_frame
 from nurbseg.app.result import FrameResult
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.segments import SegmentationTree, Trial
 from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate
 
@@ -19,7 +19,9 @@ from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate
 @pytest.fixture(scope="module", params=["surfaces", "objects"])
 def merged_result(request: pytest.FixtureRequest, small_result: FrameResult) -> FrameResult:
     """A frame segmented by the method that merges surfaces into objects, at either level."""
-    return process_frame(small_result.frame, SegmentationConfig(method="nurbseg", level=request.param))
+    return process_frame(
+        small_result.frame, SegmentationConfig(method="nurbseg", extended=ExtendedConfig(level=request.param))
+    )
 
 
 SETTINGS = run_settings(SegmentationConfig(method="stag15"), surfaces=True)
@@ -129,7 +131,8 @@ def test_the_settings_are_written_beside_the_frames(small_result: FrameResult, t
     Exporter(tmp_path, settings).write(small_result)
     found = json.loads((tmp_path / "settings.json").read_text())
     assert (found["source"], found["temporal"], found["target_fps"]) == ("kitchen.mcap", True, 30.0)
-    assert SegmentationConfig(**found["segmentation"]) == config
+    assert found["segmentation"] == asdict(config)
+    assert found["segmentation"]["extended"]["cuts"] == 3
     assert json.loads((tmp_path / "000000_tree.json").read_text())["metric"] == "vgc"
 
 

@@ -5,7 +5,9 @@ from typing import Any
 
 import pytest
 
+from nurbseg.app.evaluation.variants import path_named
 from nurbseg.drivers import Intrinsics, SourceOptions
+from nurbseg.drivers.settings import nested, updated
 from nurbseg.segmentation.config import SegmentationConfig
 
 INFINITE, NAN = float("inf"), float("nan")
@@ -28,7 +30,7 @@ INFINITE, NAN = float("inf"), float("nan")
 )
 def test_a_setting_that_cannot_be_worked_with_is_refused_by_name(name: str, value: Any) -> None:
     with pytest.raises(ValueError, match=f"^{name}: expected .* got {re.escape(str(value))}"):
-        SegmentationConfig(**{name: value})
+        updated(SegmentationConfig(), **nested({path_named(name): value}))
 
 
 @pytest.mark.parametrize("name", ["width", "height", "fx", "cy"])

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from plates import SHAPE, WALL_PER_M, Box, cloud_of, inside_of
 
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
 from nurbseg.segmentation.extended.splitting import fit_segment
 from nurbseg.segmentation.live.editor import TreeUpdate
@@ -19,7 +19,9 @@ from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Division, Node, Trial
 
 #: A segment has at least 25 places of the grid of every second pixel.
-CONFIG = SegmentationConfig(level="surfaces", samples=60, noise_per_m=5e-4, piece_pixels_min=1600)
+CONFIG = SegmentationConfig(
+    samples=60, extended=ExtendedConfig(level="surfaces", inverse_depth_noise=5e-4, piece_pixels_min=1600)
+)
 GRID = SHAPE[0] // 2, SHAPE[1] // 2
 #: The frame before the one that is looked at.
 BEFORE, FRAME = 40, 41

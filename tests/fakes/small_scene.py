@@ -7,10 +7,10 @@ import numpy as np
 from nurbseg.app.live.tracking import process_frame
 from nurbseg.app.result import FrameResult
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import SegmentationConfig, Stag15Config
 
 WIDTH, HEIGHT = 160, 120
-CONFIG = SegmentationConfig(segment_pixels_min=400, decimation=1, samples=50)
+CONFIG = SegmentationConfig(decimation=1, samples=50, stag15=Stag15Config(segment_pixels_min=400))
 
 
 def small_frame(index: int = 0, *, calibration: Calibration | None = None, truth: bool = True) -> RGBDFrame:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig, Stag15Config
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.stag15 import segment
 
@@ -40,7 +40,11 @@ def clouds(draw):
 @given(cloud=clouds(), decimation=st.integers(1, 3), least=st.sampled_from([100, 2_000, 20_000]))
 def test_a_pixel_has_a_label_where_it_has_a_point_and_nowhere_else(method, cloud, decimation, least):
     config = SegmentationConfig(
-        method=method, decimation=decimation, segment_pixels_min=least, piece_pixels_min=least, samples=20
+        method=method,
+        decimation=decimation,
+        samples=20,
+        stag15=Stag15Config(segment_pixels_min=least),
+        extended=ExtendedConfig(piece_pixels_min=least),
     )
     tree = segment(cloud, config)
     for level in ("surfaces", "objects"):

@@ -7,7 +7,8 @@ import pytest
 from exact_surface import metric as exact_metric
 from exact_surface import ratio as exact_ratio
 
-from nurbseg.segmentation.config import Metric, SegmentationConfig
+from nurbseg.drivers.settings import updated
+from nurbseg.segmentation.config import ExtendedConfig, Metric, SegmentationConfig, Stag15Config
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Division, Segment, SegmentationTree, StopReason
 from nurbseg.segmentation.stag15 import segment
@@ -19,19 +20,21 @@ PLACES_MIN = 60
 _PIXELS_MIN = PLACES_MIN * 640 * 480 // (SIZE[0] * SIZE[1])
 LIMITLESS = {"ratio_max": 1e9, "depth_max": 64, "splits_max": 10_000}
 PAPER = SegmentationConfig(
-    method="stag15", decimation=1, segment_pixels_min=_PIXELS_MIN, samples=60, large_error_m=0.02
+    method="stag15",
+    decimation=1,
+    samples=60,
+    large_error_m=0.02,
+    stag15=Stag15Config(segment_pixels_min=_PIXELS_MIN),
 )
 #: With no floor of noise, and by the second eigenvector alone.
 EXTENDED = SegmentationConfig(
     method="nurbseg",
     decimation=1,
-    piece_pixels_min=_PIXELS_MIN,
-    noise_per_m=1e-6,
-    noise_floor=0.0,
-    cuts=1,
     samples=60,
-    refine_borders=False,
     large_error_m=0.02,
+    extended=ExtendedConfig(
+        piece_pixels_min=_PIXELS_MIN, inverse_depth_noise=1e-6, noise_floor=0.0, cuts=1, refine_borders=False
+    ),
 )
 
 
@@ -194,13 +197,11 @@ def two_colors(cloud_of, left: int, right: int, apart: int = 0) -> PointMap:
 )
 def test_the_smallest_segment_has_exactly_t_p_places(cloud_of, base, left, right, places_min, reasons):
     pixels_min = places_min * 25
-    config = replace(
+    config = updated(
         base,
         **LIMITLESS,
-        segment_pixels_min=pixels_min,
-        piece_pixels_min=pixels_min,
-        color_weight=1.0,
-        normal_weight=0.0,
+        stag15={"segment_pixels_min": pixels_min},
+        extended={"piece_pixels_min": pixels_min, "color_weight": 1.0, "normal_weight": 0.0},
     )
     tree = segment(two_colors(cloud_of, left, right), config)
     assert [leaf.stop for leaf in tree.leaves()] == reasons
@@ -212,7 +213,8 @@ def test_the_smallest_segment_has_exactly_t_p_places(cloud_of, base, left, right
 def test_a_side_apart_from_the_other_is_held_to_t_p_too(cloud_of, places_min, leaves):
     # It touches nothing that it could be given to.
     tree = segment(
-        two_colors(cloud_of, 100, 190, apart=2), replace(PAPER, segment_pixels_min=places_min * 25)
+        two_colors(cloud_of, 100, 190, apart=2),
+        updated(PAPER, stag15={"segment_pixels_min": places_min * 25}),
     )
     assert len(tree.leaves()) == leaves
     assert (tree.root.stop is StopReason.CHILD_TOO_SMALL) == (leaves == 1)

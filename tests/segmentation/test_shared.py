@@ -6,7 +6,8 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from nurbseg.segmentation.config import Metric, SegmentationConfig
+from nurbseg.drivers.settings import updated
+from nurbseg.segmentation.config import Metric, SegmentationConfig, Stag15Config
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.shared import SharedWork
 from nurbseg.segmentation.stag15 import SegmentationTree, segment
@@ -31,7 +32,7 @@ def facts(tree: SegmentationTree) -> list[tuple[object, ...]]:
 
 def test_trees_are_the_same_with_and_without_sharing(cloud: PointMap) -> None:
     shared = SharedWork()
-    base = SegmentationConfig(method="stag15", segment_pixels_min=300, samples=40)
+    base = SegmentationConfig(method="stag15", samples=40, stag15=Stag15Config(segment_pixels_min=300))
     for metric in get_args(Metric):
         for ratio_max in (1.0, 0.8):
             config = replace(base, metric=metric, ratio_max=ratio_max, large_error_m=0.05)
@@ -40,10 +41,15 @@ def test_trees_are_the_same_with_and_without_sharing(cloud: PointMap) -> None:
 
 def test_settings_that_change_the_cut_do_not_share_it(cloud: PointMap) -> None:
     shared = SharedWork()
-    base = SegmentationConfig(method="stag15", segment_pixels_min=300, samples=40)
+    base = SegmentationConfig(method="stag15", samples=40, stag15=Stag15Config(segment_pixels_min=300))
     segment(cloud, base, shared)
-    for change in ({"samples": 60}, {"geometry_weight": 3.0}, {"seed": 4}, {"control_points": "fixed"}):
-        config = replace(base, **change)
+    for change in (
+        {"samples": 60},
+        {"geometry_weight": 3.0},
+        {"seed": 4},
+        {"stag15": {"control_points": "fixed"}},
+    ):
+        config = updated(base, **change)
         assert facts(segment(cloud, config, shared)) == facts(segment(cloud, config))
 
 

@@ -1,14 +1,13 @@
 import os
 import subprocess
 import sys
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import SegmentationConfig, Stag15Config
 from nurbseg.segmentation.stag15 import SegmentationTree, StopReason, segment
 from nurbseg.segmentation.surfaces.metrics import METRICS, acceptance_ratio
 from nurbseg.segmentation.surfaces.surface import fit_surface
@@ -115,7 +114,7 @@ def test_one_sphere_is_recovered(cloud_of):
     cloud = cloud_of(depth)
     fit = fit_surface(cloud, np.flatnonzero(cloud.valid), stag15())
     assert fit.residuals_m.max() < 1e-3
-    tree = segment(cloud, stag15(ratio_max=0.5, first_split="judged"))
+    tree = segment(cloud, stag15(ratio_max=0.5))
     assert len(tree.leaves()) <= 4
     assert fit.values["mse"] < 1e-7
 
@@ -144,7 +143,9 @@ def test_a_leaf_says_that_it_reached_the_depth(cloud_of):
 
 def test_no_segment_is_smaller_than_the_limit(cloud_of):
     # The limit is in pixels of a 640x480 image; this one has a sixteenth of them.
-    tree = segment(cluttered_scene(cloud_of), stag15(segment_pixels_min=6400, decimation=1))
+    tree = segment(
+        cluttered_scene(cloud_of), stag15(decimation=1, stag15=Stag15Config(segment_pixels_min=6400))
+    )
     sizes = [leaf.pixels.size for leaf in tree.leaves()]
     assert min(sizes) >= 400
     small = [leaf for leaf in tree.leaves() if leaf.stop is StopReason.TOO_SMALL]
@@ -254,21 +255,18 @@ def test_fewer_points_than_samples_can_be_split(cloud_of):
     small = type(cloud)(
         *(image[50:60, 80:90].copy() for image in (cloud.points_m, cloud.color, cloud.colored))
     )
-    config = stag15(decimation=1, samples=2000, segment_pixels_min=10_000)
+    config = stag15(decimation=1, samples=2000, stag15=Stag15Config(segment_pixels_min=10_000))
     labels = segment(small, config).labels("surfaces")
     assert np.unique(labels - truth[50:60, 80:90].astype(np.uint16)).size == 1
 
 
-def test_the_first_split_is_kept_as_in_the_paper_or_judged(cloud_of):
+def test_the_first_split_is_kept_as_in_the_paper(cloud_of):
     cloud, _ = step_scene(cloud_of, noise_m=0.01)
     config = stag15(ratio_max=1e-6)
     kept = segment(cloud, config)
     assert len(kept.leaves()) == 2
     assert kept.root.ratio is not None
     assert kept.root.ratio > 1e-6
-    judged = segment(cloud, replace(config, first_split="judged"))
-    assert judged.root.stop is StopReason.CRITERION
-    assert judged.root.ratio == kept.root.ratio
 
 
 def test_the_grid_of_decision_does_not_move_the_border_of_clear_surfaces(cloud_of):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig, Stag15Config
 from nurbseg.segmentation.segments import Division, Segment, SegmentationTree
 from nurbseg.segmentation.stag15 import segment
 from nurbseg.segmentation.surfaces.surface import evaluate
@@ -42,7 +42,12 @@ def parts_of(tree: SegmentationTree, each: Segment) -> list[Segment]:
 @BOTH
 def test_ratios_follow_from_the_surfaces_and_the_pixels_that_were_fitted(cloud_of, box_on_table, method):
     cloud = cloud_of(box_on_table((240, 320), noise_per_m=1.5e-3, seed=1)[0])
-    config = SegmentationConfig(method=method, segment_pixels_min=600, splits_max=8, noise_per_m=1.5e-3)
+    config = SegmentationConfig(
+        method=method,
+        splits_max=8,
+        stag15=Stag15Config(segment_pixels_min=600),
+        extended=ExtendedConfig(inverse_depth_noise=1.5e-3),
+    )
     tree = segment(cloud, config)
     splits = [each for each in tree.segments if each.division is Division.CUT]
     assert len(splits) > 2
@@ -68,7 +73,9 @@ def test_ratios_follow_from_the_surfaces_and_the_pixels_that_were_fitted(cloud_o
 def test_only_gaps_have_no_trial(cloud_of, method):
     depth = np.full((120, 160), 1.0)
     depth[:, 80:] = 2.0
-    tree = segment(cloud_of(depth), SegmentationConfig(method=method, segment_pixels_min=300))
+    tree = segment(
+        cloud_of(depth), SegmentationConfig(method=method, stag15=Stag15Config(segment_pixels_min=300))
+    )
     for each in tree.segments:
         if each.division is Division.GAP:
             assert each.trial is None
@@ -82,7 +89,9 @@ def test_only_gaps_have_no_trial(cloud_of, method):
 @BOTH
 def test_the_window_of_a_surface_holds_all_pixels_of_its_segment(cloud_of, box_on_table, method):
     cloud = cloud_of(box_on_table((241, 321), noise_per_m=1.5e-3, seed=2)[0])
-    tree = segment(cloud, SegmentationConfig(method=method, segment_pixels_min=600, splits_max=8))
+    tree = segment(
+        cloud, SegmentationConfig(method=method, splits_max=8, stag15=Stag15Config(segment_pixels_min=600))
+    )
     for each in tree.segments:
         if each.fit.surface is None or not each.pixels.size:
             continue

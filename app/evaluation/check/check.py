@@ -104,7 +104,11 @@ class FolderCheck:
             return
         yield from check_partition(frame, in_order=not settings.temporal)
         step = grid_step(frame, settings)
-        pixels_min = config.segment_pixels_min if config.method == "stag15" else config.piece_pixels_min
+        pixels_min = (
+            config.stag15.segment_pixels_min
+            if config.method == "stag15"
+            else config.extended.piece_pixels_min
+        )
         points_min = pixels_min * frame.shape[0] * frame.shape[1] / (640 * 480) / step**2
         yield from check_splits(frame, settings, points_min)
         stops = check_stops if settings.grows_anew else check_live_stops

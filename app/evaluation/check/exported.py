@@ -52,8 +52,7 @@ class RunSettings:
     @property
     def grows_anew(self) -> bool:
         """Whether the tree of each frame is grown for that frame alone."""
-        lives_on = self.config.method == "nurbseg" and self.config.fit_of == "inverse-depth"
-        return not (self.temporal and lives_on)
+        return not (self.temporal and self.config.method == "nurbseg")
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,7 +44,7 @@ def check_floors(
     Finding
         Each floor that is not that of its points.
     """
-    floored = config.method == "nurbseg" and config.noise_floor > 0
+    floored = config.method == "nurbseg" and config.extended.noise_floor > 0
     per_point: dict[str, float] = {}
     for name, each in frame.segments.items():
         pixels = frame.measured.get(name, np.zeros(0, dtype=np.int64))
@@ -56,7 +56,7 @@ def check_floors(
                 per_point[name] = each.floor / (each.points if config.metric == "nlc" else 1)
                 continue
             noise_m = _noise(pixels, cloud, step)
-            noise_m *= config.noise_floor * config.noise_per_m
+            noise_m *= config.extended.noise_floor * config.extended.inverse_depth_noise
             least, most = (_floor(noise_m * factor, config) for factor in (1.0 - _SINGLE, 1.0 + _SINGLE))
         if not least <= each.floor <= most:
             yield Finding(frame.tree_file, name, "floor", f"{least:.9g} to {most:.9g}", repr(each.floor))

@@ -19,6 +19,7 @@ from nurbseg.app.evaluation.check.exported import (
     RunSettings,
 )
 from nurbseg.app.export import SETTINGS_FILE
+from nurbseg.drivers.settings import in_sections, updated
 from nurbseg.segmentation.config import SegmentationConfig
 
 
@@ -41,13 +42,13 @@ def read_settings(folder: Path) -> RunSettings:
     path = folder / SETTINGS_FILE
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
-        segmentation = values["segmentation"]
+        segmentation, _ = in_sections(SegmentationConfig, values["segmentation"])
         return RunSettings(
             str(values["source"]),
             bool(values["temporal"]),
             float(values["target_fps"]),
             bool(values["surfaces"]),
-            SegmentationConfig(**segmentation),
+            updated(SegmentationConfig(), **segmentation),
         )
     except FileNotFoundError:
         raise ValueError(f"{path}: does not exist; nurbseg-live --export writes it") from None
@@ -55,7 +56,7 @@ def read_settings(folder: Path) -> RunSettings:
         raise ValueError(f"{path}: cannot be read: {err.strerror}") from err
     except KeyError as err:
         raise ValueError(f"{path}: {err.args[0]} is missing; export again with this version") from err
-    except (TypeError, ValueError) as err:
+    except (AttributeError, TypeError, ValueError) as err:
         raise ValueError(f"{path}: {err}; export again with this version") from err
 
 

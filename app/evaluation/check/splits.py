@@ -143,7 +143,7 @@ def _check_trial(
         yield Finding(tree, name, "trial parts", f"{trial.whole[1]} points together", str(sum(below)))
     if len(below) != 2 and (settings.config.method == "stag15" or len(below) < 2):
         yield Finding(tree, name, "trial parts", "two", str(len(below)))
-    in_any_case = name == "P" and settings.config.method == "stag15" and settings.config.first_split == "kept"
+    in_any_case = name == "P" and settings.config.method == "stag15"
     limit = settings.config.ratio_max
     if trial.kept != (ratio < limit or in_any_case):
         kept = "kept" if trial.kept else "rejected"

@@ -62,7 +62,7 @@ def check_values(frame: ExportedFrame, cloud: PointMap, config: SegmentationConf
         points_m = cloud.points_m[rows, columns].astype(np.float64)
         values = frame.segments[name].values
         S = derivatives(surface, rows, columns, order=2 if "vgc" in values else 0)
-        if config.method == "nurbseg" and config.fit_of == "inverse-depth":
+        if config.method == "nurbseg":
             residuals_m, off_m, beside = _along_rays(S[0, 0], points_m)
             if beside > _BESIDE_MOST:
                 expected = f"surface points on their rays, to {_BESIDE_MOST} rad"

@@ -44,9 +44,15 @@ def test_flags_are_called_as_the_fields_and_as_in_the_literature() -> None:
     words = ["--ratio-max", "0.9", "--lambda", "2", "--metric", "vmxc", "--segment-pixels-min", "500"]
     settings = parse_arguments(words).config.segmentation
     assert (settings.ratio_max, settings.geometry_weight) == (0.9, 2.0)
-    assert (settings.metric, settings.segment_pixels_min) == ("vmxc", 500)
+    assert (settings.metric, settings.stag15.segment_pixels_min) == ("vmxc", 500)
     assert parse_arguments(["--threshold", "0.8"]).config.segmentation.ratio_max == 0.8
     assert parse_arguments(["--geometry-weight", "3"]).config.segmentation.geometry_weight == 3.0
+
+
+def test_former_names_of_flags_are_understood() -> None:
+    former = parse_arguments(["--noise-per-m", "0.004", "--depth-gap-per-m", "0.5"]).config
+    assert former == parse_arguments(["--inverse-depth-noise", "0.004", "--inverse-depth-gap", "0.5"]).config
+    assert former.segmentation.extended.inverse_depth_noise == 0.004
 
 
 def test_flags_override_the_file_and_the_file_the_defaults(tmp_path: Path) -> None:

@@ -12,8 +12,8 @@ from nurbseg.app.command.config_file import ConfigError, format_config, read_con
 from nurbseg.app.command.values import value_kinds
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.drivers.openni2.options import DeviceOptions
-from nurbseg.drivers.settings import described_fields
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.drivers.settings import described_fields, subsections
+from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig, Stag15Config
 
 FULL = AppConfig(
     source=SourceConfig(
@@ -28,7 +28,14 @@ FULL = AppConfig(
         depth_scale=5000.0,
     ),
     camera=DeviceOptions(serial="A1", mirror=True, sync=False),
-    segmentation=SegmentationConfig(metric="mmxc", ratio_max=0.8, geometry_weight=0.3, seed=5),
+    segmentation=SegmentationConfig(
+        metric="mmxc",
+        ratio_max=0.8,
+        geometry_weight=0.3,
+        seed=5,
+        stag15=Stag15Config(control_points="fixed"),
+        extended=ExtendedConfig(level="surfaces", inverse_depth_noise=1e-3),
+    ),
     view=ViewConfig(mode="none", save="a.rrd"),
     export=ExportConfig(directory="out", surfaces=True, report="r.json"),
 )
@@ -79,9 +86,8 @@ def test_units_and_bounds_are_printed() -> None:
 
 def test_every_field_of_a_section_is_a_setting() -> None:
     for section in sections().values():
-        assert {each.name for each in dataclasses.fields(section)} == {
-            each.name for each in described_fields(section)
-        }
+        settings = {each.name for each in described_fields(section)}
+        assert {each.name for each in dataclasses.fields(section)} - {*subsections(section)} == settings
 
 
 @pytest.mark.parametrize(
@@ -103,6 +109,16 @@ def test_every_field_of_a_section_is_a_setting() -> None:
         ("[source]\nduration = 1\n", r"source\.duration \(did you mean source\.duration_s\?\)"),
         ("[source]\nxyzzy = 1\n", r"unknown key source\.xyzzy$"),
         ("speed = 1\n", r"unknown key speed: keys stand in a section \(did you mean source\.speed\?\)"),
+        (
+            "[segmentation.extended]\nmerge_creas = true\n",
+            r"segmentation\.extended\.merge_creas \(did you mean segmentation\.extended\.merge_crease\?\)",
+        ),
+        ("[segmentation.stag51]\nlevel = 'objects'\n", r"unknown key segmentation\.stag51"),
+        ("[segmentation]\nstag15 = 3\n", r"unknown key segmentation\.stag15"),
+        (
+            "[segmentation.extended]\ncuts = 0\n",
+            r"segmentation\.extended\.cuts: expected at least 1, got 0",
+        ),
         ("[segmentaton]\n", r"unknown section \[segmentaton\]: expected one of \[source\], "),
         ("source = 3\n", r"unknown key source: keys stand in a section"),
         ("[segmentation]\nratio_max = 0\n", r"segmentation\.ratio_max: expected more than 0\.0, got 0\.0"),
@@ -166,3 +182,42 @@ def test_a_hostile_file_gets_a_short_typed_error(tmp_path: Path, text: str, mess
     with pytest.raises(ConfigError, match=message) as found:
         read_config(written(tmp_path, text))
     assert len(str(found.value)) - len(str(tmp_path)) < 300
+
+
+def test_keys_of_the_one_flat_section_are_understood_with_a_hint(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    flat = "[segmentation]\nmetric = 'mae'\nnoise_per_m = 0.003\ncuts = 2\nleast_squares = 'svd'\n"
+    path = written(tmp_path, flat)
+    assert read_config(path).segmentation == SegmentationConfig(
+        metric="mae",
+        stag15=Stag15Config(least_squares="svd"),
+        extended=ExtendedConfig(inverse_depth_noise=0.003, cuts=2),
+    )
+    assert sorted(caplog.messages) == [
+        f"{path}: segmentation.cuts is now segmentation.extended.cuts",
+        f"{path}: segmentation.least_squares is now segmentation.stag15.least_squares",
+        f"{path}: segmentation.noise_per_m is now segmentation.extended.inverse_depth_noise",
+    ]
+
+
+def test_a_former_name_is_understood_in_its_section_too(tmp_path: Path) -> None:
+    path = written(tmp_path, "[segmentation.extended]\ndepth_gap_per_m = 0.5\n")
+    assert read_config(path).segmentation.extended.inverse_depth_gap == 0.5
+
+
+def test_a_setting_that_is_none_any_more_is_told_or_refused(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    former = "first_split = 'kept'\nnormalize_nodes = true\nconnected_pieces = true\n"
+    path = written(tmp_path, f"[segmentation]\n{former}fit_of = 'inverse-depth'\n")
+    assert read_config(path) == AppConfig()
+    assert len(caplog.messages) == 4
+    with pytest.raises(ConfigError, match=r"segmentation\.fit_of: .* only 'inverse-depth' is possible"):
+        read_config(written(tmp_path, "[segmentation]\nfit_of = 'xyz'\n"))
+
+
+def test_a_setting_given_by_both_names_is_refused(tmp_path: Path) -> None:
+    text = "[segmentation]\ncuts = 2\n[segmentation.extended]\ncuts = 3\n"
+    with pytest.raises(ConfigError, match=r"segmentation\.cuts: is given as extended\.cuts too"):
+        read_config(written(tmp_path, text))

@@ -20,7 +20,7 @@ def test_the_paper_s_grid_has_27_settings() -> None:
 def test_rivals_and_the_earlier_method_stand_outside_the_grid_of_metrics() -> None:
     variants = variants_of(["fh04", "pz14"], metrics=["mse", "nle"], thresholds=[1.0, 0.9])
     assert [each.name for each in variants] == ["fh04", "pz14"]
-    assert variants[1].config.control_points == "fixed"
+    assert variants[1].config.stag15.control_points == "fixed"
     assert variants[1].config.metric == "mse"
 
 
@@ -43,7 +43,7 @@ def test_a_grid_gives_a_method_only_the_settings_it_uses() -> None:
     assert names == ["dmzc12 samples=50", "dmzc12 samples=60", "fh04"]
     earlier = variants_of(["pz14"], grid=grid)
     assert len(earlier) == 4
-    assert {each.config.control_points for each in earlier} == {"fixed"}
+    assert {each.config.stag15.control_points for each in earlier} == {"fixed"}
     assert {each.config.method for each in earlier} == {"stag15"}
 
 
@@ -83,3 +83,13 @@ def test_values_have_the_type_of_their_setting() -> None:
 def test_an_unknown_metric_is_refused() -> None:
     with pytest.raises(ValueError, match="mses"):
         variants_of(["stag15"], metrics=["mses"])
+
+
+def test_a_grid_varies_a_setting_for_the_methods_that_read_it() -> None:
+    grid = grid_of(["noise_floor=0.5,1", "segment_pixels_min=700,800,900"])
+    names = [each.name for each in variants_of(["nurbseg", "stag15"], grid=grid)]
+    assert names == [
+        "nurbseg noise_floor=0.5",
+        "nurbseg noise_floor=1.0",
+        *(f"stag15 segment_pixels_min={pixels}" for pixels in (700, 800, 900)),
+    ]

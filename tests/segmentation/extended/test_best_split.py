@@ -1,15 +1,13 @@
 """One split of the default method: which cut is kept, what is told where none is, and what it falls into."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.cut.ncut import Cut
 from nurbseg.segmentation.extended import splitting
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
-from nurbseg.segmentation.extended.splitting import _neighbors_side, _pieces, best_split, children_of
+from nurbseg.segmentation.extended.splitting import _neighbors_side, best_split, children_of
 from nurbseg.segmentation.segments import Division, Node, StopReason, depth_first
 from nurbseg.segmentation.surfaces.surface import Fit
 
@@ -18,11 +16,8 @@ SIZE = (48, 64)
 CONFIG = SegmentationConfig(
     method="nurbseg",
     decimation=1,
-    piece_pixels_min=2000,
-    noise_per_m=1e-6,
-    noise_floor=0.0,
     ratio_max=0.5,
-    cuts=5,
+    extended=ExtendedConfig(piece_pixels_min=2000, inverse_depth_noise=1e-6, noise_floor=0.0, cuts=5),
 )
 
 
@@ -66,7 +61,7 @@ def test_cuts_are_tried_in_turn_until_the_ratio_keeps_one(roof, monkeypatch, cut
     asked = []
 
     def scripted(vectors, *, count, **_):
-        assert count == CONFIG.cuts
+        assert count == CONFIG.extended.cuts
         for name in cuts:
             asked.append(name)
             side = SIDES[name]
@@ -165,21 +160,3 @@ def test_a_large_segment_is_cut_at_every_second_place_and_continued(roof):
     assert sum(own.size for side in sides for own, _, _ in side) == ROWS.size
     node.stop = None
     assert best_split(roof, node, CONFIG, thin_from=ROWS.size + 1)[1].side.size == ROWS.size
-
-
-def test_sides_that_need_not_be_connected_are_two_pieces_or_one(roof):
-    config = replace(CONFIG, connected_pieces=False)
-    # A cross, so that its window holds places of others too.
-    cross = np.flatnonzero(((ROWS > 20) & (ROWS < 30)) | ((COLUMNS > 20) & (COLUMNS < 40)))
-    rows, columns = np.divmod(cross, SIZE[1])
-    specks = (rows == 25) & (columns % 9 == 4)
-    labels = (1 + ((columns > 35) ^ specks)).astype(np.int32)
-    pieces, label_of = _pieces(roof, cross, labels, config)
-    assert label_of == [1, 2]
-    assert np.array_equal(pieces[0], cross[columns <= 35])
-    assert np.array_equal(pieces[1], cross[columns > 35])
-    labels = (1 + ((rows < 2) & (columns < 26))).astype(np.int32)
-    (whole,), label_of = _pieces(roof, cross, labels, config)
-    assert label_of == [1]
-    assert np.array_equal(whole, cross)
-    assert _pieces(roof, cross[:0], labels[:0], config) == ([], [])

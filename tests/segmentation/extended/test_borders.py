@@ -1,8 +1,7 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
+from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.borders import refine_borders
 from nurbseg.segmentation.labels.upsample import upsample_by_depth
@@ -58,11 +57,16 @@ def swept(labels, per_m, explained, config, sweeps=6):
         for r, c in pixels if sweep < 2 else [each for each in pixels if (sum(each) + sweep) % 2 == 0]:
             cost = {}
             for label in {labels[other] for other in around(r, c)}:
-                cost[label] = min(((explained[label - 1][r, c] - per_m[r, c]) / config.noise_per_m) ** 2, 16)
+                cost[label] = min(
+                    ((explained[label - 1][r, c] - per_m[r, c]) / config.extended.inverse_depth_noise) ** 2,
+                    16,
+                )
             for other in around(r, c):
                 apart = np.hypot(other[0] - r, other[1] - c)
                 if apart > 0:
-                    is_gap = abs(per_m[other] - per_m[r, c]) >= config.depth_gap_per_m * np.sqrt(apart)
+                    is_gap = abs(per_m[other] - per_m[r, c]) >= config.extended.inverse_depth_gap * np.sqrt(
+                        apart
+                    )
                     cost[labels[other]] -= (0.25 if is_gap else 1.0) * 0.7 / apart
             cheapest = min(cost, key=lambda label: (cost[label], label))
             if cheapest != labels[r, c]:
@@ -84,7 +88,7 @@ def test_sweeps_are_those_over_one_pixel_after_the_other(cloud_of, box_on_table)
         np.clip(rows + shift[0], 0, truth.shape[0] - 1), np.clip(columns + shift[1], 0, truth.shape[1] - 1)
     ].astype(np.int32)
     # Two parts of the box; no piece is too small.
-    config = replace(CONFIG, piece_pixels_min=1)
+    config = updated(CONFIG, extended={"piece_pixels_min": 1})
     for top, left in ((70, 90), (110, 170)):
         window = slice(top, top + 60), slice(left, left + 80)
         labels = np.zeros_like(ragged)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.drivers.settings import updated
+from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.cut.ncut import Cut
 from nurbseg.segmentation.extended import splitting
 from nurbseg.segmentation.extended.splitting import best_split, fit_segment, grid_features
@@ -16,7 +17,7 @@ from nurbseg.segmentation.segments import Division, Node, SegmentationTree, Stop
 from nurbseg.segmentation.stag15 import segment
 from nurbseg.segmentation.surfaces.surface import Fit, evaluate
 
-CONFIG = SegmentationConfig(method="nurbseg", decimation=1, refine_borders=False)
+CONFIG = SegmentationConfig(method="nurbseg", decimation=1, extended=ExtendedConfig(refine_borders=False))
 SIZE = (120, 160)
 
 
@@ -60,8 +61,10 @@ def test_two_planes_at_an_angle_are_parted_by_their_ratio(cloud_of):
     assert cut_at_middle(tree)
     root = tree.root
     assert root.division is Division.CUT
-    weights = [weight(tree[name].fit, cloud, CONFIG.noise_per_m) for name in root.children]
-    assert root.ratio == pytest.approx(sum(weights) / weight(root.fit, cloud, CONFIG.noise_per_m), rel=1e-3)
+    weights = [weight(tree[name].fit, cloud, CONFIG.extended.inverse_depth_noise) for name in root.children]
+    assert root.ratio == pytest.approx(
+        sum(weights) / weight(root.fit, cloud, CONFIG.extended.inverse_depth_noise), rel=1e-3
+    )
     assert root.ratio < 0.9
 
 
@@ -81,14 +84,14 @@ def test_a_noisy_plane_stays_whole_since_its_ratio_is_one(cloud_of, seed):
 
 def test_without_the_floor_the_ratio_splits_noise(cloud_of):
     cloud = cloud_of(roof(0.0))
-    assert len(segment(cloud, replace(CONFIG, noise_floor=0.0)).leaves()) > 4
+    assert len(segment(cloud, updated(CONFIG, extended={"noise_floor": 0.0})).leaves()) > 4
 
 
 def test_a_factor_on_the_noise_decides_what_is_noise(cloud_of):
     cloud = cloud_of(roof(0.0, noise_per_m=4e-3))
     tried = segment(cloud, CONFIG).root
     assert tried.ratio is not None
-    untried = segment(cloud, replace(CONFIG, noise_floor=2.0)).root
+    untried = segment(cloud, updated(CONFIG, extended={"noise_floor": 2.0})).root
     assert (untried.stop, untried.ratio) == (StopReason.NOISE, None)
 
 
@@ -97,7 +100,7 @@ def test_a_threshold_on_either_side_of_the_ratio_decides(cloud_of):
     ratio = segment(cloud, CONFIG).root.ratio
     assert ratio is not None
     above = segment(cloud, replace(CONFIG, ratio_max=1.01 * ratio))
-    below = segment(cloud, replace(CONFIG, ratio_max=0.99 * ratio, cuts=1))
+    below = segment(cloud, updated(CONFIG, ratio_max=0.99 * ratio, extended={"cuts": 1}))
     assert above.root.ratio == ratio
     assert above.root.division is Division.CUT
     assert below.root.stop is StopReason.CRITERION
@@ -113,7 +116,7 @@ def test_what_is_tried_is_what_may_be_accepted(cloud_of, ratio_max, stop):
     features, root = root_of(cloud_of(roof(0.012)), replace(CONFIG, ratio_max=ratio_max))
     assert root.fit.floor / root.fit.values["mse"] == pytest.approx(0.824, abs=0.002)
     if root.stop is None:
-        best_split(features, root, replace(CONFIG, ratio_max=ratio_max, cuts=1))
+        best_split(features, root, updated(CONFIG, ratio_max=ratio_max, extended={"cuts": 1}))
         assert root.trial is not None
         assert root.trial.ratio == pytest.approx(0.853, abs=0.002)
         assert root.trial.kept == (stop is None)
@@ -178,9 +181,9 @@ def test_what_a_later_cut_comes_to_does_not_undo_a_rejection(cloud_of, monkeypat
 
     def after(side: NDArray[np.bool_]) -> float:
         parts = (fit_segment(features, root.places[each], CONFIG)[1] for each in (side, ~side))
-        return sum(weight(part, cloud, CONFIG.noise_per_m) for part in parts)
+        return sum(weight(part, cloud, CONFIG.extended.inverse_depth_noise) for part in parts)
 
-    whole = weight(root.fit, cloud, CONFIG.noise_per_m)
+    whole = weight(root.fit, cloud, CONFIG.extended.inverse_depth_noise)
     assert root.trial is not None
     assert root.trial.ratio == pytest.approx(min(after(side) for side in halves) / whole, rel=1e-4)
     assert not root.trial.kept

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import lab
-from nurbseg.segmentation.extended.grid_features import grid_features, segment_normalization
+from nurbseg.segmentation.extended.grid_features import grid_features
 
 CONFIG = SegmentationConfig(method="nurbseg")
 
@@ -33,10 +33,6 @@ def test_vectors_hold_color_position_and_normal_of_each_place(cloud, step):
     assert (np.sum(raw[..., 3:6] * raw[..., 6:], axis=-1)[valid] < 0).all()
 
 
-def test_there_are_no_normals_where_they_count_for_nothing(cloud):
-    assert grid_features(cloud, replace(CONFIG, normal_weight=0.0)).raw.shape[1] == 6
-
-
 def test_places_without_a_point_are_joined_to_nothing(cloud):
     features = grid_features(cloud, CONFIG)
     valid, adjacency = features.grid.valid, features.adjacency
@@ -45,21 +41,12 @@ def test_places_without_a_point_are_joined_to_nothing(cloud):
     assert adjacency.right[valid].mean() > 0.8
 
 
-def test_vectors_are_normalised_for_the_frame_or_for_each_segment(cloud):
-    assert grid_features(cloud, CONFIG).whole is None
-    features = grid_features(cloud, replace(CONFIG, normalize_nodes=False))
-    expected = segment_normalization(features.raw, np.flatnonzero(features.grid.valid), CONFIG)
-    assert features.whole is not None
-    assert_array_equal(features.whole.mean, expected.mean)
-    assert_array_equal(features.whole.factor, expected.factor)
-
-
 def test_the_smallest_segment_is_the_same_share_of_the_image_on_every_grid(cloud):
     every, second = (grid_features(cloud, replace(CONFIG, decimation=step)) for step in (1, 2))
     assert every.places_min(CONFIG) == pytest.approx(4 * second.places_min(CONFIG))
 
 
 def test_a_frame_without_points_is_laid_out_too(cloud_of):
-    features = grid_features(cloud_of(np.full((24, 32), np.nan)), replace(CONFIG, normalize_nodes=False))
+    features = grid_features(cloud_of(np.full((24, 32), np.nan)), CONFIG)
     assert not features.grid.valid.any()
     assert np.isfinite(features.raw).all()

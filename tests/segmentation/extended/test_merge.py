@@ -3,7 +3,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.extended.border_statistics import BorderStatistics, border_statistics
 from nurbseg.segmentation.extended.merge import merge_surfaces, merged_objects
 from nurbseg.segmentation.points.rays import rays_of
@@ -74,9 +74,9 @@ def test_halves_of_a_bowl_are_one_object_only_by_their_smooth_border(cloud_of, r
     grid, surfaces = fitted(cloud_of(1 / (1 / depth + 2e-3 * rng.normal(size=depth.shape))), labels, 2)
     objects, contacts = merge_surfaces(labels, grid, NAMES[:2], surfaces, CONFIG)
     assert [each.leaves for each in objects] == [("00", "01")]
-    strict = SegmentationConfig(concavity_max=0.0, merge_smooth=False)
+    strict = SegmentationConfig(extended=ExtendedConfig(concavity_max=0.0, merge_smooth=False))
     assert len(merge_surfaces(labels, grid, NAMES[:2], surfaces, strict)[0]) == 2
-    smooth = SegmentationConfig(concavity_max=0.01)
+    smooth = SegmentationConfig(extended=ExtendedConfig(concavity_max=0.01))
     objects, contacts = merge_surfaces(labels, grid, NAMES[:2], surfaces, smooth)
     assert len(objects) == 1
     assert contacts[0].smooth
@@ -93,7 +93,7 @@ def test_a_concave_crease_is_not_smooth(cloud_of, box_on_table):
 def test_merging_can_be_switched_off(cloud_of, box_on_table):
     depth, truth = box_on_table()
     grid, surfaces = fitted(cloud_of(depth), truth)
-    off = SegmentationConfig(merge_crease=False, merge_smooth=False)
+    off = SegmentationConfig(extended=ExtendedConfig(merge_crease=False, merge_smooth=False))
     assert merge_surfaces(truth, grid, NAMES, surfaces, off) == ((), ())
 
 
@@ -157,10 +157,10 @@ def merged_from_scratch(found, smooth, count, config):
             ]
             samples, touching = (sum(getattr(m, name) for m in across) for name in ("samples", "touching"))
             turned = sum(m.concavity_sum for m in across if (m.first, m.second) not in smooth)
-            allowed = any(config.merge_crease or (m.first, m.second) in smooth for m in across)
+            allowed = any(config.extended.merge_crease or (m.first, m.second) in smooth for m in across)
             if allowed and touching >= 4 and touching >= samples / 2:
                 able.append((turned / touching, one, other))
-        able = [each for each in able if each[0] < config.concavity_max]
+        able = [each for each in able if each[0] < config.extended.concavity_max]
         if not able:
             return sorted(map(sorted, groups))
         _, one, other = min(able, key=lambda each: each[0])
@@ -179,7 +179,7 @@ def test_the_least_concave_pair_is_merged_first_and_its_borders_are_pooled(seed)
             found.append(BorderStatistics(first, second, samples, touching, touching * rng.normal(0.15, 0.2)))
     smooth = {(each.first, each.second) for each in found if rng.random() < 0.2}
     labels = rng.integers(0, count + 1, (9, 13)).astype(np.int32)
-    config = SegmentationConfig(merge_crease=bool(seed % 3))
+    config = SegmentationConfig(extended=ExtendedConfig(merge_crease=bool(seed % 3)))
     names = [f"{number:04b}" for number in range(count)]
     objects, contacts = merged_objects(found, smooth, labels, names, config)
     groups = merged_from_scratch(found, smooth, count, config)
@@ -213,7 +213,7 @@ def test_the_least_concave_pair_is_merged_first_and_its_borders_are_pooled(seed)
     ],
 )
 def test_a_contact_says_why_it_is_merged_or_not(border, smooth, crease, merged, reason):
-    config = SegmentationConfig(merge_crease=crease, concavity_max=0.12)
+    config = SegmentationConfig(extended=ExtendedConfig(merge_crease=crease, concavity_max=0.12))
     labels = np.array([[1, 1, 2]], dtype=np.int32)
     pairs = {(1, 2)} if smooth else set()
     objects, (contact,) = merged_objects([BorderStatistics(1, 2, *border)], pairs, labels, ("0", "1"), config)

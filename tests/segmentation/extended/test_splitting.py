@@ -7,7 +7,8 @@ import pytest
 
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.drivers.settings import updated
+from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.scoring.scores import (
     object_iou,
@@ -21,10 +22,7 @@ from nurbseg.segmentation.surfaces.surface import evaluate
 MANY_PIECES = SegmentationConfig(
     method="nurbseg",
     decimation=1,
-    piece_pixels_min=1,
-    refine_borders=False,
-    merge_crease=False,
-    merge_smooth=False,
+    extended=ExtendedConfig(piece_pixels_min=1, refine_borders=False, merge_crease=False, merge_smooth=False),
 )
 CONFIG = SegmentationConfig(method="nurbseg")
 DATA = os.environ.get("NURBSEG_DATA", "")
@@ -71,8 +69,8 @@ def test_a_box_on_a_table_is_two_objects_of_four_surfaces(cloud_of, box_on_table
 def test_the_level_says_what_a_label_is(cloud_of, box_on_table):
     depth, _ = box_on_table(noise_per_m=1.5e-3)
     cloud = cloud_of(depth)
-    objects = segment(cloud, replace(CONFIG, level="objects"))
-    surfaces = segment(cloud, replace(CONFIG, level="surfaces"))
+    objects = segment(cloud, updated(CONFIG, extended={"level": "objects"}))
+    surfaces = segment(cloud, updated(CONFIG, extended={"level": "surfaces"}))
     assert np.array_equal(objects.labels(), objects.labels("objects"))
     assert np.array_equal(surfaces.labels(), surfaces.labels("surfaces"))
     assert np.array_equal(surfaces.labels("surfaces"), objects.labels("surfaces"))
@@ -82,18 +80,15 @@ def test_the_level_says_what_a_label_is(cloud_of, box_on_table):
 @pytest.mark.parametrize(
     "off",
     [
-        {"normal_weight": 0.0},
-        {"normalize_nodes": False},
-        {"connected_pieces": False},
-        {"fit_of": "xyz"},
-        {"noise_floor": 0.0},
-        {"cuts": 1},
-        {"refine_borders": False},
-        {"merge_crease": False},
-        {"merge_smooth": False},
-        {"merge_crease": False, "merge_smooth": False},
+        {"extended": {"normal_weight": 0.0}},
+        {"extended": {"noise_floor": 0.0}},
+        {"extended": {"cuts": 1}},
+        {"extended": {"refine_borders": False}},
+        {"extended": {"merge_crease": False}},
+        {"extended": {"merge_smooth": False}},
+        {"extended": {"merge_crease": False, "merge_smooth": False}},
         {"metric": "mmxc"},
-        {"smoothness": 0.0},
+        {"extended": {"smoothness": 0.0}},
         {"splitting_point": "ncut"},
     ],
     ids=str,
@@ -102,9 +97,9 @@ def test_every_stage_can_be_switched_off(cloud_of, box_on_table, off):
     depth, _ = box_on_table(noise_per_m=1.5e-3)
     depth[np.random.default_rng(0).random(depth.shape) < 0.05] = np.nan
     cloud = cloud_of(depth)
-    tree = segment(cloud, replace(CONFIG, **off))
+    tree = segment(cloud, updated(CONFIG, **off))
     the_tree_is_sound(tree, cloud.valid)
-    assert bool(tree.objects) == (len(off) < 2)
+    assert bool(tree.objects) == (len(off.get("extended", {})) < 2)
 
 
 def test_a_contact_names_two_leaves_and_its_reason(cloud_of, box_on_table):

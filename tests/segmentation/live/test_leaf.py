@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nurbseg.segmentation.config import Metric, SegmentationConfig
+from nurbseg.segmentation.config import ExtendedConfig, Metric, SegmentationConfig
 from nurbseg.segmentation.live.leaf import LiveLeaf, misfit, update_residuals
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node
@@ -17,7 +17,9 @@ from nurbseg.segmentation.surfaces.surface import evaluate
 
 SHAPE = (60, 80)
 NOISE = 2.5e-3
-CONFIG = SegmentationConfig(decimation=2, noise_per_m=NOISE, large_error_m=0.004)
+CONFIG = SegmentationConfig(
+    decimation=2, large_error_m=0.004, extended=ExtendedConfig(inverse_depth_noise=NOISE)
+)
 
 
 @pytest.fixture

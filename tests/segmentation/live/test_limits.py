@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 from plates import PLATES, plates
 
-from nurbseg.segmentation.config import Metric, SegmentationConfig
+from nurbseg.segmentation.config import ExtendedConfig, Metric, SegmentationConfig
 from nurbseg.segmentation.live import renewal
 from nurbseg.segmentation.live.tree import Budget, LiveTree, UpdateReport
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Division, Segment, SegmentationTree, StopReason
 from nurbseg.segmentation.surfaces.surface import evaluate
 
-CONFIG = SegmentationConfig(level="surfaces", samples=60, noise_per_m=5e-4, piece_pixels_min=1600)
+CONFIG = SegmentationConfig(
+    samples=60, extended=ExtendedConfig(level="surfaces", inverse_depth_noise=5e-4, piece_pixels_min=1600)
+)
 Seen = tuple[PointMap, SegmentationTree, UpdateReport]
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.live import tree as live_tree
 from nurbseg.segmentation.live.tree import Budget, LiveTree, lives
 from nurbseg.segmentation.points.registration import PointMap
@@ -14,7 +14,7 @@ from nurbseg.segmentation.stag15 import SegmentationTree, segment
 
 SHAPE = (120, 160)
 FOCAL = 130.0
-CONFIG = SegmentationConfig(method="nurbseg", level="surfaces", samples=60)
+CONFIG = SegmentationConfig(method="nurbseg", samples=60, extended=ExtendedConfig(level="surfaces"))
 Box = tuple[int, int, int, int]
 
 
@@ -262,7 +262,7 @@ def test_a_frame_without_depth_is_survived(tree: LiveTree) -> None:
 
 def test_only_the_default_method_lives() -> None:
     assert lives(CONFIG)
-    for config in (replace(CONFIG, method="stag15"), replace(CONFIG, fit_of="xyz")):
-        assert not lives(config)
-        with pytest.raises(ValueError, match="nurbseg"):
-            LiveTree(config)
+    config = replace(CONFIG, method="stag15")
+    assert not lives(config)
+    with pytest.raises(ValueError, match="nurbseg"):
+        LiveTree(config)

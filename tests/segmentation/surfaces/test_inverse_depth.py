@@ -11,7 +11,7 @@ from nurbseg.segmentation.surfaces.inverse_depth import (
     inverse_depth_lattice,
     rational_surface,
 )
-from nurbseg.segmentation.surfaces.surface import evaluate, evaluate_lattice
+from nurbseg.segmentation.surfaces.surface import evaluate, evaluate_lattice, fit_surface
 
 SIZE = (60, 80)
 WHOLE = (0, 0, *SIZE)
@@ -61,8 +61,7 @@ def test_slopes_are_those_of_finite_differences(cloud_of):
     rays = rays_of(cloud_of(plane()))
     rational = rational_surface(rng.uniform(0.5, 2.0, (6, 7)), knots_u, knots_v, rays, WHOLE)
     cloud = cloud_of(plane() + 0.01 * rng.normal(size=SIZE))
-    config = SegmentationConfig(decimation=1, fit_of="xyz")
-    polynomial = fit_window(depth_grid(cloud, 1), WHOLE, cloud.valid, config)[0].surface
+    polynomial = fit_surface(cloud, np.flatnonzero(cloud.valid), CONFIG).surface
     u, v = np.linspace(5, 70, 9), np.linspace(4, 50, 9)
     for surface in (rational, polynomial):
         per_m, slope_u, slope_v = inverse_depth_lattice(surface, u, v)
@@ -73,14 +72,13 @@ def test_slopes_are_those_of_finite_differences(cloud_of):
             assert_allclose(slope, (after - before) / (2 * h), atol=1e-8)
 
 
-@pytest.mark.parametrize("fit_of", ["inverse-depth", "xyz"])
 @pytest.mark.parametrize("step", [1, 2])
-def test_residuals_are_distances_to_the_surface_that_is_returned(cloud_of, fit_of, step):
+def test_residuals_are_distances_to_the_surface_that_is_returned(cloud_of, step):
     rng = np.random.default_rng(1)
     depth = plane() + 0.01 * rng.normal(size=SIZE)
     depth[rng.random(SIZE) < 0.2] = np.nan
     cloud = cloud_of(depth)
-    config = SegmentationConfig(decimation=step, fit_of=fit_of)
+    config = SegmentationConfig(decimation=step)
     grid = depth_grid(cloud, step)
     fit, residuals = fit_window(grid, (0, 0, *grid.valid.shape), grid.valid, config)
     rows, columns = np.divmod(fit.pixels, SIZE[1])

@@ -8,7 +8,7 @@ from numpy.linalg import LinAlgError
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.config import Metric, SegmentationConfig
+from nurbseg.segmentation.config import Metric, SegmentationConfig, Stag15Config
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.bspline import averaged_knots, basis_matrix
 from nurbseg.segmentation.surfaces.curvature import all_metrics, curvatures_at_pixels
@@ -166,8 +166,8 @@ def test_curvatures_of_irregular_segments_are_those_of_the_dense_svd(mask, nu: i
 @pytest.mark.parametrize("metric", get_args(Metric))
 def test_metrics_of_curvature_are_solved_by_svd_unless_told_otherwise(metric: Metric):
     assert has_least_norm(SegmentationConfig(metric=metric)) is (metric in CURVATURE)
-    assert has_least_norm(SegmentationConfig(metric=metric, least_squares="svd"))
-    assert not has_least_norm(SegmentationConfig(metric=metric, least_squares="ridge"))
+    assert has_least_norm(SegmentationConfig(metric=metric, stag15=Stag15Config(least_squares="svd")))
+    assert not has_least_norm(SegmentationConfig(metric=metric, stag15=Stag15Config(least_squares="ridge")))
 
 
 def test_fits_are_solved_as_the_setting_says():
@@ -175,7 +175,9 @@ def test_fits_are_solved_as_the_setting_says():
     pixels = np.flatnonzero(cloud.valid)
 
     def control(metric: Metric, least_squares) -> NDArray[np.float64]:
-        fit = fit_surface(cloud, pixels, SegmentationConfig(metric=metric, least_squares=least_squares))
+        fit = fit_surface(
+            cloud, pixels, SegmentationConfig(metric=metric, stag15=Stag15Config(least_squares=least_squares))
+        )
         assert fit.surface is not None
         return fit.surface.control_points_m
 

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.surfaces.curvature import principal_curvatures
 from nurbseg.segmentation.surfaces.inverse_depth import depth_grid, fit_window
 from nurbseg.segmentation.surfaces.metrics import COUNTS, METRICS, curvature_metrics
@@ -79,7 +79,10 @@ def test_the_floor_is_what_noise_does_to_points_at_their_depth(cloud_of, rays_of
             "ve": np.mean(moved.var(axis=0)),
         }
         for metric, value in expected.items():
-            config = SegmentationConfig(metric=metric, noise_per_m=deviation_per_m, noise_floor=factor)
+            config = SegmentationConfig(
+                metric=metric,
+                extended=ExtendedConfig(inverse_depth_noise=deviation_per_m, noise_floor=factor),
+            )
             assert noise_floor(grid, (0, 0, 60, 80), mask, config) == pytest.approx(value, rel=0.02)
 
 
@@ -105,7 +108,7 @@ def test_the_floor_of_curvature_is_that_of_surfaces_fitted_to_noise(cloud_of, de
     rows, columns = np.mgrid[80:160:4, 80:240:4].reshape(2, -1)
     curvatures = []
     for _ in range(40):
-        cloud = cloud_of(1 / (1 / depth_m + config.noise_per_m * rng.normal(size=size)))
+        cloud = cloud_of(1 / (1 / depth_m + config.extended.inverse_depth_noise * rng.normal(size=size)))
         # A step of 1 in an image half as wide as others: knots are 25 places apart, as by default.
         fit, _ = fit_window(depth_grid(cloud, 1), window, mask, config)
         curvatures.append(principal_curvatures(fit.surface, columns.astype(float), rows.astype(float)))

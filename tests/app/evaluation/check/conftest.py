@@ -13,24 +13,37 @@ import numpy as np
 import pytest
 
 from nurbseg.app.evaluation.check.check import FolderCheck
+from nurbseg.app.evaluation.variants import path_named
 from nurbseg.app.export import Exporter, run_settings
 from nurbseg.app.live.tracking import process_frame
 from nurbseg.drivers.registry import open_source
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig, Stag15Config
 
 RECORDING = "synthetic:?width=160&height=120&frames=2"
 CONFIGS = {
-    "stag15": SegmentationConfig(method="stag15", segment_pixels_min=600, depth_max=3, splits_max=5),
+    "stag15": SegmentationConfig(
+        method="stag15", depth_max=3, splits_max=5, stag15=Stag15Config(segment_pixels_min=600)
+    ),
     "curvature": SegmentationConfig(
-        method="stag15", segment_pixels_min=600, splits_max=4, metric="vmxc", ratio_max=3.0
+        method="stag15",
+        splits_max=4,
+        metric="vmxc",
+        ratio_max=3.0,
+        stag15=Stag15Config(segment_pixels_min=600),
     ),
     "counts": SegmentationConfig(
-        method="stag15", segment_pixels_min=600, metric="nle", large_error_m=0.02, decimation=1
+        method="stag15",
+        metric="nle",
+        large_error_m=0.02,
+        decimation=1,
+        stag15=Stag15Config(segment_pixels_min=600),
     ),
     "nurbseg": SegmentationConfig(splits_max=8, depth_max=4),
-    "strict": SegmentationConfig(ratio_max=0.3, noise_per_m=1e-3, depth_max=3),
+    "strict": SegmentationConfig(
+        ratio_max=0.3, depth_max=3, extended=ExtendedConfig(inverse_depth_noise=1e-3)
+    ),
     "floored": SegmentationConfig(metric="nle", large_error_m=0.02, splits_max=4),
-    "surfaces": SegmentationConfig(level="surfaces", splits_max=4, decimation=3),
+    "surfaces": SegmentationConfig(splits_max=4, decimation=3, extended=ExtendedConfig(level="surfaces")),
 }
 
 
@@ -68,7 +81,9 @@ class Export:
         """Change a setting of the segmentation."""
         path = self.folder / "settings.json"
         settings = json.loads(path.read_text())
-        settings["segmentation"][name] = value
+        *section, last = path_named(name).split(".")
+        target = settings["segmentation"][section[0]] if section else settings["segmentation"]
+        target[last] = value
         path.write_text(json.dumps(settings))
 
     def findings(self, recording: str | None = None) -> list[str]:

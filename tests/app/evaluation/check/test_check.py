@@ -11,6 +11,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from nurbseg.app.evaluation.check.check import FolderCheck
+from nurbseg.app.evaluation.check.reading import read_settings
 from nurbseg.app.evaluation.cli import main
 from nurbseg.app.export import Exporter, run_settings
 from nurbseg.app.live.tracking import process_frame
@@ -218,7 +219,6 @@ OTHER_SETTINGS = {
     "counts": [
         ("segment_pixels_min", 300, "stop"),
         ("segment_pixels_min", 1200, "trial parts"),
-        ("first_split", "judged", None),
     ],
     "strict": [("piece_pixels_min", 2, "stop")],
     "nurbseg": [
@@ -241,16 +241,28 @@ def test_other_settings_contradict_the_trees(export, name, setting, value, field
     folder = export(name)
     folder.setting(setting, value)
     found = folder.findings()
-    if field is None:
-        assert found == []
-    else:
-        assert any(re.search(rf": (P[01]* )?{field}: expected", each) for each in found), found
+    assert any(re.search(rf": (P[01]* )?{field}: expected", each) for each in found), found
 
 
-def test_a_first_split_that_made_it_worse_is_kept_only_where_it_is_not_judged(export):
+def test_settings_of_the_version_before_are_read(export):
+    folder = export("strict")
+    path = folder.folder / "settings.json"
+    settings = json.loads(path.read_text())
+    flat = settings["segmentation"]
+    flat |= flat.pop("stag15") | flat.pop("extended")
+    flat |= {"noise_per_m": flat.pop("inverse_depth_noise"), "depth_gap_per_m": flat.pop("inverse_depth_gap")}
+    known = read_settings(folder.folder)
+    path.write_text(json.dumps(settings | {"segmentation": flat | {"first_split": "kept"}}))
+    assert read_settings(folder.folder) == known
+    path.write_text(json.dumps(settings | {"segmentation": flat | {"first_split": "judged"}}))
+    with pytest.raises(ValueError, match=r"settings\.json: first_split: .*; export again"):
+        read_settings(folder.folder)
+
+
+def test_a_first_split_that_made_it_worse_is_kept_by_the_papers_method_alone(export):
     folder = export("curvature")
     assert folder.segments()["P"]["ratio"] > 3.0
-    folder.setting("first_split", "judged")
+    folder.setting("method", "nurbseg")
     assert any(": P trial: expected kept where" in each for each in folder.findings())
 
 
