@@ -25,7 +25,7 @@ def wall(noise: float, seed: int, flying: float = 0.0) -> np.ndarray:
 @pytest.mark.parametrize("noise", [5e-4, 3e-3, 6e-3])
 def test_the_noise_of_a_wall_is_measured(cloud_of, noise):
     estimate = measure_noise(cloud_of(wall(noise, seed, flying=0.05)) for seed in range(3))
-    assert estimate.noise_per_m == pytest.approx(noise, rel=0.03)
+    assert estimate.inverse_depth_noise == pytest.approx(noise, rel=0.03)
     assert estimate.nearest_per_m == pytest.approx(noise, rel=0.05)
     assert estimate.farthest_per_m == pytest.approx(noise, rel=0.05)
     assert estimate.nearest_m < estimate.farthest_m
@@ -37,11 +37,11 @@ def test_the_largest_plane_is_found_beside_other_things(cloud_of):
     depth = wall(2e-3, 0)
     depth[:100, :150] = 0.8
     depth[150:, 200:] = 0.6 + 0.1 * np.random.default_rng(1).random((90, 120))
-    assert measure_noise([cloud_of(depth)]).noise_per_m == pytest.approx(2e-3, rel=0.05)
+    assert measure_noise([cloud_of(depth)]).inverse_depth_noise == pytest.approx(2e-3, rel=0.05)
 
 
 def test_a_perfect_plane_has_next_to_no_noise(cloud_of):
-    assert measure_noise([cloud_of(wall(0.0, 0))]).noise_per_m < 1e-6
+    assert measure_noise([cloud_of(wall(0.0, 0))]).inverse_depth_noise < 1e-6
 
 
 def test_frames_without_a_plane_are_told(cloud_of):
