@@ -8,7 +8,6 @@ import fcntl
 import os
 import threading
 from pathlib import Path
-from types import TracebackType
 
 from nurbseg.drivers.files import create_private
 
@@ -54,12 +53,7 @@ class PipedFile:
         """Return a path by which the pipe can be opened for writing."""
         return Path(f"/proc/self/fd/{self._write_end}")
 
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         os.close(self._write_end)
 
     def join(self, timeout_s: float) -> bool:
@@ -81,6 +75,3 @@ class PipedFile:
             self._file.close()
         except OSError as err:
             self.error = self.error or err
-
-
-__all__ = ["PipedFile"]

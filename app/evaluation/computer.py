@@ -67,6 +67,3 @@ def _cpu_line(name: str, cpu_info: Path) -> str:
     except OSError:
         return ""
     return next((line.partition(":")[2].strip() for line in lines if line.split(":")[0].strip() == name), "")
-
-
-__all__ = ["computer", "same_products_everywhere", "versions"]

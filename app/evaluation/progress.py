@@ -20,6 +20,3 @@ class Progress:
         bar = "#" * filled + "." * (30 - filled)
         end = "\n" if done == total else ""
         print(f"\r[{bar}] {done}/{total} {self._unit} {more}", end=end, file=sys.stderr, flush=True)
-
-
-__all__ = ["Progress"]

@@ -105,14 +105,3 @@ def viewer_address(url: str) -> tuple[str, int]:
     if not host or port == 0 or parts.scheme not in schemes or parts.path not in ("", "/", "/proxy"):
         raise ValueError(f"connect: expected {expected}, got {url!r}")
     return host, port or DEFAULT_PORT
-
-
-__all__ = [
-    "DEFAULT_PORT",
-    "DEFAULT_WEB_PORT",
-    "SaveIndex",
-    "ViewConfig",
-    "ViewMode",
-    "bracketed",
-    "viewer_address",
-]

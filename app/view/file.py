@@ -131,6 +131,3 @@ class FileSink:
             self._queue.close()
         finally:
             self._stream.disconnect()
-
-
-__all__ = ["FileSink"]

@@ -10,8 +10,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from operator import attrgetter
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from nurbseg.app.result import FrameResult
 from nurbseg.app.versions import versions
@@ -19,6 +18,7 @@ from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame
 from nurbseg.app.view.messages import CODEC, Close, Closed, Failed, Line, Open, Opened, Refused, Status
+from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import FILE_CLOSE_S, FILE_PATIENCE_S, ViewError
 from nurbseg.drivers.frame import Calibration
 from nurbseg.drivers.process.bounded_queue import BoundedQueue
@@ -55,7 +55,7 @@ class _Shown:
     rate_hz: float
 
 
-class IsolatedView:
+class IsolatedView(View):
     """Shows and saves frames as `nurbseg.app.view.rerun.RerunView` does, but by another process.
 
     A thread draws each frame and hands it over, another one listens. Where a file is saved, every frame is,
@@ -64,7 +64,7 @@ class IsolatedView:
     Parameters
     ----------
     process : ChildProcess
-        From `nurbseg.app.view.process.begin_view`; ended with this view.
+        From `begin_view`; ended with this view.
     config : ViewConfig
         Where, and how fine.
     segmentation : SegmentationConfig
@@ -78,10 +78,6 @@ class IsolatedView:
 
     Attributes
     ----------
-    how_to_look : str
-        What a person does to see it; empty where a window opens by itself.
-    serving : bool
-        Whether a web page is served, which ends with this view.
     connections : int
         How often a viewer was connected to; more than 1 where one was lost and came back.
 
@@ -100,7 +96,8 @@ class IsolatedView:
         name: str,
         logger: logging.Logger,
     ) -> None:
-        self.how_to_look, self.serving, self.connections = "", False, 0
+        super().__init__()
+        self.connections = 0
         self._process = process
         self._config = config
         self._metric = segmentation.metric
@@ -151,12 +148,7 @@ class IsolatedView:
             )
 
     def show(self, result: FrameResult) -> None:
-        """Show a frame and save it.
-
-        Parameters
-        ----------
-        result : FrameResult
-            The frame; a viewer that is behind gets the newest one only, the file gets every one.
+        """Show a frame and save it: a viewer that is behind gets the newest one only, the file every one.
 
         Raises
         ------
@@ -213,16 +205,8 @@ class IsolatedView:
         self._process.close()
         self._check()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close(file_limit_s=FILE_PATIENCE_S if exc_type is None else FILE_CLOSE_S)
+    def __exit__(self, *exception: object) -> None:
+        self.close(file_limit_s=FILE_CLOSE_S if any(exception) else FILE_PATIENCE_S)
 
     def _rate_hz(self) -> float:
         if len(self._shown_s) < 2:
@@ -342,6 +326,3 @@ class _LogHandler(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         self._view.show_line(record.levelno, record.getMessage())
-
-
-__all__ = ["IsolatedView"]

@@ -37,7 +37,12 @@ class ViewerSink:
     opening : Opening
         What each connection begins with.
     starting : callable, optional
-        Returns whether a viewer is being started, which is then waited for without a word.
+        Returns whether a viewer is being started, which is then waited for without a message.
+
+    Attributes
+    ----------
+    connections : int
+        How often a viewer was connected to.
     """
 
     def __init__(self, url: str, opening: Opening, starting: Callable[[], bool] = lambda: False) -> None:
@@ -46,10 +51,9 @@ class ViewerSink:
         self._opening = opening
         self._starting = starting
         self._absence_said = False
-        self._connections = 0
+        self.connections = 0
         self._queue: BoundedQueue[Item] = BoundedQueue(1, "drop oldest")
         self._stopping = threading.Event()
-        self._connected = threading.Event()
         # A daemon, because Rerun can block for good.
         self._thread = threading.Thread(target=self._run, name="view-live", daemon=True)
         self._thread.start()
@@ -58,15 +62,6 @@ class ViewerSink:
     def dropped(self) -> int:
         """Frames that the viewer was too slow or too absent for."""
         return self._queue.dropped
-
-    @property
-    def connections(self) -> int:
-        """How often a viewer was connected to."""
-        return self._connections
-
-    def wait_connected(self, timeout_s: float) -> bool:
-        """Wait for a viewer; return whether there is one."""
-        return self._connected.wait(timeout_s)
 
     def put(self, frame: FrameEntities) -> None:
         """Show a frame, or drop an older one that still waits."""
@@ -103,7 +98,7 @@ class ViewerSink:
 
     def _may_come(self) -> bool:
         """Whether to go on waiting for a viewer that does not listen."""
-        if self._connected.is_set():
+        if self.connections:
             return not self._queue.closed
         if self._starting():
             return True
@@ -122,8 +117,7 @@ class ViewerSink:
             taken = connected = self._taken(stream)
             if connected:
                 logger.info("showing in the viewer at %s", self._url)
-                self._connections += 1
-                self._connected.set()
+                self.connections += 1
             writer = Writer(stream)
             while taken and not self._stopping.is_set() and not self._queue.finished:
                 with contextlib.suppress(TimeoutError):
@@ -160,6 +154,3 @@ class ViewerSink:
                 said = True
                 logger.warning("the viewer at %s takes nothing; frames are not shown for now", self._url)
         return False
-
-
-__all__ = ["ViewerSink"]

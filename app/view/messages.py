@@ -74,5 +74,3 @@ class Closed:
 
 
 CODEC = Codec(Open, Opened, Refused, ViewFrame, Line, Close, Status, Failed, Closed)
-
-__all__ = ["CODEC", "Close", "Closed", "Failed", "Line", "Open", "Opened", "Refused", "Status"]

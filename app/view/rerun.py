@@ -132,12 +132,7 @@ class RerunView:
         return sum(viewer.dropped for viewer in self._viewers)
 
     def show(self, frame: ViewFrame) -> None:
-        """Show a frame and save it.
-
-        Parameters
-        ----------
-        frame : ViewFrame
-            The frame; a viewer that is behind gets the newest one only, the file gets every one.
+        """Show a frame and save it: a viewer that is behind gets the newest one only, the file every one.
 
         Raises
         ------
@@ -230,6 +225,3 @@ class RerunView:
             return process is not None and code is None
 
         self._viewers.append(ViewerSink(f"rerun+http://{bracketed(host)}:{port}/proxy", opening, starting))
-
-
-__all__ = ["RerunView"]

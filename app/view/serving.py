@@ -89,6 +89,3 @@ class WebServer:
     def _end(self) -> None:
         self._process.kill()
         self._process.wait()
-
-
-__all__ = ["WebServer"]

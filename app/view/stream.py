@@ -9,8 +9,9 @@ import numpy as np
 import rerun as rr
 
 from nurbseg.app.view.drawing.blueprint import blueprint
-from nurbseg.app.view.drawing.entities import LOG, Entities, FrameEntities, camera_entities, stage_entities
+from nurbseg.app.view.drawing.entities import LOG, FrameEntities, camera_entities, stage_entities
 from nurbseg.app.view.drawing.frame import Moment
+from nurbseg.app.view.drawing.tree import Entities
 from nurbseg.drivers.frame import Calibration
 
 APPLICATION = "nurbseg"
@@ -115,6 +116,3 @@ class Writer:
             self._stages = item.stages
             log_entities(self._stream, stage_entities(item.stages), static=True)
         log_entities(self._stream, item.entities())
-
-
-__all__ = ["APPLICATION", "Item", "LogLine", "Opening", "Writer", "log_entities"]

@@ -4,82 +4,73 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from types import TracebackType
-from typing import Protocol, Self
+from typing import TYPE_CHECKING, Self
 
-from nurbseg.app.result import FrameResult
 from nurbseg.app.view.config import ViewConfig
-from nurbseg.app.view.process import begin_view
-from nurbseg.app.view.viewer import ViewError
+from nurbseg.app.view.viewer import ViewError, chosen_mode
 from nurbseg.drivers.process.child import ChildProcess
-from nurbseg.segmentation.config import SegmentationConfig
+
+if TYPE_CHECKING:
+    from nurbseg.app.result import FrameResult
+    from nurbseg.segmentation.config import SegmentationConfig
+
+#: Frames on their way to the process that shows: one is filled in while one is read.
+_SLOTS = 2
+_NO_DISPLAY = (
+    "no display (neither DISPLAY nor WAYLAND_DISPLAY is set), so nothing is shown: "
+    "serve a web page (--view serve), connect to a viewer elsewhere (--connect HOST), "
+    "or save a recording (--save FILE.rrd) and open it with 'rerun FILE.rrd'"
+)
 
 
-class View(Protocol):
-    """What shows results; a context manager that closes itself."""
-
-    @property
-    def how_to_look(self) -> str:
-        """What a person does to see it; empty where a window opens by itself or nothing is shown."""
-        ...
-
-    @property
-    def serving(self) -> bool:
-        """Whether a web page is served, which ends with this view."""
-        ...
-
-    def peak_memory_mb(self) -> float:
-        """Return the largest resident size of what shows and saves for this program, 10^6 bytes."""
-        ...
-
-    def show(self, result: FrameResult) -> None:
-        """Take a frame's result; never waits for a viewer."""
-        ...
-
-    def close(self) -> None:
-        """End within 2 s, with files whole; safe to call twice."""
-        ...
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None: ...
-
-
-class NullView:
-    """Shows nothing.
+class View:
+    """What shows each frame's result, a context manager that closes itself; this one shows nothing.
 
     Attributes
     ----------
     how_to_look : str
-        What a person may do to see something all the same; may be empty.
+        What a person does to see it; empty where a window opens by itself or there is nothing to see.
+    serving : bool
+        Whether a web page is served, which ends with this view.
     """
 
-    #: Whether others may look as long as this process runs; never.
-    serving = False
-
     def __init__(self, how_to_look: str = "") -> None:
-        self.how_to_look = how_to_look
+        self.how_to_look, self.serving = how_to_look, False
 
     def peak_memory_mb(self) -> float:
-        """Return 0."""
+        """Return the largest resident size of what shows and saves for this program, 10^6 bytes."""
         return 0.0
 
     def show(self, result: FrameResult) -> None:
-        """Do nothing."""
+        """Take a frame's result; never waits for a viewer."""
 
     def close(self) -> None:
-        """Do nothing."""
+        """End within 2 s, with files whole; safe to call twice."""
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        pass
+        self.close()
+
+
+def begin_view(config: ViewConfig) -> ChildProcess | None:
+    """Start the process that shows and saves, and imports what it needs meanwhile; None for nothing to show.
+
+    What it does for a frame is Python for the most part, and only one thread of a process runs Python at a
+    time: in the process that segments it would hold up what is computed.
+
+    Raises
+    ------
+    ViewError
+        If it cannot be started.
+    """
+    if chosen_mode(config) == "none" and config.save is None:
+        return None
+    try:
+        return ChildProcess("nurbseg.app.view.program", slots=_SLOTS, quiet=False)
+    except OSError as err:
+        raise ViewError(f"the process that shows and saves cannot be started: {err}") from err
 
 
 def open_view(
@@ -120,19 +111,10 @@ def open_view(
     """
     process = process or begin_view(config)
     if process is None:
-        return NullView("" if config.mode == "none" else _NO_DISPLAY)
+        return View("" if config.mode == "none" else _NO_DISPLAY)
     # Late: most of what draws is compiled, and a run without a view needs none of it.
     from nurbseg.app.view.isolated import IsolatedView
 
     return IsolatedView(
         process, config, segmentation, metadata or {}, name, logger or logging.getLogger("nurbseg")
     )
-
-
-_NO_DISPLAY = (
-    "no display (neither DISPLAY nor WAYLAND_DISPLAY is set), so nothing is shown: "
-    "serve a web page (--view serve), connect to a viewer elsewhere (--connect HOST), "
-    "or save a recording (--save FILE.rrd) and open it with 'rerun FILE.rrd'"
-)
-
-__all__ = ["NullView", "View", "ViewError", "open_view"]

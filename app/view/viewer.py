@@ -179,21 +179,3 @@ def cut_connections(host: str, port: int) -> int:
                     connection.shutdown(socket.SHUT_RDWR)
                     count += 1
     return count
-
-
-__all__ = [
-    "FILE_CLOSE_S",
-    "FILE_PATIENCE_S",
-    "ViewError",
-    "chosen_mode",
-    "cut_connections",
-    "free_port",
-    "has_display",
-    "is_taken",
-    "listens",
-    "private_environment",
-    "reachable",
-    "start_viewer",
-    "start_web_server",
-    "viewer_executable",
-]

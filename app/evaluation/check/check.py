@@ -148,6 +148,3 @@ def _recorded(source: FrameSource, frame: ExportedFrame) -> RGBDFrame | None:
             return None
         if recorded.index >= frame.frame:
             return recorded if recorded.index == frame.frame else None
-
-
-__all__ = ["FolderCheck"]

@@ -61,6 +61,3 @@ def check_command(given: argparse.Namespace, options: SourceOptions) -> int:
         file=sys.stderr,
     )
     return 1 if findings else 0
-
-
-__all__ = ["add_arguments", "check_command"]

@@ -184,13 +184,3 @@ class ExportedFrame:
             else:
                 found.append(part)
         return found
-
-
-__all__ = [
-    "ExportedFrame",
-    "ExportedSegment",
-    "ExportedSurface",
-    "ExportedTrial",
-    "Finding",
-    "RunSettings",
-]

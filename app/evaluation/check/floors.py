@@ -87,6 +87,3 @@ def _floor(noise_m: NDArray[np.float64], config: SegmentationConfig) -> float:
     if config.metric == "nle":
         return float(erfc(config.large_error_m / (np.sqrt(2.0) * noise_m)).sum())
     return float(np.mean(noise_m**2)) * (1.0 if config.metric == "mse" else 1.0 - 2.0 / np.pi)
-
-
-__all__ = ["check_floors"]

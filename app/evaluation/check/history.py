@@ -52,6 +52,3 @@ class History:
             (each.value, each.points) for each in own if each.measured == frame.frame
         }
         self._trials[frame.frame] = {each.trial for each in own if each.judged == frame.frame}
-
-
-__all__ = ["History"]

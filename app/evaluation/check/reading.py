@@ -217,6 +217,3 @@ def _surfaces(folder: Path, file: str) -> tuple[dict[str, ExportedSurface], dict
     except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as err:
         raise DamagedExportError(file, str(err)) from err
     return surfaces, measured
-
-
-__all__ = ["DamagedExportError", "read_frame", "read_settings"]

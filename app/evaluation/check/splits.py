@@ -177,6 +177,3 @@ def _compare_ratio(
 def cuts_above(frame: ExportedFrame, name: str) -> int:
     """Return the number of cuts between the root and a segment."""
     return sum(frame.segments[name[:end]].division == "cut" for end in range(1, len(name)))
-
-
-__all__ = ["check_splits", "cuts_above", "grid_step", "ratio_of"]

@@ -117,6 +117,3 @@ def check_live_stops(frame: ExportedFrame, settings: RunSettings, points_min: fl
             yield Finding(frame.tree_file, leaf.name, "stop", "a reason that holds", str(leaf.stop))
         if leaf.trial is not None and leaf.trial.kept:
             yield Finding(frame.tree_file, leaf.name, "trial", "one that was rejected", str(leaf.trial))
-
-
-__all__ = ["check_live_stops", "check_stops"]

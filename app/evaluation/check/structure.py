@@ -132,6 +132,3 @@ def _check_objects(frame: ExportedFrame, in_order: bool) -> Iterator[Finding]:
             yield Finding(tree, f"{first}-{second}", "contact", "two leaves", f"{first} and {second}")
         elif merged != together:
             yield Finding(tree, f"{first}-{second}", "merged", f"{together} by their objects", str(merged))
-
-
-__all__ = ["check_names", "check_partition"]

@@ -181,6 +181,3 @@ def derivatives(
         A2, w2 = homogeneous(du, dv)
         S[du, dv] = (A2 - terms - w2 * S[0, 0]) / w
     return S
-
-
-__all__ = ["check_measured", "check_surfaces", "derivatives", "malformed"]

@@ -178,6 +178,3 @@ def curvature_values(
         "mmxc": float(np.mean(largest)),
         "nlc": float(np.count_nonzero(largest > config.large_curvature_per_m)),
     }
-
-
-__all__ = ["check_values", "curvature_values", "have_points", "residual_bounds"]

@@ -70,6 +70,3 @@ def _ordered(means: Mapping[str, float], names: list[str], greater: bool) -> lis
 def _setting(name: str) -> str:
     """Return a variant's name without its method."""
     return name.partition(" ")[2]
-
-
-__all__ = ["findings", "means_of"]

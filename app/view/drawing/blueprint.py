@@ -149,6 +149,3 @@ one has the color of the reason why it was not split further:
 A split is kept if the parts' {segmentation.metric.upper()} is less than {segmentation.ratio_max:g} of the
 whole's (the column *ratio*). What was found in an earlier frame, say 12, is marked *@12*.
 """
-
-
-__all__ = ["blueprint", "legend"]

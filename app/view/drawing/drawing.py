@@ -113,6 +113,3 @@ def _some_points(
     coarse = labels[::step, ::step]
     shown = coarse > 0
     return points_m[::step, ::step][shown], coarse[shown]
-
-
-__all__ = ["drawn"]

@@ -197,13 +197,3 @@ def _said(frame: ViewFrame) -> Entities:
         yield LOG, rr.TextLog("; ".join(frame.events), level="INFO")
     if frame.anew:
         yield LOG, rr.TextLog(f"segmented anew: {frame.anew}", level="INFO")
-
-
-__all__ = [
-    "CAMERA",
-    "Entities",
-    "FrameEntities",
-    "camera_entities",
-    "opening_entities",
-    "stage_entities",
-]

@@ -120,6 +120,3 @@ class ViewFrame:
     events: tuple[str, ...]
     grid_step: int | None
     anew: str
-
-
-__all__ = ["Moment", "TreeNode", "ViewFrame"]

@@ -125,13 +125,3 @@ def _oklab(rgb: NDArray[np.uint8]) -> NDArray[np.float64]:
     )
     lab: NDArray[np.float64] = np.cbrt(linear @ lms_from_rgb.T) @ lab_from_lms.T
     return lab
-
-
-__all__ = [
-    "DIVISION_COLORS",
-    "LABEL_COLORS",
-    "SERIES_COLORS",
-    "STOP_COLORS",
-    "label_colors",
-    "residual_colors",
-]

@@ -206,6 +206,3 @@ def _normals(
         if x * px + y * py + z * pz > 0.0:
             length = -length
         normals[vertex, 0], normals[vertex, 1], normals[vertex, 2] = x / length, y / length, z / length
-
-
-__all__ = ["SurfaceMesh", "surface_mesh"]

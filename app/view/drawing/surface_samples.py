@@ -162,6 +162,3 @@ def _basis(knots: NDArray[np.float64], at: float, values: NDArray[np.float64]) -
     span = knot_span(knots, 0, knots.size - CUBIC - 1, at)
     values[0], values[1], values[2], values[3] = cubic_functions(knots, span, at)[0]
     return span - CUBIC
-
-
-__all__ = ["Lattices", "evaluate_vertices"]

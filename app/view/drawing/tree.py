@@ -122,15 +122,3 @@ def tree_table(nodes: Iterable[TreeNode], metric: Metric, frame: int) -> str:
         )
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
-
-
-__all__ = [
-    "TREE",
-    "TREE_HEIGHT",
-    "TREE_TABLE",
-    "TREE_WIDTH",
-    "Entities",
-    "display_name",
-    "tree_entities",
-    "tree_table",
-]

@@ -91,6 +91,3 @@ def fitted(
     places[:, 0] = width / 2.0 + (places[:, 0] - extent[0] / 2.0) * spacing
     places[:, 1] = (places[:, 1] + 0.5) * level
     return places, spacing
-
-
-__all__ = ["fitted", "tidy_positions"]

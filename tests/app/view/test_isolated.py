@@ -18,8 +18,8 @@ from nurbseg.app.result import FrameResult
 from nurbseg.app.view import isolated as view_isolated
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.isolated import IsolatedView
-from nurbseg.app.view.process import begin_view
-from nurbseg.app.view.view import ViewError, open_view
+from nurbseg.app.view.view import begin_view, open_view
+from nurbseg.app.view.viewer import ViewError
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
 from tests.fakes.own_children import own_children
