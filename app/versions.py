@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import platform
+from collections.abc import Iterable
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 
 _PACKAGES = ("nurbseg", "numpy", "scipy", "opencv-python-headless", "rerun-sdk", "mcap")
 
 
-def versions() -> dict[str, str]:
-    """Return the versions of what the figures depend on."""
+def versions(packages: Iterable[str] = _PACKAGES) -> dict[str, str]:
+    """Return the versions of Python, of the platform, and of the packages that are installed."""
     found = {"python": platform.python_version(), "platform": platform.platform()}
-    for package in _PACKAGES:
-        try:
+    for package in packages:
+        with suppress(PackageNotFoundError):
             found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "not installed as a package"
     return found

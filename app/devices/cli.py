@@ -50,7 +50,7 @@ def main(words: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return code
     except BrokenPipeError:
-        # Whoever read it has enough, as `head` has; the flush at the end would say so once more.
+        # The reader has enough, as `head` has; the flush at exit would fail once more.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return NOT_READY
     except DriverError as err:

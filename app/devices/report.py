@@ -1,4 +1,4 @@
-"""What nurbseg-devices says, as text of at most 80 columns or as JSON."""
+"""Output of nurbseg-devices, as text of at most 80 columns or as JSON."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def findings_as_json(findings: Iterable[Finding], system: System) -> str:
 
 
 def motor_as_text(state: MotorState) -> str:
-    """Return what a Kinect's accelerometer and motor say."""
+    """Return the state of a Kinect's accelerometer and motor."""
     si, g = state.acceleration_m_s2, state.acceleration_g
     tilt = "unknown while it moves" if state.tilt_deg is None else f"{state.tilt_deg:g} degrees"
     lines = [f"{axis}  {a:8.3f} m/s^2  {b:7.3f} g" for axis, a, b in zip("xyz", si, g, strict=True)]

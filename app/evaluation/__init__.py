@@ -1,1 +1,1 @@
-"""Segmentations held against ground truth: methods, scores, tables, figures and tuning."""
+"""Evaluation against ground truth: methods, scores, tables, figures and tuning."""

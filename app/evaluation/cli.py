@@ -225,7 +225,7 @@ def _base_config(given: argparse.Namespace) -> SegmentationConfig:
 def _run(given: argparse.Namespace, study: Study, config: SegmentationConfig, words: Sequence[str]) -> None:
     from datetime import UTC, datetime
 
-    from nurbseg.app.evaluation.computer import versions
+    from nurbseg.app.evaluation.computer import versions_line
     from nurbseg.app.evaluation.methods.methods import check_method
     from nurbseg.app.evaluation.report.findings import findings, means_of
     from nurbseg.app.evaluation.report.report import write_report
@@ -261,7 +261,7 @@ def _run(given: argparse.Namespace, study: Study, config: SegmentationConfig, wo
     write_json(given.out / "times.json", dict(seconds))
     files = list(write_rows(results, given.out))
     tables = all_tables(results, seconds)
-    about = f"{len(results.frames)} frames. {versions()}. Computed on {'; '.join(results.computers())}."
+    about = f"{len(results.frames)} frames. {versions_line()}. Computed on {'; '.join(results.computers())}."
     sentences = findings(means_of(results))
     for caption, rows in tables:
         print(f"\n{caption}\n{as_text(rows)}")

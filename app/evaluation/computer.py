@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import os
 import platform
 from collections.abc import MutableMapping
 from pathlib import Path
+
+from nurbseg.app.versions import versions
 
 _CPU_INFO = Path("/proc/cpuinfo")
 #: The kernel of OpenBLAS that every processor with AVX2 and FMA runs.
@@ -48,20 +49,17 @@ def computer() -> str:
     return f"{processor}, {' and '.join(sorted(kernels)) or 'BLAS unknown'}"
 
 
-def versions() -> str:
+def versions_line() -> str:
     """Return the versions that a result depends on, as one line."""
-    names = ("nurbseg", "numpy", "scipy", "opencv-python-headless", "scikit-image", "scikit-learn")
-    found = []
-    for name in names:
-        try:
-            found.append(f"{name} {importlib.metadata.version(name)}")
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return f"Python {platform.python_version()}, {', '.join(found)}"
+    packages = ("nurbseg", "numpy", "scipy", "opencv-python-headless", "scikit-image", "scikit-learn")
+    found = versions(packages)
+    return ", ".join(
+        [f"Python {found['python']}", *(f"{each} {found[each]}" for each in packages if each in found)]
+    )
 
 
 def _cpu_line(name: str, cpu_info: Path) -> str:
-    """Return what is said of the first processor under a name; nothing where there is no such line."""
+    """Return a property of the first processor; empty where there is no such line."""
     try:
         lines = cpu_info.read_text(encoding="utf-8").splitlines()
     except OSError:

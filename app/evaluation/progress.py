@@ -13,7 +13,7 @@ class Progress:
         self._shown = sys.stderr.isatty()
 
     def __call__(self, done: int, total: int, more: str = "") -> None:
-        """Draw the line anew."""
+        """Draw the line again."""
         if not self._shown:
             return
         filled = round(30 * done / max(total, 1))

@@ -83,11 +83,15 @@ class StudyResults:
         """Return a score's mean over frames with its 95 % bootstrap interval."""
         return bootstrap_mean(self.values(variant, score, category))
 
+    def mean(self, variant: Variant, score: str, category: str | None = None) -> float:
+        """Return a score's mean over the frames that have one; NaN where none has."""
+        values = self.values(variant, score, category)
+        values = values[np.isfinite(values)]
+        return float(values.mean()) if values.size else float("nan")
+
     def best(self, score: str, category: str | None = None) -> set[str]:
         """Return the names of the variants with the best mean, as printed to three digits."""
-        means = {
-            variant.name: round(self.estimate(variant, score, category).mean, 3) for variant in self.variants
-        }
+        means = {each.name: round(self.mean(each, score, category), 3) for each in self.variants}
         known = [value for value in means.values() if np.isfinite(value)]
         if not known:
             return set()

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import bootstrap
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,11 +47,18 @@ def bootstrap_mean(
     values = values[np.isfinite(values)]
     if values.size == 0:
         return Estimate(float("nan"), float("nan"), float("nan"), 0)
-    picked = np.random.default_rng(seed).integers(values.size, size=(draws, values.size))
-    means = values[picked].mean(axis=1)
-    tail = (1.0 - level) / 2.0
-    low, high = np.quantile(means, (tail, 1.0 - tail))
-    return Estimate(float(values.mean()), float(low), float(high), int(values.size))
+    mean = float(values.mean())
+    if values.size == 1:
+        return Estimate(mean, mean, mean, 1)
+    low, high = bootstrap(
+        (values,),
+        np.mean,
+        n_resamples=draws,
+        confidence_level=level,
+        method="percentile",
+        rng=np.random.default_rng(seed),
+    ).confidence_interval
+    return Estimate(mean, float(low), float(high), values.size)
 
 
 def bootstrap_gain(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import itertools
 import json
 import time
@@ -21,6 +20,7 @@ from nurbseg.app.evaluation.computer import computer
 from nurbseg.app.evaluation.scoring import score_frame
 from nurbseg.app.evaluation.store import StudyStore
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, Variant
+from nurbseg.app.versions import versions
 from nurbseg.app.workers import WorkerLostError, in_order, open_workers
 from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.drivers.frame import RGBDFrame
@@ -79,16 +79,9 @@ class Study:
                 "association_limit_s": self.options.association_limit_s,
             },
             "seed": self.seed,
-            "nurbseg": program_version(),
+            # Results of another version are not mixed with its own.
+            "nurbseg": versions().get("nurbseg", "not installed"),
         }
-
-
-def program_version() -> str:
-    """Return the version that is installed; results of another one are not mixed with its own."""
-    try:
-        return importlib.metadata.version("nurbseg")
-    except importlib.metadata.PackageNotFoundError:
-        return "not installed"
 
 
 def frame_refs(study: Study) -> list[FrameRef]:
@@ -137,7 +130,7 @@ def run_study(
         Address of a Dask scheduler (``tcp://HOST:8786``) to use instead; its workers must see the same
         files under the same names.
     report : callable
-        Told the finished and all frames after each.
+        Called after each frame with the number of finished frames and of all.
 
     Returns
     -------
@@ -302,7 +295,7 @@ def tree_path(key: str, variant: Variant) -> str:
 
 
 def label_png(labels: NDArray[np.integer]) -> bytes:
-    """Encode labels as a PNG of 16 bits; labels are numbered anew where they need more."""
+    """Encode labels as a PNG of 16 bits; labels that need more are renumbered."""
     if labels.max(initial=0) > np.iinfo(np.uint16).max or labels.min(initial=0) < 0:
         labels = np.unique(labels, return_inverse=True)[1].reshape(labels.shape)
     encoded = cv2.imencode(".png", labels.astype(np.uint16))[1]

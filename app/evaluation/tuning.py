@@ -85,7 +85,7 @@ def tune(
     seed : int
         The same seed tries the same settings.
     report : callable
-        Told the number of tried settings and the best mean after each.
+        Called after each trial with the number of trials and the best mean.
 
     Raises
     ------

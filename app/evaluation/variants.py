@@ -209,7 +209,7 @@ def _variant(method: str, chosen: Mapping[str, Any], base: SegmentationConfig) -
 
 
 def _state_of_images(folder: Path) -> str:
-    """Tell one state of a folder's images from another, so that replaced ones are scored anew."""
+    """Tell one state of a folder's images from another, so that replaced ones are scored again."""
     found = [(path.name, path.stat()) for path in sorted(folder.glob("*.png"))]
     return json.dumps([(name, status.st_size, status.st_mtime_ns) for name, status in found])
 

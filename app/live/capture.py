@@ -23,7 +23,7 @@ _log = logging.getLogger(__name__)
 _READ_TIMEOUT_S = 0.5
 #: Longest wait for the read that is under way when the run ends: a file on a dead disk never answers.
 _STOP_TIMEOUT_S = 5.0
-#: Damaged frames that are told one by one; the others are counted.
+#: Damaged frames that are logged one by one; the others are counted.
 _DAMAGED_NAMED_MAX = 20
 
 

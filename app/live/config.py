@@ -12,7 +12,7 @@ Temporal = Literal["auto", "on", "off"]
 
 @dataclass(frozen=True, slots=True)
 class LiveConfig:
-    """Settings of what is carried from frame to frame.
+    """Settings of live segmentation.
 
     Raises
     ------

@@ -64,7 +64,7 @@ def open_chosen(app_config: AppConfig) -> OpenedSource:
     )
     uri = _named_uri(config)
     if not uri.startswith(CAMERA):
-        # A camera reads the file itself; a recording is told.
+        # A camera reads the file itself; a recording gets its content.
         if app_config.camera.calibration is not None:
             options = replace(options, calibration=read_camera_file(Path(app_config.camera.calibration)))
         _warn_of_camera_settings(uri, app_config.camera)

@@ -1,4 +1,4 @@
-"""What the log says while a run goes on: one calm line every few seconds."""
+"""Progress of a run in the log: one line every few seconds."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _INTERVAL_S = 5.0
 
 
 class Progress:
-    """Tells how a run goes.
+    """Logs the progress of a run.
 
     Parameters
     ----------
     capture : CaptureThread
-        Whose counts are told.
+        Whose counts are logged.
     clock : callable
         Monotonic seconds.
     """
@@ -29,7 +29,7 @@ class Progress:
     def __init__(self, capture: CaptureThread, *, clock: Callable[[], float] = time.monotonic) -> None:
         self._capture = capture
         self._clock = clock
-        self._told_s = clock()
+        self._logged_s = clock()
         self._frames = 0
         self._is_first = True
 
@@ -41,7 +41,7 @@ class Progress:
         took_ms = sum(result.elapsed_ms.get(stage, 0.0) for stage in ("register", "segment"))
         line = f"frame {frame.index}{name}: {len(result.tree.leaves())} segments in {took_ms:.0f} ms"
         _log.debug(line)
-        elapsed_s = self._clock() - self._told_s
+        elapsed_s = self._clock() - self._logged_s
         if self._is_first:
             _log.info(line)
         elif elapsed_s >= _INTERVAL_S:
@@ -54,13 +54,13 @@ class Progress:
             )
         else:
             return
-        self._is_first, self._frames, self._told_s = False, 0, self._clock()
+        self._is_first, self._frames, self._logged_s = False, 0, self._clock()
 
     def recorded(self) -> None:
         """Say how the recording goes, if it is time to."""
-        if self._clock() - self._told_s >= _INTERVAL_S:
+        if self._clock() - self._logged_s >= _INTERVAL_S:
             _log.info("%d read%s", self._capture.read, self._recorded())
-            self._told_s = self._clock()
+            self._logged_s = self._clock()
 
     def _recorded(self) -> str:
         recording = self._capture.recording
@@ -70,6 +70,6 @@ class Progress:
 
     def waiting(self) -> None:
         """Say that no frame comes, if that lasts."""
-        if self._clock() - self._told_s >= _INTERVAL_S:
+        if self._clock() - self._logged_s >= _INTERVAL_S:
             _log.info("waiting for a frame")
-            self._told_s = self._clock()
+            self._logged_s = self._clock()

@@ -66,7 +66,7 @@ class RateController:
         frame_ms : float
             Time from taking the frame to its labels, milliseconds.
         cold : bool
-            Whether it was segmented from scratch, which tells nothing of those that follow.
+            Whether it was segmented from scratch, which predicts nothing of those that follow.
         """
         self._since += 1
         if cold:

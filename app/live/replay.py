@@ -116,7 +116,7 @@ class Limited(FrameSource):
             raise EndOfRecordingError("the time that was asked for is over")
         frame = self._source.read(timeout_s)
         if self._last_ns is not None:
-            # The clock of a camera may begin anew, as its streams do when OpenNI2's recorder begins.
+            # A camera's clock may be reset, as its streams are when OpenNI2's recorder begins.
             self._elapsed_ns += max(0, frame.timestamp_ns - self._last_ns)
         self._last_ns = frame.timestamp_ns
         if self._is_over(self._elapsed_ns * 1e-9):

@@ -69,7 +69,7 @@ class RunReport:
         self._last_s = self._began_s
         self._stages_ms: dict[str, array[float]] = {}
         self._events: Counter[str] = Counter()
-        self._anew: Counter[str] = Counter()
+        self._resets: Counter[str] = Counter()
         self._revised: Counter[str] = Counter()
         self._oldest_split = self._oldest_trial = 0
 
@@ -83,7 +83,7 @@ class RunReport:
         self._events.update(each.kind for each in events)
         if update is not None:
             if update.reset:
-                self._anew[update.reset] += 1
+                self._resets[update.reset] += 1
             self._revised.update({name: getattr(update, name) for name in _REVISED})
             self._oldest_split = max(self._oldest_split, update.oldest)
             self._oldest_trial = max(self._oldest_trial, update.oldest_trial)
@@ -140,7 +140,7 @@ class RunReport:
             else round(self._first_s - self._began_s, 3),
             "latency_ms": {stage: _percentiles(values) for stage, values in self._stages_ms.items()},
             "events": dict(sorted(self._events.items())),
-            "segmented_anew": dict(sorted(self._anew.items())),
+            "segmented_anew": dict(sorted(self._resets.items())),
             "live_tree": {
                 **self._revised,
                 "oldest_split_frames": self._oldest_split,

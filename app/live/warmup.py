@@ -66,7 +66,7 @@ class WarmUp:
                     known=None,
                 )
         except Exception:
-            # What is wrong is wrong with the run's own frames too, which tell it better.
+            # The run's own frames fail in the same way, with a clearer message.
             _log.debug("the warm-up failed", exc_info=True)
 
 

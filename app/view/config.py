@@ -1,4 +1,4 @@
-"""What the viewer is told: where to show, where to save, how large and how fine."""
+"""Settings of the viewer: where to show, where to save, how large and how fine."""
 
 from __future__ import annotations
 

@@ -105,7 +105,7 @@ class FileSink:
             raise ViewError(f"{self._path}: cannot be written: {reason}") from self._file.error
         if self._error is None:
             return
-        # Rerun tells of a stuck disk by RuntimeError; anything else is a frame that could not be drawn.
+        # Rerun reports a stuck disk as RuntimeError; anything else is a frame that could not be drawn.
         trouble = isinstance(self._error, OSError | RuntimeError)
         problem = (
             "cannot be written" if trouble else f"a frame cannot be shown ({type(self._error).__name__})"

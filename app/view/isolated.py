@@ -1,4 +1,4 @@
-"""A view that is shown and saved by a process of its own, and what goes to and fro."""
+"""A view that another process shows and saves, and the messages to and from it."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ from nurbseg.segmentation.config import SegmentationConfig
 _WAITING = 2
 #: The process must have begun within this time, seconds; it imports Rerun first.
 _OPEN_S = 60.0
-#: Longest wait for room; the process itself says after 10 s that its file is stuck.
+#: Longest wait for room; the process itself reports after 10 s that its file is stuck.
 _STUCK_S = 15.0
 #: What closing may take besides the file.
 _REST_S = 0.7
-#: How long the process may take to end when it was told to, before it is ended; seconds.
+#: How long the process may take to end by itself before it is killed, seconds.
 _END_S = 0.2
 #: Time between two looks whether it is over, seconds.
 _LOOK_S = 0.5
@@ -58,7 +58,7 @@ class _Shown:
 class IsolatedView(View):
     """Shows and saves frames as `nurbseg.app.view.rerun.RerunView` does, but by another process.
 
-    A thread draws each frame and hands it over, another one listens. Where a file is saved, every frame is,
+    One thread draws and sends each frame, another receives messages. Where a file is saved, every frame is,
     and `show` waits if the process is behind; otherwise the oldest frame that waits is dropped.
 
     Parameters
@@ -245,8 +245,8 @@ class IsolatedView(View):
         return f"the process that shows and saves ended {how}"
 
     def _send(self) -> None:
-        """Draw and hand over what is shown, then tell the process to end."""
-        # Where the channel is closed, the other thread says so.
+        """Draw and send what is shown, then ask the process to end."""
+        # The other thread reports that the channel is closed.
         with contextlib.suppress(ChannelClosedError):
             while not self._queue.finished:
                 with contextlib.suppress(TimeoutError):

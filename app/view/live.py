@@ -18,7 +18,7 @@ from nurbseg.drivers.process.bounded_queue import BoundedQueue
 
 logger = logging.getLogger(__name__)
 
-#: How long a viewer is waited for at once, at first and at most, and before we say so; seconds.
+#: How long a viewer is waited for at once, at first and at most, and before that is logged; seconds.
 _POLL_S, _POLL_MAX_S, _PATIENCE_S = 0.2, 5.0, 3.0
 #: Pause between two attempts to reach a viewer.
 _RETRY_S = 0.5
@@ -50,7 +50,7 @@ class ViewerSink:
         self._address = viewer_address(url)
         self._opening = opening
         self._starting = starting
-        self._absence_said = False
+        self._absence_logged = False
         self.connections = 0
         self._queue: BoundedQueue[Item] = BoundedQueue(1, "drop oldest")
         self._stopping = threading.Event()
@@ -76,7 +76,7 @@ class ViewerSink:
         self._queue.close()
 
     def finish_close(self, deadline_s: float) -> None:
-        """Give the viewer until `deadline_s` (monotonic) to take what waits, then let go of it."""
+        """Give the viewer until `deadline_s` (monotonic) to take what waits, then disconnect."""
         self._thread.join(max(0.0, deadline_s - time.monotonic()))
         self._stopping.set()
         self._thread.join(1.5 * _POLL_S)
@@ -102,8 +102,8 @@ class ViewerSink:
             return not self._queue.closed
         if self._starting():
             return True
-        if not self._absence_said:
-            self._absence_said = True
+        if not self._absence_logged:
+            self._absence_logged = True
             logger.warning("no viewer listens at %s; it is shown to as soon as one does", self._url)
         return not self._queue.closed
 
@@ -137,7 +137,7 @@ class ViewerSink:
         """Wait until the viewer's side took everything; return False if it is gone or we stop."""
         began_s = time.monotonic()
         timeout_s = _POLL_S
-        said = False
+        logged = False
         while not self._stopping.is_set():
             try:
                 stream.flush(timeout_sec=timeout_s)
@@ -147,10 +147,10 @@ class ViewerSink:
                 # Each flush that timed out stays in Rerun's queue: ask ever less often.
                 timeout_s = min(2.0 * timeout_s, _POLL_MAX_S)
             else:
-                if said:
+                if logged:
                     logger.info("the viewer at %s takes frames again", self._url)
                 return True
-            if not said and time.monotonic() - began_s > _PATIENCE_S:
-                said = True
+            if not logged and time.monotonic() - began_s > _PATIENCE_S:
+                logged = True
                 logger.warning("the viewer at %s takes nothing; frames are not shown for now", self._url)
         return False

@@ -1,4 +1,4 @@
-"""What a run and the process that shows and saves its frames say to each other."""
+"""Messages between a run and the process that shows and saves its frames."""
 
 from __future__ import annotations
 

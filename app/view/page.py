@@ -80,7 +80,7 @@ class _Handler(BaseHTTPRequestHandler):
             for name in _PASSED_ON:
                 if (value := answer.headers[name]) is not None:
                     self.send_header(name, value)
-            # Rerun tells no length of what it sends in parts; then the end of the connection tells it.
+            # What Rerun sends in parts has no length; it ends with the connection.
             self.send_header(*(("Connection", "close") if length is None else ("Content-Length", length)))
             self.send_header("Content-Security-Policy", self._policy())
             self.send_header("Referrer-Policy", "no-referrer")

@@ -1,6 +1,6 @@
 """Shows and saves frames for another process; a program of its own.
 
-It ends when it is told to, and when the other process is gone: then with what it got until then.
+It ends on request, or when the other process is gone: then with the frames that came until then.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ _END_S = 2.0 * FILE_PATIENCE_S
 _M_ARENA_MAX = -8
 
 
-def _follow(view: RerunView, channel: Channel) -> float:
-    """Do what comes until it is the end; return how long a file may take to be whole then, seconds."""
-    said = Status(0, 0)
+def _handle_messages(view: RerunView, channel: Channel) -> float:
+    """Handle messages until the last one; return how long a file may take to be whole then, seconds."""
+    sent = Status(0, 0)
     while True:
-        if (status := Status(view.dropped, view.connections)) != said:
+        if (status := Status(view.dropped, view.connections)) != sent:
             channel.send(status)
-            said = status
-        view.look_after()
+            sent = status
+        view.restart_if_ended()
         message = channel.receive(_LOOK_S)
         try:
             if isinstance(message, ViewFrame):
@@ -70,7 +70,7 @@ def _run(channel: Channel) -> int:
     limit_s = FILE_PATIENCE_S
     with contextlib.suppress(ChannelClosedError):
         channel.send(Opened(view.how_to_look, view.serving))
-        limit_s = _follow(view, channel)
+        limit_s = _handle_messages(view, channel)
     try:
         view.close(file_limit_s=limit_s)
     except ViewError as err:

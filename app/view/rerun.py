@@ -146,13 +146,13 @@ class RerunView:
         for sink in self._sinks:
             sink.put(entities)
 
-    def look_after(self) -> None:
+    def restart_if_ended(self) -> None:
         """Start what is served again, if it has ended; for the thread that made this object."""
         if self._server is not None:
-            self._server.look_after()
+            self._server.restart_if_ended()
 
     def show_line(self, moment: Moment, level: int, text: str) -> None:
-        """Show a line of the log, of one of logging's levels, as said at a moment; never waits."""
+        """Show a line of the log, of one of logging's levels, at a moment; never waits."""
         line = LogLine(moment, _LEVELS.get(level, "INFO"), text)
         for sink in self._sinks:
             sink.put_line(line)
@@ -212,13 +212,13 @@ class RerunView:
                 raise ViewError(f"port {port} is taken by something that is no viewer; name another port")
             process = start_viewer(self._config, port)
 
-        said = False
+        logged = False
 
         def starting() -> bool:
-            nonlocal said
+            nonlocal logged
             code = process.poll() if process is not None else None
-            if code is not None and not said:
-                said = True
+            if code is not None and not logged:
+                logged = True
                 logger.warning(
                     "the viewer ended at once (code %d); run 'rerun' to see why, or use --view serve", code
                 )

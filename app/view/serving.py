@@ -64,7 +64,7 @@ class WebServer:
         """Whether the server runs, if only since a moment ago."""
         return self._process.poll() is None
 
-    def look_after(self) -> None:
+    def restart_if_ended(self) -> None:
         """Start the server again if it has ended; for the thread that made this object."""
         code = self._process.poll()
         if code is None or self._given_up:

@@ -57,7 +57,7 @@ class LogLine:
     Parameters
     ----------
     moment : Moment
-        The frame at which it was said.
+        The frame at which it was logged.
     level, text : str
         Rerun's name of the severity, and the message.
     """

@@ -102,7 +102,7 @@ def open_view(
     Returns
     -------
     View
-        Its `how_to_look` tells a person how to see it, where that needs telling.
+        Its `how_to_look` is for a person who wants to see it.
 
     Raises
     ------

@@ -20,7 +20,7 @@ from nurbseg.app.evaluation.variants import LABELS_PREFIX, TREE_METHODS, Variant
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap
 
-#: Segments that methods which must be told a number are told.
+#: Number of segments for methods that need to know it.
 CLUSTERS = 8
 
 

@@ -1,4 +1,4 @@
-"""What the tables of a study say, in sentences made from the tables."""
+"""Findings of a study, as sentences made from its tables."""
 
 from __future__ import annotations
 
@@ -13,14 +13,11 @@ from nurbseg.app.evaluation.scoring import SCORES
 
 def means_of(results: StudyResults) -> dict[str, dict[str, float]]:
     """Return for each score the mean of each variant over all frames, by name, in the order of the tables."""
-    return {
-        score: {each.name: results.estimate(each, score).mean for each in results.variants}
-        for score in SCORES
-    }
+    return {score: {each.name: results.mean(each, score) for each in results.variants} for score in SCORES}
 
 
 def findings(means: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """Say of each score how the methods rank, and of each method with several settings what they make of it.
+    """Describe how the methods rank by each score, and the range of each method with several settings.
 
     Parameters
     ----------

@@ -161,7 +161,7 @@ def threshold_plot(results: StudyResults) -> bytes | None:
     for axis, (score, (heading, _)) in zip(axes, SCORES.items(), strict=True):
         for method, metric in lines:
             own = {
-                each.config.ratio_max: results.estimate(each, score).mean
+                each.config.ratio_max: results.mean(each, score)
                 for each in trees
                 if (each.method, each.config.metric) == (method, metric)
             }
@@ -201,7 +201,7 @@ def time_plot(results: StudyResults, seconds: Mapping[str, float]) -> bytes | No
     figure, axis = pyplot.subplots(figsize=(6.5, 4))
     named = {each.name for each in leaders(results)}
     for variant in timed:
-        at = 1000 * seconds[variant.name], results.estimate(variant, "gtrc").mean
+        at = 1000 * seconds[variant.name], results.mean(variant, "gtrc")
         axis.plot(*at, "o", color="tab:blue" if variant.method in ("nurbseg", "stag15") else "tab:gray")
         if variant.name in named:
             axis.annotate(variant.name, at, fontsize=7, xytext=(4, 3), textcoords="offset points")
@@ -215,7 +215,7 @@ def leaders(results: StudyResults) -> list[Any]:
     best: dict[str, Any] = {}
     for variant in results.variants:
         held = best.get(variant.method)
-        if held is None or (results.estimate(variant, "gtrc").mean > results.estimate(held, "gtrc").mean):
+        if held is None or (results.mean(variant, "gtrc") > results.mean(held, "gtrc")):
             best[variant.method] = variant
     return [each for each in results.variants if best[each.method] is each]
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.evaluation.answers import Answers
-from nurbseg.app.evaluation.computer import versions
+from nurbseg.app.evaluation.computer import versions_line
 from nurbseg.app.evaluation.report import pictures
 from nurbseg.app.evaluation.report.findings import findings, means_of
 from nurbseg.app.evaluation.report.tables import all_tables
@@ -57,7 +57,7 @@ def write_report(
     seconds : mapping of str to float
         Time per frame by variant; may be empty.
     title, command, date : str
-        What the report says of itself.
+        Shown at the head of the report.
     frames_shown : int
         Frames of which there are pictures, the worst ones.
 
@@ -71,7 +71,7 @@ def write_report(
     folder = store.folder / "pictures"
     folder.mkdir(exist_ok=True)
     shown = pictures.leaders(results)
-    best = max(shown, key=lambda each: results.estimate(each, "gtrc").mean)
+    best = max(shown, key=lambda each: results.mean(each, "gtrc"))
     plots = []
     for caption, name, image in (
         ("Scores against T", "threshold.png", pictures.threshold_plot(results)),
@@ -91,7 +91,7 @@ def write_report(
         title=title,
         command=command,
         date=date,
-        versions=versions(),
+        versions=versions_line(),
         computers=results.computers(),
         findings=findings(means_of(results)),
         frames=len(results.frames),

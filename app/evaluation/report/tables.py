@@ -33,7 +33,7 @@ def score_rows(results: StudyResults, score: str) -> list[list[str]]:
     for variant in results.variants:
         row = [variant.name]
         for each in columns:
-            text = digits(results.estimate(variant, score, each).mean)
+            text = digits(results.mean(variant, score, each))
             row.append(f"*{text}*" if variant.name in best[each] else text)
         row.append(interval(results.estimate(variant, score)))
         rows.append(row)
@@ -45,7 +45,7 @@ def detail_rows(results: StudyResults, seconds: Mapping[str, float]) -> list[lis
     rows = [["variant", "segments", "of", "over", "under", "precision", "recall", "ms/frame"]]
     for variant in results.variants:
         means = [
-            results.estimate(variant, score).mean
+            results.mean(variant, score)
             for score in ("segments", "regions", "over", "under", "precision", "recall")
         ]
         time = seconds.get(variant.name)

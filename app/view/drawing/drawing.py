@@ -79,7 +79,7 @@ def drawn(
         rate_hz=rate_hz,
         events=tuple(map(event_text, result.events)),
         grid_step=None if result.update is None else result.update.step,
-        anew="" if result.update is None else result.update.reset,
+        reset_reason="" if result.update is None else result.update.reset,
     )
 
 

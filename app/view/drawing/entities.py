@@ -78,7 +78,7 @@ class FrameEntities:
                     *_space(self.frame, self.view),
                     *tree_entities(self.frame, self.metric),
                     *_scalars(self.frame),
-                    *_said(self.frame),
+                    *_log_lines(self.frame),
                 ]
             return self._built
 
@@ -191,9 +191,9 @@ def _scalars(frame: ViewFrame) -> Entities:
     yield EVENTS, rr.Scalars(len(frame.events))
 
 
-def _said(frame: ViewFrame) -> Entities:
-    """Return lines of the log: what happened to segments, and why the tree was begun anew."""
+def _log_lines(frame: ViewFrame) -> Entities:
+    """Return lines of the log: what happened to segments, and why the tree was reset."""
     if frame.events:
         yield LOG, rr.TextLog("; ".join(frame.events), level="INFO")
-    if frame.anew:
-        yield LOG, rr.TextLog(f"segmented anew: {frame.anew}", level="INFO")
+    if frame.reset_reason:
+        yield LOG, rr.TextLog(f"segmented from scratch: {frame.reset_reason}", level="INFO")

@@ -94,9 +94,9 @@ class ViewFrame:
     events : tuple of str
         What happened to segments since the frame before.
     grid_step : int or None
-        Pixels from one place of the live tree's grid to the next.
-    anew : str
-        Why the live tree was begun anew; empty where it lived on.
+        Step of the live tree's grid, pixels.
+    reset_reason : str
+        Why the live tree was reset; empty where it went on.
     """
 
     moment: Moment
@@ -119,4 +119,4 @@ class ViewFrame:
     rate_hz: float
     events: tuple[str, ...]
     grid_step: int | None
-    anew: str
+    reset_reason: str

@@ -149,7 +149,7 @@ def _mean_residuals(
 ) -> None:
     """Average the residuals around each vertex; where there is none, those of the whole fit.
 
-    A surface carried over from the frame before explains pixels beyond its window, too: no vertex is there.
+    A surface that was kept from the frame before explains pixels beyond its window, too: no vertex is there.
     """
     total = np.zeros(means.size)
     number = np.zeros(means.size)

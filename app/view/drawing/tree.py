@@ -96,7 +96,7 @@ def _mark(found: int | None, frame: int) -> str:
 
 
 def _reason(node: TreeNode, frame: int) -> str:
-    """Say how a node is divided or why it is a leaf, with the frame of the trial that said so."""
+    """Return how a node is divided or why it is a leaf, with the frame of the trial that decided it."""
     by_present_values = node.stop is not None and node.stop not in TRIED
     return str(node.stop or node.division) + ("" if by_present_values else _mark(node.judged, frame))
 

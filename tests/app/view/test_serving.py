@@ -191,11 +191,11 @@ def test_a_server_that_ends_is_started_again(
         (process,) = own_children()
         process.kill()
         wait_until(lambda: not server.is_starting(), "the server has ended")
-        server.look_after()
+        server.restart_if_ended()
         assert "the web server ended by signal 9 and is started again; reload the page" in caplog.text
         wait_until(lambda: listens(LOCAL, port), "the server listens again")
         wait_until(lambda: b"re_viewer.js" in fetched(server.page_url)[0], "the page is served again")
-        server.look_after()
+        server.restart_if_ended()
         assert len(caplog.records) == 1
     finally:
         server.close()
@@ -211,8 +211,8 @@ def test_a_server_that_ends_at_once_is_given_up(
         (process,) = own_children()
         process.kill()
         wait_until(lambda: not server.is_starting(), "the server has ended")
-        server.look_after()
-        server.look_after()
+        server.restart_if_ended()
+        server.restart_if_ended()
         assert [each.getMessage() for each in caplog.records] == [
             "the web server ended by signal 9 soon after its start and is not started again"
         ]
