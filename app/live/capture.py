@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import statistics
 import threading
 import time
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
@@ -25,6 +27,8 @@ _READ_TIMEOUT_S = 0.5
 _STOP_TIMEOUT_S = 5.0
 #: Damaged frames that are logged one by one; the others are counted.
 _DAMAGED_NAMED_MAX = 20
+#: Periods of which the median is taken for the rate of the source.
+_PERIODS = 15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,6 +69,8 @@ class CaptureThread:
         Where the frames are left, one at a time; its `dropped` counts those that a newer one replaced.
     read : int
         Frames read.
+    source_hz : float
+        Rate of the source, by when its frames come; 0 as long as it is not known.
     withheld : int
         Frames that were not left in the queue, because the recording was behind.
     damaged : int
@@ -82,6 +88,8 @@ class CaptureThread:
         self.read = 0
         self.damaged = 0
         self.damaged_frames: list[str] = []
+        self.source_hz = 0.0
+        self._periods_s: deque[float] = deque(maxlen=_PERIODS)
         self._source = source
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="capture")
@@ -113,6 +121,7 @@ class CaptureThread:
                 _log.error("the source did not answer within %g s and is left behind", _STOP_TIMEOUT_S)
 
     def _run(self) -> None:
+        before: Captured | None = None
         try:
             while not self._stop.is_set():
                 try:
@@ -123,12 +132,15 @@ class CaptureThread:
                     self._pass_over(err)
                     continue
                 self.read += 1
+                captured = Captured(frame, time.monotonic())
+                self._take_period(before, captured)
+                before = captured
                 if self.recording is not None:
                     self.recording.put(frame)
                     if self.recording.behind:
                         self.withheld += 1
                         continue
-                if not self.frames.put(Captured(frame, time.monotonic())):
+                if not self.frames.put(captured):
                     return
             self.frames.close()
         except EndOfRecordingError:
@@ -139,6 +151,15 @@ class CaptureThread:
         finally:
             if self.recording is not None:
                 self.recording.finish()
+
+    def _take_period(self, before: Captured | None, captured: Captured) -> None:
+        """Take note of the time between two frames, frames that were lost in between included."""
+        if before is None or captured.frame.index <= before.frame.index:
+            return
+        frames = captured.frame.index - before.frame.index
+        self._periods_s.append((captured.arrived_s - before.arrived_s) / frames)
+        if len(self._periods_s) == _PERIODS:
+            self.source_hz = 1.0 / max(statistics.median(self._periods_s), 1e-9)
 
     def _pass_over(self, err: FrameFormatError) -> None:
         self.damaged += 1

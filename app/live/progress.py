@@ -72,4 +72,4 @@ class Progress:
         """Say that no frame comes, if that lasts."""
         if self._clock() - self._logged_s >= _INTERVAL_S:
             _log.info("waiting for a frame")
-            self._logged_s = self._clock()
+            self._frames, self._logged_s = 0, self._clock()

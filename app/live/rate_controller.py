@@ -15,14 +15,14 @@ _log = logging.getLogger(__name__)
 _COARSER = (0, 1, 2)
 #: Coarsest grid, pixels.
 _DECIMATION_MOST = 8
-#: A frame may take this share of its period; below that share of it, more is tried.
-_FULL, _SPARE = 0.8, 0.65
+#: Share of its period beyond which a frame costs too much, and below which it has to stay on a finer grid.
+_FULL, _SPARE = 0.9, 0.8
 #: Frames of which the median is taken.
-_FRAMES = 15
+_FRAMES = 30
 #: Frames between two changes: down, and up.
 _DOWN_AFTER, _UP_AFTER = 8, 60
-#: A try to do more has lasted after so many frames.
-_LASTED = 600
+#: Frames after which a finer grid is tried whatever it cost before.
+_FORGET_AFTER = 3600
 
 
 class RateController:
@@ -46,25 +46,28 @@ class RateController:
             raise ValueError(f"target_hz: expected more than 0, got {target_hz}")
         self.level = 0
         self._target_hz = target_hz
-        self._period_ms = 1e3 / target_hz
         self._decimation = decimation
         self._took_ms: deque[float] = deque(maxlen=_FRAMES)
         self._since = 0
-        self._patience = _UP_AFTER
-        self._tried_more = False
+        # Before the last change, and how many times as much a frame costs on the next finer grid, by level.
+        self._before_ms = 0.0
+        self._was_finer: bool | None = None
+        self._finer_costs = [1.0] * len(_COARSER)
 
     @property
     def budget(self) -> Budget:
         """What the next frame may cost."""
         return Budget(decimation=min(_DECIMATION_MOST, self._decimation + _COARSER[self.level]))
 
-    def took(self, frame_ms: float, *, cold: bool = False) -> None:
+    def took(self, frame_ms: float, *, source_hz: float = 0.0, cold: bool = False) -> None:
         """Take note of what a frame cost.
 
         Parameters
         ----------
         frame_ms : float
             Time from taking the frame to its labels, milliseconds.
+        source_hz : float
+            Rate of the source, beyond which there is nothing to gain; 0 where it is not known.
         cold : bool
             Whether it was segmented from scratch, which predicts nothing of those that follow.
         """
@@ -72,30 +75,38 @@ class RateController:
         if cold:
             return
         self._took_ms.append(frame_ms)
-        if len(self._took_ms) < _DOWN_AFTER:
+        full = len(self._took_ms) == _FRAMES
+        # The first frames take longer: they are no reason to change.
+        if not full and (len(self._took_ms) < _DOWN_AFTER or not self._before_ms):
             return
-        # The median: what a single frame takes longer, as the first one does, is no reason to change.
+        hz = min(self._target_hz, source_hz or self._target_hz)
+        period_ms = 1e3 / hz
+        # The median: nor is a single frame that takes longer.
         usual_ms = statistics.median(self._took_ms)
-        if usual_ms > _FULL * self._period_ms and self.level + 1 < len(_COARSER):
-            if self._tried_more and self._since < _LASTED:
-                # That failed: the next try waits longer.
-                self._patience = min(2 * self._patience, 20 * _UP_AFTER)
-            self._change(1, usual_ms)
-        elif usual_ms < _SPARE * self._period_ms and self._since >= self._patience and self.level > 0:
-            self._change(-1, usual_ms)
-        elif self._tried_more and self._since >= _LASTED:
-            self._patience = _UP_AFTER
+        costs_too_much = usual_ms > _FULL * period_ms and self.level + 1 < len(_COARSER)
+        if self._was_finer is not None and (full or costs_too_much):
+            finer_ms, coarser_ms = sorted((usual_ms, self._before_ms), reverse=True)
+            self._finer_costs[self.level + (not self._was_finer)] = finer_ms / coarser_ms
+            self._was_finer = None
+        if costs_too_much:
+            self._change(1, usual_ms, hz)
+        elif self.level > 0 and self._since >= _UP_AFTER:
+            known = self._since < _FORGET_AFTER
+            finer_ms = usual_ms * (self._finer_costs[self.level] if known else 1.0)
+            if finer_ms < _SPARE * period_ms:
+                self._change(-1, usual_ms, hz)
 
-    def _change(self, by: int, usual_ms: float) -> None:
+    def _change(self, by: int, usual_ms: float, hz: float) -> None:
         self.level += by
-        self._tried_more = by < 0
+        self._was_finer = by > 0
         self._since = 0
+        self._before_ms = usual_ms
         self._took_ms.clear()
         step = self.budget.decimation
         _log.info(
-            "%s to hold %g frames/s (a frame took %.0f ms): every %s pixel",
+            "%s to hold %.3g frames/s (a frame took %.0f ms): every %s pixel",
             "doing less" if by > 0 else "doing more",
-            self._target_hz,
+            hz,
             usual_ms,
             {1: "", 2: "2nd", 3: "3rd"}.get(step or 1, f"{step}th"),
         )

@@ -202,7 +202,7 @@ def _segment(
         if captured is None:
             continue
         waited_s = time.monotonic() - captured.arrived_s
-        result = segmenter.process(captured.frame)
+        result = segmenter.process(captured.frame, source_hz=capture.source_hz)
         latency_ms = 1e3 * (time.monotonic() - captured.arrived_s)
         elapsed_ms = {"wait": 1e3 * waited_s, **result.elapsed_ms, "capture_to_labels": latency_ms}
         result = replace(result, elapsed_ms=MappingProxyType(elapsed_ms))

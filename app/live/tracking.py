@@ -53,13 +53,15 @@ class Segmenter:
         self._objects: Identities | None = None
         self._object_of_label = np.zeros(1, dtype=np.uint16)
 
-    def process(self, frame: RGBDFrame) -> FrameResult:
+    def process(self, frame: RGBDFrame, *, source_hz: float = 0.0) -> FrameResult:
         """Register and segment a frame.
 
         Parameters
         ----------
         frame : RGBDFrame
             Depth and color.
+        source_hz : float
+            Rate of the source, beyond which none is held; 0 where it is not known.
 
         Returns
         -------
@@ -84,7 +86,7 @@ class Segmenter:
         cold = bool(self._live.report.reset)
         result = self._identified(result, None if cold else self._live.labels_before)
         if self._rate_controller is not None:
-            self._rate_controller.took(sum(result.elapsed_ms.values()), cold=cold)
+            self._rate_controller.took(sum(result.elapsed_ms.values()), source_hz=source_hz, cold=cold)
         return result
 
     def _identified(self, result: FrameResult, before: NDArray[np.uint16] | None) -> FrameResult:

@@ -1,4 +1,5 @@
 import threading
+from types import SimpleNamespace
 
 import pytest
 from scripted_source import ScriptedSource, small_frame
@@ -66,3 +67,18 @@ def test_stopping_twice_is_harmless() -> None:
     with ScriptedSource([]) as source, CaptureThread(source) as capture:
         capture.stop()
         capture.stop()
+
+
+def test_the_rate_of_the_source_is_that_of_its_frames_whatever_is_lost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # 12 frames/s; two of three are lost on the way, and once the camera is silent for three seconds.
+    indices = range(0, 90, 3)
+    arrivals_s = iter([index / 12 + (3.0 if index > 30 else 0.0) for index in indices])
+    monkeypatch.setattr("nurbseg.app.live.capture.time", SimpleNamespace(monotonic=lambda: next(arrivals_s)))
+    with (
+        ScriptedSource([small_frame(index) for index in indices]) as source,
+        CaptureThread(source) as capture,
+    ):
+        capture._thread.join(10.0)
+        assert capture.source_hz == pytest.approx(12.0)

@@ -4,6 +4,7 @@ import logging
 from dataclasses import replace
 from itertools import pairwise
 
+import numpy as np
 import pytest
 
 from nurbseg.app.live.rate_controller import RateController
@@ -84,13 +85,34 @@ def test_more_is_done_again_when_there_is_time_but_not_over_and_over() -> None:
         controller.took(5.0)
     assert controller.level == 0
 
-    # A step that is too much each time it is tried is tried less and less often.
+    # A step that costs too much is not tried again while that is remembered.
     levels = []
-    for _ in range(3000):
+    for _ in range(8000):
         controller.took(40.0 if controller.level == 0 else 15.0)
         levels.append(controller.level)
     tries = sum(a == 1 and b == 0 for a, b in pairwise(levels))
-    assert 1 <= tries < 3000 / 70 / 2
+    assert 1 <= tries <= 2
+
+
+def test_it_holds_no_more_than_the_rate_of_the_source() -> None:
+    # 40 ms are too much for 30 frames/s, and leave half of the time of 12 frames/s.
+    controller = RateController(30.0, 2)
+    for _ in range(2000):
+        controller.took(40.0, source_hz=12.0)
+    assert controller.level == 0
+    for _ in range(100):
+        controller.took(40.0, source_hz=60.0)
+    assert controller.level > 0
+
+
+@pytest.mark.parametrize("costs_ms", [(40, 24, 18), (30, 24, 21), (33, 26, 22), (27, 20, 17)])
+def test_costs_near_the_limit_make_it_change_seldom(costs_ms: tuple[float, ...]) -> None:
+    rng = np.random.default_rng(1)
+    controller, levels = RateController(30.0, 2), []
+    for _ in range(4500):  # two and a half minutes
+        controller.took(costs_ms[controller.level] * rng.uniform(0.8, 1.3))
+        levels.append(controller.level)
+    assert sum(a != b for a, b in pairwise(levels)) <= 7
 
 
 def test_a_rate_is_more_than_0() -> None:
