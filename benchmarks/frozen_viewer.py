@@ -24,7 +24,7 @@ from pathlib import Path
 from nurbseg.app.live.tracking import process_frame
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.isolated import IsolatedView
-from nurbseg.app.view.view import open_view
+from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.viewer import free_port, listens, start_viewer
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.registry import open_source

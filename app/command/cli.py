@@ -75,7 +75,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 def _run(arguments: Arguments, interruption: Interruption) -> int:
     # Late, so that --help need not wait for numpy and OpenCV; what shows imports Rerun in the meantime.
-    from nurbseg.app.view.view import begin_view
+    from nurbseg.app.view.opening import begin_view
     from nurbseg.app.view.viewer import ViewError
 
     try:

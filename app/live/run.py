@@ -23,7 +23,8 @@ from nurbseg.app.live.tracking import Segmenter
 from nurbseg.app.live.warmup import WarmUp
 from nurbseg.app.recording.recorder import open_recording, tell_recorded
 from nurbseg.app.result import FrameResult
-from nurbseg.app.view.view import View, open_view
+from nurbseg.app.view.opening import open_view
+from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import ViewError
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.files import check_absent

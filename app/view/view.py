@@ -2,25 +2,10 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Self
-
-from nurbseg.app.view.config import ViewConfig
-from nurbseg.app.view.viewer import ViewError, chosen_mode
-from nurbseg.drivers.process.child import ChildProcess
 
 if TYPE_CHECKING:
     from nurbseg.app.result import FrameResult
-    from nurbseg.segmentation.config import SegmentationConfig
-
-#: Frames on their way to the process that shows: one is filled in while one is read.
-_SLOTS = 2
-_NO_DISPLAY = (
-    "no display (neither DISPLAY nor WAYLAND_DISPLAY is set), so nothing is shown: "
-    "serve a web page (--view serve), connect to a viewer elsewhere (--connect HOST), "
-    "or save a recording (--save FILE.rrd) and open it with 'rerun FILE.rrd'"
-)
 
 
 class View:
@@ -52,69 +37,3 @@ class View:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def begin_view(config: ViewConfig) -> ChildProcess | None:
-    """Start the process that shows and saves, and imports what it needs meanwhile; None for nothing to show.
-
-    What it does for a frame is Python for the most part, and only one thread of a process runs Python at a
-    time: in the process that segments it would hold up what is computed.
-
-    Raises
-    ------
-    ViewError
-        If it cannot be started.
-    """
-    if chosen_mode(config) == "none" and config.save is None:
-        return None
-    try:
-        return ChildProcess("nurbseg.app.view.program", slots=_SLOTS, quiet=False)
-    except OSError as err:
-        raise ViewError(f"the process that shows and saves cannot be started: {err}") from err
-
-
-def open_view(
-    config: ViewConfig,
-    segmentation: SegmentationConfig,
-    metadata: Mapping[str, str] | None = None,
-    *,
-    name: str = "nurbseg",
-    logger: logging.Logger | None = None,
-    process: ChildProcess | None = None,
-) -> View:
-    """Open the view that a configuration asks for.
-
-    Parameters
-    ----------
-    config : ViewConfig
-        Where to show and to save.
-    segmentation : SegmentationConfig
-        Of the run; kept with the recording.
-    metadata : mapping of str to str, optional
-        What is known of the device.
-    name : str
-        What the recording is called.
-    logger : logging.Logger, optional
-        Whose messages are shown too; the package's by default.
-    process : ChildProcess, optional
-        Which was started for this configuration before.
-
-    Returns
-    -------
-    View
-        Its `how_to_look` is for a person who wants to see it.
-
-    Raises
-    ------
-    ViewError
-        If the file cannot be created, a port is taken, or the viewer cannot be started.
-    """
-    process = process or begin_view(config)
-    if process is None:
-        return View("" if config.mode == "none" else _NO_DISPLAY)
-    # Late: most of what draws is compiled, and a run without a view needs none of it.
-    from nurbseg.app.view.isolated import IsolatedView
-
-    return IsolatedView(
-        process, config, segmentation, metadata or {}, name, logger or logging.getLogger("nurbseg")
-    )

@@ -22,7 +22,8 @@ from nurbseg.app.live.tracking import process_frame
 from nurbseg.app.result import FrameResult
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.palette import DIVISION_COLORS, STOP_COLORS
-from nurbseg.app.view.view import View, open_view
+from nurbseg.app.view.opening import open_view
+from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import ViewError, viewer_executable
 from nurbseg.drivers.frame import Calibration, Intrinsics
 from tests.fakes.fair_clock import FairClock
@@ -242,7 +243,8 @@ def _start(script: str, path: Path) -> subprocess.Popen[str]:
 
 _LIMITED_SAVER = """
     import psutil, sys, time
-    from nurbseg.app.view.view import ViewError, open_view
+    from nurbseg.app.view.opening import open_view
+    from nurbseg.app.view.viewer import ViewError
     from nurbseg.app.view.config import ViewConfig
     from tests.fakes.small_scene import CONFIG, small_result
 
@@ -324,7 +326,7 @@ def test_stages_that_come_later_are_plotted_too(tmp_path: Path, results: list[Fr
 # and no foreign thread can keep it from the main one.
 _SAVER = """
     import signal, sys, threading, time
-    from nurbseg.app.view.view import open_view
+    from nurbseg.app.view.opening import open_view
     from nurbseg.app.view.config import ViewConfig
     from tests.fakes.small_scene import CONFIG, small_result
 

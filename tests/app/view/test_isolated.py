@@ -18,7 +18,7 @@ from nurbseg.app.result import FrameResult
 from nurbseg.app.view import isolated as view_isolated
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.isolated import IsolatedView
-from nurbseg.app.view.view import begin_view, open_view
+from nurbseg.app.view.opening import begin_view, open_view
 from nurbseg.app.view.viewer import ViewError
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig

@@ -21,8 +21,8 @@ from rerun.experimental import ViewerClient
 from nurbseg.app.result import FrameResult
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.isolated import IsolatedView
-from nurbseg.app.view.view import ViewError, open_view
-from nurbseg.app.view.viewer import free_port, listens, start_viewer, viewer_executable
+from nurbseg.app.view.opening import open_view
+from nurbseg.app.view.viewer import ViewError, free_port, listens, start_viewer, viewer_executable
 from tests.fakes.fair_clock import FairClock
 from tests.fakes.own_children import own_children
 from tests.fakes.saved_view import read_saved_view
@@ -245,7 +245,7 @@ def test_a_killed_viewer_is_noticed_once_and_shown_to_when_it_comes_back(
 
 _SHOWS_AND_ENDS = """
     import sys
-    from nurbseg.app.view.view import open_view
+    from nurbseg.app.view.opening import open_view
     from nurbseg.app.view.config import ViewConfig
     from tests.fakes.small_scene import CONFIG, small_result
 

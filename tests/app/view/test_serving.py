@@ -20,8 +20,9 @@ import pytest
 
 from nurbseg.app.view import serving
 from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.serving import WebServer
-from nurbseg.app.view.view import View, open_view
+from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import ViewError, free_port, listens, private_environment
 from tests.fakes.own_children import own_children
 from tests.fakes.small_scene import CONFIG, small_result
@@ -31,7 +32,7 @@ ANY_PORTS = ViewConfig(mode="serve", port=0, web_port=0)
 
 _SERVES = """
     import sys
-    from nurbseg.app.view.view import open_view
+    from nurbseg.app.view.opening import open_view
     from nurbseg.app.view.config import ViewConfig
     from tests.fakes.small_scene import CONFIG, small_result
 
