@@ -82,6 +82,8 @@ class Exporter:
     ----------
     written : int
         Frames written so far.
+    metric, surfaces : str, bool
+        Of the settings: what `frame_files` is to be told.
 
     Raises
     ------
@@ -92,8 +94,8 @@ class Exporter:
     def __init__(self, directory: Path, settings: Mapping[str, Any]) -> None:
         self.directory = directory
         self.written = 0
-        self._metric: Metric = settings["segmentation"]["metric"]
-        self._surfaces: bool = settings["surfaces"]
+        self.metric: Metric = settings["segmentation"]["metric"]
+        self.surfaces: bool = settings["surfaces"]
         try:
             directory.mkdir(parents=True, exist_ok=True)
         except OSError as err:
@@ -112,17 +114,17 @@ class Exporter:
         ExportError
             If one cannot be written.
         """
-        stem = f"{result.frame.index:06d}"
-        tree = result.tree
-        contents = {f"{stem}_labels.png": _png(result.labels())}
-        if tree.objects:
-            contents[f"{stem}_surfaces.png"] = _png(result.labels("surfaces"))
-            contents[f"{stem}_objects.png"] = _png(result.labels("objects"))
-        if self._surfaces:
-            contents[f"{stem}_surfaces.npz"] = surfaces_npz(tree)
-        document = tree_document(result, self._metric)
-        contents[f"{stem}_tree.json"] = (json.dumps(document, indent=1) + "\n").encode()
-        for name, content in contents.items():
+        self.write_files(frame_files(result, self.metric, surfaces=self.surfaces))
+
+    def write_files(self, files: Mapping[str, bytes]) -> None:
+        """Write the files of one frame that `frame_files` has made, in their order.
+
+        Raises
+        ------
+        ExportError
+            If one cannot be written.
+        """
+        for name, content in files.items():
             try:
                 write_atomically(self.directory / name, content)
             except OSError as err:
@@ -131,6 +133,36 @@ class Exporter:
                     f"the {self.written} frames before are kept in {self.directory}"
                 ) from err
         self.written += 1
+
+
+def frame_files(result: FrameResult, metric: Metric, *, surfaces: bool) -> dict[str, bytes]:
+    """Return the files of a frame by name, the tree last.
+
+    Parameters
+    ----------
+    result : FrameResult
+        The frame and its tree.
+    metric : str
+        Which metric decided the splits.
+    surfaces : bool
+        Whether the fitted surfaces are wanted.
+
+    Raises
+    ------
+    ExportError
+        If the labels cannot be a PNG.
+    """
+    stem = f"{result.frame.index:06d}"
+    tree = result.tree
+    files = {f"{stem}_labels.png": _png(result.labels())}
+    if tree.objects:
+        files[f"{stem}_surfaces.png"] = _png(result.labels("surfaces"))
+        files[f"{stem}_objects.png"] = _png(result.labels("objects"))
+    if surfaces:
+        files[f"{stem}_surfaces.npz"] = surfaces_npz(tree)
+    document = tree_document(result, metric)
+    files[f"{stem}_tree.json"] = (json.dumps(document, indent=1) + "\n").encode()
+    return files
 
 
 def _refuse_other_results(directory: Path, settings: Mapping[str, Any]) -> None:

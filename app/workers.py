@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
+import copyreg
 import os
 import pickle
 import queue
+import select
 import signal
+import socket
+import subprocess
+import sys
 import threading
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
-from multiprocessing import connection, get_context, parent_process
+from multiprocessing.connection import Connection
+from types import MappingProxyType
 from typing import Any, Protocol, TypeVar
+
+from nurbseg.drivers.process.start import python_command
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -24,8 +33,6 @@ _TASK_LIMIT_S = 3600.0
 _KILLED_S, _WORKER_TIMEOUT_S = 10.0, 20.0
 #: What a process that is lost may take to end by itself, seconds.
 _LAST_WORDS_S = 1.0
-#: Keeps the current folder off the path of Python processes.
-_SAFE_PATH = "PYTHONSAFEPATH"
 
 
 class WorkerLostError(RuntimeError):
@@ -105,12 +112,11 @@ def open_workers(count: int, scheduler: str | None = None) -> Iterator[Workers]:
     elif count == 1:
         yield _ThisProcess()
     else:
-        with _without_current_folder():
-            processes = _Processes(count)
-            try:
-                yield processes
-            finally:
-                processes.close()
+        processes = _Processes(count)
+        try:
+            yield processes
+        finally:
+            processes.close()
 
 
 class _ThisProcess:
@@ -161,8 +167,10 @@ class _Processes:
     def close(self) -> None:
         """End all processes, whatever they are doing."""
         for each in self._all:
-            each.close()
+            each.end()
         self._threads.shutdown(cancel_futures=True)
+        for each in self._all:
+            each.close()
 
 
 class _Process:
@@ -174,16 +182,16 @@ class _Process:
         self._start()
 
     def _start(self) -> None:
-        context = get_context("spawn")
-        self._connection, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
-        # Ctrl-C is for this process, which ends the others in its own time. They inherit what is blocked.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
-            self._process.start()
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-            theirs.close()
+        ours, theirs = socket.socketpair()
+        with theirs:
+            self._process = subprocess.Popen(
+                python_command("nurbseg.app.workers", str(theirs.fileno())),
+                stdin=subprocess.DEVNULL,
+                pass_fds=[theirs.fileno()],
+                # Ctrl-C is for this process, which ends the others in its own time.
+                start_new_session=True,
+            )
+        self._connection = Connection(ours.detach())
 
     def call(self, function: Callable[[Task], Result], task: Task) -> Result:
         """Have a task done, once more if the process is lost."""
@@ -199,6 +207,7 @@ class _Process:
                     lost = self._end(_LAST_WORDS_S)
                     if self._closed:
                         break
+                    self._connection.close()
                     self._start()
                 continue
             if error is not None:
@@ -206,29 +215,35 @@ class _Process:
             return result  # type: ignore[no-any-return]
         raise WorkerLostError(f"the process that worked on it {lost}, and so did another one")
 
-    def close(self) -> None:
-        """End the process for good."""
+    def end(self) -> None:
+        """End the process for good, whoever calls it."""
         with self._lock:
             self._closed = True
             self._end(0.0)
 
+    def close(self) -> None:
+        """Let go of the connection to the process, which has ended."""
+        self._connection.close()
+
     def _end(self, limit_s: float) -> str:
         """End the process, if it does not within a time, and return how it ended."""
-        self._process.join(limit_s)
-        self._process.kill()
-        self._process.join(_KILLED_S)
-        code = self._process.exitcode
+        if self._process.returncode is None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(limit_s)
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._process.pid, signal.SIGKILL)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(_KILLED_S)
+        code = self._process.returncode
         return f"ended by signal {-code}" if code is not None and code < 0 else f"ended with code {code}"
 
 
-def _serve(calls: connection.Connection) -> None:
-    """Do what the other end asks for, until it is gone."""
-    threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
+def serve(descriptor: int) -> None:
+    """Do what the other end of a connection asks for, until it is gone; for a process of its own."""
+    calls = Connection(descriptor)
+    threading.Thread(target=_end_with_parent, args=(descriptor,), name="parent", daemon=True).start()
     while True:
-        try:
-            function, task = calls.recv()
-        except EOFError:
-            return
+        function, task = calls.recv()
         answer: tuple[Any, Exception | None]
         try:
             answer = function(task), None
@@ -237,11 +252,19 @@ def _serve(calls: connection.Connection) -> None:
         calls.send(answer)
 
 
-def _end_with_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        connection.wait([parent.sentinel])
+def _end_with_parent(descriptor: int) -> None:
+    gone = select.poll()
+    gone.register(descriptor, select.POLLRDHUP)
+    gone.poll()
     os._exit(1)
+
+
+def _frozen(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
+    return MappingProxyType(values)
+
+
+# Values that nobody changes are not meant to be sent by Python, but are of ours.
+copyreg.pickle(MappingProxyType, lambda values: (_frozen, (dict(values),)))
 
 
 def _sendable(err: Exception) -> Exception:
@@ -251,20 +274,6 @@ def _sendable(err: Exception) -> Exception:
     except Exception:
         return RuntimeError(f"{type(err).__name__}: {err}")
     return err
-
-
-@contextmanager
-def _without_current_folder() -> Iterator[None]:
-    """Let no process that is started meanwhile run somebody's threading.py in the current folder."""
-    before = os.environ.get(_SAFE_PATH)
-    os.environ[_SAFE_PATH] = "1"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[_SAFE_PATH]
-        else:
-            os.environ[_SAFE_PATH] = before
 
 
 class _Cluster:
@@ -299,4 +308,10 @@ def _cluster(scheduler: str) -> Iterator[_Cluster]:
         yield _Cluster(client)
 
 
-__all__ = ["WorkerLostError", "Workers", "in_order", "open_workers"]
+__all__ = ["WorkerLostError", "Workers", "in_order", "open_workers", "serve"]
+
+if __name__ == "__main__":
+    # By its own name, by which what is sent finds it.
+    from nurbseg.app import workers
+
+    workers.serve(int(sys.argv[1]))

@@ -167,7 +167,8 @@ def _metavar(each: Field[Any], kind: ValueKind) -> str:
     unit = str(each.metadata["unit"])
     if unit and unit.upper() == unit:
         return unit
-    return {"px": "PIXELS", "s": "SECONDS", "m": "METRES"}.get(unit, "N" if kind.kind is int else "X")
+    number = f"N|{kind.word}" if kind.word else "N"
+    return {"px": "PIXELS", "s": "SECONDS", "m": "METRES"}.get(unit, number if kind.kind is int else "X")
 
 
 def _reader(kind: ValueKind) -> Callable[[str], Any]:

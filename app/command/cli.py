@@ -90,6 +90,7 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
 def _run_with(arguments: Arguments, interruption: Interruption, process: ChildProcess | None) -> int:
     from nurbseg.app.command.compilation import told_compilation
     from nurbseg.app.export import ExportError
+    from nurbseg.app.live.parallel import FrameFailedError
     from nurbseg.app.live.run import SetupError, run
     from nurbseg.app.view.viewer import ViewError
     from nurbseg.drivers.errors import DriverError
@@ -101,7 +102,7 @@ def _run_with(arguments: Arguments, interruption: Interruption, process: ChildPr
     except SetupError as err:
         _log.error("%s", err, exc_info=arguments.verbosity > 0)
         return NOT_STARTED
-    except (DriverError, ExportError, ViewError) as err:
+    except (DriverError, ExportError, FrameFailedError, ViewError) as err:
         _log.error("%s", err, exc_info=arguments.verbosity > 0)
         interruption.check()
         return FAILED

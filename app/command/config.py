@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from nurbseg.app.live.config import LiveConfig
 from nurbseg.app.recording.config import RecordConfig
@@ -36,6 +36,11 @@ class SourceConfig:
     fallback: str | None = setting(None, "what to replay where no camera is found", unit="PATH")
     speed: float = setting(
         1.0, "rate of a replay: 1 as recorded, 0 as fast as possible with every frame segmented", least=0.0
+    )
+    workers: int | Literal["auto"] = setting(
+        1,
+        "processes that segment the frames of a replay with --speed 0, each for itself; auto: one a core",
+        least=1,
     )
     loop: bool = setting(False, "start a replay again at its end")
     start: int = setting(0, "frames of a replay to pass over at its beginning", least=0)

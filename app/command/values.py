@@ -23,11 +23,14 @@ class ValueKind:
         Whether it may be left unset (None).
     length : int
         How many numbers it holds, 0 for a single value.
+    word : str
+        What may stand in place of a number; "" for nothing.
     """
 
     kind: type
     optional: bool = False
     length: int = 0
+    word: str = ""
 
     def from_text(self, text: str) -> Any:
         """Return the value of a flag's text.
@@ -39,7 +42,7 @@ class ValueKind:
         """
         if self.length:
             return self._checked(tuple(self._number(part) for part in text.split(",")), text)
-        return text if self.kind is str else self._number(text)
+        return text if self.kind is str or text == self.word else self._number(text)
 
     def from_toml(self, value: Any) -> Any:
         """Return the setting's value of what a TOML file holds.
@@ -53,6 +56,8 @@ class ValueKind:
             if not isinstance(value, list):
                 raise ValueError(f"expected {self.words}, got {quoted(value)}")
             return self._checked(tuple(ValueKind(self.kind).from_toml(each) for each in value), value)
+        if self.word and value == self.word:
+            return value
         whole = isinstance(value, int) and not isinstance(value, bool)
         if self.kind is float and (whole or isinstance(value, float)):
             try:
@@ -67,7 +72,8 @@ class ValueKind:
     def words(self) -> str:
         """What is expected, for a message."""
         names = {bool: "true or false", int: "a whole number", float: "a number", str: "a text in quotes"}
-        return f"{self.length} numbers" if self.length else names[self.kind]
+        either = f" or {self.word}" if self.word else ""
+        return f"{self.length} numbers" if self.length else names[self.kind] + either
 
     def _number(self, text: str) -> float:
         try:
@@ -108,6 +114,8 @@ def _kind_of(hint: Any) -> ValueKind:
     if origin in (Union, UnionType) and len(inner) == 2 and NoneType in inner:
         present = _kind_of(next(each for each in inner if each is not NoneType))
         return ValueKind(present.kind, optional=True, length=present.length)
+    if origin in (Union, UnionType) and inner[0] is int and get_origin(inner[1]) is Literal:
+        return ValueKind(int, word=get_args(inner[1])[0])
     if origin is Literal:
         return ValueKind(str)
     if origin is tuple and set(inner) == {float}:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from nurbseg.app.live.capture import CaptureThread
-from nurbseg.app.result import FrameResult
+from nurbseg.drivers.frame import RGBDFrame
 
 _log = logging.getLogger(__name__)
 
@@ -33,13 +33,14 @@ class Progress:
         self._frames = 0
         self._is_first = True
 
-    def segmented(self, result: FrameResult, *, late: int = 0) -> None:
+    def segmented(
+        self, frame: RGBDFrame, leaves: int, elapsed_ms: Mapping[str, float], *, late: int = 0
+    ) -> None:
         """Say something of a frame, if it is time to, or the first; `late` were too old to be shown."""
         self._frames += 1
-        frame = result.frame
         name = f" ({frame.name})" if frame.name else ""
-        took_ms = sum(result.elapsed_ms.get(stage, 0.0) for stage in ("register", "segment"))
-        line = f"frame {frame.index}{name}: {len(result.tree.leaves())} segments in {took_ms:.0f} ms"
+        took_ms = sum(elapsed_ms.get(stage, 0.0) for stage in ("register", "segment"))
+        line = f"frame {frame.index}{name}: {leaves} segments in {took_ms:.0f} ms"
         _log.debug(line)
         elapsed_s = self._clock() - self._logged_s
         if self._is_first:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import gc
 import logging
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -17,6 +17,7 @@ from nurbseg.app.export import Exporter, ExportError, run_settings
 from nurbseg.app.live.capture import Captured, CaptureThread
 from nurbseg.app.live.latency_filter import LatencyFilter
 from nurbseg.app.live.opening import OpenedSource, open_chosen
+from nurbseg.app.live.parallel import process_count, segment_in_parallel
 from nurbseg.app.live.progress import Progress
 from nurbseg.app.live.report import RunReport
 from nurbseg.app.live.tracking import Segmenter
@@ -24,7 +25,7 @@ from nurbseg.app.live.warmup import WarmUp
 from nurbseg.app.recording.recorder import open_recording, tell_recorded
 from nurbseg.app.result import FrameResult
 from nurbseg.app.view.opening import open_view
-from nurbseg.app.view.view import View
+from nurbseg.app.view.view import NullView, View
 from nurbseg.app.view.viewer import ViewError
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.files import check_absent
@@ -82,7 +83,8 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
         report = RunReport(config, opened.uri, opened.source.metadata)
         with _reported(report, interruption):
             with _setup():
-                exports = _open_export(config, opened)
+                _check_workers(config, opened)
+                exporter = _open_export(config, opened)
                 view = report.view = stack.enter_context(_open_view(config, opened, view_process))
                 recording = open_recording(config.record, opened.camera, lossless=opened.every_frame)
             if view.how_to_look:
@@ -99,7 +101,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 if config.record.only:
                     _only_record(capture, report, interruption)
                 else:
-                    _segment(config, opened, capture, exports, view, report, interruption)
+                    _segment(config, opened, capture, exporter, view, report, interruption)
             if recording is not None:
                 tell_recorded(recording)
             if report.segmented + report.recorded_only == 0:
@@ -160,9 +162,18 @@ def _target_hz(config: AppConfig, opened: OpenedSource) -> float:
     return 0.0 if opened.every_frame else config.live.target_fps
 
 
-def _open_export(config: AppConfig, opened: OpenedSource) -> list[Consumer]:
+def _check_workers(config: AppConfig, opened: OpenedSource) -> None:
+    if config.source.workers == 1:
+        return
+    if not opened.every_frame:
+        raise ValueError("--workers: for replays of every frame only: no camera, and --speed 0")
+    if config.live.follows(every_frame=True):
+        raise ValueError("--workers: frames that continue each other wait for each other; use --temporal off")
+
+
+def _open_export(config: AppConfig, opened: OpenedSource) -> Exporter | None:
     if config.export.directory is None:
-        return []
+        return None
     settings = run_settings(
         config.segmentation,
         source=opened.uri,
@@ -170,7 +181,7 @@ def _open_export(config: AppConfig, opened: OpenedSource) -> list[Consumer]:
         target_fps=_target_hz(config, opened),
         surfaces=config.export.surfaces,
     )
-    return [("export", Exporter(Path(config.export.directory), settings).write)]
+    return Exporter(Path(config.export.directory), settings)
 
 
 def _open_view(config: AppConfig, opened: OpenedSource, process: ChildProcess | None) -> View:
@@ -185,12 +196,18 @@ def _segment(
     config: AppConfig,
     opened: OpenedSource,
     capture: CaptureThread,
-    exports: Sequence[Consumer],
+    exporter: Exporter | None,
     view: View,
     report: RunReport,
     interruption: Interruption,
 ) -> None:
     """Take frame after frame, segment it and hand it on, until the source ends."""
+    progress = Progress(capture)
+    if (count := process_count(config.source.workers)) > 1:
+        frames = (each for each in _captured(capture, progress, interruption) if each is not None)
+        _segment_in_parallel(config, frames, count, exporter, view, report, progress)
+        return
+    exports: list[Consumer] = [] if exporter is None else [("export", exporter.write)]
     segmenter = Segmenter(
         config.segmentation,
         temporal=config.live.follows(every_frame=opened.every_frame),
@@ -198,7 +215,6 @@ def _segment(
         every_surface=bool(exports),
     )
     latency_filter = LatencyFilter(0.0 if opened.every_frame else config.live.age_max_ms)
-    progress = Progress(capture)
     for captured in _captured(capture, progress, interruption):
         if captured is None:
             continue
@@ -214,10 +230,36 @@ def _segment(
             elapsed_ms[stage] = 1e3 * (time.perf_counter() - started_s)
         report.late = latency_filter.held_back
         report.add(elapsed_ms, result.events, result.update)
-        progress.segmented(result, late=latency_filter.held_back)
+        progress.segmented(result.frame, len(result.tree.leaves()), elapsed_ms, late=latency_filter.held_back)
         if report.segmented == _SETTLED_FRAMES:
             # That stays for good, and looking for garbage in it takes a tenth of a second each time.
             gc.freeze()
+
+
+def _segment_in_parallel(
+    config: AppConfig,
+    frames: Iterator[Captured],
+    count: int,
+    exporter: Exporter | None,
+    view: View,
+    report: RunReport,
+    progress: Progress,
+) -> None:
+    """Take every frame, have it segmented by one of some processes and hand it on, until the source ends."""
+    surfaces = None if exporter is None else exporter.surfaces
+    whole = not isinstance(view, NullView)
+    results = segment_in_parallel(frames, config.segmentation, count=count, surfaces=surfaces, whole=whole)
+    with closing(results):
+        for captured, segmented in results:
+            elapsed_ms = dict(segmented.elapsed_ms)
+            started_s = time.perf_counter()
+            if exporter is not None:
+                exporter.write_files(segmented.files)
+            elapsed_ms["export"] = elapsed_ms.pop("encode") + 1e3 * (time.perf_counter() - started_s)
+            if segmented.result is not None:
+                view.show(replace(segmented.result, elapsed_ms=MappingProxyType(elapsed_ms)))
+            report.add(elapsed_ms)
+            progress.segmented(captured.frame, segmented.leaves, elapsed_ms)
 
 
 def _only_record(capture: CaptureThread, report: RunReport, interruption: Interruption) -> None:

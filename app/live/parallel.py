@@ -1,0 +1,132 @@
+"""Frames that several processes segment at once, each for itself; results come in the order of the frames."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Generator, Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal
+
+import cv2
+
+from nurbseg.app.export import frame_files
+from nurbseg.app.live.capture import Captured
+from nurbseg.app.live.tracking import process_frame
+from nurbseg.app.result import FrameResult
+from nurbseg.app.workers import in_order, open_workers
+from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.segmentation.config import SegmentationConfig
+
+
+class FrameFailedError(RuntimeError):
+    """A frame cannot be segmented; the message names it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segmented:
+    """What came of a frame.
+
+    Parameters
+    ----------
+    leaves : int
+        Number of its segments.
+    elapsed_ms : mapping of str to float
+        Time that each stage took, milliseconds.
+    files : mapping of str to bytes
+        What is exported of it, by name.
+    result : FrameResult or None
+        All of it, where that is wanted: it takes ten times as much memory as the frame.
+    """
+
+    leaves: int
+    elapsed_ms: Mapping[str, float]
+    files: Mapping[str, bytes]
+    result: FrameResult | None = None
+
+
+def process_count(workers: int | Literal["auto"]) -> int:
+    """Return how many processes a setting asks for."""
+    return len(os.sched_getaffinity(0)) if workers == "auto" else workers
+
+
+def segment_alone(frame: RGBDFrame, config: SegmentationConfig, *, surfaces: bool | None) -> Segmented:
+    """Segment a frame for itself, and make its files.
+
+    Parameters
+    ----------
+    frame : RGBDFrame
+        The frame.
+    config : SegmentationConfig
+        How to segment.
+    surfaces : bool or None
+        Whether its surfaces are exported; None where nothing is.
+    """
+    # The other cores have other frames to do.
+    cv2.setNumThreads(1)
+    result = process_frame(frame, config)
+    started_s = time.perf_counter()
+    files = {} if surfaces is None else frame_files(result, config.metric, surfaces=surfaces)
+    elapsed_ms = {**result.elapsed_ms, "encode": 1e3 * (time.perf_counter() - started_s)}
+    return Segmented(len(result.tree.leaves()), elapsed_ms, files, result)
+
+
+def segment_in_parallel(
+    captured: Iterable[Captured],
+    config: SegmentationConfig,
+    *,
+    count: int,
+    surfaces: bool | None,
+    whole: bool,
+) -> Generator[tuple[Captured, Segmented]]:
+    """Segment frames as `segment_alone` does, by several processes.
+
+    Parameters
+    ----------
+    captured : iterable of Captured
+        The frames; taken as there is room for them, so that at most twice as many as there are processes
+        are under way.
+    config : SegmentationConfig
+        How to segment.
+    count : int
+        Number of processes.
+    surfaces : bool or None
+        As that of `segment_alone`.
+    whole : bool
+        Whether all that came of a frame is wanted, or its files alone.
+
+    Yields
+    ------
+    Captured, Segmented
+        In the order of the frames, with the time on the way (``wait``) and until now (``capture_to_labels``).
+
+    Raises
+    ------
+    FrameFailedError
+        If a frame cannot be segmented, or ends two processes that work on it.
+    """
+    segment = partial(_segmented, config=config, surfaces=surfaces, whole=whole)
+    with open_workers(count) as workers:
+        for each, future in in_order(workers, segment, captured):
+            try:
+                segmented = future.result()
+            except Exception as err:
+                name = f" ({each.frame.name})" if each.frame.name else ""
+                raise FrameFailedError(
+                    f"frame {each.frame.index}{name} cannot be segmented: {type(err).__name__}: {err}"
+                ) from err
+            latency_ms = 1e3 * (time.monotonic() - each.arrived_s)
+            waited_ms = latency_ms - sum(segmented.elapsed_ms.values())
+            elapsed_ms = {"wait": waited_ms, **segmented.elapsed_ms, "capture_to_labels": latency_ms}
+            yield each, replace(segmented, elapsed_ms=elapsed_ms)
+
+
+def _segmented(
+    captured: Captured, *, config: SegmentationConfig, surfaces: bool | None, whole: bool
+) -> Segmented:
+    segmented = segment_alone(captured.frame, config, surfaces=surfaces)
+    return segmented if whole else replace(segmented, result=None)
+
+
+__all__ = ["FrameFailedError", "Segmented", "process_count", "segment_alone", "segment_in_parallel"]
