@@ -15,6 +15,11 @@ def live() -> int:
     return result
 
 
+def batch() -> int:
+    """Run nurbseg-batch."""
+    return _interruptible(_imported("nurbseg.app.batch.cli"), "main")
+
+
 def devices() -> int:
     """Run nurbseg-devices."""
     return _interruptible(_imported("nurbseg.app.devices.cli"), "main")
@@ -45,4 +50,4 @@ def _interruptible(module: ModuleType, function: str) -> int:
     return result
 
 
-__all__ = ["devices", "evaluation", "live", "record"]
+__all__ = ["batch", "devices", "evaluation", "live", "record"]

@@ -147,12 +147,12 @@ def main(words: Sequence[str] | None = None) -> int:
 
     try:
         if given.command == "check":
-            return check_command(given, _source_options(given))
+            return check_command(given, source_options(given))
         study = _study(given)
         if given.command == "run":
-            _run(given, study, _base_config(given), words)
+            _run(given, study, base_config(given), words)
         elif given.command == "tune":
-            _tune(given, study, _base_config(given))
+            _tune(given, study, base_config(given))
         else:
             _noise(study)
     except (ValueError, DeviceNotFoundError, BackendMissingError) as err:
@@ -185,14 +185,15 @@ def _study(given: argparse.Namespace) -> Study:
     return Study(
         sources=tuple(given.data),
         variants=(),
-        options=_source_options(given),
+        options=source_options(given),
         seed=given.seed or 0,
         frames=given.frames,
         start=given.start,
     )
 
 
-def _source_options(given: argparse.Namespace) -> SourceOptions:
+def source_options(given: argparse.Namespace) -> SourceOptions:
+    """Return what the arguments say of recordings that do not say it themselves."""
     from nurbseg.drivers.options import SourceOptions
 
     intrinsics = None
@@ -205,7 +206,8 @@ def _source_options(given: argparse.Namespace) -> SourceOptions:
     return SourceOptions(intrinsics=intrinsics, depth_scale=given.depth_scale)
 
 
-def _base_config(given: argparse.Namespace) -> SegmentationConfig:
+def base_config(given: argparse.Namespace) -> SegmentationConfig:
+    """Return the settings of the segmentation that the arguments give."""
     from nurbseg.app.command.config_file import read_config
     from nurbseg.app.evaluation.variants import path_named, setting_value
     from nurbseg.drivers.settings import nested, updated

@@ -20,6 +20,7 @@ from nurbseg.app.evaluation.computer import computer
 from nurbseg.app.evaluation.scoring import score_frame
 from nurbseg.app.evaluation.store import StudyStore
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, Variant
+from nurbseg.app.frames import places
 from nurbseg.app.versions import versions
 from nurbseg.app.workers import WorkerLostError, in_order, open_workers
 from nurbseg.drivers.errors import FrameFormatError
@@ -28,9 +29,6 @@ from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.points.registration import PointMap, register
 from nurbseg.segmentation.stag15 import SegmentationTree
-
-#: More frames than any source has: what passing over all of them is asked with.
-_ALL = 10**9
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,12 +94,8 @@ def frame_refs(study: Study) -> list[FrameRef]:
     """
     refs = []
     for place, uri in enumerate(study.sources):
-        with open_source(uri, study.options) as source:
-            if source.live:
-                raise ValueError(f"{uri}: a camera gives no frame twice; record it first")
-            first = source.skip(study.start)
-            count = source.skip(_ALL if study.frames is None else study.frames)
-        refs += [FrameRef(uri, i, f"{place:02d}-{i:06d}") for i in range(first, first + count)]
+        found = places(uri, study.options, study.start, study.frames)
+        refs += [FrameRef(uri, i, f"{place:02d}-{i:06d}") for i in found]
     return refs
 
 

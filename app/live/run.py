@@ -25,7 +25,7 @@ from nurbseg.app.live.warmup import WarmUp
 from nurbseg.app.recording.recorder import open_recording, tell_recorded
 from nurbseg.app.result import FrameResult
 from nurbseg.app.view.opening import open_view
-from nurbseg.app.view.view import NullView, View
+from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import ViewError
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.files import check_absent
@@ -247,7 +247,7 @@ def _segment_in_parallel(
 ) -> None:
     """Take every frame, have it segmented by one of some processes and hand it on, until the source ends."""
     surfaces = None if exporter is None else exporter.surfaces
-    whole = not isinstance(view, NullView)
+    whole = type(view) is not View
     results = segment_in_parallel(frames, config.segmentation, count=count, surfaces=surfaces, whole=whole)
     with closing(results):
         for captured, segmented in results:

@@ -1,0 +1,248 @@
+"""Segments every frame of many recordings, and goes on where it was when it is begun again."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+from nurbseg.app.atomic_file import write_atomically
+from nurbseg.app.export import Exporter, ExportError, run_settings
+from nurbseg.app.frames import Reader, places
+from nurbseg.app.live.parallel import segment_alone
+from nurbseg.app.workers import Workers, in_order
+from nurbseg.drivers.errors import DriverError, FrameFormatError, RecordingFormatError
+from nurbseg.drivers.options import SourceOptions
+from nurbseg.segmentation.config import SegmentationConfig
+
+#: The file of an export that says how far it has come.
+PROGRESS_FILE = "progress.json"
+#: Frames that are one task: half a second of work at the least, and a few megabytes of results.
+_TASK_FRAMES = 16
+
+#: The reader of each thread: a worker of a Dask cluster may have several.
+_kept = threading.local()
+
+
+@dataclass(slots=True, eq=False)
+class Recording:
+    """A recording, and how far it has come.
+
+    Parameters
+    ----------
+    uri : str
+        What is segmented.
+    directory : str
+        Where its results are.
+    frames : int
+        Number of its frames.
+    done : int
+        How many of them, from the first on, are segmented or damaged.
+    damaged : dict of str to str
+        What is wrong with the frames that cannot be read, by their place.
+    segmented, bytes : int
+        Frames of this run, and bytes of their files.
+    failure : str
+        Why it is not complete; "" where it is, or is not yet.
+    """
+
+    uri: str
+    directory: str
+    frames: int = 0
+    done: int = 0
+    damaged: dict[str, str] = field(default_factory=dict)
+    segmented: int = 0
+    bytes: int = 0
+    failure: str = ""
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more is done with it."""
+        return bool(self.failure) or 0 < self.frames == self.done
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Batch:
+    """What is done to each recording.
+
+    Parameters
+    ----------
+    directory : Path
+        Under which each recording gets a folder.
+    config : SegmentationConfig
+        How frames are segmented.
+    options : SourceOptions
+        Of all recordings.
+    surfaces : bool
+        Whether the fitted surfaces are exported.
+    """
+
+    directory: Path
+    config: SegmentationConfig
+    options: SourceOptions = field(default_factory=SourceOptions)
+    surfaces: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Task:
+    """Successive frames of one of the recordings."""
+
+    number: int
+    uri: str
+    run: range
+
+
+#: The files of a frame by name, or what is wrong with it.
+_Outcome = dict[str, bytes] | str
+
+
+def recordings_of(uris: Sequence[str], directory: Path) -> list[Recording]:
+    """Return recordings with their folders, which are called as they are.
+
+    Raises
+    ------
+    ValueError
+        If two would have the same folder.
+    """
+    found: dict[Path, str] = {}
+    for uri in uris:
+        parts = [part for part in Path(uri).parts if part not in ("/", "..")]
+        folder = directory.joinpath(*parts)
+        if folder in found:
+            raise ValueError(f"{found[folder]}, {uri}: results of both would go to {folder}")
+        found[folder] = uri
+    return [Recording(uri, str(folder)) for folder, uri in found.items()]
+
+
+def run_batch(
+    batch: Batch,
+    recordings: Sequence[Recording],
+    workers: Workers,
+    tell: Callable[[Recording], None] = lambda recording: None,
+) -> None:
+    """Segment what of each recording is not yet done.
+
+    Results are written by this process alone, in the order of the frames, and do not depend on who
+    computed them. What is wrong with a recording is kept with it, and the others are gone on with.
+
+    Parameters
+    ----------
+    batch : Batch
+        What to do.
+    recordings : sequence of Recording
+        Of `recordings_of`; counted in as it goes.
+    workers : Workers
+        Who does it.
+    tell : callable
+        Told of each recording when it is complete or has failed.
+    """
+    exporters: dict[str, Exporter] = {}
+
+    def tasks() -> Iterator[_Task]:
+        for number, each in enumerate(recordings):
+            try:
+                exporters[each.uri] = _begun(batch, each)
+            except (DriverError, ExportError, OSError, ValueError) as err:
+                each.failure = str(err)
+            if each.ended:
+                tell(each)
+            for start in range(each.done, each.frames, _TASK_FRAMES):
+                if not each.failure:
+                    yield _Task(number, each.uri, range(start, min(start + _TASK_FRAMES, each.frames)))
+
+    segment = partial(segment_run, config=batch.config, options=batch.options, surfaces=batch.surfaces)
+    try:
+        for task, future in in_order(workers, segment, tasks()):
+            recording = recordings[task.number]
+            if recording.failure:
+                continue
+            try:
+                _keep(recording, future.result(), exporters[task.uri])
+            except Exception as err:
+                run = f"frames {task.run.start} to {task.run.stop - 1}"
+                recording.failure = f"{task.uri}, {run}: {type(err).__name__}: {err}"
+            if recording.ended:
+                tell(recording)
+    finally:
+        _reader().close()
+
+
+def _begun(batch: Batch, recording: Recording) -> Exporter:
+    """Find out how far a recording has come, and open its export."""
+    folder = Path(recording.directory)
+    settings = run_settings(batch.config, source=recording.uri, surfaces=batch.surfaces)
+    exporter = Exporter(folder, settings)
+    path = folder / PROGRESS_FILE
+    try:
+        before = json.loads(path.read_text(encoding="utf-8"))
+        frames, recording.done = int(before["frames"]), int(before["done"])
+        recording.damaged = dict(before["damaged"])
+    except FileNotFoundError:
+        frames = None
+    except (KeyError, TypeError, ValueError) as err:
+        raise ExportError(f"{path}: cannot be read ({err!r}); delete {folder} to begin again") from err
+    if frames is not None and recording.done == frames:
+        recording.frames = frames
+        return exporter
+    found = len(places(recording.uri, batch.options))
+    if frames not in (None, found):
+        recording.done = 0
+        raise ExportError(
+            f"{recording.uri}: has {found} frames, and had {frames} when this was begun; delete {folder}"
+        )
+    recording.frames = found
+    if not found:
+        raise ExportError(f"{recording.uri}: holds no frame")
+    return exporter
+
+
+def _keep(recording: Recording, outcomes: Sequence[_Outcome], exporter: Exporter) -> None:
+    """Write what came of successive frames, and then how far the recording has come."""
+    for outcome in outcomes:
+        if isinstance(outcome, str):
+            recording.damaged[str(recording.done)] = outcome
+        else:
+            exporter.write_files(outcome)
+            recording.segmented += 1
+            recording.bytes += sum(map(len, outcome.values()))
+        recording.done += 1
+    progress = {"frames": recording.frames, "done": recording.done, "damaged": recording.damaged}
+    path = exporter.directory / PROGRESS_FILE
+    try:
+        write_atomically(path, (json.dumps(progress, indent=1) + "\n").encode())
+    except OSError as err:
+        raise ExportError(f"{path}: cannot be written: {err.strerror}") from err
+
+
+def segment_run(
+    task: _Task, *, config: SegmentationConfig, options: SourceOptions, surfaces: bool
+) -> list[_Outcome]:
+    """Segment successive frames of a recording, each for itself; return the files of each.
+
+    Raises
+    ------
+    nurbseg.drivers.errors.DriverError
+        If the recording cannot be read, or ends before its time.
+    """
+    outcomes: list[_Outcome] = []
+    for frame in _reader().read(task.uri, options, task.run):
+        if isinstance(frame, FrameFormatError):
+            outcomes.append(str(frame))
+        else:
+            outcomes.append(dict(segment_alone(frame, config, surfaces=surfaces).files))
+    if len(outcomes) < len(task.run):
+        raise RecordingFormatError(f"{task.uri}: ends after {task.run.start + len(outcomes)} frames")
+    return outcomes
+
+
+def _reader() -> Reader:
+    """Return the reader of this thread."""
+    reader: Reader = getattr(_kept, "reader", None) or Reader()
+    _kept.reader = reader
+    return reader
+
+
+__all__ = ["PROGRESS_FILE", "Batch", "Recording", "recordings_of", "run_batch", "segment_run"]

@@ -1,0 +1,151 @@
+"""nurbseg-batch: segments many recordings, on all cores or a cluster, and goes on after it was ended."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nurbseg.app.command.threads import one_thread_for_products
+
+if TYPE_CHECKING:
+    from nurbseg.app.batch.batch import Recording
+
+#: The file that tells of all recordings.
+REPORT_FILE = "report.json"
+
+_EPILOG = """\
+exit codes: 0 all is done, 1 some recordings failed (they are listed at the end), 2 usage, 130 interrupted;
+the same command goes on where it was, and does what failed again
+example: nurbseg-batch recordings/*.mcap --export out --workers auto"""
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="nurbseg-batch",
+        description="Segment every frame of many recordings, each for itself, and write what nurbseg-live "
+        "--export writes: into a folder for each recording that is called as it is.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    add = parser.add_argument
+    add("recordings", nargs="+", metavar="PATH", help="what nurbseg-live replays: files and folders")
+    add("--export", type=Path, metavar="DIR", required=True, help="where results and report.json go")
+    add("--export-surfaces", action="store_true", help="export the fitted surfaces too (NPZ)")
+    add("--workers", metavar="N|auto", default="auto", help="processes; auto: one a core (%(default)s)")
+    add("--scheduler", metavar="URL", help="a Dask scheduler, tcp://HOST:8786, in place of --workers")
+    add("--config", type=Path, metavar="FILE", help="read the segmentation's settings from a TOML file")
+    add(
+        "--set",
+        dest="settings",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="a segmentation setting; may be repeated",
+    )
+    add("--intrinsics", metavar="FX,FY,CX,CY", help="of recordings without calibration, pixels")
+    add("--depth-scale", type=float, help="depth units per metre of recordings that do not say")
+    return parser
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code.
+
+    Parameters
+    ----------
+    words : sequence of str, optional
+        The arguments; the process's own by default.
+    """
+    one_thread_for_products()
+    given = _parser().parse_args(words)
+    given.seed = None
+    try:
+        return _run(given)
+    except ModuleNotFoundError as err:
+        return _refused(
+            f"{err.name} is not installed; a cluster needs the extra 'eval': pip install '.[eval]'"
+        )
+    except (OSError, ValueError) as err:
+        return _refused(str(err))
+    except KeyboardInterrupt:
+        print("nurbseg-batch: interrupted; the same command goes on from here", file=sys.stderr)
+        return 130
+
+
+def _run(given: argparse.Namespace) -> int:
+    from nurbseg.app.batch.batch import Batch, recordings_of, run_batch
+    from nurbseg.app.evaluation.cli import base_config, source_options
+    from nurbseg.app.live.parallel import process_count
+    from nurbseg.app.workers import open_workers
+
+    batch = Batch(given.export, base_config(given), source_options(given), given.export_surfaces)
+    recordings = recordings_of(given.recordings, given.export)
+    count = process_count("auto" if given.workers == "auto" else _number(given.workers))
+    given.export.mkdir(parents=True, exist_ok=True)
+    began_s = time.monotonic()
+    ended = "interrupted"
+    try:
+        with open_workers(count, given.scheduler) as workers:
+            run_batch(batch, recordings, workers, _tell)
+        ended = "done"
+    finally:
+        by = {"scheduler": given.scheduler} if given.scheduler else {"workers": count}
+        _write_report(given.export / REPORT_FILE, ended, time.monotonic() - began_s, recordings, by)
+    failed = [each for each in recordings if each.failure]
+    if failed:
+        print(f"nurbseg-batch: {len(failed)} of {len(recordings)} recordings failed:", file=sys.stderr)
+        for each in failed:
+            print(f"  {each.uri}: {each.failure}", file=sys.stderr)
+    return 1 if failed else 0
+
+
+def _number(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise ValueError(f"--workers {text}: expected a number of processes of at least 1, or auto")
+    return int(text)
+
+
+def _refused(message: str) -> int:
+    print(f"nurbseg-batch: {message}", file=sys.stderr)
+    return 2
+
+
+def _tell(recording: Recording) -> None:
+    counted = f"{recording.segmented} of {recording.frames} frames segmented now"
+    damaged = f", {len(recording.damaged)} damaged" if recording.damaged else ""
+    said = recording.failure or f"{counted}{damaged}: {recording.directory}"
+    print(f"nurbseg-batch: {recording.uri}: {said}", file=sys.stderr, flush=True)
+
+
+def _write_report(
+    path: Path, ended: str, seconds: float, recordings: Sequence[Recording], by: dict[str, Any]
+) -> None:
+    from nurbseg.app.atomic_file import write_atomically
+    from nurbseg.app.evaluation.computer import computer
+    from nurbseg.app.versions import versions
+
+    segmented = sum(each.segmented for each in recordings)
+    document = {
+        "ended": ended,
+        "seconds": round(seconds, 3),
+        **by,
+        "complete": sum(each.ended and not each.failure for each in recordings),
+        "failed": sum(bool(each.failure) for each in recordings),
+        "segmented": segmented,
+        "frames_per_s": round(segmented / seconds, 3),
+        "bytes_per_frame": round(sum(each.bytes for each in recordings) / max(segmented, 1)),
+        "recordings": [asdict(each) for each in recordings],
+        "computer": computer(),
+        "versions": versions(),
+    }
+    write_atomically(path, (json.dumps(document, indent=1) + "\n").encode())
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,83 @@
+"""The frames of a recording by their places, so that any process can read them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError
+from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.registry import open_source
+from nurbseg.drivers.source import FrameSource
+
+#: More frames than any source has: what passing over all of them is asked with.
+_ALL = 10**9
+#: Longest wait for a frame of a recording, seconds.
+_READ_TIMEOUT_S = 60.0
+
+
+def places(uri: str, options: SourceOptions, start: int = 0, most: int | None = None) -> range:
+    """Return the places of a recording's frames, without decoding them.
+
+    Parameters
+    ----------
+    uri : str
+        Of the recording.
+    options : SourceOptions
+        For it.
+    start, most : int
+        First place, and the number of frames at the most.
+
+    Raises
+    ------
+    nurbseg.drivers.errors.DriverError
+        If it cannot be opened.
+    ValueError
+        If it is a camera.
+    """
+    with open_source(uri, options) as source:
+        if source.live:
+            raise ValueError(f"{uri}: a camera gives no frame twice; record it first")
+        first = source.skip(start)
+        return range(first, first + source.skip(_ALL if most is None else most))
+
+
+class Reader:
+    """Reads frames by their places, and keeps the recording open that was read last.
+
+    Many recordings can only be passed through: going on from the place before spares the way there.
+    """
+
+    def __init__(self) -> None:
+        self._source: FrameSource | None = None
+        self._opened: tuple[str, SourceOptions] | None = None
+        self._next = 0
+
+    def read(self, uri: str, options: SourceOptions, run: range) -> Iterator[RGBDFrame | FrameFormatError]:
+        """Yield the frames at successive places, or what is wrong with each that is damaged.
+
+        Raises
+        ------
+        nurbseg.drivers.errors.DriverError
+            If the recording cannot be read.
+        """
+        if self._source is None or self._opened != (uri, options) or self._next > run.start:
+            self.close()
+            self._source, self._opened, self._next = open_source(uri, options), (uri, options), 0
+        self._next += self._source.skip(run.start - self._next)
+        for self._next in range(run.start + 1, run.stop + 1):
+            try:
+                yield self._source.read(_READ_TIMEOUT_S)
+            except FrameFormatError as err:
+                yield err
+            except EndOfRecordingError:
+                return
+
+    def close(self) -> None:
+        """Close what is open."""
+        if self._source is not None:
+            self._source.close()
+            self._source = None
+
+
+__all__ = ["Reader", "places"]

@@ -1,0 +1,177 @@
+"""The command over recordings that are whole, broken and begun."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from nurbseg.app.batch.batch import PROGRESS_FILE
+from nurbseg.app.batch.cli import main
+from nurbseg.app.command.cli import main as live_main
+from nurbseg.app.evaluation.cli import main as eval_main
+
+Pairs = Callable[..., Path]
+
+
+def results(folder: Path) -> dict[str, bytes]:
+    """Return the files of an export, but for what says where it came from and how far it is."""
+    return {path.name: path.read_bytes() for path in folder.glob("0*")}
+
+
+def report(folder: Path) -> dict:
+    return json.loads((folder / "report.json").read_text())
+
+
+@pytest.fixture
+def at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Work in an empty folder, so that recordings have short names."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_recordings_give_what_the_live_command_gives_for_each(at_home: Path, write_pairs: Pairs) -> None:
+    write_pairs(20, name="one")
+    write_pairs(2, name="two")
+    assert main(["one", "two", "--export", "out", "--export-surfaces", "--workers", "2"]) == 0
+    for name, frames in (("one", 20), ("two", 2)):
+        words = ["--replay", name, "--speed", "0", "--view", "none", "--quiet", "--export-surfaces"]
+        assert live_main([*words, "--export", f"live-{name}"]) == 0
+        alone = results(at_home / f"live-{name}")
+        assert len([path for path in alone if path.endswith("_tree.json")]) == frames
+        assert results(at_home / "out" / name) == alone
+    told = report(at_home / "out")
+    assert (told["ended"], told["complete"], told["failed"], told["segmented"]) == ("done", 2, 0, 22)
+    assert told["bytes_per_frame"] * 22 == pytest.approx(
+        sum(len(each) for name in ("one", "two") for each in results(at_home / "out" / name).values()),
+        rel=0.01,
+    )
+
+
+def test_what_is_done_is_not_done_again(at_home: Path, write_pairs: Pairs) -> None:
+    write_pairs(3, name="one")
+    assert main(["one", "--export", "out", "--workers", "1"]) == 0
+    before = {path: path.stat().st_mtime_ns for path in (at_home / "out" / "one").glob("0*")}
+    shutil.rmtree("one")
+    write_pairs(2, name="two")
+    assert main(["one", "two", "--export", "out", "--workers", "1"]) == 0
+    assert {path: path.stat().st_mtime_ns for path in (at_home / "out" / "one").glob("0*")} == before
+    assert [each["segmented"] for each in report(at_home / "out")["recordings"]] == [0, 2]
+
+
+def test_broken_recordings_do_not_stop_the_others_and_are_listed_at_the_end(
+    at_home: Path, write_pairs: Pairs, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_pairs(2, name="good")
+    Path("cut.mcap").write_bytes(b"\x89MCAP0\r\n" + b"\0" * 20)
+    Path("empty").mkdir()
+    assert main(["cut.mcap", "empty", "nowhere", "good", "--export", "out", "--workers", "1"]) == 1
+    listed = capsys.readouterr().err.partition("3 of 4 recordings failed:")[2]
+    assert [line.split(":")[0].strip() for line in listed.strip().splitlines()] == [
+        "cut.mcap",
+        "empty",
+        "nowhere",
+    ]
+    assert "no such file or folder" in listed
+    told = report(at_home / "out")
+    assert (told["ended"], told["complete"], told["failed"]) == ("done", 1, 3)
+    assert len(list((at_home / "out" / "good").glob("*_tree.json"))) == 2
+
+
+def test_a_damaged_frame_costs_itself_alone_and_is_named(at_home: Path, write_pairs: Pairs) -> None:
+    write_pairs(4, name="one")
+    damaged = Path("one/f1_depth.png")
+    damaged.write_bytes(damaged.read_bytes()[:60])
+    assert main(["one", "--export", "out", "--workers", "1"]) == 0
+    [told] = report(at_home / "out")["recordings"]
+    assert (told["done"], told["segmented"], list(told["damaged"])) == (4, 3, ["1"])
+    assert "f1_depth.png" in told["damaged"]["1"]
+
+
+def test_a_recording_that_changed_meanwhile_is_refused(at_home: Path, write_pairs: Pairs) -> None:
+    write_pairs(4, name="one")
+    assert main(["one", "--export", "out", "--workers", "1"]) == 0
+    progress = at_home / "out" / "one" / PROGRESS_FILE
+    progress.write_text(json.dumps({"frames": 9, "done": 3, "damaged": {}}))
+    assert main(["one", "--export", "out", "--workers", "1"]) == 1
+    assert "has 4 frames, and had 9" in report(at_home / "out")["recordings"][0]["failure"]
+
+
+def test_other_settings_are_refused(at_home: Path, write_pairs: Pairs) -> None:
+    write_pairs(1, name="one")
+    assert main(["one", "--export", "out", "--workers", "1"]) == 0
+    assert main(["one", "--export", "out", "--workers", "1", "--set", "metric=mae"]) == 1
+    assert "metric is mse there and mae now" in report(at_home / "out")["recordings"][0]["failure"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["a", "--workers", "none"], "--workers none: expected a number"),
+        (["a", "../a"], "a, ../a: results of both would go to out/a"),
+        (["a", "--set", "metric=none"], "metric"),
+        (["a", "--scheduler", "tcp://127.0.0.1:9"], "no Dask scheduler answers there"),
+    ],
+)
+def test_wrong_arguments_end_with_2_and_name_themselves(
+    at_home: Path, words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*words, "--export", "out"]) == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_dask_cluster_gives_the_same_files(at_home: Path, write_pairs: Pairs) -> None:
+    distributed = pytest.importorskip("distributed")
+    folder = str(write_pairs(20, name="one"))
+    assert main([folder, "--export", "alone", "--workers", "1"]) == 0
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
+    ) as cluster:
+        assert main([folder, "--export", "shared", "--scheduler", cluster.scheduler_address]) == 0
+    alone, shared = (results(Path(name, *Path(folder).parts[1:])) for name in ("alone", "shared"))
+    assert len(alone) >= 40
+    assert shared == alone
+
+
+def test_a_killed_run_of_real_recordings_goes_on_where_it_was(
+    at_home: Path, real_data: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    kitchen = real_data("kitchen_sequence")
+    for name, frames in (("a", range(100, 120)), ("b", range(120, 140))):
+        Path(name).mkdir()
+        Path(name, "camera-intrinsics.txt").write_text("146 0 79.5\n0 146 59.5\n0 0 1\n")
+        for frame in frames:
+            for kind in ("color.jpg", "depth.png"):
+                image = cv2.imread(f"{kitchen}/frame-{frame:06d}.{kind}", cv2.IMREAD_UNCHANGED)[::4, ::4]
+                cv2.imwrite(f"{name}/frame-{frame:06d}.{kind[:5]}.png", np.ascontiguousarray(image))
+    words = ["a", "b", "--export-surfaces", "--workers", "2"]
+    assert main([*words, "--export", "whole"]) == 0
+    command = Path(sys.executable).with_name("nurbseg-batch")
+    process = subprocess.Popen([command, *words, "--export", "out"])
+    limit_s = time.monotonic() + 200
+    while not Path("out/a", PROGRESS_FILE).exists():
+        assert process.poll() is None
+        assert time.monotonic() < limit_s
+        time.sleep(0.01)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait(10)
+    finished = {path: path.stat().st_mtime_ns for path in Path("out/a").glob("0*")}
+    done = json.loads(Path("out/a", PROGRESS_FILE).read_text())["done"]
+    assert 0 < done <= 20
+    assert main([*words, "--export", "out"]) == 0
+    for name in ("a", "b"):
+        assert results(Path("out", name)) == results(Path("whole", name))
+    kept = {path: path.stat().st_mtime_ns for path in Path("out/a").glob("0*") if int(path.name[:6]) < done}
+    assert kept.items() <= finished.items(), "finished frames were done again"
+    assert len(kept) == 5 * done
+    for name in ("a", "b"):
+        assert eval_main(["check", f"out/{name}", "--frames", name]) == 0, capsys.readouterr()
