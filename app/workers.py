@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-import copyreg
 import os
-import pickle
 import queue
-import select
 import signal
 import socket
 import subprocess
-import sys
 import threading
-import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
-from types import MappingProxyType
 from typing import Any, Protocol, TypeVar
 
 from nurbseg.drivers.process.start import python_command
@@ -185,7 +179,7 @@ class _Process:
         ours, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(
-                python_command("nurbseg.app.workers", str(theirs.fileno())),
+                python_command("nurbseg.app.worker", str(theirs.fileno())),
                 stdin=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
                 # Ctrl-C is for this process, which ends the others in its own time.
@@ -238,44 +232,6 @@ class _Process:
         return f"ended by signal {-code}" if code is not None and code < 0 else f"ended with code {code}"
 
 
-def serve(descriptor: int) -> None:
-    """Do what the other end of a connection asks for, until it is gone; for a process of its own."""
-    calls = Connection(descriptor)
-    threading.Thread(target=_end_with_parent, args=(descriptor,), name="parent", daemon=True).start()
-    while True:
-        function, task = calls.recv()
-        answer: tuple[Any, Exception | None]
-        try:
-            answer = function(task), None
-        except Exception as err:
-            answer = None, _sendable(err)
-        calls.send(answer)
-
-
-def _end_with_parent(descriptor: int) -> None:
-    gone = select.poll()
-    gone.register(descriptor, select.POLLRDHUP)
-    gone.poll()
-    os._exit(1)
-
-
-def _frozen(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
-    return MappingProxyType(values)
-
-
-# Values that nobody changes are not meant to be sent by Python, but are of ours.
-copyreg.pickle(MappingProxyType, lambda values: (_frozen, (dict(values),)))
-
-
-def _sendable(err: Exception) -> Exception:
-    err.add_note(traceback.format_exc())
-    try:
-        pickle.loads(pickle.dumps(err))
-    except Exception:
-        return RuntimeError(f"{type(err).__name__}: {err}")
-    return err
-
-
 class _Cluster:
     """The workers of a Dask scheduler."""
 
@@ -308,10 +264,4 @@ def _cluster(scheduler: str) -> Iterator[_Cluster]:
         yield _Cluster(client)
 
 
-__all__ = ["WorkerLostError", "Workers", "in_order", "open_workers", "serve"]
-
-if __name__ == "__main__":
-    # By its own name, by which what is sent finds it.
-    from nurbseg.app import workers
-
-    workers.serve(int(sys.argv[1]))
+__all__ = ["WorkerLostError", "Workers", "in_order", "open_workers"]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import copyreg
 import os
 import time
 from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal
+from types import MappingProxyType
+from typing import Any, Literal
 
 import cv2
 
@@ -128,5 +130,12 @@ def _segmented(
     segmented = segment_alone(captured.frame, config, surfaces=surfaces)
     return segmented if whole else replace(segmented, result=None)
 
+
+def _frozen(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
+    return MappingProxyType(values)
+
+
+# Python sends no read-only mappings, and a result holds some.
+copyreg.pickle(MappingProxyType, lambda values: (_frozen, (dict(values),)))
 
 __all__ = ["FrameFailedError", "Segmented", "process_count", "segment_alone", "segment_in_parallel"]

@@ -8,16 +8,20 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
-from nurbseg.app.batch.batch import PROGRESS_FILE
+from nurbseg.app.batch.batch import PROGRESS_FILE, Batch, recordings_of, run_batch
 from nurbseg.app.batch.cli import main
 from nurbseg.app.command.cli import main as live_main
 from nurbseg.app.evaluation.cli import main as eval_main
+from nurbseg.app.workers import WorkerLostError
+from nurbseg.segmentation.config import SegmentationConfig
 
 Pairs = Callable[..., Path]
 
@@ -175,3 +179,40 @@ def test_a_killed_run_of_real_recordings_goes_on_where_it_was(
     assert len(kept) == 5 * done
     for name in ("a", "b"):
         assert eval_main(["check", f"out/{name}", "--frames", name]) == 0, capsys.readouterr()
+
+
+class WaitedFor(Future):
+    """Is not done before it is waited for."""
+
+    def done(self) -> bool:
+        return False
+
+
+class FailingWorkers:
+    """Give every frame the same file, but fail with one of the tasks."""
+
+    def __init__(self, failing: int) -> None:
+        self._failing = failing
+
+    def submit(self, function: Callable, task: Any, /) -> Future:
+        future = WaitedFor()
+        if task.run.start == self._failing:
+            future.set_exception(WorkerLostError("gone"))
+        else:
+            future.set_result([{f"{place:06d}_tree.json": b"{}"} for place in task.run])
+        return future
+
+    def ahead(self) -> int:
+        return 3
+
+
+def test_a_recording_that_fails_midway_is_whole_up_to_there(tmp_path: Path) -> None:
+    recordings = recordings_of(["synthetic:?frames=60", "synthetic:?frames=10"], tmp_path)
+    told: list[str] = []
+    batch = Batch(tmp_path, SegmentationConfig())
+    run_batch(batch, recordings, FailingWorkers(16), lambda each: told.append(each.uri))
+    failed, whole = recordings
+    assert "frames 16 to 31: WorkerLostError: gone" in failed.failure
+    assert (failed.done, whole.done, whole.failure) == (16, 10, "")
+    assert sorted(results(Path(failed.directory))) == [f"{place:06d}_tree.json" for place in range(16)]
+    assert told == ["synthetic:?frames=60", "synthetic:?frames=10"]

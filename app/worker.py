@@ -1,0 +1,46 @@
+"""A process that does tasks for `nurbseg.app.workers`, until the one that started it is gone."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import select
+import sys
+import threading
+import traceback
+from multiprocessing.connection import Connection
+from typing import Any
+
+
+def serve(descriptor: int) -> None:
+    """Do what the other end of a connection asks for, until it is gone."""
+    calls = Connection(descriptor)
+    threading.Thread(target=_end_with_parent, args=(descriptor,), name="parent", daemon=True).start()
+    while True:
+        function, task = calls.recv()
+        answer: tuple[Any, Exception | None]
+        try:
+            answer = function(task), None
+        except Exception as err:
+            answer = None, _sendable(err)
+        calls.send(answer)
+
+
+def _end_with_parent(descriptor: int) -> None:
+    gone = select.poll()
+    gone.register(descriptor, select.POLLRDHUP)
+    gone.poll()
+    os._exit(1)
+
+
+def _sendable(err: Exception) -> Exception:
+    err.add_note(traceback.format_exc())
+    try:
+        pickle.loads(pickle.dumps(err))
+    except Exception:
+        return RuntimeError(f"{type(err).__name__}: {err}")
+    return err
+
+
+if __name__ == "__main__":
+    serve(int(sys.argv[1]))
