@@ -16,8 +16,8 @@ from nurbseg.drivers.options import SourceOptions
 if TYPE_CHECKING:
     from nurbseg.drivers.source import FrameSource
 
-#: URI schemes and the modules whose ``open_uri(rest, options)`` opens them.
-SCHEMES = {"openni2": "nurbseg.drivers.openni2", "synthetic": "nurbseg.drivers.synthetic.source"}
+#: URI schemes and what opens them, called with the rest of the URI and the options.
+SCHEMES = {"openni2": "openni2:open_uri", "synthetic": "synthetic.source:open_uri"}
 
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
 _ONI_MAGIC = b"NI10"
@@ -61,7 +61,7 @@ def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameS
     options = options or SourceOptions()
     scheme, separator, rest = str(uri).partition(":")
     if separator and scheme in SCHEMES:
-        return _open_with(SCHEMES[scheme], "open_uri", rest, options)
+        return _open_with(SCHEMES[scheme], rest, options)
     path = Path(uri)
     if not path.exists():
         schemes = " or ".join(f"{name}:" for name in SCHEMES)
@@ -76,14 +76,15 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
         except OSError as err:
             raise RecordingFormatError(f"{path}: the recording cannot be read ({err.strerror})") from err
     if head.startswith(_MCAP_MAGIC):
-        return _open_with("nurbseg.drivers.mcap.reader", "open_path", path, options)
+        return _open_with("mcap.reader:RecordingReader", path, options)
     if head.startswith(_ONI_MAGIC):
-        return _open_with("nurbseg.drivers.openni2.oni.playback", "open_path", path, options)
+        return _open_with("openni2.oni.playback:open_path", path, options)
     if _is_pcd(head):
-        return _open_with("nurbseg.drivers.datasets.pcd", "open_path", path, options)
-    hdf5 = any(head[offset:].startswith(_HDF5_MAGIC) for offset in _HDF5_OFFSETS)
-    if hdf5 or head.startswith(_MATLAB5_MAGIC):
-        return _open_with("nurbseg.drivers.datasets.nyu", "open_path", path, options)
+        return _open_with("datasets.pcd:PcdSource", path, options)
+    if any(head[offset:].startswith(_HDF5_MAGIC) for offset in _HDF5_OFFSETS):
+        return _open_with("datasets.nyu:NyuLabelledSource", path, options)
+    if head.startswith(_MATLAB5_MAGIC):
+        return _open_with("datasets.nyu:NyuFrameSource", path, options)
     if not head:
         raise RecordingFormatError(f"{path}: the file is empty; expected {_FORMATS}")
     raise RecordingFormatError(f"{path}: not a recording of a known form; expected {_FORMATS}")
@@ -103,9 +104,9 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
     if scene_folders(path):
         return ScenesSource(path, options)
     if any(path.glob("*.pcd")):
-        return _open_with("nurbseg.drivers.datasets.pcd", "open_path", path, options)
+        return _open_with("datasets.pcd:PcdSource", path, options)
     if any(path.glob("nyu_v2_*.mat")):
-        return _open_with("nurbseg.drivers.datasets.nyu", "open_path", path, options)
+        return _open_with("datasets.nyu:NyuFrameSource", path, options)
     recordings = sorted([*path.glob("*.mcap"), *path.glob("*.oni")])
     if len(recordings) == 1:
         # A bag of ROS 2 is a folder with one MCAP file.
@@ -126,8 +127,10 @@ def _is_pcd(head: bytes) -> bool:
     return head.startswith(b"# .PCD")
 
 
-def _open_with(module: str, function: str, *arguments: object) -> FrameSource:
-    source: FrameSource = getattr(import_module(module), function)(*arguments)
+def _open_with(name: str, *arguments: object) -> FrameSource:
+    """Call a function or class, ``module:name`` in this package."""
+    module, _, opener = name.partition(":")
+    source: FrameSource = getattr(import_module(f"nurbseg.drivers.{module}"), opener)(*arguments)
     return source
 
 

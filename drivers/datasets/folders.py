@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,7 +15,7 @@ from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, ImagePair, find_pairs
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource
 from nurbseg.drivers.errors import CalibrationError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.files import read_file
-from nurbseg.drivers.frame import Calibration, RGBDFrame
+from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.limits import FRAME_BYTES_MAX, STAMP_END_NS
 
 if TYPE_CHECKING:
@@ -74,69 +73,86 @@ def folder_camera(
         path = next((p for pattern in _CALIBRATION_PATTERNS for p in sorted(folder.glob(pattern))), None)
         if path is None:
             raise CalibrationError(
-                f"{folder}: no calibration: add camera.toml or intrinsics.txt, "
-                "or give --intrinsics fx,fy,cx,cy (pixels)"
+                f"{folder}: no calibration: add camera.toml, OpenCV's calib.xml or calib.yml, ROS's "
+                "camera_info.yaml or intrinsics.txt, or give --intrinsics fx,fy,cx,cy (pixels)"
             )
         camera, origin = read_camera_file(path), path.name
     scale = options.depth_scale or camera.depth_scale or default_units_per_metre
     return FolderCamera(camera=camera, units_per_metre=scale, origin=origin)
 
 
-def load_pair(pair: ImagePair, reading: FolderCamera, index: int, timestamp_ns: int) -> RGBDFrame:
-    """Load the images of one frame.
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """The files of one frame, what they are read with, and when they were taken, nanoseconds."""
 
-    Raises
-    ------
-    FrameFormatError
-        If an image is missing or damaged, or has not the form or size that it must have.
-    """
-    color = decode_color(_content(pair.color), str(pair.color))
-    depth_mm = decode_depth(_content(pair.depth), str(pair.depth), units_per_metre=reading.units_per_metre)
-    try:
-        calibration = reading.camera.calibration(
-            depth_size=(depth_mm.shape[1], depth_mm.shape[0]), color_size=(color.shape[1], color.shape[0])
-        )
-    except CalibrationError as err:
-        raise FrameFormatError(
-            f"{pair.color} ({_size(color.shape)}) and {pair.depth.name} ({_size(depth_mm.shape)}): {err}"
-        ) from err
-    labels = None
-    if pair.labels is not None:
-        labels = decode_labels(_content(pair.labels), str(pair.labels))
-        if labels.shape != depth_mm.shape:
-            raise FrameFormatError(
-                f"{pair.labels}: expected the depth image's size {_size(depth_mm.shape)}, "
-                f"got {_size(labels.shape)}"
-            )
-    return RGBDFrame(
-        index=index,
-        timestamp_ns=timestamp_ns,
-        depth_mm=depth_mm,
-        color=color,
-        calibration=calibration,
-        labels=labels,
-        name=pair.name or pair.color.stem,
-    )
+    pair: ImagePair
+    camera: FolderCamera
+    timestamp_ns: int
 
 
-def first_calibration(pair: Callable[[int], ImagePair], frames: int, reading: FolderCamera) -> Calibration:
-    """Return the calibration of the first of so many frames that can be loaded.
+class PairSource(SequenceSource):
+    """Replays image files, which subclasses find.
+
+    Parameters
+    ----------
+    folder : Path
+        Holds the images.
+    shots : list of Shot
+        In the order in which they are played.
+    form : str
+        What kind of recording it is, for a person.
+    dropped : int
+        Number of images left out because they have no partner.
 
     Raises
     ------
     RecordingFormatError
-        If none can; says what is wrong with the first.
+        If none can be used.
     """
-    first: FrameFormatError | None = None
-    for index in range(frames):
+
+    def __init__(self, folder: Path, shots: list[Shot], form: str, dropped: int = 0) -> None:
+        super().__init__(folder, len(shots), form, dropped)
+        self._shots = shots
+        self.metadata |= {"dropped": str(dropped), "calibration": shots[0].camera.origin}
+        self.calibration = self._first_calibration()
+
+    def _pair(self, index: int) -> ImagePair:
+        return self._shots[index].pair
+
+    def _load(self, index: int) -> RGBDFrame:
+        shot, pair = self._shots[index], self._pair(index)
+        color = decode_color(_content(pair.color), str(pair.color))
+        units_per_metre = shot.camera.units_per_metre
+        depth_mm = decode_depth(_content(pair.depth), str(pair.depth), units_per_metre=units_per_metre)
+        height, width = depth_mm.shape
         try:
-            return load_pair(pair(index), reading, 0, 0).calibration
-        except FrameFormatError as err:
-            first = first or err
-    raise RecordingFormatError(f"none of the {frames} frames can be used; the first: {first}") from first
+            calibration = shot.camera.camera.calibration(
+                depth_size=(width, height), color_size=(color.shape[1], color.shape[0])
+            )
+        except CalibrationError as err:
+            raise FrameFormatError(
+                f"{pair.color} ({_size(color.shape)}) and {pair.depth.name} ({_size(depth_mm.shape)}): {err}"
+            ) from err
+        labels = None
+        if pair.labels is not None:
+            labels = decode_labels(_content(pair.labels), str(pair.labels))
+            if labels.shape != depth_mm.shape:
+                raise FrameFormatError(
+                    f"{pair.labels}: expected the depth image's size {_size(depth_mm.shape)}, "
+                    f"got {_size(labels.shape)}"
+                )
+        return RGBDFrame(
+            index=index,
+            timestamp_ns=shot.timestamp_ns,
+            depth_mm=depth_mm,
+            color=color,
+            calibration=calibration,
+            labels=labels,
+            name=pair.name or pair.color.stem,
+        )
 
 
-class FolderSource(SequenceSource):
+class FolderSource(PairSource):
     """Replays a folder of image pairs in the natural order of their names.
 
     Depth is in millimetres unless the folder or the user says otherwise. A calibration of one camera
@@ -160,28 +176,16 @@ class FolderSource(SequenceSource):
     """
 
     def __init__(self, folder: Path, options: SourceOptions) -> None:
-        self._pairs, single = find_pairs(folder)
-        if not self._pairs:
+        pairs, single = find_pairs(folder)
+        if not pairs:
             alone = f" ({len(single)} images lack their partner)" if single else ""
             raise RecordingFormatError(f"{folder}: no image pairs{alone}; expected {NAMES_EXPECTED}")
-        self._reading = folder_camera(folder, options)
-        super().__init__(folder, len(self._pairs), dropped=len(single))
-        self.calibration = first_calibration(self._pairs.__getitem__, len(self._pairs), self._reading)
-        moments = [_moment_ns(pair.name) for pair in self._pairs]
-        timed = all(moment is not None for moment in moments)
-        self._moments_ns = [
-            moment if timed and moment is not None else index * FRAME_INTERVAL_NS
-            for index, moment in enumerate(moments)
-        ]
-        self.metadata = {
-            "format": "folder of image pairs",
-            "frames": str(len(self._pairs)),
-            "dropped": str(self.dropped),
-            "calibration": self._reading.origin,
-        }
-
-    def _load(self, index: int) -> RGBDFrame:
-        return load_pair(self._pairs[index], self._reading, index, self._moments_ns[index])
+        camera = folder_camera(folder, options)
+        moments = [_moment_ns(pair.name) for pair in pairs]
+        if any(moment is None for moment in moments):
+            moments = [index * FRAME_INTERVAL_NS for index in range(len(pairs))]
+        shots = [Shot(pair, camera, moment or 0) for pair, moment in zip(pairs, moments, strict=True)]
+        super().__init__(folder, shots, "folder of image pairs", dropped=len(single))
 
 
 def _content(path: Path) -> bytes:

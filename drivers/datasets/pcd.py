@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from nurbseg.drivers.datasets.images import millimetres
 from nurbseg.drivers.datasets.pcd_file import OrganisedCloud, read_pcd
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
-from nurbseg.drivers.errors import CalibrationError, FrameFormatError, RecordingFormatError
+from nurbseg.drivers.errors import CalibrationError, FrameFormatError
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 
 if TYPE_CHECKING:
@@ -74,8 +74,8 @@ class PcdSource(SequenceSource):
 
     Parameters
     ----------
-    paths : list of Path
-        The files, in the order in which they are played.
+    path : Path
+        One file, or a folder of files, which are played in the natural order of their names.
     options : SourceOptions
         Calibration or intrinsics, which are found from the points otherwise.
 
@@ -87,11 +87,12 @@ class PcdSource(SequenceSource):
         If the camera cannot be found.
     """
 
-    def __init__(self, paths: list[Path], options: SourceOptions) -> None:
-        super().__init__(paths[0] if len(paths) == 1 else paths[0].parent, len(paths))
-        self._paths, self._options = paths, options
+    def __init__(self, path: Path, options: SourceOptions) -> None:
+        self._paths, self._options = [path], options
+        if path.is_dir():
+            self._paths = sorted(path.glob("*.pcd"), key=lambda each: natural_key(each.name))
+        super().__init__(path, len(self._paths), "PCD, organised")
         self.calibration = self._first_calibration()
-        self.metadata = {"format": "PCD, organised", "frames": str(len(paths))}
 
     def _load(self, index: int) -> RGBDFrame:
         path = self._paths[index]
@@ -118,30 +119,3 @@ class PcdSource(SequenceSource):
             # A cloud's colors are on its own grid, whatever camera took them.
             return Calibration.registered(given.depth.intrinsics(size))
         return Calibration.registered(fit_camera(cloud.points_m, str(path)))
-
-    def _first_calibration(self) -> Calibration:
-        first: FrameFormatError | None = None
-        for path in self._paths:
-            try:
-                cloud = read_pcd(path)
-            except FrameFormatError as err:
-                first = first or err
-                continue
-            return self._calibration(cloud, path)
-        raise RecordingFormatError(f"none of the {len(self._paths)} clouds can be used; the first: {first}")
-
-
-def open_path(path: Path, options: SourceOptions) -> PcdSource:
-    """Open one PCD file or a folder of them.
-
-    Raises
-    ------
-    RecordingFormatError
-        If there is no organised cloud.
-    """
-    paths = [path]
-    if path.is_dir():
-        paths = sorted(path.glob("*.pcd"), key=lambda each: natural_key(each.name))
-        if not paths:
-            raise RecordingFormatError(f"{path}: no PCD files in the folder")
-    return PcdSource(paths, options)

@@ -12,11 +12,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nurbseg.drivers.datasets.folders import FolderCamera, first_calibration, folder_camera, load_pair
-from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, ImagePair, find_pairs
-from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
+from nurbseg.drivers.datasets.folders import PairSource, Shot, folder_camera
+from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, find_pairs
+from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, natural_key
 from nurbseg.drivers.errors import RecordingFormatError
-from nurbseg.drivers.frame import RGBDFrame
 
 if TYPE_CHECKING:
     from nurbseg.drivers.options import SourceOptions
@@ -30,7 +29,7 @@ def scene_folders(folder: Path) -> list[Path]:
     return sorted(found, key=lambda path: natural_key(path.name))
 
 
-class ScenesSource(SequenceSource):
+class ScenesSource(PairSource):
     """Replays a data set of scenes, one after the other; each scene brings its own calibration.
 
     Parameters
@@ -49,7 +48,7 @@ class ScenesSource(SequenceSource):
     """
 
     def __init__(self, folder: Path, options: SourceOptions) -> None:
-        self._shots: list[tuple[ImagePair, FolderCamera]] = []
+        shots: list[Shot] = []
         for scene in scene_folders(folder):
             pairs, _ = find_pairs(scene)
             if not pairs:
@@ -57,13 +56,7 @@ class ScenesSource(SequenceSource):
             camera = folder_camera(scene, options)
             for pair in pairs:
                 name = f"{scene.name}_{pair.name}" if pair.name else scene.name
-                self._shots.append((replace(pair, name=name), camera))
-        if not self._shots:
+                shots.append(Shot(replace(pair, name=name), camera, len(shots) * FRAME_INTERVAL_NS))
+        if not shots:
             raise RecordingFormatError(f"{folder}: no scenes; expected the folders scene1, scene2, ...")
-        super().__init__(folder, len(self._shots))
-        self.calibration = first_calibration(lambda index: self._shots[index][0], 1, self._shots[0][1])
-        self.metadata = {"format": "folder of scenes", "frames": str(len(self._shots))}
-
-    def _load(self, index: int) -> RGBDFrame:
-        pair, camera = self._shots[index]
-        return load_pair(pair, camera, index, index * FRAME_INTERVAL_NS)
+        super().__init__(folder, shots, "folder of scenes")

@@ -6,8 +6,13 @@ import re
 from abc import abstractmethod
 from pathlib import Path
 
-from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, RecordingFormatError
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.drivers.errors import (
+    CalibrationError,
+    EndOfRecordingError,
+    FrameFormatError,
+    RecordingFormatError,
+)
+from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.source import FrameSource
 
 #: Between frames of recordings that keep no time.
@@ -29,20 +34,41 @@ class SequenceSource(FrameSource):
         What the recording is called in messages.
     frames : int
         Number of frames.
+    form : str
+        What kind of recording it is, for a person.
     dropped : int
         Number of images left out because they have no partner.
     """
 
-    def __init__(self, path: Path, frames: int, dropped: int = 0) -> None:
+    def __init__(self, path: Path, frames: int, form: str, dropped: int = 0) -> None:
         super().__init__()
         self._path, self._frames, self._next = path, frames, 0
         self.dropped = dropped
+        self.metadata = {"format": form, "frames": str(frames)}
 
     def __len__(self) -> int:
         return self._frames
 
     @abstractmethod
     def _load(self, index: int) -> RGBDFrame: ...
+
+    def _first_calibration(self) -> Calibration:
+        """Return the calibration of the first frame that can be loaded.
+
+        Raises
+        ------
+        RecordingFormatError
+            If none can; says what is wrong with the first. A CalibrationError if it is its calibration.
+        """
+        first: FrameFormatError | None = None
+        for index in range(self._frames):
+            try:
+                return self._load(index).calibration
+            except FrameFormatError as err:
+                first = first or err
+        uncalibrated = first is not None and isinstance(first.__cause__, CalibrationError)
+        error = CalibrationError if uncalibrated else RecordingFormatError
+        raise error(f"none of the {self._frames} frames can be used; the first: {first}") from first
 
     def _read(self, timeout_s: float) -> RGBDFrame:
         if self._next >= self._frames:

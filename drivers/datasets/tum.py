@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import bisect
 import logging
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nurbseg.drivers.datasets.folders import first_calibration, folder_camera, load_pair
+from nurbseg.drivers.association import associate
+from nurbseg.drivers.datasets.folders import PairSource, Shot, folder_camera
 from nurbseg.drivers.datasets.pairs import ImagePair
-from nurbseg.drivers.datasets.sequence import SequenceSource
 from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.drivers.files import read_file
-from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.limits import LIST_BYTES_MAX, LIST_LINES_MAX, STAMP_END_NS
 
 if TYPE_CHECKING:
@@ -25,8 +23,6 @@ _UNITS_PER_METRE = 5000.0
 #: Digits of a stamp: seconds since 1970 with nanoseconds have 20.
 _STAMP_CHARACTERS_MAX = 40
 _NAME_CHARACTERS_MAX = 1024
-#: Partners looked at for an image: more are within the limit only where a list is not one of a camera.
-_NEAR_MAX = 64
 COLOR_LIST, DEPTH_LIST = "rgb.txt", "depth.txt"
 
 
@@ -35,37 +31,7 @@ def is_tum(folder: Path) -> bool:
     return (folder / COLOR_LIST).is_file() and (folder / DEPTH_LIST).is_file()
 
 
-def associate(first_ns: list[int], second_ns: list[int], limit_ns: int) -> list[tuple[int, int]]:
-    """Pair two sorted lists of times, nearest first, each time being used once.
-
-    Parameters
-    ----------
-    first_ns, second_ns : list of int
-        Ascending times, nanoseconds.
-    limit_ns : int
-        Largest difference of a pair.
-
-    Returns
-    -------
-    list of (int, int)
-        Indices into the two lists, ascending.
-    """
-    near = []
-    for place, moment in enumerate(first_ns):
-        middle = bisect.bisect_left(second_ns, moment)
-        for other in range(max(0, middle - _NEAR_MAX // 2), min(len(second_ns), middle + _NEAR_MAX // 2)):
-            if abs(second_ns[other] - moment) <= limit_ns:
-                near.append((abs(second_ns[other] - moment), place, other))
-    pairs: dict[int, int] = {}
-    taken: set[int] = set()
-    for _, place, other in sorted(near):
-        if place not in pairs and other not in taken:
-            pairs[place] = other
-            taken.add(other)
-    return sorted(pairs.items())
-
-
-class TumSource(SequenceSource):
+class TumSource(PairSource):
     """Replays a TUM RGB-D folder; a frame's time is its depth image's.
 
     Images without a partner within ``options.association_limit_s`` are dropped and counted in
@@ -102,38 +68,26 @@ class TumSource(SequenceSource):
                 f"{folder}: none of {len(colors)} color and {len(depths)} depth images are within "
                 f"{options.association_limit_s} s of each other"
             )
-        self._reading = folder_camera(folder, options, _UNITS_PER_METRE)
+        camera = folder_camera(folder, options, _UNITS_PER_METRE)
+        shots = []
+        for c, d in found:
+            color, depth = folder / colors[c][1], folder / depths[d][1]
+            shots.append(Shot(ImagePair(depth.stem, color, depth), camera, depths[d][0]))
         single = len(colors) + len(depths) - 2 * len(found)
-        super().__init__(folder, len(found), dropped=single + no_colors + no_depths)
-        self._folder = folder
-        self._pairs = [(colors[c][1], depths[d][1]) for c, d in found]
-        self._moments_ns = [depths[d][0] for _, d in found]
-        self.calibration = first_calibration(self._pair, len(found), self._reading)
-        self.metadata = {
-            "format": "TUM RGB-D",
-            "frames": str(len(found)),
-            "dropped": str(self.dropped),
-            "calibration": self._reading.origin,
-        }
-
-    def _load(self, index: int) -> RGBDFrame:
-        return load_pair(self._pair(index), self._reading, index, self._moments_ns[index])
+        self._folder = folder.resolve()
+        super().__init__(folder, shots, "TUM RGB-D", dropped=single + no_colors + no_depths)
 
     def _pair(self, index: int) -> ImagePair:
-        color, depth = (_inside(self._folder, name) for name in self._pairs[index])
-        return ImagePair(depth.stem, color, depth)
-
-
-def _inside(folder: Path, name: str) -> Path:
-    """Return the path of a listed image, which is in the recording's folder whatever links lead to it."""
-    path = folder / name
-    try:
-        resolved = path.resolve()
-    except (OSError, ValueError, RuntimeError) as err:
-        raise FrameFormatError(f"{folder}: {quoted(name)}: not the name of an image ({err})") from err
-    if not resolved.is_relative_to(folder.resolve()):
-        raise FrameFormatError(f"{path}: the image is outside the recording's folder; copy it there")
-    return path
+        """Return the files of a frame, which are in the recording's folder whatever links lead to them."""
+        pair = super()._pair(index)
+        for path in (pair.color, pair.depth):
+            try:
+                inside = path.resolve().is_relative_to(self._folder)
+            except (OSError, ValueError, RuntimeError) as err:
+                raise FrameFormatError(f"{quoted(str(path))}: not the name of an image ({err})") from err
+            if not inside:
+                raise FrameFormatError(f"{path}: the image is outside the recording's folder; copy it there")
+        return pair
 
 
 def _read_list(path: Path) -> tuple[list[tuple[int, str]], int]:

@@ -272,14 +272,3 @@ class RecordingReader(FrameSource):
             if channel is not None and channel.topic == self._topics.depth:
                 metadata["frames"] = str(count)
         return metadata
-
-
-def open_path(path: Path, options: SourceOptions) -> RecordingReader:
-    """Open an MCAP recording.
-
-    Raises
-    ------
-    RecordingFormatError, CalibrationError
-        As for `RecordingReader`.
-    """
-    return RecordingReader(path, options)

@@ -7,6 +7,7 @@ program                       gets                                sends
 ============================  ==================================  ===================================
 ``openni2.isolated.program``  what to open; begin, record, stop   opened, frames, done or failure
 ``openni2.oni.player``        the path of an .oni file            description, images, end or failure
+``datasets.mat_program``      a MATLAB file and a frame's number  shapes or arrays, or what is wrong
 ``app.view.program``          settings, frames, lines, close      opened, status, failure, closed
 ============================  ==================================  ===================================
 
@@ -22,7 +23,7 @@ a thread of its own ends it; foreign programs, which have no such thread, are en
 Every wait has a limit: a message that does not get through is given up after 15 s, and a channel is closed
 with the process at its other end. Where something is asked for, there is a limit besides: a camera opens
 within 60 s, answers within 30 s, and is lost when its process is silent for 10 s; a player opens within 30 s
-and hangs after 10 s; the view opens within 60 s.
+and hangs after 10 s; a MATLAB file's frame is read and the view opens within 60 s.
 
 `BoundedQueue` hands over between threads: captured frames (the newest wins, or the source waits), frames to
 be recorded (refused when 240 MB wait, or the source waits), frames to be shown (the newest wins) or saved

@@ -12,7 +12,7 @@ import pytest
 import scipy.io
 from own_children import own_children
 
-from nurbseg.drivers.datasets.nyu import NyuLabelledSource, depth_to_mm, open_path
+from nurbseg.drivers.datasets.images import millimetres
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.drivers.options import SourceOptions
@@ -39,7 +39,7 @@ def labelled_set(path: Path, frames: int = 3, **left_out: None) -> Path:
 
 def test_the_labelled_set_is_read_upright_with_a_region_for_each_instance(tmp_path: Path) -> None:
     path = labelled_set(tmp_path / "nyu_depth_v2_labeled.mat")
-    with open_path(path) as source:
+    with open_source(path) as source:
         frames = list(source)
     assert [frame.index for frame in frames] == [0, 1, 2]
     with h5py.File(path) as file:
@@ -60,7 +60,7 @@ def test_a_given_calibration_takes_the_place_of_the_sets_own(tmp_path: Path) -> 
 
 
 def test_skipping_the_labelled_set_reads_nothing_in_between(tmp_path: Path) -> None:
-    with open_path(labelled_set(tmp_path / "set.mat", frames=5)) as source:
+    with open_source(labelled_set(tmp_path / "set.mat", frames=5)) as source:
         assert source.skip(3) == 3
         assert source.read().index == 3
         assert source.skip(9) == 1
@@ -71,7 +71,7 @@ def test_skipping_the_labelled_set_reads_nothing_in_between(tmp_path: Path) -> N
 def test_a_labelled_set_without_its_depths_is_refused_by_name(tmp_path: Path) -> None:
     path = labelled_set(tmp_path / "set.mat", depths=None)
     with pytest.raises(RecordingFormatError, match="'depths' is missing"):
-        NyuLabelledSource(path)
+        open_source(path)
 
 
 def test_single_frames_split_a_class_into_its_connected_parts(tmp_path: Path) -> None:
@@ -83,7 +83,7 @@ def test_single_frames_split_a_class_into_its_connected_parts(tmp_path: Path) ->
     classes[:10, :10] = 4
     classes[30:, 40:] = 4
     cv2.imwrite(str(tmp_path / "new_nyu_class13_0012.png"), classes)
-    with open_path(tmp_path) as source:
+    with open_source(tmp_path) as source:
         (frame,) = list(source)
     assert frame.labels is not None
     assert set(np.unique(frame.labels)) == {0, 1, 2}
@@ -99,7 +99,7 @@ def test_a_labelled_set_of_disagreeing_shapes_is_refused_by_name(tmp_path: Path,
         del file[name]
         file[name] = smaller
     with pytest.raises(RecordingFormatError, match=f"{name}: expected"):
-        NyuLabelledSource(path)
+        open_source(path)
 
 
 def test_a_single_frame_that_is_cut_off_is_passed_over(tmp_path: Path) -> None:
@@ -108,7 +108,7 @@ def test_a_single_frame_that_is_cut_off_is_passed_over(tmp_path: Path) -> None:
         scipy.io.savemat(tmp_path / f"nyu_v2_{number}.mat", {"data": record}, do_compression=True)
     first = tmp_path / "nyu_v2_1.mat"
     first.write_bytes(first.read_bytes()[: first.stat().st_size // 2])
-    with open_path(tmp_path) as source:
+    with open_source(tmp_path) as source:
         with pytest.raises(FrameFormatError, match=r"nyu_v2_1\.mat"):
             source.read()
         assert source.read().name == "nyu_v2_2"
@@ -117,12 +117,12 @@ def test_a_single_frame_that_is_cut_off_is_passed_over(tmp_path: Path) -> None:
 def test_a_matlab_file_of_something_else_is_refused(tmp_path: Path) -> None:
     scipy.io.savemat(tmp_path / "nyu_v2_1.mat", {"other": np.zeros(3)})
     with pytest.raises(RecordingFormatError, match=r"nyu_v2_1\.mat.*realDepth"):
-        open_path(tmp_path / "nyu_v2_1.mat")
+        open_source(tmp_path / "nyu_v2_1.mat")
 
 
 def test_what_is_no_distance_becomes_no_depth() -> None:
     depth_m = np.array([[np.nan, np.inf, -1.0, 0.0, 0.0004, 70.0, 1.2344]])
-    np.testing.assert_array_equal(depth_to_mm(depth_m), [[0, 0, 0, 0, 0, 0, 1234]])
+    np.testing.assert_array_equal(millimetres(depth_m, units_per_metre=1.0), [[0, 0, 0, 0, 0, 0, 1234]])
 
 
 def hostile_set(path: Path, kind: str) -> Path:

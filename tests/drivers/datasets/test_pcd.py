@@ -118,7 +118,7 @@ def test_a_header_that_is_wrong_is_named_by_its_field(tmp_path: Path, old: str, 
     replaced(path, old, new)
     with pytest.raises(FrameFormatError, match=rf"a\.pcd: {text}"):
         read_pcd(path)
-    with pytest.raises(RecordingFormatError, match=rf"none of the 1 clouds.*a\.pcd: {text}"):
+    with pytest.raises(RecordingFormatError, match=rf"none of the 1 frames.*a\.pcd: {text}"):
         open_source(path)
 
 
