@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import logging
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from types import TracebackType
-from typing import Self
 
+from nurbseg.drivers.closing import Closing
 from nurbseg.drivers.errors import DriverError, EndOfRecordingError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 
@@ -19,7 +18,7 @@ _log = logging.getLogger(__name__)
 _LONGEST_PAUSE_S = 10.0
 
 
-class FrameSource(ABC):
+class FrameSource(Closing):
     """A camera or a recording that delivers RGB-D frames one after the other.
 
     Constructing opens; the source is usable until `close`. Subclasses fill in `_read` and `_close`.
@@ -103,17 +102,6 @@ class FrameSource(ABC):
                 yield self.read()
             except EndOfRecordingError:
                 return
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 class Paced(FrameSource):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import errno
 import struct
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Any, Final, Literal, Self, get_args
+from typing import Any, Final, Literal, get_args
 
+from nurbseg.drivers.closing import Closing
 from nurbseg.drivers.doctor.usb import find_devices
 from nurbseg.drivers.doctor.usb_ids import MICROSOFT
 from nurbseg.drivers.errors import DeviceLostError, DeviceNotFoundError, DriverError
@@ -59,7 +59,7 @@ class MotorState:
         return x, y, z
 
 
-class KinectMotor:
+class KinectMotor(Closing):
     """The motor unit of a Kinect v1; constructing finds it, and it is usable until `close`.
 
     Parameters
@@ -171,14 +171,3 @@ class KinectMotor:
         import usb.util
 
         usb.util.dispose_resources(self._device)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()

@@ -91,7 +91,10 @@ def transform_message(
     stamp: int, parent: str, child: str, parent_from_child: NDArray[np.float64]
 ) -> dict[str, Any]:
     """Return a tf2_msgs/TFMessage of one (4, 4) transform."""
-    x, y, z, w = _quaternion(parent_from_child[:3, :3]).tolist()
+    from scipy.spatial.transform import Rotation  # late: few recordings have a transform
+
+    rotation = Rotation.from_matrix(parent_from_child[:3, :3])
+    x, y, z, w = rotation.as_quat(canonical=True).tolist()
     tx, ty, tz = parent_from_child[:3, 3].tolist()
     return {
         "transforms": [
@@ -109,6 +112,8 @@ def transform_message(
 
 def transforms_of(message: Any) -> list[tuple[str, str, NDArray[np.float64]]]:
     """Return the (parent, child, parent_from_child) of a tf2_msgs/TFMessage."""
+    from scipy.spatial.transform import Rotation
+
     found = []
     for each in message.transforms:
         place, turn = each.transform.translation, each.transform.rotation
@@ -118,40 +123,10 @@ def transforms_of(message: Any) -> list[tuple[str, str, NDArray[np.float64]]]:
         # What is neither a place nor near a unit quaternion says nothing; it may also overflow.
         if not np.abs(matrix[:3, 3]).max() < _FAR_M or not 1e-3 < np.abs(quaternion).max() < 1e3:
             continue
-        matrix[:3, :3] = _rotation(quaternion)
+        matrix[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
         parent, child = each.header.frame_id.lstrip("/"), each.child_frame_id.lstrip("/")
         found.append((parent, child, matrix))
     return found
-
-
-def _quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (x, y, z, w) of a (3, 3) rotation matrix.
-
-    The eigenvector of the largest eigenvalue, which has no special cases (I. Bar-Itzhack, "New method for
-    extracting the quaternion from a rotation matrix", J. Guidance, Control and Dynamics 23(6), 2000).
-    """
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation
-    K = np.array(
-        [
-            [xx - yy - zz, yx + xy, zx + xz, zy - yz],
-            [yx + xy, yy - xx - zz, zy + yz, xz - zx],
-            [zx + xz, zy + yz, zz - xx - yy, yx - xy],
-            [zy - yz, xz - zx, yx - xy, xx + yy + zz],
-        ]
-    )
-    quaternion = np.linalg.eigh(K)[1][:, -1]
-    return np.asarray(quaternion if quaternion[3] >= 0 else -quaternion)
-
-
-def _rotation(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
-    x, y, z, w = quaternion / np.linalg.norm(quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 def camera_of(message: Any, path: Path, topic: str) -> CameraModel:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Literal, Self, get_args
+from typing import Any, Literal, get_args
 
 import cv2
 from mcap_ros2.writer import Writer
 from numpy.typing import NDArray
 
+from nurbseg.drivers.closing import Closing
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.files import create_private
 from nurbseg.drivers.frame import Calibration, RGBDFrame
@@ -24,7 +24,7 @@ ColorFormat = Literal["jpeg95", "png", "raw"]
 _ENCODING = {".jpg": [cv2.IMWRITE_JPEG_QUALITY, 95], ".png": []}
 
 
-class RecordingWriter:
+class RecordingWriter(Closing):
     """Writes frames to an MCAP file.
 
     Depth is kept exactly (16UC1, millimetres). Each frame ends a chunk and so reaches the operating system
@@ -175,14 +175,3 @@ class RecordingWriter:
         self._writer.write_message(
             topic, self._schemas[schema], message, log_time=stamp, publish_time=stamp, sequence=self.frames
         )
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()

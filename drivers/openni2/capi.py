@@ -49,6 +49,17 @@ class PixelFormat(IntEnum):
     YUYV = 205
 
 
+#: Of the formats that are read; one pixel, bytes.
+BYTES_PER_PIXEL = {
+    PixelFormat.DEPTH_1_MM: 2,
+    PixelFormat.DEPTH_100_UM: 2,
+    PixelFormat.RGB888: 3,
+    PixelFormat.YUV422: 2,
+    PixelFormat.YUYV: 2,
+    PixelFormat.GRAY8: 1,
+}
+
+
 class DeviceState(IntEnum):
     """What a device's state callback reports."""
 
@@ -59,11 +70,9 @@ class DeviceState(IntEnum):
 
 
 class DeviceProperty(IntEnum):
-    """Properties of a device."""
+    """Properties of a device that are used here."""
 
-    FIRMWARE_VERSION = 0
     DRIVER_VERSION = 1
-    HARDWARE_VERSION = 2
     SERIAL_NUMBER = 3
     IMAGE_REGISTRATION = 5
     PLAYBACK_SPEED = 100
@@ -71,17 +80,13 @@ class DeviceProperty(IntEnum):
 
 
 class StreamProperty(IntEnum):
-    """Properties of a stream."""
+    """Properties of a stream that are used here."""
 
     CROPPING = 0
     HORIZONTAL_FOV = 1
-    VERTICAL_FOV = 2
     VIDEO_MODE = 3
     MAX_VALUE = 4
-    MIN_VALUE = 5
-    STRIDE = 6
     MIRRORING = 7
-    NUMBER_OF_FRAMES = 8
     AUTO_WHITE_BALANCE = 100
     AUTO_EXPOSURE = 101
     EXPOSURE = 102
@@ -140,13 +145,7 @@ class OniFrame(ctypes.Structure):
 class OniCropping(ctypes.Structure):
     """The part of the image that a stream delivers."""
 
-    _fields_ = [
-        ("enabled", c_int),
-        ("x", c_int),
-        ("y", c_int),
-        ("width", c_int),
-        ("height", c_int),
-    ]
+    _fields_ = [("enabled", c_int), ("x", c_int), ("y", c_int), ("width", c_int), ("height", c_int)]
 
 
 #: void f(const OniDeviceInfo*, void* cookie)
@@ -181,15 +180,12 @@ PROTOTYPES: dict[str, tuple[object, list[object]]] = {
     "oniWaitForAnyStream": (c_int, [POINTER(c_void_p), c_int, POINTER(c_int), c_int]),
     "oniDeviceOpen": (c_int, [c_char_p, POINTER(c_void_p)]),
     "oniDeviceClose": (c_int, [c_void_p]),
-    "oniDeviceGetInfo": (c_int, [c_void_p, POINTER(OniDeviceInfo)]),
     "oniDeviceGetSensorInfo": (POINTER(OniSensorInfo), [c_void_p, c_int]),
     "oniDeviceCreateStream": (c_int, [c_void_p, c_int, POINTER(c_void_p)]),
     "oniDeviceEnableDepthColorSync": (c_int, [c_void_p]),
-    "oniDeviceDisableDepthColorSync": (None, [c_void_p]),
     "oniDeviceGetDepthColorSyncEnabled": (c_int, [c_void_p]),
     "oniDeviceSetProperty": (c_int, [c_void_p, c_int, c_void_p, c_int]),
     "oniDeviceGetProperty": (c_int, [c_void_p, c_int, c_void_p, POINTER(c_int)]),
-    "oniDeviceIsPropertySupported": (c_int, [c_void_p, c_int]),
     "oniDeviceIsImageRegistrationModeSupported": (c_int, [c_void_p, c_int]),
     "oniStreamDestroy": (None, [c_void_p]),
     "oniStreamStart": (c_int, [c_void_p]),
@@ -197,7 +193,6 @@ PROTOTYPES: dict[str, tuple[object, list[object]]] = {
     "oniStreamReadFrame": (c_int, [c_void_p, POINTER(POINTER(OniFrame))]),
     "oniStreamSetProperty": (c_int, [c_void_p, c_int, c_void_p, c_int]),
     "oniStreamGetProperty": (c_int, [c_void_p, c_int, c_void_p, POINTER(c_int)]),
-    "oniStreamIsPropertySupported": (c_int, [c_void_p, c_int]),
     "oniFrameRelease": (None, [POINTER(OniFrame)]),
     "oniCreateRecorder": (c_int, [c_char_p, POINTER(c_void_p)]),
     "oniRecorderAttachStream": (c_int, [c_void_p, c_void_p, c_int]),

@@ -7,10 +7,6 @@ import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
@@ -21,7 +17,7 @@ from nurbseg.drivers.openni2.oni.recorder import OniRecorder
 from nurbseg.drivers.openni2.opened import OpenedDevice, describe, open_camera
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.openni2.pairing import Pairing
-from nurbseg.drivers.openni2.stream import Image, Stream, find_any, wait_for_any
+from nurbseg.drivers.openni2.stream import Image, Stream, find_any, frame_images, wait_for_any
 from nurbseg.drivers.source import FrameSource
 
 logger = logging.getLogger(__name__)
@@ -236,19 +232,18 @@ class DeviceSource(FrameSource):
         return self._pairing.add_depth(image)
 
     def _frame(self, depth: Image, color: Image) -> RGBDFrame:
-        depth_mm: NDArray[Any] = depth.pixels
-        if self._options.depth_unit == "100um":
-            depth_mm = ((depth_mm.astype(np.uint32) + 5) // 10).astype(np.uint16)
-        pixels = color.pixels
-        if self._outcome.flip_depth:
-            depth_mm = np.ascontiguousarray(depth_mm[:, ::-1])
-        if self._outcome.flip_color:
-            pixels = np.ascontiguousarray(pixels[:, ::-1])
+        depth_mm, rgb = frame_images(
+            depth.pixels,
+            color.pixels,
+            tenths=self._options.depth_unit == "100um",
+            flip_depth=self._outcome.flip_depth,
+            flip_color=self._outcome.flip_color,
+        )
         frame = RGBDFrame(
             index=self._index,
             timestamp_ns=depth.timestamp_us * 1000,
             depth_mm=depth_mm,
-            color=pixels,
+            color=rgb,
             calibration=self.calibration,
         )
         self._index += 1

@@ -6,9 +6,9 @@ import ctypes
 import logging
 import os
 from collections.abc import Callable
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
+from nurbseg.drivers.closing import Closing
 from nurbseg.drivers.errors import DeviceNotFoundError, DriverError
 from nurbseg.drivers.openni2.capi import DeviceProperty, OniVersion, Sensor, Status
 from nurbseg.drivers.openni2.library import DeviceListing, Library, acquire, in_use, release
@@ -20,7 +20,7 @@ logger = logging.getLogger(__name__)
 _DEPTH_TO_COLOR = 1
 
 
-class OpenedDevice:
+class OpenedDevice(Closing):
     """A device that is open until `close`.
 
     Parameters
@@ -149,17 +149,6 @@ class OpenedDevice:
                 self.library.native.oniDeviceClose(self._handle)
         finally:
             release(self.library)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def serial_of(listing: DeviceListing) -> str:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameFormatError
 from nurbseg.drivers.openni2.capi import (
+    BYTES_PER_PIXEL,
     OniFrame,
     OniVideoMode,
     PixelFormat,
@@ -18,15 +19,6 @@ from nurbseg.drivers.openni2.capi import (
     StreamProperty,
 )
 from nurbseg.drivers.openni2.library import Library
-
-_BYTES_PER_PIXEL = {
-    PixelFormat.DEPTH_1_MM: 2,
-    PixelFormat.DEPTH_100_UM: 2,
-    PixelFormat.RGB888: 3,
-    PixelFormat.YUV422: 2,
-    PixelFormat.YUYV: 2,
-    PixelFormat.GRAY8: 1,
-}
 
 
 class VideoMode(NamedTuple):
@@ -122,10 +114,6 @@ class Stream:
             f"{' or '.join(each.name for each in formats)}; it lists {listed or 'nothing'}"
         )
 
-    def supports(self, name: StreamProperty) -> bool:
-        """Whether the stream has a property."""
-        return bool(self._library.native.oniStreamIsPropertySupported(self.handle, name))
-
     def get(self, name: StreamProperty, kind: type[Any]) -> Any:
         """Return a property as a ctypes structure, or as a plain value for a simple type.
 
@@ -214,8 +202,8 @@ class Stream:
             mode = _mode(head.mode)
             size = head.stride * head.height
             if (
-                mode.pixel_format not in _BYTES_PER_PIXEL
-                or head.stride < head.width * _BYTES_PER_PIXEL[mode.pixel_format]
+                mode.pixel_format not in BYTES_PER_PIXEL
+                or head.stride < head.width * BYTES_PER_PIXEL[mode.pixel_format]
                 or not 0 < size <= head.data_size
                 or not head.data
             ):
@@ -242,7 +230,7 @@ def _mode(mode: OniVideoMode) -> VideoMode:
 
 def _pixels(copy: bytes, shape: tuple[int, int], width: int, pixel_format: PixelFormat) -> NDArray[Any]:
     rows = np.frombuffer(copy, np.uint8).reshape(shape)
-    bytes_per_pixel = _BYTES_PER_PIXEL[pixel_format]
+    bytes_per_pixel = BYTES_PER_PIXEL[pixel_format]
     rows = rows[:, : width * bytes_per_pixel]
     if pixel_format in (PixelFormat.DEPTH_1_MM, PixelFormat.DEPTH_100_UM):
         return rows.view(np.uint16)
@@ -257,6 +245,29 @@ def _pixels(copy: bytes, shape: tuple[int, int], width: int, pixel_format: Pixel
         PixelFormat.GRAY8: cv2.COLOR_GRAY2RGB,
     }
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), to_rgb[pixel_format]), np.uint8)
+
+
+def frame_images(
+    depth: NDArray[Any], color: NDArray[Any], *, tenths: bool, flip_depth: bool, flip_color: bool
+) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
+    """Return the images of a frame, of what a device or a recording delivers.
+
+    Parameters
+    ----------
+    depth : (H, W) uint16
+        Millimetres, or tenths of them.
+    color : (H, W, 3) uint8
+        RGB.
+    tenths : bool
+        Whether depth is in tenths of a millimetre, and is to be rounded.
+    flip_depth, flip_color : bool
+        Whether an image is to be mirrored.
+    """
+    if tenths:
+        depth = ((depth.astype(np.uint32) + 5) // 10).astype(np.uint16)
+    flips = ((depth, flip_depth), (color, flip_color))
+    depth_mm, rgb = (np.ascontiguousarray(image[:, ::-1]) if flip else image for image, flip in flips)
+    return depth_mm, rgb
 
 
 def wait_for_any(library: Library, streams: tuple[Stream, ...], timeout_s: float) -> Stream | None:

@@ -8,9 +8,8 @@ import signal
 import socket
 import subprocess
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
+from nurbseg.drivers.closing import Closing
 from nurbseg.drivers.process.channel import Channel
 from nurbseg.drivers.process.messages import Codec
 from nurbseg.drivers.process.start import python_command
@@ -19,7 +18,7 @@ from nurbseg.drivers.process.start import python_command
 _KILLED_S = 10.0
 
 
-class ChildProcess:
+class ChildProcess(Closing):
     """Runs a module that begins with `nurbseg.drivers.process.parent.connect`.
 
     Parameters
@@ -91,17 +90,6 @@ class ChildProcess:
         except OSError:
             return 0.0
         return sum(1024e-6 * int(line.split()[1]) for line in lines if line.startswith("VmHWM:"))
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 __all__ = ["ChildProcess"]

@@ -13,6 +13,7 @@ import numpy as np
 from nurbseg.drivers.compiled import inlined
 
 RECTANGLE, BOX, ELLIPSOID, CYLINDER, BOWL, CUSHION = range(6)
+KINDS = (RECTANGLE, BOX, ELLIPSOID, CYLINDER, BOWL, CUSHION)
 #: Numbers in the precision of the rays: a plain one would draw all that it meets into double precision.
 _ZERO, _HALF, _ONE, _TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
 _NEVER, _NEAREST, _TINY = np.float32(np.inf), np.float32(1e-4), np.float32(1e-9)

@@ -5,19 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numba import literal_unroll
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled, inlined
-from nurbseg.drivers.synthetic.intersections import (
-    BOWL,
-    BOX,
-    CUSHION,
-    CYLINDER,
-    ELLIPSOID,
-    RECTANGLE,
-    meet,
-    surface,
-)
+from nurbseg.drivers.synthetic.intersections import KINDS, meet, surface
 
 
 @compiled
@@ -54,19 +46,9 @@ def cast(
                 (x[row, part], y[row, part]),
                 (depth[row, part], objects[row, part], faces[row, part]),
             )
-            # A loop for each kind, in which the others are left out.
-            if kind == RECTANGLE:
-                _cast_row(RECTANGLE, size, m, number, *rays, *images)
-            elif kind == BOX:
-                _cast_row(BOX, size, m, number, *rays, *images)
-            elif kind == ELLIPSOID:
-                _cast_row(ELLIPSOID, size, m, number, *rays, *images)
-            elif kind == CYLINDER:
-                _cast_row(CYLINDER, size, m, number, *rays, *images)
-            elif kind == BOWL:
-                _cast_row(BOWL, size, m, number, *rays, *images)
-            else:
-                _cast_row(CUSHION, size, m, number, *rays, *images)
+            for each in literal_unroll(KINDS):
+                if each == kind:
+                    _cast_row(each, size, m, number, *rays, *images)
 
 
 @inlined
@@ -131,19 +113,9 @@ def surfaces_seen(
             kind = kinds[number]
             shape = sizes[number], object_from_camera[number], paints[number]
             pixels = x[row, part], y[row, part], depth[row, part], faces[row, part]
-            # A loop for each kind, in which the others are left out.
-            if kind == RECTANGLE:
-                _surfaces_in_row(RECTANGLE, shape, pixels, found)
-            elif kind == BOX:
-                _surfaces_in_row(BOX, shape, pixels, found)
-            elif kind == ELLIPSOID:
-                _surfaces_in_row(ELLIPSOID, shape, pixels, found)
-            elif kind == CYLINDER:
-                _surfaces_in_row(CYLINDER, shape, pixels, found)
-            elif kind == BOWL:
-                _surfaces_in_row(BOWL, shape, pixels, found)
-            else:
-                _surfaces_in_row(CUSHION, shape, pixels, found)
+            for each in literal_unroll(KINDS):
+                if each == kind:
+                    _surfaces_in_row(each, shape, pixels, found)
 
 
 @inlined

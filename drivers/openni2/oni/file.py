@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from nurbseg.drivers.errors import RecordingFormatError
-from nurbseg.drivers.openni2.capi import PixelFormat, Sensor
+from nurbseg.drivers.openni2.capi import BYTES_PER_PIXEL, Sensor
 
 _HEADER = struct.Struct("<4sBBHIQI")  # magic, version, largest time, largest node number
 _LARGEST_NODE = struct.Struct("<I")
@@ -33,14 +33,6 @@ _LARGEST_SIDE = 4096
 #: The numbers of node types, in the file's own count.
 _SENSORS = {2: Sensor.DEPTH, 3: Sensor.COLOR, 5: Sensor.IR}
 _UNCOMPRESSED = b"NONE"
-_BYTES_PER_PIXEL = {
-    PixelFormat.DEPTH_1_MM: 2,
-    PixelFormat.DEPTH_100_UM: 2,
-    PixelFormat.RGB888: 3,
-    PixelFormat.YUV422: 2,
-    PixelFormat.YUYV: 2,
-    PixelFormat.GRAY8: 1,
-}
 
 #: What our own recorder writes after the end record, where OpenNI2 reads no more: this, a JSON text, the
 #: length of the text, and this again.
@@ -219,8 +211,8 @@ def _add_frame(path: Path, stream: StoredStream, fields: bytes, payload_size: in
     width, height = stream.size
     if width == 0:
         raise RecordingFormatError(f"{path}: xnMapOutputMode: missing before the first frame")
-    bytes_per_pixel = _BYTES_PER_PIXEL.get(PixelFormat(stream.pixel_format), 0) if _known(stream) else 0
-    expected = width * height * bytes_per_pixel
+    # The format is a number that may be none of `PixelFormat`, which are whole numbers too.
+    expected = width * height * BYTES_PER_PIXEL.get(stream.pixel_format, 0)  # type: ignore[call-overload]
     if stream.codec == _UNCOMPRESSED and expected and payload_size != expected:
         raise RecordingFormatError(
             f"{path}: {stream.sensor.name.lower()} frame {number}: {payload_size} bytes, "
@@ -232,10 +224,6 @@ def _add_frame(path: Path, stream: StoredStream, fields: bytes, payload_size: in
             f"frame {stream.frames[-1].number}"
         )
     stream.frames.append(StoredFrame(number, timestamp_us))
-
-
-def _known(stream: StoredStream) -> bool:
-    return stream.pixel_format in PixelFormat.__members__.values()
 
 
 def has_begun(path: Path, streams: int) -> bool:

@@ -6,10 +6,7 @@ import logging
 import shlex
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from nurbseg.drivers.errors import (
     BackendMissingError,
@@ -28,6 +25,7 @@ from nurbseg.drivers.openni2.oni.file import OniFile, StoredFrame, read_structur
 from nurbseg.drivers.openni2.oni.player import Description, PlayedImage
 from nurbseg.drivers.openni2.oni.player_process import OPEN_LIMIT_S, PlayerProcess
 from nurbseg.drivers.openni2.options import DeviceOptions
+from nurbseg.drivers.openni2.stream import frame_images
 from nurbseg.drivers.source import FrameSource
 
 if TYPE_CHECKING:
@@ -194,19 +192,18 @@ class OniSource(FrameSource):
             del self._waiting[each]
 
     def _frame(self, timestamp_us: int, depth: PlayedImage, color: PlayedImage) -> RGBDFrame:
-        depth_mm: NDArray[Any] = depth.pixels
-        if self._tenths:
-            depth_mm = ((depth_mm.astype(np.uint32) + 5) // 10).astype(np.uint16)
-        pixels: NDArray[Any] = color.pixels
-        if self._flip_depth:
-            depth_mm = np.ascontiguousarray(depth_mm[:, ::-1])
-        if self._flip_color:
-            pixels = np.ascontiguousarray(pixels[:, ::-1])
+        depth_mm, rgb = frame_images(
+            depth.pixels,
+            color.pixels,
+            tenths=self._tenths,
+            flip_depth=self._flip_depth,
+            flip_color=self._flip_color,
+        )
         return RGBDFrame(
             index=self._next,
             timestamp_ns=timestamp_us * 1000,
             depth_mm=depth_mm,
-            color=pixels,
+            color=rgb,
             calibration=self.calibration,
         )
 
