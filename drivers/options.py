@@ -26,8 +26,8 @@ class SourceOptions:
         Largest difference between the stamps of a depth image and its color image, seconds.
     calibration : Calibration, CameraFile or None
         Counts before `intrinsics`, and both before what a recording brings. What a file says
-        (`nurbseg.drivers.calibration.file.read_camera_file`) may leave the images' sizes open. A camera is
-        told by ``device.calibration``.
+        (`nurbseg.drivers.calibration.file.read_camera_file`) may leave the images' sizes open. Of a camera,
+        ``device.calibration`` counts.
     device : DeviceOptions or None
         Settings of a camera; None leaves them as they are.
 

@@ -61,7 +61,7 @@ def setting(
 
 
 def check_settings(config: Any) -> None:
-    """Hold every described field of a configuration against its bounds.
+    """Check every described field of a configuration against its bounds.
 
     Raises
     ------

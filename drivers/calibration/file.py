@@ -105,7 +105,7 @@ def _from_toml(path: Path, text: str) -> CameraFile:
     if registered:
         if "color_from_depth" in table:
             raise CalibrationError(f"{path}: color_from_depth: registered images have none; remove one")
-        # The registered depth image has the color camera's geometry, whatever took it.
+        # The registered depth image has the color camera's geometry, whichever camera took it.
         camera = cameras.get("color") or cameras["depth"]
         return CameraFile(path=path, depth=camera, color=camera, depth_scale=scale)
     for name in ("depth", "color"):

@@ -131,7 +131,7 @@ class NyuFrameSource(SequenceSource):
 
     Labels are taken from ``new_nyu_class13_NNNN.png`` beside ``nyu_v2_N.mat`` and sampled at the nearest
     pixel where they are larger than the frame. Connected parts of a class are one region each, since
-    classes do not tell one chair from the next.
+    a class does not distinguish one chair from the next.
 
     Parameters
     ----------

@@ -116,6 +116,6 @@ class PcdSource(SequenceSource):
         size = (cloud.points_m.shape[1], cloud.points_m.shape[0])
         given = self._options.given_cameras()
         if given is not None:
-            # A cloud's colors are on its own grid, whatever camera took them.
+            # A cloud's colors are on its own grid, whichever camera took them.
             return Calibration.registered(given.depth.intrinsics(size))
         return Calibration.registered(fit_camera(cloud.points_m, str(path)))

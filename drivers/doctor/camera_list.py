@@ -29,7 +29,7 @@ class Camera:
     usb_port, usb_speed, serial : str
         As in `UsbDevice`; empty where unknown.
     driver_version, openni2_version : str
-        Versions of the driver, where it tells one, and of the library.
+        Versions of the driver, where it has one, and of the library.
     depth_modes, color_modes : tuple of VideoMode
         What its streams can be set to; empty where it has no such stream.
     registration, sync : bool
@@ -81,13 +81,13 @@ def _camera(listing: DeviceListing, usb_devices: dict[str, UsbDevice]) -> Camera
     )
     try:
         with OpenedDevice(listing.uri) as device:
-            return _asked(camera, device)
+            return _queried(camera, device)
     except DriverError as err:
         return replace(camera, error=str(err))
 
 
-def _asked(camera: Camera, device: OpenedDevice) -> Camera:
-    """Return the camera with what it says itself, and whether images come from it."""
+def _queried(camera: Camera, device: OpenedDevice) -> Camera:
+    """Return the camera with what it reports of itself, and whether images come from it."""
     sensors = [sensor for sensor in (Sensor.DEPTH, Sensor.COLOR) if device.has(sensor)]
     streams = {sensor: device.add_stream(sensor) for sensor in sensors}
     camera = replace(

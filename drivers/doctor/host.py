@@ -108,7 +108,7 @@ def find_installation(root: Path, environ: Mapping[str, str]) -> Installation:
     library = next((folder / LIBRARY_FILE for folder in folders if (folder / LIBRARY_FILE).is_file()), None)
     if library is None:
         return Installation(redist=redist)
-    # The build tells by the words in it where it reads its settings and which endings it loads.
+    # Strings in the library show where it reads its settings and which endings it loads.
     try:
         content = library.read_bytes()
     except OSError:

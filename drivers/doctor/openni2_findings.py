@@ -10,7 +10,7 @@ from nurbseg.drivers.openni2.library import LIBRARY_FILE, REDIST_VARIABLE
 
 
 def library_findings(installation: Installation) -> Iterator[Finding]:
-    """Tell what is wrong with the library, its settings file and its drivers folder."""
+    """Report what is wrong with the library, its settings file and its drivers folder."""
     if not installation.library:
         yield _redist_wrong(installation.redist) if installation.redist else _library_missing()
         return
@@ -81,11 +81,11 @@ def _library_missing() -> Finding:
 
 
 def driver_findings(part: Part, installation: Installation) -> Iterator[Finding]:
-    """Tell whether OpenNI2 has the driver of a camera that is plugged in."""
-    driver, folder = part.model.family.driver, installation.drivers_folder
-    if not installation.drivers or installation.has_driver(driver.file_stem):
+    """Report whether OpenNI2 has the driver of a camera that is plugged in."""
+    family, folder = part.model.family, installation.drivers_folder
+    if not installation.drivers or installation.has_driver(family.file_stem):
         return
-    misnamed = [each for each in installation.unloadable if each.lower().startswith(driver.file_stem)]
+    misnamed = [each for each in installation.unloadable if each.lower().startswith(family.file_stem)]
     if misnamed:
         stem = misnamed[0].split(".so")[0]
         yield Finding(
@@ -96,18 +96,18 @@ def driver_findings(part: Part, installation: Installation) -> Iterator[Finding]
             (f"sudo ln -s {misnamed[0]} {folder}/{stem}{installation.suffix}",),
         )
         return
-    where = f"Debian's {driver.package} brings it" if driver.package else "Debian has no package of it"
+    where = f"Debian's {family.package} brings it" if family.package else "Debian has no package of it"
     yield Finding(
         "driver-missing",
         "error",
         f"The driver of {part} is not installed",
-        f"OpenNI2 needs the driver {driver.name} in {folder}. {where}.",
-        tuple(step.format(drivers=folder, suffix=installation.suffix) for step in driver.install),
+        f"OpenNI2 needs the driver {family.driver} in {folder}. {where}.",
+        tuple(step.format(drivers=folder, suffix=installation.suffix) for step in family.install),
     )
 
 
 def probe_findings(probe: Probe, found: Sequence[Finding]) -> Iterator[Finding]:
-    """Tell what OpenNI2 answered when it was asked for its cameras.
+    """Report what OpenNI2 answered when it was asked for its cameras.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """What is plugged in: USB devices as the kernel lists them and as pyusb can open them.
 
 The kernel's list (sysfs) gives names, serial numbers, speeds and kernel drivers without permission and
-without USB traffic; pyusb tells whether this user may open a device. Either may be absent, as in a
+without USB traffic; pyusb shows whether this user may open a device. Either may be absent, as in a
 container or where libusb is not installed, and the other then still says what it knows.
 """
 
@@ -21,18 +21,8 @@ from nurbseg.drivers.errors import BackendMissingError
 Access = Literal["open", "denied", "busy", "no-node", "silent", "unknown"]
 Speed = Literal["low", "full", "high", "super", "super+", ""]
 
-#: libusb's numbers of the speeds, and sysfs' megabits a second.
-_SPEED_BY_NUMBER: dict[int | None, Speed] = {1: "low", 2: "full", 3: "high", 4: "super", 5: "super+"}
-_SPEED_BY_MBIT: dict[str, Speed] = {
-    "1.5": "low",
-    "12": "full",
-    "480": "high",
-    "5000": "super",
-    "10000": "super+",
-    "20000": "super+",
-}
-#: From slowest to fastest; unknown counts as fast enough.
-SPEEDS: tuple[Speed, ...] = ("low", "full", "high", "super", "super+", "")
+#: From slowest to fastest, each with its name for a person; unknown counts as fast enough. Its place, from 1,
+#: is libusb's number of a speed.
 SPEED_TEXT: dict[Speed, str] = {
     "low": "1.5 Mbit/s",
     "full": "12 Mbit/s",
@@ -41,6 +31,10 @@ SPEED_TEXT: dict[Speed, str] = {
     "super+": "10 Gbit/s",
     "": "speed unknown",
 }
+SPEEDS: tuple[Speed, ...] = tuple(SPEED_TEXT)
+#: sysfs' megabits a second.
+_MBIT = ("1.5", "12", "480", "5000", "10000")
+_SPEED_BY_MBIT: dict[str, Speed] = dict(zip(_MBIT, SPEEDS, strict=False)) | {"20000": "super+"}
 
 _ACCESS_BY_ERRNO: dict[int | None, Access] = {
     errno.EACCES: "denied",
@@ -242,14 +236,14 @@ def _scan_with_pyusb(
             bus=each.bus or 0,
             address=each.address or 0,
             port=f"{each.bus}-{numbers}" if numbers else "",
-            speed=_SPEED_BY_NUMBER.get(each.speed, ""),
+            speed=SPEEDS[each.speed - 1] if each.speed in range(1, len(SPEEDS)) else "",
         )
         device = listed.get((seen.bus, seen.address), seen)
         may_be_camera = device.model is not None or (device.vendor_id == ASUS and not device.product)
-        yield _tried(each, device) if may_be_camera and clock() < deadline_s else device
+        yield _probed(each, device) if may_be_camera and clock() < deadline_s else device
 
 
-def _tried(each: Any, device: UsbDevice) -> UsbDevice:
+def _probed(each: Any, device: UsbDevice) -> UsbDevice:
     """Open a device, ask for its descriptor and its names, and close it again."""
     import usb.core
     import usb.util

@@ -29,7 +29,7 @@ def udev_rule(device: UsbDevice) -> str:
 
 
 def bus_findings(system: System, cameras: Sequence[Part]) -> Iterator[Finding]:
-    """Tell what keeps all of USB from being seen."""
+    """Report what keeps all of USB from being seen."""
     usb = system.usb
     if not usb.libusb:
         yield Finding(
@@ -80,7 +80,7 @@ def _no_bus(host: Host, cameras: Sequence[Part]) -> Finding:
 
 
 def camera_findings(part: Part, system: System) -> Iterator[Finding]:
-    """Tell what keeps one camera, that is plugged in, from being opened or from working well."""
+    """Report what keeps a camera that is plugged in from being opened or from working well."""
     device, family = part.device, part.model.family
     if SPEEDS.index(device.speed) < SPEEDS.index(family.speed_min):
         yield _low_speed(part)
@@ -181,7 +181,7 @@ def _no_permission(part: Part, host: Host) -> Finding:
 
 
 def power_findings(parts: Sequence[Part]) -> Iterator[Finding]:
-    """Tell a Kinect whose motor runs from USB while its camera, which needs 12 V, is not there."""
+    """Report a Kinect whose motor runs from USB while its camera, which needs 12 V, is not there."""
     kinect = [part for part in parts if part.model.family.key == "kinect1"]
     motors = [part for part in kinect if part.model.role == "motor"]
     cameras = [part for part in kinect if part.model.role == "camera"]
@@ -199,13 +199,13 @@ def power_findings(parts: Sequence[Part]) -> Iterator[Finding]:
 
 
 def motor_findings(motor: Part, host: Host) -> Iterator[Finding]:
-    """Tell that a Kinect's motor may not be opened; its camera works all the same."""
+    """Report that a Kinect's motor may not be opened; its camera works all the same."""
     if motor.device.access == "denied":
         yield replace(_no_permission(motor, host), severity="warning")
 
 
 def not_plugged_in(usb: UsbScan, others: Sequence[Part], wanted: Sequence[Family]) -> Finding:
-    """Tell that none of the cameras asked for is there, and which others are."""
+    """Report that none of the cameras asked for is there, and which others are."""
     names = " or ".join(family.name for family in wanted)
     if others:
         return Finding(

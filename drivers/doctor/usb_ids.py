@@ -22,29 +22,6 @@ ASUS = 0x0B05
 
 
 @dataclass(frozen=True, slots=True)
-class Driver:
-    """An OpenNI2 driver: the file that makes OpenNI2 see a family of cameras.
-
-    Parameters
-    ----------
-    name : str
-        What a person calls it.
-    file_stem : str
-        Start of its file's name in the drivers folder, lower case.
-    package : str
-        Debian package that brings it; empty where it must be built or comes from the vendor.
-    install : tuple of str
-        What to do where it is missing, one step each; ``{drivers}`` stands for the drivers folder and
-        ``{suffix}`` for the ending that the installed OpenNI2 loads.
-    """
-
-    name: str
-    file_stem: str
-    package: str
-    install: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class Family:
     """Cameras that are driven alike.
 
@@ -52,8 +29,15 @@ class Family:
     ----------
     key, name : str
         For programs and for people.
-    driver : Driver
-        What OpenNI2 needs for them.
+    driver : str
+        The OpenNI2 driver that they need, as a person calls it.
+    file_stem : str
+        Start of the driver file's name in the drivers folder, lower case.
+    install : tuple of str
+        What to do where the driver is missing, one step each; ``{drivers}`` stands for the drivers folder and
+        ``{suffix}`` for the ending that the installed OpenNI2 loads.
+    package : str
+        Debian package that brings it; empty where it must be built or comes from the vendor.
     speed_min : {"high", "super"}
         Slowest USB speed that they work at.
     usb3_trouble : bool
@@ -62,7 +46,10 @@ class Family:
 
     key: str
     name: str
-    driver: Driver
+    driver: str
+    file_stem: str
+    install: tuple[str, ...]
+    package: str = ""
     speed_min: Literal["high", "super"] = "high"
     usb3_trouble: bool = False
 
@@ -86,92 +73,76 @@ class Model:
     name: str
 
 
+_DEBIAN = "libopenni2-0"
+_REINSTALL = (f"sudo apt install --reinstall {_DEBIAN}",)
 _PS1080 = Family(
     "ps1080",
     "Xtion or PrimeSense camera",
-    Driver(
-        "PS1080",
-        "libps1080",
-        "libopenni2-0",
-        ("sudo apt install --reinstall libopenni2-0",),
-    ),
+    "PS1080",
+    "libps1080",
+    _REINSTALL,
+    package=_DEBIAN,
     usb3_trouble=True,
 )
 _PSLINK = Family(
     "pslink",
     "PrimeSense PSLink camera",
-    Driver(
-        "PSLink",
-        "libpslink",
-        "libopenni2-0",
-        ("sudo apt install --reinstall libopenni2-0",),
-    ),
+    "PSLink",
+    "libpslink",
+    _REINSTALL,
+    package=_DEBIAN,
     usb3_trouble=True,
 )
 _KINECT1 = Family(
     "kinect1",
     "Kinect v1 (Xbox 360)",
-    Driver(
-        "FreenectDriver",
-        "libfreenectdriver",
-        "",
-        (
-            "sudo apt install git cmake g++ python3 libusb-1.0-0-dev",
-            "git clone https://github.com/OpenKinect/libfreenect",
-            "cmake -S libfreenect -B libfreenect/build -DBUILD_OPENNI2_DRIVER=ON -DBUILD_EXAMPLES=OFF",
-            "cmake --build libfreenect/build",
-            "sudo cp -L libfreenect/build/lib/OpenNI2-FreenectDriver/libFreenectDriver.so"
-            " {drivers}/libFreenectDriver{suffix}",
-        ),
+    "FreenectDriver",
+    "libfreenectdriver",
+    (
+        "sudo apt install git cmake g++ python3 libusb-1.0-0-dev",
+        "git clone https://github.com/OpenKinect/libfreenect",
+        "cmake -S libfreenect -B libfreenect/build -DBUILD_OPENNI2_DRIVER=ON -DBUILD_EXAMPLES=OFF",
+        "cmake --build libfreenect/build",
+        "sudo cp -L libfreenect/build/lib/OpenNI2-FreenectDriver/libFreenectDriver.so"
+        " {drivers}/libFreenectDriver{suffix}",
     ),
 )
 _KINECT2 = Family(
     "kinect2",
     "Kinect v2 (Xbox One)",
-    Driver(
-        "libfreenect2-openni2",
-        "libfreenect2-openni2",
-        "",
-        (
-            "sudo apt install git cmake g++ pkg-config libusb-1.0-0-dev libturbojpeg0-dev"
-            " libglfw3-dev libopenni2-dev",
-            "git clone https://github.com/OpenKinect/libfreenect2",
-            "cmake -S libfreenect2 -B libfreenect2/build -DBUILD_OPENNI2_DRIVER=ON",
-            "cmake --build libfreenect2/build",
-            "sudo cp -L libfreenect2/build/lib/libfreenect2-openni2.so"
-            " {drivers}/libfreenect2-openni2{suffix}",
-            "sudo cmake --install libfreenect2/build && sudo ldconfig",
-        ),
+    "libfreenect2-openni2",
+    "libfreenect2-openni2",
+    (
+        "sudo apt install git cmake g++ pkg-config libusb-1.0-0-dev libturbojpeg0-dev"
+        " libglfw3-dev libopenni2-dev",
+        "git clone https://github.com/OpenKinect/libfreenect2",
+        "cmake -S libfreenect2 -B libfreenect2/build -DBUILD_OPENNI2_DRIVER=ON",
+        "cmake --build libfreenect2/build",
+        "sudo cp -L libfreenect2/build/lib/libfreenect2-openni2.so {drivers}/libfreenect2-openni2{suffix}",
+        "sudo cmake --install libfreenect2/build && sudo ldconfig",
     ),
     speed_min="super",
 )
 _ORBBEC = Family(
     "orbbec",
     "Orbbec Astra",
-    Driver(
-        "orbbec",
-        "liborbbec",
-        "",
-        (
-            "download Orbbec's OpenNI SDK for Linux: https://www.orbbec.com/developers/openni-sdk/",
-            "in the unpacked SDK, find the folder with libOpenNI2.so and OpenNI2/Drivers/liborbbec.so",
-            "in that folder: ln -s libOpenNI2.so libOpenNI2.so.0",
-            "export OPENNI2_REDIST=THAT_FOLDER   (the vendor's library then replaces Debian's)",
-        ),
+    "orbbec",
+    "liborbbec",
+    (
+        "download Orbbec's OpenNI SDK for Linux: https://www.orbbec.com/developers/openni-sdk/",
+        "in the unpacked SDK, find the folder with libOpenNI2.so and OpenNI2/Drivers/liborbbec.so",
+        "in that folder: ln -s libOpenNI2.so libOpenNI2.so.0",
+        "export OPENNI2_REDIST=THAT_FOLDER   (the vendor's library then replaces Debian's)",
     ),
 )
 _XTION2 = Family(
     "xtion2",
     "Xtion 2",
-    Driver(
-        "SenDuck",
-        "libsenduck",
-        "",
-        (
-            "download the SDK for Linux from ASUS: https://www.asus.com/supportonly/xtion%202/"
-            "helpdesk_download/",
-            "from the unpacked SDK: sudo cp ASUS/Xtion2/lib/libSenDuck.so {drivers}/libSenDuck{suffix}",
-        ),
+    "SenDuck",
+    "libsenduck",
+    (
+        "download the SDK for Linux from ASUS: https://www.asus.com/supportonly/xtion%202/helpdesk_download/",
+        "from the unpacked SDK: sudo cp ASUS/Xtion2/lib/libSenDuck.so {drivers}/libSenDuck{suffix}",
     ),
     speed_min="super",
 )
@@ -180,30 +151,26 @@ FAMILIES: dict[str, Family] = {
     family.key: family for family in (_PS1080, _PSLINK, _KINECT1, _KINECT2, _ORBBEC, _XTION2)
 }
 
-_MODELS: dict[tuple[int, int], Model] = {
-    (PRIMESENSE, 0x0500): Model(_PS1080, "camera", "PrimeSense sensor"),
-    (PRIMESENSE, 0x0600): Model(_PS1080, "camera", "Xtion PRO or Carmine"),
-    (PRIMESENSE, 0x0601): Model(_PS1080, "camera", "Xtion PRO LIVE"),
-    (PRIMESENSE, 0x0609): Model(_PS1080, "camera", "Carmine 1.09"),
-    **{
-        (PRIMESENSE, product): Model(_PSLINK, "camera", "PrimeSense PSLink")
-        for product in (0x1250, 0x1260, 0x1270, 0x1280, 0x1290, 0xF9DB)
-    },
-    (MICROSOFT, 0x02AE): Model(_KINECT1, "camera", "Kinect v1"),
-    (MICROSOFT, 0x02AD): Model(_KINECT1, "audio", "Kinect v1 audio"),
-    (MICROSOFT, 0x02B0): Model(_KINECT1, "motor", "Kinect v1 motor"),
-    (MICROSOFT, 0x02BF): Model(_KINECT1, "camera", "Kinect for Windows v1"),
-    (MICROSOFT, 0x02BE): Model(_KINECT1, "audio", "Kinect for Windows v1 audio"),
-    (MICROSOFT, 0x02BB): Model(_KINECT1, "audio", "Kinect for Windows v1 audio"),
-    (MICROSOFT, 0x02C3): Model(_KINECT1, "audio", "Kinect for Windows v1 audio"),
-    (MICROSOFT, 0x02C2): Model(_KINECT1, "motor", "Kinect for Windows v1 motor"),
-    (MICROSOFT, 0x02C4): Model(_KINECT2, "camera", "Kinect v2"),
-    (MICROSOFT, 0x02D8): Model(_KINECT2, "camera", "Kinect v2"),
-    (MICROSOFT, 0x02D9): Model(_KINECT2, "camera", "Kinect v2"),
-    **{
-        (ORBBEC, product): Model(_ORBBEC, "camera", "Orbbec Astra")
-        for product in (0x0401, 0x0402, 0x0403, 0x0404, 0x0407)
-    },
+#: Family, role, name, vendor and products.
+_PARTS: tuple[tuple[Family, Role, str, int, tuple[int, ...]], ...] = (
+    (_PS1080, "camera", "PrimeSense sensor", PRIMESENSE, (0x0500,)),
+    (_PS1080, "camera", "Xtion PRO or Carmine", PRIMESENSE, (0x0600,)),
+    (_PS1080, "camera", "Xtion PRO LIVE", PRIMESENSE, (0x0601,)),
+    (_PS1080, "camera", "Carmine 1.09", PRIMESENSE, (0x0609,)),
+    (_PSLINK, "camera", "PrimeSense PSLink", PRIMESENSE, (0x1250, 0x1260, 0x1270, 0x1280, 0x1290, 0xF9DB)),
+    (_KINECT1, "camera", "Kinect v1", MICROSOFT, (0x02AE,)),
+    (_KINECT1, "audio", "Kinect v1 audio", MICROSOFT, (0x02AD,)),
+    (_KINECT1, "motor", "Kinect v1 motor", MICROSOFT, (0x02B0,)),
+    (_KINECT1, "camera", "Kinect for Windows v1", MICROSOFT, (0x02BF,)),
+    (_KINECT1, "audio", "Kinect for Windows v1 audio", MICROSOFT, (0x02BE, 0x02BB, 0x02C3)),
+    (_KINECT1, "motor", "Kinect for Windows v1 motor", MICROSOFT, (0x02C2,)),
+    (_KINECT2, "camera", "Kinect v2", MICROSOFT, (0x02C4, 0x02D8, 0x02D9)),
+    (_ORBBEC, "camera", "Orbbec Astra", ORBBEC, (0x0401, 0x0402, 0x0403, 0x0404, 0x0407)),
+)
+_MODELS = {
+    (vendor, product): Model(family, role, name)
+    for family, role, name, vendor, products in _PARTS
+    for product in products
 }
 
 
@@ -215,7 +182,7 @@ def identify(vendor_id: int, product_id: int, product: str = "") -> Model | None
     vendor_id, product_id : int
         The device's ids.
     product : str
-        The device's own name, where it could be read. An Xtion 2 is told by it, its vendor making much else.
+        The device's own name, where it could be read; an Xtion 2 is recognised by it.
     """
     model = _MODELS.get((vendor_id, product_id))
     if model is not None:

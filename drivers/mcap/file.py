@@ -1,6 +1,6 @@
 """Reads an MCAP file as far as it goes, whole or cut off.
 
-The file is walked record by record and needs no index at its end, since a recording whose writer was
+The file is read record by record and needs no index at its end, since a recording whose writer was
 killed has none. Of a chunk that is cut off, the part that is there is decompressed.
 
 References
@@ -39,7 +39,7 @@ _MESSAGE_HEAD = struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 
 
-_LEARNT = frozenset((Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.STATISTICS))
+_CATALOG = frozenset((Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.STATISTICS))
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +93,7 @@ class McapFile:
         self._entries: list[tuple[int, int, int]] = []
         self._file = open_regular(path)
         try:
-            self._walk()
+            self._scan()
         except BaseException:
             self._file.close()
             raise
@@ -146,11 +146,11 @@ class McapFile:
                         if message is not None:
                             yield message
                     else:
-                        self._learn(kind, record)
+                        self._register(kind, record)
             except FrameFormatError as err:
                 yield err
 
-    def _walk(self) -> None:
+    def _scan(self) -> None:
         size = self._file.seek(0, 2)
         self._file.seek(0)
         if self._file.read(len(MAGIC)) != MAGIC:
@@ -169,14 +169,14 @@ class McapFile:
             present = min(length, size - place)
             if opcode == Opcode.CHUNK or (opcode == Opcode.MESSAGE and present == length):
                 self._entries.append((opcode, place, present))
-            elif present == length and opcode in _LEARNT:
+            elif present == length and opcode in _CATALOG:
                 if length > RECORD_BYTES_MAX:
                     name = f"{self.path}: {Opcode(opcode).name}"
                     raise RecordingFormatError(f"{name}: {length} bytes; expected {RECORD_BYTES_MAX} at most")
-                self._learn(opcode, self._file.read(length))
+                self._register(opcode, self._file.read(length))
             place += length
 
-    def _learn(self, opcode: int, content: bytes) -> None:
+    def _register(self, opcode: int, content: bytes) -> None:
         try:
             if opcode == Opcode.HEADER:
                 self.profile = Header.read(_stream(content)).profile

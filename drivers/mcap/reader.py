@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.frame import Calibration, RGBDFrame
-from nurbseg.drivers.limits import LOOK_BYTES_MAX, STAMP_END_NS
+from nurbseg.drivers.limits import SCAN_BYTES_MAX, STAMP_END_NS
 from nurbseg.drivers.mcap import definitions, names
 from nurbseg.drivers.mcap import messages as ros
 from nurbseg.drivers.mcap.file import McapFile, McapMessage
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-#: How far a recording is looked through for its topics, in its own time.
-_LOOK_NS = 2_000_000_000
+#: How far a recording is searched for its topics, in its own time.
+_SCAN_NS = 2_000_000_000
 
 
 class RecordingReader(FrameSource):
@@ -63,13 +63,13 @@ class RecordingReader(FrameSource):
         super().__init__()
         self._path = path
         self._units_per_metre = options.depth_scale
-        self._not_understood: dict[int, str] = {}
-        self._understood: set[int] = set()
+        self._not_decodable: dict[int, str] = {}
+        self._decodable: set[int] = set()
         self._pairing = StampPairing(round(options.association_limit_s * 1e9))
         self._index = 0
         self._file = McapFile(path)
         try:
-            samples, transforms = self._look()
+            samples, transforms = self._scan_topics()
             self._topics = self._choose(samples)
             self._schemas = {names.LABELS_TOPIC: definitions.COMPRESSED_IMAGE} | {
                 topic: sample.schema for topic, sample in samples.items()
@@ -167,28 +167,28 @@ class RecordingReader(FrameSource):
     def _decode(self, content: bytes, topic: str, name: str) -> Any:
         return definitions.decode(content, self._schemas[topic], f"{name}: {topic}")
 
-    def _is_understood(self, schema: Schema) -> bool:
+    def _is_decodable(self, schema: Schema) -> bool:
         """Whether messages of a schema can be decoded; says once why not."""
-        if schema.id not in self._understood and schema.id not in self._not_understood:
+        if schema.id not in self._decodable and schema.id not in self._not_decodable:
             try:
                 definitions.check_schema(schema, str(self._path))
-                self._understood.add(schema.id)
+                self._decodable.add(schema.id)
             except RecordingFormatError as err:
-                self._not_understood[schema.id] = str(err)
-                _log.warning("%s; its messages are passed over", self._not_understood[schema.id])
-        return schema.id in self._understood
+                self._not_decodable[schema.id] = str(err)
+                _log.warning("%s; its messages are passed over", self._not_decodable[schema.id])
+        return schema.id in self._decodable
 
-    def _look(self) -> tuple[dict[str, TopicSample], list[tuple[str, str, NDArray[np.float64]]]]:
+    def _scan_topics(self) -> tuple[dict[str, TopicSample], list[tuple[str, str, NDArray[np.float64]]]]:
         """Return the first message of each topic and the transforms, of the recording's first seconds."""
         samples: dict[str, TopicSample] = {}
         transforms: list[tuple[str, str, NDArray[np.float64]]] = []
         start_ns: int | None = None
-        for item in self._file.messages(LOOK_BYTES_MAX):
+        for item in self._file.messages(SCAN_BYTES_MAX):
             if isinstance(item, FrameFormatError):
                 continue
             start_ns = item.log_time_ns if start_ns is None else start_ns
             if self._is_complete(samples) or (
-                item.log_time_ns - start_ns > _LOOK_NS and self._has_images(samples)
+                item.log_time_ns - start_ns > _SCAN_NS and self._has_images(samples)
             ):
                 break
             topic = item.channel.topic
@@ -198,7 +198,7 @@ class RecordingReader(FrameSource):
                 continue
             if topic in samples and schema.name != definitions.TRANSFORMS:
                 continue
-            if not self._is_understood(schema):
+            if not self._is_decodable(schema):
                 continue
             try:
                 message = definitions.decode(item.content, schema.name, f"{self._path}: {topic}")
@@ -233,8 +233,8 @@ class RecordingReader(FrameSource):
                 topics = replace(topics, labels=names.LABELS_TOPIC)
             return topics
         except RecordingFormatError as err:
-            if self._not_understood:
-                raise RecordingFormatError(f"{err}; {next(iter(self._not_understood.values()))}") from err
+            if self._not_decodable:
+                raise RecordingFormatError(f"{err}; {next(iter(self._not_decodable.values()))}") from err
             if self._file.whole:
                 raise
             raise RecordingFormatError(f"{err}; the recording is cut off, perhaps before them") from err

@@ -81,7 +81,7 @@ def recorded_cameras(
     samples: Mapping[str, TopicSample],
     transforms: list[tuple[str, str, NDArray[np.float64]]],
 ) -> CameraFile:
-    """Return the cameras that the recording itself tells.
+    """Return the cameras of the recording itself.
 
     One CameraInfo stands for both cameras, the images being registered.
 

@@ -1,4 +1,4 @@
-"""Applies a user's settings to a running camera, and tells what came of them."""
+"""Applies a user's settings to a running camera, and reports which of them it took."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ _COLOR_FORMATS = (PixelFormat.RGB888, PixelFormat.YUYV, PixelFormat.YUV422, Pixe
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """What the camera does, once it was asked.
+class AppliedSettings:
+    """What the camera does, after it was asked.
 
     Parameters
     ----------
@@ -34,14 +34,14 @@ class Outcome:
         Whether the camera brings depth onto the color image.
     flip_depth, flip_color : bool
         Whether the images must be mirrored here, because the camera does not do as asked.
-    told : dict of str to str
+    states : dict of str to str
         What is on and off, for a person and for recordings.
     """
 
     registered: bool
     flip_depth: bool
     flip_color: bool
-    told: dict[str, str]
+    states: dict[str, str]
 
 
 def set_modes(depth: Stream, color: Stream, options: DeviceOptions) -> None:
@@ -60,7 +60,7 @@ def set_modes(depth: Stream, color: Stream, options: DeviceOptions) -> None:
             stream.try_to_set(StreamProperty.CROPPING, OniCropping())
 
 
-def configure(device: OpenedDevice, options: DeviceOptions, name: str) -> Outcome:
+def configure(device: OpenedDevice, options: DeviceOptions, name: str) -> AppliedSettings:
     """Set everything else, after the streams have started: some devices silently ignore it before.
 
     Parameters
@@ -83,7 +83,7 @@ def configure(device: OpenedDevice, options: DeviceOptions, name: str) -> Outcom
     if wants_registration and not registered:
         reason = "it stays off when asked" if device.can_register else "it cannot"
         logger.warning("%s does not register depth to color (%s): software does it instead", name, reason)
-    told = {
+    states = {
         "depth_mode": str(depth.mode),
         "color_mode": str(color.mode),
         "sync": "on" if synchronised else "off",
@@ -91,8 +91,8 @@ def configure(device: OpenedDevice, options: DeviceOptions, name: str) -> Outcom
         "mirror": "on" if options.mirror else "off",
     }
     flips = [_mirror(stream, options.mirror) != options.mirror for stream in (depth, color)]
-    _set_color_controls(color, options, name, told)
-    return Outcome(registered, flips[0], flips[1], told)
+    _set_color_controls(color, options, name, states)
+    return AppliedSettings(registered, flips[0], flips[1], states)
 
 
 def _mirror(stream: Stream, wanted: bool) -> bool:
@@ -100,7 +100,7 @@ def _mirror(stream: Stream, wanted: bool) -> bool:
     return bool(stream.find(StreamProperty.MIRRORING, ctypes.c_int))
 
 
-def _set_color_controls(color: Stream, options: DeviceOptions, name: str, told: dict[str, str]) -> None:
+def _set_color_controls(color: Stream, options: DeviceOptions, name: str, states: dict[str, str]) -> None:
     # Automatic controls first: while they are on, a camera may refuse the values.
     for field, control in (
         ("auto_exposure", StreamProperty.AUTO_EXPOSURE),
@@ -114,7 +114,7 @@ def _set_color_controls(color: Stream, options: DeviceOptions, name: str, told: 
         value = {"on": 1, "off": 0}.get(asked, asked)
         if not color.try_to_set(control, ctypes.c_int(value)):
             logger.warning("%s does not take %s %s", name, field, asked)
-        told[field] = str(color.find(control, ctypes.c_int))
+        states[field] = str(color.find(control, ctypes.c_int))
 
 
 def calibrate(

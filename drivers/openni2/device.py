@@ -90,14 +90,14 @@ class DeviceSource(FrameSource):
             depth.start()
             color.start()
             self.metadata.update(describe(listing, self._device))
-            self._outcome = configure(self._device, self._options, self.metadata["device"])
-            self.metadata.update(self._outcome.told)
+            self._applied = configure(self._device, self._options, self.metadata["device"])
+            self.metadata.update(self._applied.states)
             self.calibration = calibrate(
                 depth.mode[:2],
                 color.mode[:2],
                 (depth.horizontal_fov, color.horizontal_fov),
                 self._options,
-                registered=self._outcome.registered,
+                registered=self._applied.registered,
             )
             self._streams = (depth, color)
             period_us = min(stream.mode.period_us for stream in self._streams)
@@ -151,7 +151,7 @@ class DeviceSource(FrameSource):
             for stream in self._streams:
                 stream.start()
             # Some devices forget it when their streams stop.
-            wanted = self._outcome.registered
+            wanted = self._applied.registered
             if self._device.register(wanted) != wanted:
                 logger.warning("%s lost its registration as the recording began", self.metadata["device"])
             self._pairing.clear()
@@ -169,7 +169,7 @@ class DeviceSource(FrameSource):
         if recorder is not None:
             recorder.close(
                 {
-                    "registered": self._outcome.registered,
+                    "registered": self._applied.registered,
                     "calibration": calibration_note(self.calibration),
                     "device": self.metadata,
                 }
@@ -236,8 +236,8 @@ class DeviceSource(FrameSource):
             depth.pixels,
             color.pixels,
             tenths=self._options.depth_unit == "100um",
-            flip_depth=self._outcome.flip_depth,
-            flip_color=self._outcome.flip_color,
+            flip_depth=self._applied.flip_depth,
+            flip_color=self._applied.flip_color,
         )
         frame = RGBDFrame(
             index=self._index,

@@ -133,14 +133,14 @@ class Library:
             StateCallback(self._on_state_changed),
         )
 
-    # Called from the library's threads: they only hand on a word, and take no lock.
+    # Called from the library's threads: they only pass on an event, and take no lock.
     def _on_disconnected(self, device: Any, _cookie: object) -> None:
-        self._tell(device, "disconnected")
+        self._notify(device, "disconnected")
 
     def _on_state_changed(self, device: Any, state: int, _cookie: object) -> None:
-        self._tell(device, f"state {state}")
+        self._notify(device, f"state {state}")
 
-    def _tell(self, device: Any, event: str) -> None:
+    def _notify(self, device: Any, event: str) -> None:
         uri = os.fsdecode(device.contents.uri)
         for watched, listener in tuple(self._listeners.values()):
             if watched == uri:

@@ -68,7 +68,7 @@ class OpenedDevice(Closing):
             raise
 
     def find(self, name: DeviceProperty, kind: type[Any]) -> Any | None:
-        """Return a property as a ctypes value, or None where the device does not tell it."""
+        """Return a property as a ctypes value, or None where the device does not report it."""
         value, size = kind(), ctypes.c_int(ctypes.sizeof(kind))
         status = self.library.native.oniDeviceGetProperty(
             self._handle, name, ctypes.byref(value), ctypes.byref(size)
@@ -102,13 +102,13 @@ class OpenedDevice(Closing):
 
     @property
     def serial(self) -> str:
-        """The serial number; empty where the device tells none."""
+        """The serial number; empty where the device reports none."""
         text = self.find(DeviceProperty.SERIAL_NUMBER, ctypes.c_char * 256)
         return "" if text is None else text.value.decode(errors="replace").strip()
 
     @property
     def driver_version(self) -> str:
-        """The version of the device's driver; empty where the device tells none."""
+        """The version of the device's driver; empty where the device reports none."""
         version = self.find(DeviceProperty.DRIVER_VERSION, OniVersion)
         return "" if version is None else f"{version.major}.{version.minor}.{version.maintenance}"
 
@@ -152,7 +152,7 @@ class OpenedDevice(Closing):
 
 
 def serial_of(listing: DeviceListing) -> str:
-    """Return a listed device's serial number, for which it is opened; empty where it tells none."""
+    """Return a listed device's serial number, for which it is opened; empty where it reports none."""
     try:
         with OpenedDevice(listing.uri) as device:
             return device.serial

@@ -48,7 +48,7 @@ class DeviceOptions:
     depth_mode, color_mode : str
         Size and rate of the streams, as `parse_mode` reads them.
     depth_unit : {"1mm", "100um"}
-        Step in which the camera tells depth. Frames hold whole millimetres in both cases; with 100um
+        Unit in which the camera delivers depth. Frames hold whole millimetres in both cases; with 100um
         they are rounded here instead of by the camera.
     mirror : bool
         Whether the images are as in a mirror.
@@ -82,7 +82,7 @@ class DeviceOptions:
     depth_mode: str = setting("vga", "size and rate of the depth stream: 640x480@30, vga, qvga, ...")
     color_mode: str = setting("vga", "size and rate of the color stream: 640x480@30, vga, qvga, sxga, ...")
     depth_unit: DepthUnit = setting(
-        "1mm", "step in which the camera tells depth", choices=get_args(DepthUnit)
+        "1mm", "unit in which the camera delivers depth", choices=get_args(DepthUnit)
     )
     mirror: bool = setting(False, "images as in a mirror")
     registration: Registration = setting(

@@ -107,11 +107,11 @@ def choose(
     if matching:
         return matching
     name = f"{wanted or 'any'}" + (f" with serial number {serial}" if serial else "")
-    there = "; ".join(_told(each, serials.get(each.uri)) for each in cameras)
+    there = "; ".join(_described(each, serials.get(each.uri)) for each in cameras)
     raise DeviceNotFoundError(f"openni2:{name}: no such camera; OpenNI2 finds {there or 'no camera at all'}")
 
 
-def _told(listing: DeviceListing, serial: str | None) -> str:
+def _described(listing: DeviceListing, serial: str | None) -> str:
     ids = f"{listing.usb_vendor:04x}:{listing.usb_product:04x}"
     if serial is not None:  # it was asked for it
         ids += f", serial {serial or 'unknown: it has none, or another program has the camera'}"

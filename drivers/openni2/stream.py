@@ -84,7 +84,7 @@ class Stream:
 
     @property
     def horizontal_fov(self) -> float | None:
-        """The horizontal field of view, radians; None where the stream does not tell it."""
+        """The horizontal field of view, radians; None where the stream does not report it."""
         fov: float | None = self.find(StreamProperty.HORIZONTAL_FOV, ctypes.c_float)
         return fov
 
@@ -120,7 +120,7 @@ class Stream:
         Raises
         ------
         DriverError
-            If the stream does not tell it.
+            If the stream does not report it.
         """
         value, size = kind(), ctypes.c_int(ctypes.sizeof(kind))
         self._library.check(
@@ -132,7 +132,7 @@ class Stream:
         return value.value if isinstance(value, ctypes._SimpleCData) else value
 
     def find(self, name: StreamProperty, kind: type[Any]) -> Any | None:
-        """Return a property as `get` does, or None where the stream does not tell it."""
+        """Return a property as `get` does, or None where the stream does not report it."""
         try:
             return self.get(name, kind)
         except DriverError:

@@ -69,14 +69,14 @@ class Channel:
         self._sending = threading.Lock()
         self._taken: list[int] = []
         self._buffer = bytearray()
-        self._heard_s = time.monotonic()
+        self._received_s = time.monotonic()
         self._beat_s = 0.0
         self._closed = False
 
     @property
     def silent_s(self) -> float:
         """How long nothing was received, seconds; what was sent but not received yet does not count."""
-        return time.monotonic() - self._heard_s
+        return time.monotonic() - self._received_s
 
     def send(self, message: Any, timeout_s: float = _STUCK_S) -> bool:
         """Send a message; return whether there was room for it within `timeout_s` seconds.
@@ -100,7 +100,7 @@ class Channel:
         self._copy(arrays, slot * self._slot_bytes)
         if self._write(_MESSAGE, text, timeout_s, slot):
             return True
-        self._give(slot)
+        self._release(slot)
         return False
 
     def log(self, record: logging.LogRecord, text: str) -> None:
@@ -109,7 +109,7 @@ class Channel:
             self._write(_LOG_RECORD, json.dumps([record.name, record.levelno, text]).encode(), _BEAT_S)
 
     def beat(self) -> None:
-        """Say, once in a while, that the loop that calls this goes round; never waits."""
+        """Send a heartbeat, once in a while, from the loop that calls this; never waits."""
         now_s = time.monotonic()
         if now_s - self._beat_s > _BEAT_S:
             self._beat_s = now_s
@@ -128,12 +128,12 @@ class Channel:
             If none can come any more.
         """
         deadline_s = time.monotonic() + timeout_s
-        header = self._filled(_HEADER.size, deadline_s)
+        header = self._buffered(_HEADER.size, deadline_s)
         if header is None:
-            self._give_back()
+            self._return_slots()
             return None
         kind, size, slot, slot_bytes = _HEADER.unpack_from(header)
-        whole = self._filled(_HEADER.size + size, deadline_s)
+        whole = self._buffered(_HEADER.size + size, deadline_s)
         if whole is None:
             return None
         text = bytes(whole[_HEADER.size : _HEADER.size + size])
@@ -141,14 +141,14 @@ class Channel:
         if kind == _MESSAGE:
             return self._decoded(text, slot, slot_bytes)
         if kind == _FREE_SLOTS:
-            self._give(*json.loads(text))
+            self._release(*json.loads(text))
         elif kind == _LOG_RECORD:
             name, level, words = json.loads(text)
             logging.getLogger(name).log(level, "%s", words)
         return None
 
     def finish(self) -> None:
-        """Tell the other process that nothing more is sent, which ends it; what it sends can be received."""
+        """Signal the other process to end, as nothing more is sent; what it sends can be received."""
         with contextlib.suppress(OSError):
             self._connection.shutdown(socket.SHUT_WR)
 
@@ -157,9 +157,9 @@ class Channel:
         _is_ready(self._connection, select.POLLRDHUP, None)
 
     def close(self) -> None:
-        """Let go of the connection and the memory; safe to call twice."""
+        """Release the connection and the memory; safe to call twice."""
         if self._descriptor >= 0:
-            self._let_go()
+            self._mark_closed()
             self._connection.close()
             os.close(self._descriptor)
             self._descriptor = -1
@@ -174,7 +174,7 @@ class Channel:
                 raise ChannelClosedError("the other process is gone") from err
         return True
 
-    def _filled(self, size: int, deadline_s: float) -> bytearray | None:
+    def _buffered(self, size: int, deadline_s: float) -> bytearray | None:
         """Return what came, once it is so much; None if it does not come in time."""
         while len(self._buffer) < size:
             try:
@@ -184,9 +184,9 @@ class Channel:
             except (OSError, ValueError):
                 part = b""
             if not part:
-                self._let_go()
+                self._mark_closed()
                 raise ChannelClosedError("the other process is gone")
-            self._heard_s = time.monotonic()
+            self._received_s = time.monotonic()
             self._buffer += part
         return self._buffer
 
@@ -225,21 +225,21 @@ class Channel:
         # In bunches, since each is a turn at Python's lock.
         self._taken.append(slot)
         if 8 * len(self._taken) >= self._slots:
-            self._give_back()
+            self._return_slots()
         return message
 
-    def _give_back(self) -> None:
+    def _return_slots(self) -> None:
         if self._taken:
-            with contextlib.suppress(ChannelClosedError):  # of which `receive` tells after the last message
+            with contextlib.suppress(ChannelClosedError):  # which `receive` reports after the last message
                 self._write(_FREE_SLOTS, json.dumps(self._taken).encode(), _STUCK_S)
             self._taken = []
 
-    def _give(self, *slots: int) -> None:
+    def _release(self, *slots: int) -> None:
         with self._changed:
             self._free.extend(slots)
             self._changed.notify_all()
 
-    def _let_go(self) -> None:
+    def _mark_closed(self) -> None:
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -251,7 +251,7 @@ class LogForwarder(logging.Handler):
     def __init__(self, channel: Channel) -> None:
         super().__init__()
         self._channel = channel
-        # The message alone, whatever the log of this process looks like.
+        # The message alone, without the format of this log.
         self.setFormatter(logging.Formatter())
 
     def emit(self, record: logging.LogRecord) -> None:

@@ -20,8 +20,8 @@ _NEVER, _NEAREST, _TINY = np.float32(np.inf), np.float32(1e-4), np.float32(1e-9)
 _PER_TURN = np.float32(1 / (2 * np.pi))
 #: Steps along a ray through the slab that holds a cushion.
 _STEPS = 10
-#: Halvings until the cushion is all but straight between the ends, and these with the steps of regula falsi.
-_HALVINGS, _REFINEMENTS = 3, 6
+#: Bisections until the cushion is nearly linear between the ends, and these with the steps of regula falsi.
+_BISECTIONS, _REFINEMENTS = 3, 6
 #: Share of the folds in a cushion's height, their slant and where they begin.
 _WAVE, _SLANT, _SHIFT = np.float32(0.25), np.float32(0.6), np.float32(0.7)
 #: Over what a cushion's slope is taken, metres.
@@ -127,12 +127,12 @@ def _meet_cushion(size: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: An
     # A ray leaves through the lower plane or after the diagonal at most.
     diagonal = _TWO * math.sqrt(size[0] * size[0] + size[1] * size[1]) + top
     step = diagonal / math.sqrt(dx * dx + dy * dy + dz * dz) / np.float32(_STEPS)
-    low, above = start, _over(size, ox + start * dx, oy + start * dy, oz + start * dz)
+    low, above = start, _height_above(size, ox + start * dx, oy + start * dy, oz + start * dz)
     for _ in range(_STEPS):
         if low > leave:
             break
         high = low + step
-        below = _over(size, ox + high * dx, oy + high * dy, oz + high * dz)
+        below = _height_above(size, ox + high * dx, oy + high * dy, oz + high * dz)
         if above >= _ZERO and below < _ZERO:
             t = _crossing(size, (ox, oy, oz, dx, dy, dz), low, high, above, below)
             inside = (abs(ox + t * dx) < size[0]) & (abs(oy + t * dy) < size[1])
@@ -147,8 +147,8 @@ def _crossing(size: Any, ray: Any, low: Any, high: Any, above: Any, below: Any) 
     ox, oy, oz, dx, dy, dz = ray
     t = low
     for n in range(_REFINEMENTS):
-        t = low + (high - low) * (_HALF if n < _HALVINGS else above / _not_zero(above - below))
-        over = _over(size, ox + t * dx, oy + t * dy, oz + t * dz)
+        t = low + (high - low) * (_HALF if n < _BISECTIONS else above / _not_zero(above - below))
+        over = _height_above(size, ox + t * dx, oy + t * dy, oz + t * dz)
         if over >= _ZERO:
             low, above = t, over
         else:
@@ -157,7 +157,7 @@ def _crossing(size: Any, ray: Any, low: Any, high: Any, above: Any, below: Any) 
 
 
 @inlined
-def _over(size: Any, x: Any, y: Any, z: Any) -> Any:
+def _height_above(size: Any, x: Any, y: Any, z: Any) -> Any:
     """Return by how much a point is over a cushion."""
     return z - _cushion_height(size, x, y)
 
@@ -171,7 +171,7 @@ def _cushion_height(size: Any, x: Any, y: Any) -> Any:
 
 @inlined
 def surface(kind: int, size: Any, x: Any, y: Any, z: Any, face: int) -> Any:
-    """Return the unit normal and the place in the texture, in [0, 1], of a point on a shape."""
+    """Return the unit normal and the texture coordinates, in [0, 1], of a point on a shape."""
     if kind == RECTANGLE:
         nx, ny, nz = _ZERO, _ZERO, _ONE
         s, t = _HALF + _HALF * x / size[0], _HALF - _HALF * y / size[1]

@@ -46,9 +46,9 @@ def cast(
                 (x[row, part], y[row, part]),
                 (depth[row, part], objects[row, part], faces[row, part]),
             )
-            for each in literal_unroll(KINDS):
-                if each == kind:
-                    _cast_row(each, size, m, number, *rays, *images)
+            for form in literal_unroll(KINDS):
+                if form == kind:
+                    _cast_row(form, size, m, number, *rays, *images)
 
 
 @inlined
@@ -113,9 +113,9 @@ def surfaces_seen(
             kind = kinds[number]
             shape = sizes[number], object_from_camera[number], paints[number]
             pixels = x[row, part], y[row, part], depth[row, part], faces[row, part]
-            for each in literal_unroll(KINDS):
-                if each == kind:
-                    _surfaces_in_row(each, shape, pixels, found)
+            for form in literal_unroll(KINDS):
+                if form == kind:
+                    _surfaces_in_row(form, shape, pixels, found)
 
 
 @inlined

@@ -55,7 +55,7 @@ class SyntheticOptions:
     distortion: bool = setting(False, "lens distortion of both cameras (needs offset=1)")
     labels: LabelKind = setting(
         "objects",
-        "what ground truth tells apart: objects, or each of their faces",
+        "what has a label of its own: objects, or each of their faces",
         choices=get_args(LabelKind),
     )
     hide: int = setting(
@@ -233,8 +233,8 @@ def _calibration(options: SyntheticOptions) -> Calibration:
     def camera(width: int, height: int, focal_px: float, distortion: tuple[float, ...]) -> Intrinsics:
         focal = focal_px * width / 640
         center = (width - 1) / 2, (height - 1) / 2
-        bent = np.array(distortion if options.distortion else ())
-        return Intrinsics(width, height, focal, focal, *center, distortion=bent)
+        coefficients = np.array(distortion if options.distortion else ())
+        return Intrinsics(width, height, focal, focal, *center, distortion=coefficients)
 
     if not options.offset:
         return Calibration.registered(camera(width, height, _COLOR_FOCAL_PX, ()))

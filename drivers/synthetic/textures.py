@@ -18,7 +18,7 @@ def wood(rng: np.random.Generator, height: int, width: int) -> NDArray[np.uint8]
     image = np.empty((height, width, 3), dtype=np.float32)
     for top, bottom in pairwise(edges):
         rows = bottom - top
-        # Grain: noise drawn out along the plank, bent by slow noise so that the lines wander.
+        # Grain: noise drawn out along the plank, warped by slow noise so that the lines wander.
         grain = _noise(rng, rows, width, 2, width // 5)
         rings = np.sin(18 * _noise(rng, rows, width, max(rows // 3, 2), width // 3) + 3 * grain)
         shade = 1 + 0.06 * grain + 0.04 * rings + 0.06 * rng.standard_normal()

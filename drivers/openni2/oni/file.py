@@ -1,7 +1,7 @@
 """The structure of an .oni file: its streams, and which frames it holds. Pixels are left to OpenNI2.
 
-A file is a header and a chain of records, each with a small header of its own. Reading the chain tells
-without decoding how many frames there are and when they were taken, which OpenNI2 itself does not tell
+A file is a header and a chain of records, each with a small header of its own. Reading the chain shows
+without decoding how many frames there are and when they were taken, which OpenNI2 itself does not report
 of a recording that was cut short, and keeps most damaged files away from its driver.
 """
 
@@ -26,7 +26,7 @@ _NODE_ADDED = (0x02, 0x0C, 0x0D)
 _INT_PROPERTY, _GENERAL_PROPERTY = 0x03, 0x06
 _NEW_DATA, _END = 0x0A, 0x0B
 _DATA_BEGIN = 0x08
-#: Where the record of a stream tells its seek table's place, counted from after the stream's name.
+#: Where the record of a stream has its seek table's place, counted from after the stream's name.
 _SEEK_TABLE_AT = 28
 _LARGEST_FIELDS = 1 << 20
 _LARGEST_SIDE = 4096

@@ -1,4 +1,4 @@
-"""Records a camera with OpenNI2's own recorder, around its traps."""
+"""Records a camera with OpenNI2's own recorder, and works around its faults."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class OniRecorder:
     ----------
     device : OpenedDevice
         Its streams are not running: the recorder must be there before the first image, or else
-        the two streams may begin with different moments, which the file could not tell.
+        the two streams may begin with different moments, which the file could not record.
     path : Path
         The file, which must not exist. Only this user may read it.
     lossy : bool
@@ -64,7 +64,7 @@ class OniRecorder:
         self._handle = ctypes.c_void_p()
         library = device.library
         largest = device.streams[0].find(StreamProperty.MAX_VALUE, ctypes.c_int)
-        #: Depth from here on comes out wrong; no limit where the device tells none.
+        #: Depth from here on comes out wrong; no limit where the device reports none.
         self.depth_limit: int = largest or 1 << 16
         self.beyond_limit = 0
         try:
@@ -130,7 +130,7 @@ class OniRecorder:
         """Return how much later the file's first color image was taken than its first depth image.
 
         The file forgets it: the times of each stream begin at 0 there. The device's times are known for
-        the images that were seen here; which ones of the file these are, only their pixels tell.
+        the images that were seen here; which ones of the file these are is found by comparing pixels.
         """
         if len(self.seen) < 2:
             return 0
