@@ -9,6 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nurbseg.drivers import magic
 from nurbseg.drivers.errors import DeviceNotFoundError, RecordingFormatError
 from nurbseg.drivers.files import open_regular
 from nurbseg.drivers.options import SourceOptions
@@ -19,12 +20,6 @@ if TYPE_CHECKING:
 #: URI schemes and what opens them, called with the rest of the URI and the options.
 SCHEMES = {"openni2": "openni2:open_uri", "synthetic": "synthetic.source:open_uri"}
 
-_MCAP_MAGIC = b"\x89MCAP0\r\n"
-_ONI_MAGIC = b"NI10"
-_HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
-_MATLAB5_MAGIC = b"MATLAB 5.0 MAT-file"
-#: MATLAB writes its own 512 bytes before the HDF5 signature.
-_HDF5_OFFSETS = (0, 512)
 _HEAD_BYTES = 1024
 
 _FORMATS = "an MCAP recording, an OpenNI2 recording (.oni), an organised PCD cloud, or NYU Depth v2 (.mat)"
@@ -75,15 +70,15 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
             head = stream.read(_HEAD_BYTES)
         except OSError as err:
             raise RecordingFormatError(f"{path}: the recording cannot be read ({err.strerror})") from err
-    if head.startswith(_MCAP_MAGIC):
+    if head.startswith(magic.MCAP):
         return _open_with("mcap.reader:RecordingReader", path, options)
-    if head.startswith(_ONI_MAGIC):
+    if head.startswith(magic.ONI):
         return _open_with("openni2.oni.playback:open_path", path, options)
     if _is_pcd(head):
         return _open_with("datasets.pcd:PcdSource", path, options)
-    if any(head[offset:].startswith(_HDF5_MAGIC) for offset in _HDF5_OFFSETS):
+    if any(head[offset:].startswith(magic.HDF5) for offset in magic.HDF5_OFFSETS):
         return _open_with("datasets.nyu:NyuLabelledSource", path, options)
-    if head.startswith(_MATLAB5_MAGIC):
+    if head.startswith(magic.MATLAB5):
         return _open_with("datasets.nyu:NyuFrameSource", path, options)
     if not head:
         raise RecordingFormatError(f"{path}: the file is empty; expected {_FORMATS}")

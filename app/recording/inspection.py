@@ -11,19 +11,19 @@ from typing import Literal
 import numpy as np
 
 from nurbseg.app.recording import viewer_file
+from nurbseg.drivers import magic
 from nurbseg.drivers.errors import (
     BackendMissingError,
     EndOfRecordingError,
     FrameFormatError,
     RecordingFormatError,
 )
-from nurbseg.drivers.mcap.file import MAGIC as MCAP_MAGIC
 from nurbseg.drivers.openni2.oni.file import OniFile, read_structure
 from nurbseg.drivers.registry import open_source
 
 Form = Literal["mcap", "oni", "rrd"]
 
-_MAGIC: dict[bytes, Form] = {MCAP_MAGIC: "mcap", b"NI10": "oni", b"RRF2": "rrd"}
+_FORMS: dict[bytes, Form] = {magic.MCAP: "mcap", magic.ONI: "oni", b"RRF2": "rrd"}
 #: A step between two frames is a gap from so many usual steps on.
 _GAP_STEPS = 1.5
 #: Longest wait for a frame, seconds.
@@ -86,7 +86,7 @@ def form_of(path: Path) -> Form:
             head = file.read(8)
     except OSError as err:
         raise RecordingFormatError(f"{path}: cannot be read ({err.strerror})") from err
-    form = next((form for magic, form in _MAGIC.items() if head.startswith(magic)), None)
+    form = next((form for start, form in _FORMS.items() if head.startswith(start)), None)
     if form is None:
         raise RecordingFormatError(f"{path}: magic bytes: expected an .mcap, .oni or .rrd file")
     return form

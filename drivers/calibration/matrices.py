@@ -35,7 +35,7 @@ _STEREO_NAMES = (
     ("cameraMatrix{}", "distCoeffs{}", "width{}", "height{}", ("1", "2")),
 )
 #: ROS's names of OpenCV's distortion model; others, as "equidistant", are different models.
-_DISTORTION_MODELS = ("plumb_bob", "rational_polynomial", "thin_prism_fisheye")
+DISTORTION_MODELS = ("plumb_bob", "rational_polynomial", "thin_prism_fisheye")
 #: The cameras of one sensor are closer than this; a longer translation is in millimetres.
 _LONGEST_BASELINE_M = 1.0
 
@@ -105,9 +105,9 @@ def _camera(path: Path, table: dict[str, Any], names: tuple[tuple[str, ...], ...
         raise CalibrationError(f"{path}: {name}: expected 9 numbers, got {matrix.size}")
     if not matrix.any():
         raise CalibrationError(f"{path}: {name}: the camera is not calibrated (all zeros)")
-    model = table.get("distortion_model") or _DISTORTION_MODELS[0]
-    if model not in _DISTORTION_MODELS:
-        expected = ", ".join(_DISTORTION_MODELS)
+    model = table.get("distortion_model") or DISTORTION_MODELS[0]
+    if model not in DISTORTION_MODELS:
+        expected = ", ".join(DISTORTION_MODELS)
         raise CalibrationError(f"{path}: distortion_model: expected one of {expected}, got {quoted(model)}")
     distortion = None
     if any(each in table for each in names[1]):

@@ -27,13 +27,13 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Metadata, Schema, Statistics
 
+from nurbseg.drivers import magic
 from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.drivers.files import open_regular
 from nurbseg.drivers.limits import CHUNK_BYTES_MAX, CHUNK_RECORDS_MAX, RECORD_BYTES_MAX
 
 _log = logging.getLogger(__name__)
 
-MAGIC = b"\x89MCAP0\r\n"
 _RECORD_HEAD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
@@ -153,9 +153,9 @@ class McapFile:
     def _scan(self) -> None:
         size = self._file.seek(0, 2)
         self._file.seek(0)
-        if self._file.read(len(MAGIC)) != MAGIC:
+        if self._file.read(len(magic.MCAP)) != magic.MCAP:
             raise RecordingFormatError(f"{self.path}: magic bytes: expected an MCAP file")
-        place = len(MAGIC)
+        place = len(magic.MCAP)
         while place + _RECORD_HEAD.size <= size:
             self._file.seek(place)
             opcode, length = _RECORD_HEAD.unpack(self._file.read(_RECORD_HEAD.size))
@@ -164,7 +164,7 @@ class McapFile:
                 # There is no such record: the file was made longer than what was written.
                 return
             if opcode == Opcode.FOOTER:
-                self.whole = place + length + len(MAGIC) <= size
+                self.whole = place + length + len(magic.MCAP) <= size
                 return
             present = min(length, size - place)
             if opcode == Opcode.CHUNK or (opcode == Opcode.MESSAGE and present == length):

@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.calibration.cameras import CameraModel, camera_of_matrix
+from nurbseg.drivers.calibration.matrices import DISTORTION_MODELS
 from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_labels, millimetres
-from nurbseg.drivers.errors import CalibrationError, FrameFormatError
+from nurbseg.drivers.errors import CalibrationError, FrameFormatError, quoted
 from nurbseg.drivers.frame import Intrinsics
 from nurbseg.drivers.mcap.definitions import COMPRESSED_IMAGE
 
 DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
 COLOR_ENCODINGS = ("rgb8", "bgr8", "rgba8", "bgra8", "mono8", "8UC3")
-_LABEL_ENCODINGS = ("mono16", "16UC1", "mono8", "8UC1")
+LABEL_ENCODINGS = ("mono16", "16UC1", "mono8", "8UC1")
 _PIXELS: dict[str, tuple[type[np.generic], int]] = {
     "16UC1": (np.uint16, 1),
     "mono16": (np.uint16, 1),
@@ -40,7 +41,6 @@ _TO_RGB = {
 #: image_transport puts the parameters of its depth quantisation before the PNG.
 _COMPRESSED_DEPTH_HEADER = 12
 _FAR_M = 1e6
-_DISTORTION_MODELS = ("plumb_bob", "rational_polynomial", "")
 
 
 def header(stamp_ns: int, frame_id: str) -> dict[str, Any]:
@@ -137,10 +137,11 @@ def camera_of(message: Any, path: Path, topic: str) -> CameraModel:
     CalibrationError
         If it is not calibrated, or its lens model is another than OpenCV's.
     """
-    if message.distortion_model not in _DISTORTION_MODELS:
+    model = message.distortion_model
+    if model and model not in DISTORTION_MODELS:
         raise CalibrationError(
-            f"{path}: {topic}: distortion_model: expected plumb_bob or rational_polynomial, "
-            f"got {message.distortion_model!r}"
+            f"{path}: {topic}: distortion_model: expected one of {', '.join(DISTORTION_MODELS)}, "
+            f"got {quoted(model)}"
         )
     matrix = np.array(message.k, dtype=np.float64).reshape(3, 3)
     if not matrix.any():
@@ -197,7 +198,7 @@ def labels_of(message: Any, schema: str, name: str) -> NDArray[np.uint16]:
     """
     if schema == COMPRESSED_IMAGE:
         return decode_labels(bytes(message.data), name)
-    return _pixels(message, _LABEL_ENCODINGS, name).astype(np.uint16)
+    return _pixels(message, LABEL_ENCODINGS, name).astype(np.uint16)
 
 
 def _pixels(message: Any, encodings: tuple[str, ...], name: str) -> NDArray[Any]:

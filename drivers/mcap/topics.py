@@ -123,7 +123,7 @@ def _is_labels(topic: str, sample: TopicSample) -> bool:
     named = "label" in topic.lower() or "segmentation" in topic.lower()
     if sample.schema == definitions.COMPRESSED_IMAGE:
         return named and "png" in sample.message.format.lower()
-    return named and sample.message.encoding in ("mono16", "16UC1", "mono8", "8UC1")
+    return named and sample.message.encoding in ros.LABEL_ENCODINGS
 
 
 def _is_depth(topic: str, sample: TopicSample) -> bool:

@@ -54,14 +54,9 @@ class DeviceSource(FrameSource):
 
     Raises
     ------
-    BackendMissingError
-        If OpenNI2 is not installed.
-    DeviceNotFoundError
-        If there is no such camera, or it cannot be opened.
-    CalibrationError
-        If the options name a calibration file that is damaged.
     DriverError
-        If the camera has no such streams or modes.
+        As `nurbseg.drivers.openni2.isolated.source.IsolatedCamera`, which reads one of these in a process of
+        its own.
     """
 
     live = True

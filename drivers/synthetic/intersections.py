@@ -29,7 +29,7 @@ _SLOPE_STEP = np.float32(1e-4)
 
 
 @inlined
-def meet(kind: int, size: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: Any) -> Any:
+def intersect(kind: int, size: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: Any) -> Any:
     """Return the multiple of the direction at which a ray meets a shape, infinity if not, and the face."""
     if kind == RECTANGLE:
         t, face = -oz / _not_zero(dz), 0
@@ -42,11 +42,11 @@ def meet(kind: int, size: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: 
         t, _, meets = _sphere_roots(ox / a, oy / b, oz / c, dx / a, dy / b, dz / c)
         t, face = t if meets else _NEVER, 0
     elif kind == CYLINDER:
-        t, face = _meet_cylinder(size[0], size[1], ox, oy, oz, dx, dy, dz)
+        t, face = _hit_cylinder(size[0], size[1], ox, oy, oz, dx, dy, dz)
     elif kind == BOWL:
-        t, face = _meet_bowl(size[0], size[1], ox, oy, oz, dx, dy, dz)
+        t, face = _hit_bowl(size[0], size[1], ox, oy, oz, dx, dy, dz)
     else:
-        t = _meet_cushion(size, ox, oy, oz, dx, dy, dz)
+        t = _hit_cushion(size, ox, oy, oz, dx, dy, dz)
         face = 0
     return t if t > _NEAREST else _NEVER, face
 
@@ -87,7 +87,7 @@ def _sphere_roots(ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: Any) -> Any:
 
 
 @inlined
-def _meet_cylinder(radius: Any, height: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: Any) -> Any:
+def _hit_cylinder(radius: Any, height: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: Any) -> Any:
     a = _not_zero(dx * dx + dy * dy)
     half_b, c = ox * dx + oy * dy, ox * ox + oy * oy - radius * radius
     inside = half_b * half_b - a * c
@@ -108,7 +108,7 @@ def _meet_cylinder(radius: Any, height: Any, ox: Any, oy: Any, oz: Any, dx: Any,
 
 
 @inlined
-def _meet_bowl(radius: Any, depth: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: Any) -> Any:
+def _hit_bowl(radius: Any, depth: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: Any) -> Any:
     near, far, meets = _sphere_roots(
         ox / radius, oy / radius, oz / radius - _ONE, dx / radius, dy / radius, dz / radius
     )
@@ -118,7 +118,7 @@ def _meet_bowl(radius: Any, depth: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: 
 
 
 @inlined
-def _meet_cushion(size: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: Any) -> Any:
+def _hit_cushion(size: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: Any) -> Any:
     # The folds add a quarter at most: a slab up to there holds the sheet.
     top = (_ONE + _WAVE) * size[2]
     start, leave, _ = _box_span(size[0], size[1], top / _TWO, ox, oy, oz - top / _TWO, dx, dy, dz)
@@ -222,4 +222,4 @@ def _not_zero(value: Any) -> Any:
     return _TINY if abs(value) < _TINY else value
 
 
-__all__ = ["BOWL", "BOX", "CUSHION", "CYLINDER", "ELLIPSOID", "RECTANGLE", "meet", "surface"]
+__all__ = ["BOWL", "BOX", "CUSHION", "CYLINDER", "ELLIPSOID", "RECTANGLE", "intersect", "surface"]

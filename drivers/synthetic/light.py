@@ -1,4 +1,4 @@
-"""Light in the synthetic scene: what a lamp and the sky make of the paint."""
+"""Light in the synthetic scene: what a lamp and the sky make of the textures."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled, inlined
-from nurbseg.drivers.synthetic.scene import Scene
+from nurbseg.drivers.synthetic.scene import RenderedScene
 from nurbseg.drivers.synthetic.shapes import Rectangle
 
 #: Direction to the lamp, from left, in front and above.
@@ -31,27 +31,29 @@ _ZERO, _HALF, _ONE, _TWO, _THREE = (np.float32(n) for n in (0, 0.5, 1, 2, 3))
 
 
 class Light:
-    """The scene's paints under the lamp and the sky.
+    """The scene's textures under the lamp and the sky.
 
     Parameters
     ----------
-    scene : Scene
+    scene : RenderedScene
         What there is to see.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: RenderedScene) -> None:
         self._scene = scene
         grounds = _lit_grounds(scene.seed)
-        paints = [grounds.get(n, each.texture) for n, each in enumerate(scene.objects)]
-        rows, columns = (np.array([each.shape[axis] for each in paints]) for axis in (0, 1))
+        textures = [grounds.get(n, each.texture) for n, each in enumerate(scene.objects)]
+        rows, columns = (np.array([each.shape[axis] for each in textures]) for axis in (0, 1))
         ends = np.cumsum(columns)
-        # All paints side by side in one image, from which one call takes what a camera sees.
-        self._paint = np.zeros((rows.max(), ends[-1], 3), dtype=np.uint8)
-        for each, end in zip(paints, ends, strict=True):
-            self._paint[: each.shape[0], end - each.shape[1] : end] = each
-        #: First column and row of each object's paint, and by how many it goes on from there, (S, 4) float32.
-        self.paints = np.stack([ends - columns, 0 * rows, columns - 1, rows - 1], axis=1).astype(np.float32)
-        self._is_lit = np.array([n in grounds for n in range(len(paints))])
+        # All textures side by side in one image, from which one call takes what a camera sees.
+        self._atlas = np.zeros((rows.max(), ends[-1], 3), dtype=np.uint8)
+        for each, end in zip(textures, ends, strict=True):
+            self._atlas[: each.shape[0], end - each.shape[1] : end] = each
+        #: First column and row of each object's texture in the atlas, and the size less one, (S, 4) float32.
+        self.atlas_windows = np.stack([ends - columns, 0 * rows, columns - 1, rows - 1], axis=1).astype(
+            np.float32
+        )
+        self._is_lit = np.array([n in grounds for n in range(len(textures))])
         self._shininess = np.array([each.shininess for each in scene.objects], dtype=np.float32)
 
     def image(
@@ -61,7 +63,7 @@ class Light:
         points: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
         objects: NDArray[np.uint8],
         normals: NDArray[np.float32],
-        places: NDArray[np.float32],
+        atlas_px: NDArray[np.float32],
     ) -> NDArray[np.uint8]:
         """Return what a camera sees in color, (H, W, 3) uint8 RGB.
 
@@ -77,11 +79,11 @@ class Light:
             Number of the visible object + 1, 0 where there is none.
         normals : (3, H, W) float32
             In the camera's frame.
-        places : (2, H, W) float32
-            Column and row in the paint.
+        atlas_px : (2, H, W) float32
+            Column and row in the atlas.
         """
         image = np.empty((*objects.shape, 3), dtype=np.uint8)
-        cv2.remap(self._paint, places[0], places[1], cv2.INTER_LINEAR, dst=image)
+        cv2.remap(self._atlas, atlas_px[0], atlas_px[1], cv2.INTER_LINEAR, dst=image)
         # All in the camera's frame, in which the eye is the origin.
         lamp, up = (world_from_camera[:3, :3].T @ each for each in (_LAMP, np.array([0.0, 0.0, 1.0])))
         ball = np.linalg.inv(world_from_camera) @ self._scene.world_from_object(self._scene.ball, tick)[:, 3]
@@ -105,7 +107,7 @@ def _light(
     normals: NDArray[np.float32],
     image: NDArray[np.uint8],
 ) -> None:
-    """Turn paint to color; `vectors` are the directions to the lamp and up, and the ball's center."""
+    """Shade the texture; `vectors` are the directions to the lamp and up, and the ball's center."""
     for row in range(objects.shape[0]):
         first = 0
         while first < objects.shape[1]:
@@ -140,7 +142,7 @@ def _shadow_row(
             continue
         above = bx * nx[n] + by * ny[n] + bz * nz[n]
         along = bx * lamp[0] + by * lamp[1] + bz * lamp[2]
-        share = _beside_ball(square, above, along, radius)
+        share = _ball_shadow(square, above, along, radius)
         for channel in range(3):
             pixels[n, channel] = np.uint8(np.float32(pixels[n, channel]) * share)
 
@@ -177,7 +179,7 @@ def _light_row(
 
 
 @inlined
-def _beside_ball(square: Any, above: Any, along: Any, radius: Any) -> Any:
+def _ball_shadow(square: Any, above: Any, along: Any, radius: Any) -> Any:
     """Return what share of its light the ball leaves to a point of a ground.
 
     The ball's center is as far as the root of `square`, so high over the ground and so far towards the lamp.
@@ -209,11 +211,11 @@ def _clipped(value: Any) -> Any:
 
 @lru_cache(maxsize=2)
 def _lit_grounds(seed: int) -> dict[int, NDArray[np.uint8]]:
-    """Return the paint of the flat grounds of the scene of a seed, by object, with the light baked into it.
+    """Return the texture of the flat grounds of the scene of a seed, by object, with the light baked into it.
 
     With it are the shadows of what stands still; the ball's moves over it.
     """
-    scene = Scene(seed)
+    scene = RenderedScene(seed)
     still = [n for n, each in enumerate(scene.objects) if not isinstance(each.shape, Rectangle)]
     still.remove(scene.ball)
     grounds = {}
@@ -225,7 +227,7 @@ def _lit_grounds(seed: int) -> dict[int, NDArray[np.uint8]]:
         grid = np.meshgrid(
             np.linspace(low[0], high[0], _SHADOW_SIZE[1]), np.linspace(high[1], low[1], _SHADOW_SIZE[0])
         )
-        lit = _lamp_share(scene, still, pose, grid)
+        lit = _lit_share(scene, still, pose, grid)
         facing = max(float(pose[:3, 2] @ _LAMP), 0.0)
         height, width = each.texture.shape[:2]
         soft = cv2.resize(lit, (width, height), interpolation=cv2.INTER_LINEAR)
@@ -240,8 +242,8 @@ def _lit_grounds(seed: int) -> dict[int, NDArray[np.uint8]]:
     return grounds
 
 
-def _lamp_share(
-    scene: Scene, casting: list[int], world_from_ground: NDArray[np.float64], grid: Any
+def _lit_share(
+    scene: RenderedScene, casting: list[int], world_from_ground: NDArray[np.float64], grid: Any
 ) -> NDArray[np.float32]:
     """Return which share of the lamp each point of a flat ground sees."""
     points = np.stack([*grid, np.zeros_like(grid[0]), np.ones_like(grid[0])]).reshape(4, -1)

@@ -9,7 +9,7 @@ from numba import literal_unroll
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled, inlined
-from nurbseg.drivers.synthetic.intersections import KINDS, meet, surface
+from nurbseg.drivers.synthetic.intersections import KINDS, intersect, surface
 
 
 @compiled
@@ -60,7 +60,7 @@ def _cast_row(
         dx = m[0, 0] * x[n] + (m[0, 1] * y[n] + m[0, 2])
         dy = m[1, 0] * x[n] + (m[1, 1] * y[n] + m[1, 2])
         dz = m[2, 0] * x[n] + (m[2, 1] * y[n] + m[2, 2])
-        t, face = meet(kind, size, ox, oy, oz, dx, dy, dz)
+        t, face = intersect(kind, size, ox, oy, oz, dx, dy, dz)
         nearer = t < depth[n]
         depth[n] = t if nearer else depth[n]
         objects[n] = np.uint8(number + 1) if nearer else objects[n]
@@ -72,26 +72,26 @@ def surfaces_seen(
     kinds: NDArray[np.int64],
     sizes: NDArray[np.float32],
     object_from_camera: NDArray[np.float32],
-    paints: NDArray[np.float32],
+    atlas_windows: NDArray[np.float32],
     x: NDArray[np.float32],
     y: NDArray[np.float32],
     depth: NDArray[np.float32],
     objects: NDArray[np.uint8],
     faces: NDArray[np.uint8],
     normals: NDArray[np.float32],
-    places: NDArray[np.float32],
+    atlas_px: NDArray[np.float32],
 ) -> None:
-    """Find the normal and the place in the paint of what each pixel shows.
+    """Find the normal and the texture coordinates of what each pixel shows.
 
     Parameters
     ----------
     kinds, sizes, object_from_camera, x, y, depth, objects, faces
         See `cast`.
-    paints : (S, 4) float32
-        First column and row of each shape's paint, and by how many it goes on from there.
+    atlas_windows : (S, 4) float32
+        First column and row of each shape's texture in the atlas, and the size less one.
     normals : (3, H, W) float32
         Set to unit normals in the camera's frame.
-    places : (2, H, W) float32
+    atlas_px : (2, H, W) float32
         Set to columns and rows.
     """
     for row in range(depth.shape[0]):
@@ -104,14 +104,14 @@ def surfaces_seen(
             part = slice(first, end)
             first = end
             normal = normals[0, row, part], normals[1, row, part], normals[2, row, part]
-            found = *normal, places[0, row, part], places[1, row, part]
+            found = *normal, atlas_px[0, row, part], atlas_px[1, row, part]
             if shown == 0:
                 for each in found:
                     each[:] = np.float32(0)
                 continue
             number = np.int64(shown) - 1
             kind = kinds[number]
-            shape = sizes[number], object_from_camera[number], paints[number]
+            shape = sizes[number], object_from_camera[number], atlas_windows[number]
             pixels = x[row, part], y[row, part], depth[row, part], faces[row, part]
             for form in literal_unroll(KINDS):
                 if form == kind:
@@ -120,7 +120,7 @@ def surfaces_seen(
 
 @inlined
 def _surfaces_in_row(kind: int, shape: Any, pixels: Any, found: Any) -> None:
-    (size, m, paint), (x, y, depth, faces) = shape, pixels
+    (size, m, window), (x, y, depth, faces) = shape, pixels
     normal_x, normal_y, normal_z, columns, rows = found
     for n in range(depth.size):
         t = depth[n]
@@ -132,8 +132,8 @@ def _surfaces_in_row(kind: int, shape: Any, pixels: Any, found: Any) -> None:
         normal_x[n] = m[0, 0] * nx + m[1, 0] * ny + m[2, 0] * nz
         normal_y[n] = m[0, 1] * nx + m[1, 1] * ny + m[2, 1] * nz
         normal_z[n] = m[0, 2] * nx + m[1, 2] * ny + m[2, 2] * nz
-        columns[n] = paint[0] + paint[2] * min(max(across, np.float32(0)), np.float32(1))
-        rows[n] = paint[1] + paint[3] * min(max(down, np.float32(0)), np.float32(1))
+        columns[n] = window[0] + window[2] * min(max(across, np.float32(0)), np.float32(1))
+        rows[n] = window[1] + window[3] * min(max(down, np.float32(0)), np.float32(1))
 
 
 @compiled
@@ -148,7 +148,7 @@ def hit_each(
     """Find where each ray meets one shape, see `Shape.hit`."""
     for n in range(multiples.size):
         o, d = origins[n], directions[n]
-        multiples[n], faces[n] = meet(kind, size, o[0], o[1], o[2], d[0], d[1], d[2])
+        multiples[n], faces[n] = intersect(kind, size, o[0], o[1], o[2], d[0], d[1], d[2])
 
 
 @compiled
@@ -159,7 +159,7 @@ def surface_of_each(
     faces: NDArray[np.uint8],
     found: NDArray[np.float32],
 ) -> None:
-    """Find normals and places in the texture of points on one shape, (N, 5), see `Shape.surface`."""
+    """Find normals and texture coordinates of points on one shape, (N, 5), see `Shape.surface`."""
     for n in range(faces.size):
         found[n] = surface(kind, size, points[n, 0], points[n, 1], points[n, 2], faces[n])
 

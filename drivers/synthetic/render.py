@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nurbseg.drivers.frame import Intrinsics
 from nurbseg.drivers.synthetic.light import Light
 from nurbseg.drivers.synthetic.rays import cast, surfaces_seen
-from nurbseg.drivers.synthetic.scene import Scene
+from nurbseg.drivers.synthetic.scene import RenderedScene
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,13 +42,13 @@ class Renderer:
 
     Parameters
     ----------
-    scene : Scene
+    scene : RenderedScene
         What there is to see.
     camera : Intrinsics
         The camera, with its lens.
     """
 
-    def __init__(self, scene: Scene, camera: Intrinsics) -> None:
+    def __init__(self, scene: RenderedScene, camera: Intrinsics) -> None:
         self._scene, self._camera = scene, camera
         self._kinds = np.array([each.shape.kind for each in scene.objects])
         self._sizes = np.stack([each.shape.sizes for each in scene.objects])
@@ -78,10 +78,12 @@ class Renderer:
         cast(*scene, windows, *self._rays, depth, objects, faces)
         if not color:
             return Rendering(depth, objects, faces, None)
-        normals, places = np.empty((3, *shape), dtype=np.float32), np.empty((2, *shape), dtype=np.float32)
-        surfaces_seen(*scene, self._light.paints, *self._rays, depth, objects, faces, normals, places)
+        normals, atlas_px = np.empty((3, *shape), dtype=np.float32), np.empty((2, *shape), dtype=np.float32)
+        surfaces_seen(
+            *scene, self._light.atlas_windows, *self._rays, depth, objects, faces, normals, atlas_px
+        )
         points = (*self._rays, depth)
-        image = self._light.image(world_from_camera, tick, points, objects, normals, places)
+        image = self._light.image(world_from_camera, tick, points, objects, normals, atlas_px)
         # A lens does not draw steps: the slight blur is what antialiasing would give.
         blurred = np.asarray(cv2.GaussianBlur(image, (3, 3), 0.6), dtype=np.uint8)
         return Rendering(depth, objects, faces, blurred)
@@ -90,8 +92,8 @@ class Renderer:
         """Return the rows and columns whose rays can meet the box of (4, 8) corners: firsts and ends."""
         if (corners[2] < 0.05).any():
             return 0, self._camera.height, 0, self._camera.width
-        places = corners[:2] / corners[2]
-        low, high = places.min(axis=1), places.max(axis=1)
+        projected = corners[:2] / corners[2]
+        low, high = projected.min(axis=1), projected.max(axis=1)
         columns = np.flatnonzero((self._columns[1] >= low[0]) & (self._columns[0] <= high[0]))
         rows = np.flatnonzero((self._rows[1] >= low[1]) & (self._rows[0] <= high[1]))
         if not columns.size or not rows.size:

@@ -28,7 +28,7 @@ _SCREEN_NAME = "carton"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SceneObject:
+class RenderedObject:
     """One thing of the scene.
 
     Attributes
@@ -38,7 +38,7 @@ class SceneObject:
     shape : Shape
         Its form, in its own frame.
     texture : (H, W, 3) uint8
-        Its paint, RGB.
+        RGB.
     world_from_object : (4, 4) float64
         Where it stands at the start.
     shininess : float
@@ -53,7 +53,7 @@ class SceneObject:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ScenePoses:
+class RenderedPoses:
     """Where everything is at the moment of one frame.
 
     Attributes
@@ -68,13 +68,13 @@ class ScenePoses:
     world_from_object: Mapping[int, NDArray[np.float64]]
 
 
-class Scene:
+class RenderedScene:
     """A table before a wall, with boxes, tins, a bowl, fruit, a cushion and a ball that rolls.
 
     Parameters
     ----------
     seed : int
-        Draws paint and places; what there is stays the same.
+        Draws textures and positions; what there is stays the same.
     hidden_ticks : int
         0 to let the ball roll in front, else for how many ticks it shall be wholly behind the carton, at
         most, halfway through the period.
@@ -100,7 +100,7 @@ class Scene:
         tremor = 0.0015 * np.array([np.sin(9 * turn), np.sin(11 * turn + 2), np.sin(13 * turn + 4)])
         eye = np.array([distance * np.sin(azimuth), -distance * np.cos(azimuth), height]) + tremor
         target = np.array([0.03, 0.03, 0.055]) + 1.5 * tremor[::-1]
-        return looking(eye, target)
+        return look_at(eye, target)
 
     def world_from_object(self, number: int, tick: float) -> NDArray[np.float64]:
         """Return an object's pose at a moment."""
@@ -109,24 +109,24 @@ class Scene:
             return pose
         x, y = self._ball_place(tick)
         moved = pose.copy()
-        # It rolls without slipping, from the place where x is 0.
-        moved[:3, :3] = _turn_y(x / _BALL_RADIUS_M) @ pose[:3, :3]
+        # It rolls without slipping, from where x is 0.
+        moved[:3, :3] = _rotation_y(x / _BALL_RADIUS_M) @ pose[:3, :3]
         moved[:3, 3] = x, y, _BALL_RADIUS_M
         return moved
 
-    def poses(self, tick: float) -> ScenePoses:
+    def poses(self, tick: float) -> RenderedPoses:
         """Return where everything is, objects by number + 1."""
         objects = {n + 1: self.world_from_object(n, tick) for n in range(len(self.objects))}
-        return ScenePoses(self.world_from_depth(tick), objects)
+        return RenderedPoses(self.world_from_depth(tick), objects)
 
     def _ball_place(self, tick: float) -> tuple[float, float]:
         if not self._hidden_ticks:
             return -0.36 * float(np.cos(2 * np.pi * tick / PERIOD)), -0.34
         x, y = self._behind_screen()
-        return float(_to_and_fro(x + self._hidden_step_m * (tick - PERIOD // 2))), y
+        return float(_triangle_wave(x + self._hidden_step_m * (tick - PERIOD // 2))), y
 
     def _behind_screen(self) -> tuple[float, float]:
-        """Return the place behind the screen's middle, as seen halfway through the period."""
+        """Return the position behind the screen's middle, as seen halfway through the period."""
         eye = self.world_from_depth(PERIOD // 2)[:3, 3]
         center = self._screen.world_from_object[:3, 3]
         y = center[1] + _BEHIND_M
@@ -143,8 +143,8 @@ class Scene:
         bearings = np.arctan2(edges[..., 0], edges[..., 1])
         x, y = self._behind_screen()
         for step in np.geomspace(0.002, 0.3, 400):
-            places = _to_and_fro(x + step * (np.arange(PERIOD) - PERIOD // 2))
-            way = np.stack([places, np.full(PERIOD, y)], axis=1) - eyes
+            xs = _triangle_wave(x + step * (np.arange(PERIOD) - PERIOD // 2))
+            way = np.stack([xs, np.full(PERIOD, y)], axis=1) - eyes
             bearing = np.arctan2(way[:, 0], way[:, 1])
             # A sliver of the ball can slip between pixels: what counts is a little less than all of it.
             half = np.arcsin((_BALL_RADIUS_M - 0.003) / np.hypot(*way.T))
@@ -155,13 +155,13 @@ class Scene:
         return 0.3
 
 
-def _to_and_fro(way: Any) -> Any:
-    """Return the place on a line of which both ends are turned at."""
+def _triangle_wave(way: Any) -> Any:
+    """Return the position on a line after so long a way to and fro between its ends."""
     travelled = (way + _REACH_M) % (4 * _REACH_M)
     return np.minimum(travelled, 4 * _REACH_M - travelled) - _REACH_M
 
 
-def looking(eye: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
+def look_at(eye: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the (4, 4) pose of a camera at `eye` whose axis meets `target`, its x level."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0.0, 0.0, 1.0])
@@ -172,7 +172,7 @@ def looking(eye: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np
     return pose
 
 
-def _objects(rng: np.random.Generator, spread: float) -> tuple[SceneObject, ...]:
+def _objects(rng: np.random.Generator, spread: float) -> tuple[RenderedObject, ...]:
     def placed(x: float, y: float, z: float = 0.0, yaw: float = 0.0) -> NDArray[np.float64]:
         pose = np.eye(4)
         turn = np.deg2rad(yaw + spread * rng.uniform(-15, 15))
@@ -190,55 +190,57 @@ def _objects(rng: np.random.Generator, spread: float) -> tuple[SceneObject, ...]
     on_book = book.copy()
     on_book[:3, 3] += [0.01, 0.0, 0.02]
     objects = [
-        SceneObject("table", Rectangle(1.4, 0.7), textures.wood(rng, 700, 1400), table),
-        SceneObject("wall", Rectangle(3.0, 1.2), textures.plaster(rng, 480, 1200), wall),
-        SceneObject(
+        RenderedObject("table", Rectangle(1.4, 0.7), textures.wood(rng, 700, 1400), table),
+        RenderedObject("wall", Rectangle(3.0, 1.2), textures.plaster(rng, 480, 1200), wall),
+        RenderedObject(
             _SCREEN_NAME,
             Box(0.095, 0.035, 0.14),
             textures.printed(rng, (196, 62, 44), (246, 190, 60)),
             placed(-0.34, 0.2, 0.14, 18),
             0.12,
         ),
-        SceneObject(
+        RenderedObject(
             "packet",
             Box(0.07, 0.045, 0.032),
             textures.printed(rng, (58, 110, 92), (226, 214, 170)),
             placed(0.05, -0.14, 0.032, -28),
             0.10,
         ),
-        SceneObject("book", Box(0.12, 0.085, 0.02), textures.plain(rng, (70, 84, 128)), book, 0.08),
-        SceneObject(
+        RenderedObject("book", Box(0.12, 0.085, 0.02), textures.plain(rng, (70, 84, 128)), book, 0.08),
+        RenderedObject(
             "can",
             Cylinder(0.034, 0.115),
             textures.banded(rng, (44, 100, 160), (232, 228, 214)),
             placed(-0.13, 0.06, 0.0, -40),
             0.45,
         ),
-        SceneObject(
+        RenderedObject(
             "tin",
             Cylinder(0.056, 0.17),
             textures.banded(rng, (128, 52, 62), (218, 182, 120)),
             placed(0.38, 0.2, 0.0, 20),
             0.35,
         ),
-        SceneObject(
+        RenderedObject(
             "melon",
             Ellipsoid(0.062, 0.052, 0.05),
             textures.plain(rng, (226, 178, 64), grain=0.05),
             placed(0.24, 0.0, 0.05, 25),
             0.25,
         ),
-        SceneObject("orange", Ellipsoid(0.04, 0.04, 0.04), textures.plain(rng, (232, 126, 38)), on_book, 0.2),
-        SceneObject(
+        RenderedObject(
+            "orange", Ellipsoid(0.04, 0.04, 0.04), textures.plain(rng, (232, 126, 38)), on_book, 0.2
+        ),
+        RenderedObject(
             "bowl", Bowl(0.105, 0.075), textures.plain(rng, (222, 218, 206)), placed(-0.24, -0.14), 0.35
         ),
-        SceneObject(
+        RenderedObject(
             "cushion",
             Cushion(0.15, 0.12, 0.06),
             textures.striped(rng, (88, 132, 138), (214, 204, 182)),
             placed(0.43, -0.08, 0.0, -12),
         ),
-        SceneObject(
+        RenderedObject(
             _BALL_NAME,
             Ellipsoid(_BALL_RADIUS_M, _BALL_RADIUS_M, _BALL_RADIUS_M),
             textures.beach_ball(((206, 52, 52), (240, 238, 230), (52, 96, 176), (240, 238, 230)) * 2),
@@ -258,6 +260,6 @@ def _tilted_upright() -> NDArray[np.float64]:
     return pose
 
 
-def _turn_y(angle: float) -> NDArray[np.float64]:
+def _rotation_y(angle: float) -> NDArray[np.float64]:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])

@@ -58,7 +58,7 @@ class Shape:
     def surface(
         self, points_m: NDArray[np.float32], faces: NDArray[np.uint8]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the unit normals, (N, 3), and the places in the texture, (N, 2) in [0, 1], of points on it.
+        """Return the unit normals, (N, 3), and the texture coordinates, (N, 2) in [0, 1], of points on it.
 
         Parameters
         ----------

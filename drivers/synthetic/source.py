@@ -15,7 +15,7 @@ from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.settings import check_settings, setting
 from nurbseg.drivers.source import FrameSource
 from nurbseg.drivers.synthetic.render import Renderer, Rendering
-from nurbseg.drivers.synthetic.scene import TICKS_PER_S, Scene, ScenePoses
+from nurbseg.drivers.synthetic.scene import TICKS_PER_S, RenderedPoses, RenderedScene
 from nurbseg.drivers.synthetic.sensor import SensorModel
 
 LabelKind = Literal["objects", "surfaces"]
@@ -49,7 +49,7 @@ class SyntheticOptions:
         0, "height of the color image, 0 for the depth's", unit="px", least=0, most=4096
     )
     fps: float = setting(30.0, "frames per second; the scene moves by its own clock", unit="1/s", above=0.0)
-    seed: int = setting(0, "seed of places, paint and noise", least=0)
+    seed: int = setting(0, "seed of positions, textures and noise", least=0)
     noise: bool = setting(True, "the sensor's faults (noise, steps, shadows, edges, range)")
     offset: bool = setting(False, "separate cameras: depth is not registered to color")
     distortion: bool = setting(False, "lens distortion of both cameras (needs offset=1)")
@@ -86,7 +86,9 @@ class SyntheticSource(FrameSource):
         self.options = options or SyntheticOptions()
         self.calibration = _calibration(self.options)
         self.metadata = {"name": "synthetic scene", "seed": str(self.options.seed)}
-        self._scene = Scene(self.options.seed, round(self.options.hide * TICKS_PER_S / self.options.fps))
+        self._scene = RenderedScene(
+            self.options.seed, round(self.options.hide * TICKS_PER_S / self.options.fps)
+        )
         self._depth = Renderer(self._scene, self.calibration.depth)
         self._color = Renderer(self._scene, self.calibration.color) if self.options.offset else None
         self._sensor = SensorModel(self.calibration.depth, self.options.seed) if self.options.noise else None
@@ -104,7 +106,7 @@ class SyntheticSource(FrameSource):
             for face in range(each.shape.faces)
         }
 
-    def poses(self, index: int) -> ScenePoses:
+    def poses(self, index: int) -> RenderedPoses:
         """Return the exact poses of the depth camera and of every object at a frame.
 
         Objects go by their labels in ``labels=objects``, whatever labels the frames carry.

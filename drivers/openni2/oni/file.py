@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
+from nurbseg.drivers import magic
 from nurbseg.drivers.errors import RecordingFormatError
 from nurbseg.drivers.openni2.capi import BYTES_PER_PIXEL, Sensor
 
@@ -118,7 +119,7 @@ def read_structure(path: Path) -> OniFile:
 
 def _read(path: Path, file: BinaryIO) -> OniFile:
     head = file.read(_HEADER.size)
-    if len(head) < _HEADER.size or not head.startswith(b"NI10"):
+    if len(head) < _HEADER.size or not head.startswith(magic.ONI):
         raise RecordingFormatError(f"{path}: header: not an OpenNI recording (.oni)")
     streams: dict[int, StoredStream] = {}
     complete = False
