@@ -24,8 +24,8 @@ class CameraModel:
     ----------
     path, field
         Where it was read, for messages.
-    fx, fy, cx, cy : float
-        Pixels of an image of `size`.
+    matrix : (3, 3) float64
+        The camera matrix, pixels of an image of `size`.
     distortion : (K,) float64
         OpenCV's coefficients.
     size : (width, height) or None
@@ -34,26 +34,14 @@ class CameraModel:
 
     path: Path
     field: str
-    fx: float
-    fy: float
-    cx: float
-    cy: float
+    matrix: NDArray[np.float64]
     distortion: NDArray[np.float64] = dataclasses.field(default_factory=lambda: np.zeros(0))
     size: tuple[int, int] | None = None
 
     @classmethod
     def of_intrinsics(cls, camera: Intrinsics, path: Path, field: str) -> CameraModel:
         """Return a known camera as if it had been read from `path`."""
-        return cls(
-            path=path,
-            field=field,
-            fx=camera.fx,
-            fy=camera.fy,
-            cx=camera.cx,
-            cy=camera.cy,
-            distortion=camera.distortion,
-            size=(camera.width, camera.height),
-        )
+        return cls(path, field, camera.matrix, camera.distortion, (camera.width, camera.height))
 
     def intrinsics(self, size: tuple[int, int] | None, base: tuple[int, int] | None = None) -> Intrinsics:
         """Return the camera of images of `size`; `base` is its own size where the file does not say.
@@ -73,15 +61,8 @@ class CameraModel:
                 f"does not fit images of another shape, {size[0]}x{size[1]}"
             )
         try:
-            camera = Intrinsics(
-                width=own[0],
-                height=own[1],
-                fx=self.fx,
-                fy=self.fy,
-                cx=self.cx,
-                cy=self.cy,
-                distortion=self.distortion,
-            )
+            (fx, _, cx), (_, fy, cy), _ = self.matrix.tolist()
+            camera = Intrinsics(*own, fx, fy, cx, cy, self.distortion)
             return camera if size == own else camera.scaled_to(*size)
         except ValueError as err:
             raise CalibrationError(f"{self.path}: {self.field}: {err}") from err
@@ -123,7 +104,7 @@ class CameraFile:
         fx, fy, cx, cy = values
         # Named after the flag, since that is what there is to correct.
         path = Path("--intrinsics")
-        camera = CameraModel(path=path, field="fx,fy,cx,cy", fx=fx, fy=fy, cx=cx, cy=cy)
+        camera = CameraModel(path, "fx,fy,cx,cy", np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64))
         return cls(path=path, depth=camera, color=camera)
 
     def calibration(
@@ -207,13 +188,4 @@ def camera_of_matrix(
         raise CalibrationError(f"{path}: {field}: expected finite numbers, got {quoted(matrix.tolist())}")
     if not np.allclose(matrix[2], [0, 0, 1]):
         raise CalibrationError(f"{path}: {field}: expected the last row 0 0 1, got {matrix[2].tolist()}")
-    return CameraModel(
-        path=path,
-        field=field,
-        fx=float(matrix[0, 0]),
-        fy=float(matrix[1, 1]),
-        cx=float(matrix[0, 2]),
-        cy=float(matrix[1, 2]),
-        distortion=np.zeros(0) if distortion is None else distortion,
-        size=size,
-    )
+    return CameraModel(path, field, matrix, np.zeros(0) if distortion is None else distortion, size)

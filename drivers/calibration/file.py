@@ -143,7 +143,8 @@ def _toml_camera(path: Path, name: str, table: Any) -> CameraModel:
     if not isinstance(distortion, list):
         raise CalibrationError(f"{path}: {name}.distortion: expected a list, got {quoted(distortion)}")
     coefficients = [number(path, f"{name}.distortion", value) for value in distortion]
-    return CameraModel(path=path, field=name, distortion=np.array(coefficients), size=size, **values)
+    matrix = np.array([[values["fx"], 0, values["cx"]], [0, values["fy"], values["cy"]], [0, 0, 1]])
+    return CameraModel(path, name, matrix, np.array(coefficients), size)
 
 
 def _toml_matrix(path: Path, rows: Any) -> NDArray[np.float64]:

@@ -166,10 +166,8 @@ def _camera_topic(
 
 
 def _same_camera(one: CameraModel, other: CameraModel) -> bool:
-    values = ("fx", "fy", "cx", "cy", "size")
-    return all(getattr(one, name) == getattr(other, name) for name in values) and np.array_equal(
-        one.distortion, other.distortion
-    )
+    same_lens = np.array_equal(one.matrix, other.matrix) and np.array_equal(one.distortion, other.distortion)
+    return same_lens and one.size == other.size
 
 
 def _transform(

@@ -62,6 +62,7 @@ class Light:
         tick: float,
         points: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
         objects: NDArray[np.uint8],
+        runs: NDArray[np.int64],
         normals: NDArray[np.float32],
         atlas_px: NDArray[np.float32],
     ) -> NDArray[np.uint8]:
@@ -77,6 +78,8 @@ class Light:
             What each pixel shows: x / z, y / z and z in the camera's frame.
         objects : (H, W) uint8
             Number of the visible object + 1, 0 where there is none.
+        runs : (R, 3) int64
+            See `nurbseg.drivers.synthetic.rays.runs_of`.
         normals : (3, H, W) float32
             In the camera's frame.
         atlas_px : (2, H, W) float32
@@ -89,7 +92,7 @@ class Light:
         ball = np.linalg.inv(world_from_camera) @ self._scene.world_from_object(self._scene.ball, tick)[:, 3]
         vectors = np.stack([lamp, up, ball[:3]]).astype(np.float32)
         height, radius = (np.float32(each) for each in (world_from_camera[2, 3], self._scene.ball_radius_m))
-        _light(self._is_lit, self._shininess, vectors, height, radius, *points, objects, normals, image)
+        _light(self._is_lit, self._shininess, vectors, height, radius, *points, objects, runs, normals, image)
         return image
 
 
@@ -104,29 +107,24 @@ def _light(
     y: NDArray[np.float32],
     z: NDArray[np.float32],
     objects: NDArray[np.uint8],
+    runs: NDArray[np.int64],
     normals: NDArray[np.float32],
     image: NDArray[np.uint8],
 ) -> None:
     """Shade the texture; `vectors` are the directions to the lamp and up, and the ball's center."""
-    for row in range(objects.shape[0]):
-        first = 0
-        while first < objects.shape[1]:
-            shown = objects[row, first]
-            end = first + 1
-            while end < objects.shape[1] and objects[row, end] == shown:
-                end += 1
-            part = slice(first, end)
-            first = end
-            pixels = image[row, part]
-            normal = normals[0, row, part], normals[1, row, part], normals[2, row, part]
-            shape = x[row, part], y[row, part], z[row, part], *normal
-            if shown == 0:
-                pixels[:, 0], pixels[:, 1], pixels[:, 2] = _BACKGROUND
-            elif is_lit[np.int64(shown) - 1]:
-                _shadow_row(*shape, vectors[0], vectors[2], ball_radius, pixels)
-            else:
-                shine = np.float32(190) * shininess[np.int64(shown) - 1]
-                _light_row(*shape, vectors[0], vectors[1], camera_height, shine, pixels)
+    for row, first, end in runs:
+        part = slice(first, end)
+        pixels = image[row, part]
+        normal = normals[0, row, part], normals[1, row, part], normals[2, row, part]
+        shape = x[row, part], y[row, part], z[row, part], *normal
+        shown = objects[row, first]
+        if shown == 0:
+            pixels[:, 0], pixels[:, 1], pixels[:, 2] = _BACKGROUND
+        elif is_lit[np.int64(shown) - 1]:
+            _shadow_row(*shape, vectors[0], vectors[2], ball_radius, pixels)
+        else:
+            shine = np.float32(190) * shininess[np.int64(shown) - 1]
+            _light_row(*shape, vectors[0], vectors[1], camera_height, shine, pixels)
 
 
 @inlined

@@ -68,6 +68,21 @@ def _cast_row(
 
 
 @compiled
+def runs_of(objects: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """Return the row, the first column and the end of each run of pixels that show one object, (R, 3)."""
+    height, width = objects.shape
+    runs = np.empty((height * width, 3), dtype=np.int64)
+    count = 0
+    for row in range(height):
+        for column in range(width):
+            if column == 0 or objects[row, column] != objects[row, column - 1]:
+                runs[count, 0], runs[count, 1] = row, column
+                count += 1
+            runs[count - 1, 2] = column + 1
+    return runs[:count]
+
+
+@compiled
 def surfaces_seen(
     kinds: NDArray[np.int64],
     sizes: NDArray[np.float32],
@@ -78,6 +93,7 @@ def surfaces_seen(
     depth: NDArray[np.float32],
     objects: NDArray[np.uint8],
     faces: NDArray[np.uint8],
+    runs: NDArray[np.int64],
     normals: NDArray[np.float32],
     atlas_px: NDArray[np.float32],
 ) -> None:
@@ -89,33 +105,29 @@ def surfaces_seen(
         See `cast`.
     atlas_windows : (S, 4) float32
         First column and row of each shape's texture in the atlas, and the size less one.
+    runs : (R, 3) int64
+        See `runs_of`.
     normals : (3, H, W) float32
         Set to unit normals in the camera's frame.
     atlas_px : (2, H, W) float32
         Set to columns and rows.
     """
-    for row in range(depth.shape[0]):
-        first = 0
-        while first < depth.shape[1]:
-            shown = objects[row, first]
-            end = first + 1
-            while end < depth.shape[1] and objects[row, end] == shown:
-                end += 1
-            part = slice(first, end)
-            first = end
-            normal = normals[0, row, part], normals[1, row, part], normals[2, row, part]
-            found = *normal, atlas_px[0, row, part], atlas_px[1, row, part]
-            if shown == 0:
-                for each in found:
-                    each[:] = np.float32(0)
-                continue
-            number = np.int64(shown) - 1
-            kind = kinds[number]
-            shape = sizes[number], object_from_camera[number], atlas_windows[number]
-            pixels = x[row, part], y[row, part], depth[row, part], faces[row, part]
-            for form in literal_unroll(KINDS):
-                if form == kind:
-                    _surfaces_in_row(form, shape, pixels, found)
+    for row, first, end in runs:
+        part = slice(first, end)
+        normal = normals[0, row, part], normals[1, row, part], normals[2, row, part]
+        found = *normal, atlas_px[0, row, part], atlas_px[1, row, part]
+        shown = objects[row, first]
+        if shown == 0:
+            for each in found:
+                each[:] = np.float32(0)
+            continue
+        number = np.int64(shown) - 1
+        kind = kinds[number]
+        shape = sizes[number], object_from_camera[number], atlas_windows[number]
+        pixels = x[row, part], y[row, part], depth[row, part], faces[row, part]
+        for form in literal_unroll(KINDS):
+            if form == kind:
+                _surfaces_in_row(form, shape, pixels, found)
 
 
 @inlined
@@ -151,17 +163,4 @@ def hit_each(
         multiples[n], faces[n] = intersect(kind, size, o[0], o[1], o[2], d[0], d[1], d[2])
 
 
-@compiled
-def surface_of_each(
-    kind: int,
-    size: NDArray[np.float32],
-    points: NDArray[np.float32],
-    faces: NDArray[np.uint8],
-    found: NDArray[np.float32],
-) -> None:
-    """Find normals and texture coordinates of points on one shape, (N, 5), see `Shape.surface`."""
-    for n in range(faces.size):
-        found[n] = surface(kind, size, points[n, 0], points[n, 1], points[n, 2], faces[n])
-
-
-__all__ = ["cast", "hit_each", "surface_of_each", "surfaces_seen"]
+__all__ = ["cast", "hit_each", "runs_of", "surfaces_seen"]

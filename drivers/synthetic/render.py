@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.frame import Intrinsics
 from nurbseg.drivers.synthetic.light import Light
-from nurbseg.drivers.synthetic.rays import cast, surfaces_seen
+from nurbseg.drivers.synthetic.rays import cast, runs_of, surfaces_seen
 from nurbseg.drivers.synthetic.scene import RenderedScene
 
 
@@ -79,17 +79,15 @@ class Renderer:
         if not color:
             return Rendering(depth, objects, faces, None)
         normals, atlas_px = np.empty((3, *shape), dtype=np.float32), np.empty((2, *shape), dtype=np.float32)
-        surfaces_seen(
-            *scene, self._light.atlas_windows, *self._rays, depth, objects, faces, normals, atlas_px
-        )
-        points = (*self._rays, depth)
-        image = self._light.image(world_from_camera, tick, points, objects, normals, atlas_px)
+        points, runs = (*self._rays, depth), runs_of(objects)
+        surfaces_seen(*scene, self._light.atlas_windows, *points, objects, faces, runs, normals, atlas_px)
+        image = self._light.image(world_from_camera, tick, points, objects, runs, normals, atlas_px)
         # A lens does not draw steps: the slight blur is what antialiasing would give.
         blurred = np.asarray(cv2.GaussianBlur(image, (3, 3), 0.6), dtype=np.uint8)
         return Rendering(depth, objects, faces, blurred)
 
     def _window(self, corners: NDArray[np.float64]) -> tuple[int, int, int, int]:
-        """Return the rows and columns whose rays can meet the box of (4, 8) corners: firsts and ends."""
+        """Return the rows and columns whose rays can hit the box of (4, 8) corners: firsts and ends."""
         if (corners[2] < 0.05).any():
             return 0, self._camera.height, 0, self._camera.width
         projected = corners[:2] / corners[2]

@@ -55,22 +55,6 @@ class Shape:
         rays.hit_each(self.kind, self.sizes, *rows, multiples, faces)
         return multiples, faces
 
-    def surface(
-        self, points_m: NDArray[np.float32], faces: NDArray[np.uint8]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the unit normals, (N, 3), and the texture coordinates, (N, 2) in [0, 1], of points on it.
-
-        Parameters
-        ----------
-        points_m : (N, 3) float32
-            In the shape's frame.
-        faces : (N,) uint8
-            On which face each lies.
-        """
-        found = np.empty((len(points_m), 5), np.float32)
-        rays.surface_of_each(self.kind, self.sizes, np.ascontiguousarray(points_m), faces, found)
-        return found[:, :3], found[:, 3:]
-
 
 class Rectangle(Shape):
     """The part of the plane z = 0 within half a width along x and half a height along y."""
