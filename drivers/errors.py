@@ -58,6 +58,6 @@ _short.maxlevel, _short.maxstring, _short.maxother = 3, _QUOTED_CHARACTERS, _QUO
 
 
 def quoted(value: object) -> str:
-    """Return what a file says as an error quotes it: 80 characters at most, however large the value."""
+    """Return a value of a file as an error quotes it: 80 characters at most, however large it is."""
     text = _short.repr(value)
     return text if len(text) <= _QUOTED_CHARACTERS else f"{text[: _QUOTED_CHARACTERS - 3]}..."

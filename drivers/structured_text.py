@@ -29,7 +29,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     Raises
     ------
     ValueError
-        If it is not TOML, or goes past the limits.
+        If it is not TOML, or exceeds the limits.
     """
     if any(len(line) > _TOML_LINE_MAX for line in text.splitlines()):
         raise ValueError(f"expected lines of {_TOML_LINE_MAX} characters at most")
@@ -50,7 +50,7 @@ def parse_yaml(text: str) -> Any:
     Raises
     ------
     ValueError
-        If it is not YAML, has aliases, or goes past the limits.
+        If it is not YAML, has aliases, or exceeds the limits.
     """
     _check_length(text)
     root: list[Any] = []
@@ -95,7 +95,7 @@ def _add_node(stack: list[tuple[list[Any] | dict[str, Any], list[str]]], event: 
 
 
 def scalar(text: str) -> int | float | str | None:
-    """Return the number that a plain word says, else the word; None where it says nothing."""
+    """Return the number that a plain scalar stands for, else its text; None where it is null."""
     if text.lower() in _YAML_NULLS:
         return None
     if len(text) <= _NUMBER_CHARACTERS_MAX:
@@ -113,7 +113,7 @@ def parse_xml(text: str) -> Element:
     Raises
     ------
     ValueError
-        If it is not XML, has a document type, or goes past the limits.
+        If it is not XML, has a document type, or exceeds the limits.
     """
     _check_length(text)
     builder = TreeBuilder()

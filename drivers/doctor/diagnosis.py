@@ -45,7 +45,7 @@ def describe(
     environ : mapping, optional
         Environment variables; None takes the program's own.
     probe : Probe, optional
-        OpenNI2's answer, where it has been asked.
+        What OpenNI2 itself returned, where its cameras were listed.
     """
     environ = os.environ if environ is None else environ
     return System(scan_usb(backend, root), read_host(root, environ), probe)
@@ -81,7 +81,7 @@ def is_ready(findings: Sequence[Finding]) -> bool:
 
 
 def explain_no_camera(wanted: str = "any") -> str:
-    """Say in a few lines why the camera asked for is not there and what to do; never raises.
+    """Return in a few lines why the camera asked for is not there and what to do; never raises.
 
     Looks at USB and the file system only, which takes some tens of milliseconds.
 
@@ -93,7 +93,7 @@ def explain_no_camera(wanted: str = "any") -> str:
     try:
         errors = [each for each in diagnose(describe(), wanted) if each.severity == "error"]
     except Exception as err:
-        # This is said while another error is being reported, which it must not hide.
+        # This is part of the report of another error, which it must not hide.
         return f"To find out why: nurbseg-devices doctor   (here it failed: {type(err).__name__}: {err})"
     if not errors:
         return "USB and OpenNI2's files look as they should. To find out why: nurbseg-devices doctor"

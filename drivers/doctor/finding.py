@@ -50,7 +50,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """What OpenNI2 itself said when it was asked for its cameras.
+    """What OpenNI2 itself returned when its cameras were listed.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class Probe:
     refused : tuple of (str, str)
         Those that it lists but could not open, each with OpenNI2's words.
     error : str
-        Why it could not be asked; empty where it could.
+        Why they could not be listed; empty where they could.
     """
 
     cameras: tuple[str, ...] = ()
@@ -76,9 +76,9 @@ class System:
     usb : UsbScan
         What is plugged in.
     host : Host
-        What the file system says.
+        What was found in the file system.
     probe : Probe or None
-        OpenNI2's own answer; None where it was not asked.
+        What OpenNI2 itself returned; None where its cameras were not listed.
     """
 
     usb: UsbScan

@@ -1,4 +1,4 @@
-"""What a computer's files say about using depth cameras: container, udev rules, OpenNI2's installation."""
+"""What a computer's files show of the use of depth cameras: container, udev rules, OpenNI2's installation."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ STANDARD_GRAVITY: Final = 9.80665
 
 @dataclass(frozen=True, slots=True)
 class MotorState:
-    """What the motor's sensors say.
+    """Readings of the motor's sensors.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ class KinectMotor(Closing):
         self._transfer("setting the light", _OUT, _SET_LED, _LED_VALUES[color])
 
     def state(self) -> MotorState:
-        """Return what the accelerometer and the motor say.
+        """Return the readings of the accelerometer and the motor.
 
         Raises
         ------

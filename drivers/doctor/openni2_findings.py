@@ -107,7 +107,7 @@ def driver_findings(part: Part, installation: Installation) -> Iterator[Finding]
 
 
 def probe_findings(probe: Probe, found: Sequence[Finding]) -> Iterator[Finding]:
-    """Report what OpenNI2 answered when it was asked for its cameras.
+    """Report what OpenNI2 returned when its cameras were listed.
 
     Parameters
     ----------

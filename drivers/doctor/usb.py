@@ -2,7 +2,7 @@
 
 The kernel's list (sysfs) gives names, serial numbers, speeds and kernel drivers without permission and
 without USB traffic; pyusb shows whether this user may open a device. Either may be absent, as in a
-container or where libusb is not installed, and the other then still says what it knows.
+container or where libusb is not installed, and the other then serves alone.
 """
 
 from __future__ import annotations
@@ -191,7 +191,7 @@ def read_sysfs(root: Path = Path("/")) -> tuple[UsbDevice, ...]:
                 serial=_line(entry / "serial"),
             )
         except ValueError:
-            continue  # gone while it was being read
+            continue  # unplugged while it was being read
         interfaces = [each for each in entries if each.name.startswith(entry.name + ":")]
         held = {
             Path(os.path.realpath(each / "driver")).name for each in interfaces if (each / "driver").exists()
@@ -259,7 +259,7 @@ def _probed(each: Any, device: UsbDevice) -> UsbDevice:
         )
     except usb.core.USBError as err:
         if device.access == "open":
-            return device  # only its names stay unread
+            return device  # only its names could not be read
         return replace(device, access=_ACCESS_BY_ERRNO.get(err.errno, "silent"))
     finally:
         usb.util.dispose_resources(each)

@@ -56,7 +56,7 @@ class Family:
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """What a vendor and product id say: a camera, or another part of one.
+    """What a vendor and product id stand for: a camera, or another part of one.
 
     Parameters
     ----------

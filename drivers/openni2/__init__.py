@@ -36,7 +36,7 @@ def open_uri(rest: str, options: SourceOptions) -> FrameSource:
     RecordingFormatError
         If it is a recording, and damaged.
     """
-    # Imported here: who only asks for the options needs neither numpy nor the library.
+    # Imported late: the options alone need neither numpy nor the library.
     from nurbseg.drivers.openni2.isolated.source import IsolatedCamera
     from nurbseg.drivers.openni2.reopening import Reopening
     from nurbseg.drivers.reconnect import Reconnecting

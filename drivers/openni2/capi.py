@@ -11,12 +11,12 @@ import ctypes
 from ctypes import POINTER, c_char, c_char_p, c_int, c_uint16, c_uint64, c_void_p
 from enum import IntEnum
 
-#: What `oniInitialize` is asked for: version 2.2, as 1000 x major + minor.
+#: The version that `oniInitialize` gets: 2.2, as 1000 x major + minor.
 API_VERSION = 2002
 
 
 class Status(IntEnum):
-    """What every function answers."""
+    """What every function returns."""
 
     OK = 0
     ERROR = 1

@@ -135,7 +135,7 @@ def calibrate(
     fov : (depth, color)
         Their horizontal fields of view, radians, where they are known.
     options : DeviceOptions
-        May name a calibration file, and say that images are mirrored.
+        May name a calibration file, and have images mirrored.
     registered : bool
         Whether depth was brought onto the color image, and so is seen from the color camera.
     cameras : CameraFile, optional

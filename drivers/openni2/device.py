@@ -33,7 +33,7 @@ _SETTLING_PAIRS = 2
 class DeviceSource(FrameSource):
     """Frames of a camera, each a depth image and the color image taken with it.
 
-    Frames wait nowhere: whoever reads late gets the newest, and `missed` counts the others.
+    Frames are not queued: a late reader gets the newest, and `missed` counts the others.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Finds, loads and initialises the OpenNI2 library, and turns its answers into our errors."""
+"""Finds, loads and initialises the OpenNI2 library, and turns its status codes into our errors."""
 
 from __future__ import annotations
 
@@ -170,9 +170,9 @@ class Library:
         Raises
         ------
         DeviceNotFoundError
-            If the library says that there is no such device.
+            If the library reports that there is no such device.
         DriverError
-            Or what `error` says; the message holds `doing` and the library's own words.
+            Or `error`; the message holds `doing` and the library's own text.
         """
         if status == Status.OK:
             return
@@ -217,7 +217,7 @@ class Library:
             self._handle = ctypes.c_void_p()
 
     def end(self) -> None:
-        """Shut down whoever still uses it: the program ends."""
+        """Shut it down although it is in use: the program ends."""
         self.ending = True
         self.silence()
         deadline = time.monotonic() + _END_LIMIT_S
@@ -241,7 +241,7 @@ _loaded: dict[str, Library] = {}
 
 @atexit.register
 def _end_all() -> None:
-    # A source that was left open must not have its callbacks run in an interpreter that is gone, nor be
+    # A source that was left open must not have its callbacks run after the interpreter has ended, nor be
     # waiting in the library while the program's end takes the library apart.
     for library in _loaded.values():
         library.end()

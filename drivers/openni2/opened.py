@@ -76,7 +76,7 @@ class OpenedDevice(Closing):
         return value if status == Status.OK else None
 
     def try_to_set(self, name: DeviceProperty, value: Any) -> bool:
-        """Set a property; return whether the device says that it did."""
+        """Set a property; return whether the device reports success."""
         status: int = self.library.native.oniDeviceSetProperty(
             self._handle, name, ctypes.byref(value), ctypes.sizeof(value)
         )
@@ -114,7 +114,7 @@ class OpenedDevice(Closing):
 
     @property
     def can_register(self) -> bool:
-        """Whether the device says that it can bring depth onto the color image."""
+        """Whether the device can, as it reports, bring depth onto the color image."""
         native = self.library.native
         return bool(native.oniDeviceIsImageRegistrationModeSupported(self._handle, _DEPTH_TO_COLOR))
 

@@ -11,7 +11,7 @@ from nurbseg.drivers.doctor.usb_ids import WANTED, identify
 from nurbseg.drivers.errors import DeviceNotFoundError
 from nurbseg.drivers.openni2.library import DeviceListing
 
-#: What vendor or name says where a driver reports no USB ids, and the family that it means.
+#: Vendor or name where a driver reports no USB ids, and the family that it stands for.
 _WORDS: Final = (
     (re.compile(r"xtion 2", re.IGNORECASE), "xtion2"),
     (re.compile(r"xtion|primesense|ps1080|carmine|asus", re.IGNORECASE), "ps1080"),
@@ -37,7 +37,7 @@ def family_of(listing: DeviceListing) -> str:
 
 
 def usb_port(uri: str, devices: Path = Path("/sys/bus/usb/devices")) -> str:
-    """Return where a camera is plugged in, such as "2-1.3"; the URI itself where nobody knows.
+    """Return where a camera is plugged in, such as "2-1.3"; the URI itself where that is unknown.
 
     A camera keeps its port when it is plugged in again, but not its address.
     """
@@ -82,7 +82,7 @@ def choose(
     Raises
     ------
     DeviceNotFoundError
-        If there is none; says what there is instead.
+        If there is none; lists those that there are.
     """
     cameras = [listing for listing in listings if is_camera(listing)]
     serials: dict[str, str] = {}

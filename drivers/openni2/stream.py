@@ -180,8 +180,8 @@ class Stream:
         Returns
         -------
         Image or None
-            Depth as uint16 in the mode's unit, color as RGB uint8; None where the image has gone
-            again, as it may when a camera is unplugged.
+            Depth as uint16 in the mode's unit, color as RGB uint8; None where the image is not
+            there any more, as it may be when a camera is unplugged.
 
         Raises
         ------
@@ -273,8 +273,8 @@ def frame_images(
 def wait_for_any(library: Library, streams: tuple[Stream, ...], timeout_s: float) -> Stream | None:
     """Return a stream that has an image, or None if none came in time.
 
-    Of several, the one whose image is oldest. A recording that is played by hand goes on by one image
-    with each call that finds none.
+    Of several, the one whose image is oldest. A recording that is played step by step advances by one
+    image with each call that finds none.
 
     Raises
     ------
@@ -285,9 +285,9 @@ def wait_for_any(library: Library, streams: tuple[Stream, ...], timeout_s: float
 
 
 def find_any(library: Library, streams: tuple[Stream, ...]) -> Stream | None:
-    """Return a stream that has an image already, without letting Python's other threads in between.
+    """Return a stream that has an image already, without releasing Python's lock.
 
-    The second image of a pair is often there: looking is cheaper than a turn at Python's lock.
+    The second image of a pair is often there: polling is cheaper than waiting for Python's lock.
 
     Raises
     ------

@@ -16,7 +16,7 @@ socket for messages, dataclasses that a `Codec` writes as JSON (no pickle: nothi
 without a name for their arrays, divided into slots. The log goes through it too, and a heartbeat: a program
 that sends none hangs.
 
-A program ends when the process that started it has finished, or is gone however that came. If it hangs then,
+A program ends when the process that started it has finished or died. If it hangs then,
 a thread of its own ends it; foreign programs, which have no such thread, are ended by Linux
 (`dying_with_parent`).
 
@@ -25,7 +25,7 @@ with the process at its other end. Where something is asked for, there is a limi
 within 60 s, answers within 30 s, and is lost when its process is silent for 10 s; a player opens within 30 s
 and hangs after 10 s; a MATLAB file's frame is read and the view opens within 60 s.
 
-`BoundedQueue` hands over between threads: captured frames (the newest wins, or the source waits), frames to
-be recorded (refused when 240 MB wait, or the source waits), frames to be shown (the newest wins) or saved
-(the source waits).
+`BoundedQueue` passes items between threads: captured frames (the oldest is dropped, or the source waits),
+frames to be recorded (refused when 240 MB wait, or the source waits), frames to be shown (the oldest is
+dropped) or saved (the source waits).
 """

@@ -1,4 +1,4 @@
-"""A bounded queue between threads, which says what becomes of an item when it is full."""
+"""A bounded queue between threads, with a policy for when it is full."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Generic, Literal, TypeVar
 
 Item = TypeVar("Item")
 
-#: The newest item wins and the oldest is dropped; the producer waits, and nothing is lost; or the new item is
-#: refused, and nothing that was taken is lost.
+#: The oldest item is dropped for the new one; the producer waits, and nothing is lost; or the new item is
+#: refused, and nothing that was added is lost.
 WhenFull = Literal["drop oldest", "wait", "refuse"]
 
 #: Notes that may wait; of more, the oldest are dropped.
@@ -64,7 +64,7 @@ class BoundedQueue(Generic[Item]):
         Parameters
         ----------
         item : object
-            What is handed over.
+            What is added.
         timeout_s : float, optional
             Longest wait for room, seconds, of a queue that lets its producer wait; without it, until there
             is room or the queue is closed.

@@ -33,7 +33,7 @@ _BEAT_S = 1.0
 
 
 class ChannelClosedError(Exception):
-    """The other process has closed its end, or is gone."""
+    """The other process has closed its end, or has died."""
 
 
 class Channel:
@@ -48,7 +48,7 @@ class Channel:
     connection : socket.socket
         To the other process; owned.
     memory : int
-        Descriptor of a file that lies in memory; owned. It has no name anywhere, and is gone with the two.
+        Descriptor of a file that lies in memory; owned. It has no name, and ends with the two.
     slots : int
         Messages with arrays that may be on their way.
     codec : Codec
@@ -153,7 +153,7 @@ class Channel:
             self._connection.shutdown(socket.SHUT_WR)
 
     def wait_finished(self) -> None:
-        """Wait until the other process has finished or is gone; for a thread of its own."""
+        """Wait until the other process has finished or died; for a thread of its own."""
         _is_ready(self._connection, select.POLLRDHUP, None)
 
     def close(self) -> None:
@@ -171,7 +171,7 @@ class Channel:
                     return False
                 self._connection.sendall(_HEADER.pack(kind, len(text), slot, self._slot_bytes) + text)
             except (OSError, ValueError) as err:
-                raise ChannelClosedError("the other process is gone") from err
+                raise ChannelClosedError("the other process has ended") from err
         return True
 
     def _buffered(self, size: int, deadline_s: float) -> bytearray | None:
@@ -185,7 +185,7 @@ class Channel:
                 part = b""
             if not part:
                 self._mark_closed()
-                raise ChannelClosedError("the other process is gone")
+                raise ChannelClosedError("the other process has ended")
             self._received_s = time.monotonic()
             self._buffer += part
         return self._buffer
@@ -197,7 +197,7 @@ class Channel:
             if not self._changed.wait_for(lambda: self._closed or len(self._free) >= wanted, timeout_s):
                 return None
             if self._closed:
-                raise ChannelClosedError("the other process is gone")
+                raise ChannelClosedError("the other process has ended")
             if size > self._slot_bytes:
                 slot_bytes = -(-size // _PART) * _PART
                 os.ftruncate(self._descriptor, self._slots * slot_bytes)

@@ -1,4 +1,4 @@
-"""A process of ours as its parent holds it: started, spoken to, and ended."""
+"""A process of ours as its parent uses it: started, connected to, and ended."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from nurbseg.drivers.process.channel import Channel
 from nurbseg.drivers.process.messages import Codec
 from nurbseg.drivers.process.start import python_command
 
-#: A process that was killed is gone within this time, or for good in the hands of a dead disk; seconds.
+#: A process that was killed ends within this time, seconds, unless the kernel waits for a dead disk.
 _KILLED_S = 10.0
 
 
@@ -79,7 +79,7 @@ class ChildProcess(Closing):
         return self._process.returncode or 0
 
     def close(self, limit_s: float = 0.0) -> None:
-        """End the process and let go of what is shared with it; safe to call twice."""
+        """End the process and release what is shared with it; safe to call twice."""
         self.end(limit_s)
         (self._channel or self.connect(Codec())).close()
 

@@ -105,7 +105,7 @@ class Codec:
             if name is None:
                 return values
             if name == _ARRAY:
-                import numpy as np  # late: most processes wait for their first array with better to do
+                import numpy as np  # late: most processes start without an array
 
                 if "values" in values:
                     return np.array(values["values"], values["dtype"]).reshape(values["shape"])
@@ -114,7 +114,7 @@ class Codec:
                 return array.copy()
             if (kind := self._classes.get(name)) is None:
                 raise ValueError(f"no message is called {name!r}")
-            # JSON knows no tuples, and messages hold no lists.
+            # JSON has no tuples, and messages hold no lists.
             content = [tuple(each) if type(each) is list else each for each in values[_CONTENT]]
             for place, enumeration in self._enumerations[kind].items():
                 if content[place] is not None:

@@ -1,4 +1,4 @@
-"""The process that started this one, as this one knows it."""
+"""The connection to the process that started this one."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from nurbseg.drivers.process.messages import Codec
 def connect(codec: Codec, *, limit_s: float) -> Channel:
     """Return the channel to the process that started this one; for programs that `ChildProcess` runs.
 
-    When that process has finished, or is gone, the channel says so, and this process should end. Where it
-    hangs instead, it is ended.
+    When that process has finished or died, the channel raises ChannelClosedError, and this process should
+    end. Where it hangs instead, it is ended.
 
     Parameters
     ----------

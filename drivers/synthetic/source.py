@@ -187,7 +187,7 @@ def open_uri(rest: str, options: SourceOptions) -> SyntheticSource:
     rest : str
         Empty, or ``?key=value&key=value`` with the fields of `SyntheticOptions`.
     options : SourceOptions
-        Not used: the scene knows its calibration.
+        Not used: the scene has its own calibration.
 
     Raises
     ------

@@ -29,7 +29,7 @@ FRAMES = 5
 
 @dataclass(frozen=True)
 class Case:
-    """How to open a source anew, and how many frames it has; None for a camera."""
+    """How to open a source again, and how many frames it has; None for a camera."""
 
     open: Callable[[], FrameSource]
     frames: int | None

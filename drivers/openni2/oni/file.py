@@ -59,9 +59,9 @@ class StoredStream:
     codec : bytes
         Four letters: how the pixels are packed.
     size : (width, height)
-        Pixels; (0, 0) until the file has said it.
+        Pixels; (0, 0) until the record of the mode is read.
     fps : int
-        Frames a second, as the mode says.
+        Frames a second, of the mode.
     pixel_format : int
         As in `PixelFormat`.
     frames : list of StoredFrame
@@ -179,7 +179,7 @@ def _add_stream(
     if len(rest) >= _SEEK_TABLE_AT + 8:
         (seek_table,) = struct.unpack_from("<Q", rest, _SEEK_TABLE_AT)
         if seek_table >= file_size:
-            # OpenNI2 does not open such a file, and says no reason.
+            # OpenNI2 does not open such a file, and gives no reason.
             raise RecordingFormatError(
                 f"{path}: cut short: {file_size} bytes, but the {name.decode(errors='replace')} stream's "
                 f"seek table is at {seek_table}; copy the whole file"

@@ -43,8 +43,8 @@ class OniSource(FrameSource):
     path : Path
         The file.
     options : DeviceOptions, optional
-        ``calibration``, ``mirror`` and ``registration`` are heeded. The last one says who brings depth
-        onto color, where the file does not say so: other programs' recordings never do.
+        ``calibration``, ``mirror`` and ``registration`` count. The last one decides whether
+        depth is registered to color where the file has no note of it, as in other programs' recordings.
     pairing_limit_s : float
         Largest difference between the times of a depth image and its color image, seconds.
     cameras : CameraFile, optional

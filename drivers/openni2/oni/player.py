@@ -1,4 +1,4 @@
-"""Plays an .oni file with OpenNI2's file driver and hands each image to another process.
+"""Plays an .oni file with OpenNI2's file driver and sends each image to another process.
 
 This runs as a program of its own, because a damaged file may crash the driver or make it hang;
 `nurbseg.drivers.openni2.oni.player_process` is the other end.
@@ -23,8 +23,8 @@ from nurbseg.drivers.process.channel import Channel, ChannelClosedError
 from nurbseg.drivers.process.messages import Codec
 from nurbseg.drivers.process.parent import connect
 
-#: By hand: the driver goes on to the next image only when somebody waits for one, so none is lost.
-_BY_HAND = -1.0
+#: Step by step: the driver advances to the next image only when one is waited for, so none is lost.
+_STEPWISE = -1.0
 #: Must be longer than any image takes: a second trigger on its way would overwrite an image.
 _WAIT_S = 5.0
 #: Longest wait for the file's name, and for this process to end; seconds.
@@ -112,7 +112,7 @@ def play(path: str, channel: Channel) -> None:
 
     with OpenedDevice(path, on_event) as device:
         device.try_to_set(DeviceProperty.PLAYBACK_REPEAT_ENABLED, ctypes.c_int(0))
-        device.try_to_set(DeviceProperty.PLAYBACK_SPEED, ctypes.c_float(_BY_HAND))
+        device.try_to_set(DeviceProperty.PLAYBACK_SPEED, ctypes.c_float(_STEPWISE))
         streams: tuple[Stream, ...] = (
             device.add_stream(Sensor.DEPTH),
             device.add_stream(Sensor.COLOR),

@@ -11,9 +11,9 @@ from nurbseg.drivers.openni2.oni.player import CODEC, Description, End, Play, Pl
 from nurbseg.drivers.process.channel import ChannelClosedError
 from nurbseg.drivers.process.child import ChildProcess
 
-#: The player must say what it plays within this time, seconds; starting Python is most of it.
+#: The player must describe what it plays within this time, seconds; starting Python is most of it.
 OPEN_LIMIT_S = 30.0
-#: And must hand over an image within this time, seconds, or it hangs.
+#: And must send an image within this time, seconds, or it hangs.
 _HANG_LIMIT_S = 10.0
 Message = Description | PlayedImage | Failure | End
 #: Images that may wait.
@@ -41,7 +41,7 @@ class PlayerProcess:
         Raises
         ------
         RecordingFormatError
-            If the player has died, or has said nothing for `limit_s`.
+            If the player has died, or has sent nothing for `limit_s`.
         """
         deadline = time.monotonic() + timeout_s
         try:
