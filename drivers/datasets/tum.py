@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import bisect
 import logging
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nurbseg.drivers.association import associate
 from nurbseg.drivers.datasets.folders import PairSource, Shot, folder_camera
 from nurbseg.drivers.datasets.pairs import ImagePair
 from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError, quoted
@@ -23,12 +23,45 @@ _UNITS_PER_METRE = 5000.0
 #: Digits of a stamp: seconds since 1970 with nanoseconds have 20.
 _STAMP_CHARACTERS_MAX = 40
 _NAME_CHARACTERS_MAX = 1024
+#: Partners looked at for an image: more are within the limit only where a list is not one of a camera.
+_NEAR_MAX = 64
 COLOR_LIST, DEPTH_LIST = "rgb.txt", "depth.txt"
 
 
 def is_tum(folder: Path) -> bool:
     """Whether a folder has the two lists."""
     return (folder / COLOR_LIST).is_file() and (folder / DEPTH_LIST).is_file()
+
+
+def associate(first: list[int], second: list[int], limit: int) -> list[tuple[int, int]]:
+    """Pair two sorted lists of times, nearest first, each time being used once.
+
+    Parameters
+    ----------
+    first, second : list of int
+        Ascending times, both in one unit.
+    limit : int
+        Largest difference of a pair.
+
+    Returns
+    -------
+    list of (int, int)
+        Indices into the two lists, ascending.
+    """
+    near = []
+    for place, moment in enumerate(first):
+        begin, end = bisect.bisect_left(second, moment - limit), bisect.bisect_right(second, moment + limit)
+        if end - begin > _NEAR_MAX:
+            middle = bisect.bisect_left(second, moment)
+            begin, end = max(begin, middle - _NEAR_MAX // 2), min(end, middle + _NEAR_MAX // 2)
+        near += [(abs(second[other] - moment), place, other) for other in range(begin, end)]
+    pairs: dict[int, int] = {}
+    taken: set[int] = set()
+    for _, place, other in sorted(near):
+        if place not in pairs and other not in taken:
+            pairs[place] = other
+            taken.add(other)
+    return sorted(pairs.items())
 
 
 class TumSource(PairSource):
