@@ -29,8 +29,12 @@ def vectors(cloud: PointMap, config: SegmentationConfig) -> NDArray[np.float64]:
 
 
 def cut(x: NDArray[np.float64], config: SegmentationConfig, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Split by the sign of the second eigenvector: one-shot Nystrom of Fowlkes et al., section 3.1."""
-    order = rng.permutation(len(x))
+    """Split by the sign of the second eigenvector: one-shot Nystrom of Fowlkes et al., section 3.1.
+
+    What the method leaves open is done as in the fast path, so that both can be compared: which points are
+    drawn from a generator, and which part is called 1 (that of the first clear one of these points).
+    """
+    order = rng.choice(len(x), size=len(x), replace=False)
     m = min(config.samples, len(x) - 1)
     sample, rest = x[order[:m]], x[order[m:]]
 
@@ -56,7 +60,9 @@ def cut(x: NDArray[np.float64], config: SegmentationConfig, rng: np.random.Gener
     V = np.vstack([A, B.T]) @ inverse_root @ (UR[:, positive] / np.sqrt(L[positive]))
     side = np.zeros(len(x), dtype=bool)
     if V.shape[1] > 1:
-        side[order] = V[:, 1] / np.sqrt(degree) > 0
+        indicator = V[:, 1] / np.sqrt(degree)
+        clear = np.abs(indicator[:m]) >= 0.5 * np.abs(indicator[:m]).max()
+        side[order] = indicator * indicator[:m][clear][0] > 0
     return side
 
 
@@ -78,39 +84,43 @@ def mse(cloud: PointMap, pixels: NDArray[np.intp], config: SegmentationConfig) -
     return float(np.square(system @ control - points).sum(axis=1).mean())
 
 
-def segment(cloud: PointMap, config: SegmentationConfig) -> NDArray[np.uint16]:
-    """Grow the tree of section 3.3 with the metric MSE; labels from 1, 0 where there is no depth."""
+def tree(cloud: PointMap, config: SegmentationConfig) -> dict[str, tuple[NDArray[np.intp], float]]:
+    """Grow the tree of section 3.3 with the metric MSE: the pixels and the error of each segment, by name."""
     x = vectors(cloud, config)
-    shape = cloud.valid.shape
     everything = np.flatnonzero(cloud.valid)
     row_of = np.zeros(cloud.valid.size, dtype=np.intp)
     row_of[everything] = np.arange(everything.size)
     smallest = config.stag15.segment_pixels_min * cloud.valid.size / (640 * 480)
-    waiting = [(-mse(cloud, everything, config), "", everything)]
-    leaves, splits = [], 0
+    segments = {"": (everything, mse(cloud, everything, config))}
+    waiting, splits = [(-segments[""][1], "")], 0
     while waiting:
-        negative, name, pixels = heapq.heappop(waiting)
-        stop = pixels.size <= 2 * smallest or len(name) >= config.depth_max or splits >= config.splits_max
-        if not stop:
-            rng = np.random.default_rng([config.seed, int(f"1{name}", 2)])
-            image, mask = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
-            mask.flat[pixels] = True
-            image.flat[pixels] = cut(x[row_of[pixels]], config, rng)
-            side = remove_small_components(mask, image, smallest).ravel()[pixels]
-            parts = pixels[~side], pixels[side]
-            stop = min(part.size for part in parts) < smallest
-        if not stop:
-            values = [mse(cloud, part, config) for part in parts]
-            before = -negative * pixels.size
-            after = sum(value * part.size for value, part in zip(values, parts, strict=True))
-            stop = not (name == "" or (before > 0 and after / before < config.ratio_max))
-        if stop:
-            leaves.append(pixels)
+        name = heapq.heappop(waiting)[1]
+        pixels, error = segments[name]
+        if pixels.size <= 2 * smallest or len(name) >= config.depth_max or splits >= config.splits_max:
+            continue  # eq. 6
+        rng = np.random.default_rng([config.seed, int(f"1{name}", 2)])
+        image, mask = np.zeros(cloud.valid.shape, dtype=bool), np.zeros(cloud.valid.shape, dtype=bool)
+        mask.flat[pixels] = True
+        image.flat[pixels] = cut(x[row_of[pixels]], config, rng)
+        side = remove_small_components(mask, image, smallest).ravel()[pixels]
+        parts = pixels[~side], pixels[side]
+        if min(part.size for part in parts) < smallest:
             continue
-        splits += 1
-        for digit, (value, part) in enumerate(zip(values, parts, strict=True)):
-            heapq.heappush(waiting, (-value, f"{name}{digit}", part))
+        errors = [mse(cloud, part, config) for part in parts]
+        after = sum(value * part.size for value, part in zip(errors, parts, strict=True))
+        if name == "" or (error > 0 and after / (error * pixels.size) < config.ratio_max):  # eq. 5
+            splits += 1
+            for digit, found in enumerate(zip(parts, errors, strict=True)):
+                segments[f"{name}{digit}"] = found
+                heapq.heappush(waiting, (-found[1], f"{name}{digit}"))
+    return segments
+
+
+def segment(cloud: PointMap, config: SegmentationConfig) -> NDArray[np.uint16]:
+    """Label the leaves of `tree` from 1, by name; 0 where there is no depth."""
+    segments = tree(cloud, config)
     labels = np.zeros(cloud.valid.size, dtype=np.uint16)
-    for number, pixels in enumerate(leaves, start=1):
-        labels[pixels] = number
-    return labels.reshape(shape)
+    leaves = sorted(name for name in segments if f"{name}0" not in segments)
+    for number, name in enumerate(leaves, start=1):
+        labels[segments[name][0]] = number
+    return labels.reshape(cloud.valid.shape)

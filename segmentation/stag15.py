@@ -1,10 +1,14 @@
-"""The recursive segmentation: a tree of normalized cuts, decided by surface fits (section 3.3)."""
+"""The paper's method: a tree of normalized cuts, decided by surface fits (section 3).
+
+To be read beside the paper. Vectors (eq. 1-3) are made in `cut/features.py`, the cut in `cut/ncut.py`,
+surfaces (eq. 4) in `surfaces/surface.py`, the metrics and their ratios (eq. 7-22) in `surfaces/metrics.py`
+and `surfaces/curvature.py`; what ends the tree (eq. 6) is in `growth.py`.
+"""
 
 from __future__ import annotations
 
-import heapq
+from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +19,7 @@ from nurbseg.segmentation.cut.components import remove_small_components
 from nurbseg.segmentation.cut.features import normalization, normalized, raw_vectors
 from nurbseg.segmentation.cut.ncut import Cut, normalized_cut
 from nurbseg.segmentation.extended.splitting import segment_nurbseg
+from nurbseg.segmentation.growth import grow
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
 from nurbseg.segmentation.labels.upsample import Split, upsample_labels
 from nurbseg.segmentation.points.grid import PixelGrid, decimated_grid, step_with_points
@@ -28,16 +33,18 @@ from nurbseg.segmentation.segments import (
     Trial,
     depth_first,
 )
-from nurbseg.segmentation.shared import SharedWork
 from nurbseg.segmentation.surfaces.curvature import all_metrics
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, acceptance_ratio
-from nurbseg.segmentation.surfaces.surface import Fit, fit_on_grid, has_least_norm
+from nurbseg.segmentation.surfaces.surface import Fit, fit_on_grid
+
+#: Cuts a segment in two, given the grid, its node, the vectors of all places of the grid and the settings.
+Cutter = Callable[[PixelGrid, Node, NDArray[np.float32], SegmentationConfig], tuple[Cut, NDArray[np.bool_]]]
+#: Fits a surface to some places of the grid.
+Fitter = Callable[[PixelGrid, NDArray[np.intp], SegmentationConfig], Fit]
 
 
-def segment(
-    cloud: PointMap, config: SegmentationConfig, shared: SharedWork | None = None
-) -> SegmentationTree:
-    """Segment a frame into surfaces (section 3).
+def segment(cloud: PointMap, config: SegmentationConfig) -> SegmentationTree:
+    """Segment a frame by the method that is set.
 
     Parameters
     ----------
@@ -45,198 +52,171 @@ def segment(
         Points and their colors.
     config : SegmentationConfig
         Thresholds and choices; the same seed gives the same tree.
-    shared : SharedWork, optional
-        What other settings of the paper's method have made of this very frame.
 
     Returns
     -------
     SegmentationTree
         Every segment with its surface, metrics, ratio and, for a leaf, the reason why it is one. A frame
         with too few points is one leaf.
-
-    References
-    ----------
-    .. [1] G. Pagnutti and P. Zanuttigh, "GridFeatures segmentation based on NURBS surface fitting metrics",
-       STAG 2015.
     """
+    if config.method == "stag15":
+        return segment_stag15(cloud, config)
     with one_blas_thread():
-        if config.method == "nurbseg":
-            return segment_nurbseg(cloud, config)
-        return segment_stag15(cloud, config, shared)
+        return segment_nurbseg(cloud, config)
 
 
-def segment_stag15(
-    cloud: PointMap, config: SegmentationConfig, shared: SharedWork | None = None
-) -> SegmentationTree:
-    """Segment a frame as the paper does; as `segment`, whatever the method set."""
-    shared = shared or SharedWork()
-    config = replace(config, decimation=step_with_points(cloud.valid, config.decimation))
-    grid = shared.once(config, "grid", lambda: decimated_grid(cloud, config.decimation))
-    places = np.flatnonzero(grid.valid)
-    raw = shared.once(config, "raw vectors", lambda: raw_vectors(cloud, grid.pixels(places)))
-    scale = normalization(raw, config.geometry_weight)
-    root = grow(grid, places, normalized(raw, scale), config, shared)
+def cut_in_two(
+    grid: PixelGrid, node: Node, vectors: NDArray[np.float32], config: SegmentationConfig
+) -> tuple[Cut, NDArray[np.bool_]]:
+    """Cut a segment in two, and give small components of either side to the other (section 3.1).
 
-    nodes = depth_first(root)
-    leaves = [node for node in nodes if not node.children]
-    splits = _splits(nodes, leaves)
-    labels = upsample_labels(
-        cloud,
-        grid,
-        [leaf.places for leaf in leaves],
-        splits,
-        lambda pixels: normalized(raw_vectors(cloud, pixels), scale),
+    Parameters
+    ----------
+    grid : PixelGrid
+        The points.
+    node : Node
+        The segment; its name and the seed are all that its random sample depends on.
+    vectors : (h * w, 6) float32
+        Vector of each place of the grid (eq. 3).
+    config : SegmentationConfig
+        How it is cut, and T_p.
+
+    Returns
+    -------
+    cut : Cut
+        With a reason where there is none.
+    side : (N,) bool
+        Which of the two parts each of the segment's places belongs to.
+    """
+    cut = normalized_cut(
+        vectors[node.places],
+        samples=config.samples,
+        rng=np.random.default_rng([config.seed, int(f"1{node.name}", 2)]),
+        affinity_scale=config.affinity_scale,
+        splitting_point=config.splitting_point,
+        points=config.cut_points,
     )
-    image = ((labels + 1) % (len(leaves) + 1)).astype(np.uint16).reshape(cloud.valid.shape)
-    return SegmentationTree(finished_segments(nodes, leaves, image), cloud.valid.shape, image=image)
+    return cut, cut.side if cut.reason else _cleaned(grid, node.places, cut.side, _points_min(grid, config))
 
 
-def grow(
-    grid: PixelGrid,
-    places: NDArray[np.intp],
-    vectors: NDArray[np.float32],
-    config: SegmentationConfig,
-    shared: SharedWork,
-) -> Node:
-    """Grow the tree on the grid, the worst open segment first.
+def fit_segment(grid: PixelGrid, places: NDArray[np.intp], config: SegmentationConfig) -> Fit:
+    """Fit a surface to a segment (section 3.2), with the metric that decides among its values (section 4).
 
     Parameters
     ----------
     grid : PixelGrid
         The points.
     places : (N,) intp
-        Flat places on the grid that have a point, ascending.
-    vectors : (N, D) float32
-        Feature vector of each.
+        Flat places on the grid, ascending.
     config : SegmentationConfig
-        Thresholds and choices.
-    shared : SharedWork
-        Cuts and fits made before, of segments of the same names.
-
-    Returns
-    -------
-    node
-        The root.
+        How surfaces are fitted, and the metric.
     """
-    segment_min = config.stag15.segment_pixels_min * grid.pixel_share
-    row_of_place = np.zeros(grid.valid.size, dtype=np.intp)
-    row_of_place[places] = np.arange(places.size)
-    root = Node("", places, _measured(grid, "", places, config, shared))
-    waiting: list[tuple[float, str, Node]] = [(-root.value(config), root.name, root)]
-    splits = 0
-    while waiting:
-        _, _, node = heapq.heappop(waiting)
-        # Conditions that need no cut (eq. 6).
-        node.stop = _reason_not_to_try(node, splits, segment_min, config)
-        if node.stop is not None:
-            continue
-
-        # Cut in two, and clean up (section 3.1).
-        cut, side = shared.once(
-            config, ("cut", node.name), partial(_cut, grid, node, vectors, row_of_place, segment_min, config)
-        )
-        if cut.reason:
-            node.stop = StopReason.NO_CUT
-            continue
-        parts = node.places[~side], node.places[side]
-        if min(part.size for part in parts) < segment_min:
-            node.stop = StopReason.CHILD_TOO_SMALL
-            continue
-
-        # Fit a surface to each part (section 3.2), and keep the split if they explain it better (eq. 5).
-        children = tuple(
-            Node(name, part, _measured(grid, name, part, config, shared))
-            for name, part in zip((f"{node.name}0", f"{node.name}1"), parts, strict=True)
-        )
-        first, second = children
-        whole, *halves = ((each.value(config), each.places.size) for each in (node, first, second))
-        ratio = acceptance_ratio(config.metric, whole, *halves)
-        kept = ratio < config.ratio_max or node is root
-        node.trial = Trial(config.metric, *whole, tuple(halves), kept)
-        if not kept:
-            node.stop = StopReason.CRITERION
-            continue
-        node.children, node.division, node.cut = (first, second), Division.CUT, cut
-        splits += 1
-        for child in children:
-            heapq.heappush(waiting, (-child.value(config), child.name, child))
-    return root
+    fit = fit_on_grid(grid, places, config)  # eq. 4; eq. 7, 9, 11 and NLE
+    if config.metric in CURVATURE_METRICS:
+        fit = replace(fit, values=all_metrics(fit, grid.image_shape[1], config))  # eq. 14-19 and NLC
+    return fit
 
 
-def _cut(
-    grid: PixelGrid,
+@one_blas_thread()
+def segment_stag15(
+    cloud: PointMap, config: SegmentationConfig, *, cut: Cutter = cut_in_two, fit: Fitter = fit_segment
+) -> SegmentationTree:
+    """Segment a frame as the paper does, whatever the method set.
+
+    Parameters
+    ----------
+    cloud, config : PointMap, SegmentationConfig
+        As for `segment`.
+    cut, fit : callable
+        The two steps that take time; others may remember what they made of this very frame.
+
+    References
+    ----------
+    .. [1] G. Pagnutti and P. Zanuttigh, "Scene segmentation based on NURBS surface fitting metrics",
+       STAG 2015.
+    """
+    step = step_with_points(cloud.valid, config.decimation)
+    config = replace(config, method="stag15", decimation=step)
+    grid = decimated_grid(cloud, step)
+    places = np.flatnonzero(grid.valid)
+
+    # Color and position of every point, made comparable (section 3.1).
+    raw = raw_vectors(cloud, grid.pixels(places))  # eq. 1, 2
+    scale = normalization(raw, config.geometry_weight)  # the sigmas and lambda of eq. 3
+    vectors = np.zeros((grid.valid.size, raw.shape[1]), dtype=np.float32)
+    vectors[places] = normalized(raw, scale)  # eq. 3
+
+    # The tree (section 3.3).
+    root = Node("", places, fit(grid, places, config))
+    grow(root, lambda node: _split(node, grid, vectors, config, cut, fit), _points_min(grid, config), config)
+
+    # A label for every pixel between the places of the grid.
+    nodes = depth_first(root)
+    leaves = [node for node in nodes if not node.children]
+    labels = upsample_labels(
+        cloud,
+        grid,
+        [leaf.places for leaf in leaves],
+        _kept_splits(nodes, leaves),
+        lambda pixels: normalized(raw_vectors(cloud, pixels), scale),
+    )
+    image = ((labels + 1) % (len(leaves) + 1)).astype(np.uint16).reshape(cloud.valid.shape)
+    return SegmentationTree(finished_segments(nodes, leaves, image), cloud.valid.shape, image=image)
+
+
+def _split(
     node: Node,
+    grid: PixelGrid,
     vectors: NDArray[np.float32],
-    row_of_place: NDArray[np.intp],
-    segment_min: float,
     config: SegmentationConfig,
-) -> tuple[Cut, NDArray[np.bool_]]:
-    """Cut a segment in two, and give small pieces of either side to the other."""
-    cut = normalized_cut(
-        vectors[row_of_place[node.places]],
-        samples=config.samples,
-        rng=_generator(config.seed, node.name),
-        affinity_scale=config.affinity_scale,
-        splitting_point=config.splitting_point,
-        points=config.cut_points,
+    cut: Cutter,
+    fit: Fitter,
+) -> bool:
+    """Split a segment in two if the fits of its parts are better than its own."""
+    found, side = cut(grid, node, vectors, config)
+    if found.reason:
+        node.stop = StopReason.NO_CUT
+        return False
+    parts = node.places[~side], node.places[side]
+    if min(part.size for part in parts) < _points_min(grid, config):
+        node.stop = StopReason.CHILD_TOO_SMALL
+        return False
+
+    first, second = (
+        Node(f"{node.name}{digit}", part, fit(grid, part, config), cuts_above=node.cuts_above + 1)
+        for digit, part in enumerate(parts)
     )
-    return cut, cut.side if cut.reason else _cleaned(grid, node.places, cut.side, segment_min)
+    whole, *halves = ((each.value(config), each.places.size) for each in (node, first, second))
+    ratio = acceptance_ratio(config.metric, whole, *halves)
+    kept = ratio < config.ratio_max or node.name == ""  # eq. 5, "except for the first iteration"
+    node.trial = Trial(config.metric, *whole, tuple(halves), kept)
+    if not kept:
+        node.stop = StopReason.CRITERION
+        return False
+    node.children, node.division, node.cut = (first, second), Division.CUT, found
+    return True
 
 
-def _measured(
-    grid: PixelGrid, name: str, places: NDArray[np.intp], config: SegmentationConfig, shared: SharedWork
-) -> Fit:
-    """Fit a surface, with the metric that decides among its values."""
-    kind = "fit of least norm" if has_least_norm(config) else "fit"
-    fit = shared.once(config, (kind, name), lambda: fit_on_grid(grid, places, config))
-    if config.metric not in CURVATURE_METRICS:
-        return fit
-    return shared.once(
-        config,
-        ("curved fit", name),
-        lambda: replace(fit, values=all_metrics(fit, grid.image_shape[1], config)),
-    )
-
-
-def _reason_not_to_try(
-    node: Node, splits: int, segment_min: float, config: SegmentationConfig
-) -> StopReason | None:
-    if node.places.size == 0:
-        return StopReason.NO_POINTS
-    if node.places.size <= 2.0 * segment_min:
-        return StopReason.TOO_SMALL
-    if len(node.name) >= config.depth_max:
-        return StopReason.DEPTH
-    if splits >= config.splits_max:
-        return StopReason.SPLITS
-    if node.fit.surface is None:
-        return StopReason.NO_FIT
-    if not node.value(config) > 0 and not (node.name == "" and node.fit.values["mse"] > 0):
-        # What is 0 cannot improve.
-        return StopReason.CRITERION
-    return None
-
-
-def _generator(seed: int, name: str) -> np.random.Generator:
-    """Return the random numbers of one segment, whatever was split before it."""
-    return np.random.default_rng([seed, int(f"1{name}", 2)])
+def _points_min(grid: PixelGrid, config: SegmentationConfig) -> float:
+    """Return T_p in points of the grid."""
+    return config.stag15.segment_pixels_min * grid.pixel_share
 
 
 def _cleaned(
-    grid: PixelGrid, places: NDArray[np.intp], side: NDArray[np.bool_], segment_min: float
+    grid: PixelGrid, places: NDArray[np.intp], side: NDArray[np.bool_], points_min: float
 ) -> NDArray[np.bool_]:
-    """Give small pieces of either side to the other, on the window of the segment."""
+    """Give small components of either side to the other, on the window of the segment."""
     rows, columns, (top, left, bottom, right) = grid.locate(places)
     at = rows - top, columns - left
     mask = np.zeros((bottom - top, right - left), dtype=np.bool_)
     mask[at] = True
     image = np.zeros_like(mask)
     image[at] = side
-    cleaned: NDArray[np.bool_] = remove_small_components(mask, image, segment_min)[at]
+    cleaned: NDArray[np.bool_] = remove_small_components(mask, image, points_min)[at]
     return cleaned
 
 
-def _splits(nodes: list[Node], leaves: list[Node]) -> list[Split]:
+def _kept_splits(nodes: list[Node], leaves: list[Node]) -> list[Split]:
     """Describe each kept split by the ranges of leaves below its parts; leaves are in depth-first order."""
     names = [leaf.name for leaf in leaves]
     splits = []
@@ -248,4 +228,12 @@ def _splits(nodes: list[Node], leaves: list[Node]) -> list[Split]:
     return splits
 
 
-__all__ = ["Segment", "SegmentationTree", "StopReason", "grow", "segment", "segment_stag15"]
+__all__ = [
+    "Segment",
+    "SegmentationTree",
+    "StopReason",
+    "cut_in_two",
+    "fit_segment",
+    "segment",
+    "segment_stag15",
+]

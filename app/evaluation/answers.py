@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Hashable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,9 +14,55 @@ from numpy.typing import NDArray
 from nurbseg.app.evaluation.methods.flat import best_lambda
 from nurbseg.app.evaluation.methods.methods import CLUSTERS, labels_on_disk, rival
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, TREE_METHODS, Variant
+from nurbseg.segmentation.config import Metric, SegmentationConfig
+from nurbseg.segmentation.cut.ncut import Cut
+from nurbseg.segmentation.points.grid import PixelGrid
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.shared import SharedWork
-from nurbseg.segmentation.stag15 import SegmentationTree, segment
+from nurbseg.segmentation.segments import Node
+from nurbseg.segmentation.stag15 import SegmentationTree, cut_in_two, fit_segment, segment, segment_stag15
+from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS
+from nurbseg.segmentation.surfaces.surface import Fit
+
+
+class SharedWork:
+    """Cuts and fits of one frame by the paper's method, made once for all settings that make the very same.
+
+    A cut depends on a segment's name and points, not on the metric that judges it: trees that differ in
+    metric, threshold and limits share all the cuts and fits that they both come to. One object serves one
+    frame and one thread; it holds on to everything until it is dropped.
+    """
+
+    def __init__(self) -> None:
+        self._made: dict[Hashable, Any] = {}
+
+    def cut(
+        self, grid: PixelGrid, node: Node, vectors: NDArray[np.float32], config: SegmentationConfig
+    ) -> tuple[Cut, NDArray[np.bool_]]:
+        """Do as `cut_in_two`."""
+        key = (node.name, _digest(node.places), _judged_alike(config, "mse"))
+        if key not in self._made:
+            self._made[key] = cut_in_two(grid, node, vectors, config)
+        found: tuple[Cut, NDArray[np.bool_]] = self._made[key]
+        return found
+
+    def fit(self, grid: PixelGrid, places: NDArray[np.intp], config: SegmentationConfig) -> Fit:
+        """Do as `fit_segment`."""
+        # One fit has all metrics of residuals, another all nine.
+        metric: Metric = "vmxc" if config.metric in CURVATURE_METRICS else "mse"
+        key = (_digest(places), _judged_alike(config, metric))
+        if key not in self._made:
+            self._made[key] = fit_segment(grid, places, config)
+        found: Fit = self._made[key]
+        return found
+
+
+def _digest(places: NDArray[np.intp]) -> bytes:
+    return hashlib.blake2b(places.tobytes(), digest_size=16).digest()
+
+
+def _judged_alike(config: SegmentationConfig, metric: Metric) -> SegmentationConfig:
+    """Return settings that are equal for all that differ in what is made of cuts and fits alone."""
+    return replace(config, metric=metric, ratio_max=1.0, depth_max=0, splits_max=0)
 
 
 class Answers:
@@ -65,5 +113,8 @@ class Answers:
                     0
                 ]
             config = replace(config, geometry_weight=self._lambdas[chosen])
-        tree = segment(self._cloud, config, self._shared)
+        if config.method == "stag15":
+            tree = segment_stag15(self._cloud, config, cut=self._shared.cut, fit=self._shared.fit)
+        else:
+            tree = segment(self._cloud, config)
         return tree.labels(), tree

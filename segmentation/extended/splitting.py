@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import heapq
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +14,7 @@ from nurbseg.segmentation.cut.ncut import Cut, normalized_cuts
 from nurbseg.segmentation.extended.borders import refine_borders
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features, segment_normalization
 from nurbseg.segmentation.extended.merge import merge_surfaces
+from nurbseg.segmentation.growth import grow
 from nurbseg.segmentation.labels.regions import large_components
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
 from nurbseg.segmentation.labels.upsample import upsample_by_depth
@@ -59,7 +59,7 @@ def segment_nurbseg(cloud: PointMap, config: SegmentationConfig) -> Segmentation
     """
     config = replace(config, decimation=step_with_points(cloud.valid, config.decimation))
     features = grid_features(cloud, config)
-    root = grow(features, config)
+    root = grown_tree(features, config)
     nodes = depth_first(root)
     leaves = [node for node in nodes if not node.children]
 
@@ -82,8 +82,8 @@ def segment_nurbseg(cloud: PointMap, config: SegmentationConfig) -> Segmentation
     return SegmentationTree(segments, cloud.valid.shape, objects, contacts, config.extended.level, image)
 
 
-def grow(features: GridFeatures, config: SegmentationConfig) -> Node:
-    """Grow the tree on the grid, the worst open segment first.
+def grown_tree(features: GridFeatures, config: SegmentationConfig) -> Node:
+    """Grow the tree of surfaces on the grid.
 
     Parameters
     ----------
@@ -98,51 +98,20 @@ def grow(features: GridFeatures, config: SegmentationConfig) -> Node:
         The root. Where parts of a frame or of a side of a cut are not connected, nodes without a surface
         chain them, so that every segment has two parts or none.
     """
+
+    def split(node: Node) -> bool:
+        sides, cut = best_split(features, node, config)
+        if cut is None:
+            return False
+        node.children, node.stop = children_of(node, sides), None
+        node.division, node.cut = Division.CUT, cut if all(sides) else None
+        return True
+
     places = np.flatnonzero(features.grid.valid)
     parts = _pieces(features, places, np.ones(places.size, dtype=np.int32), config)[0] or [places]
     root = _chain_components("", [fit_segment(features, part, config) for part in parts], 0)
-    waiting: list[tuple[float, str, Node]] = []
-    _push_open(waiting, root, config)
-    splits = 0
-    while waiting:
-        _, _, node = heapq.heappop(waiting)
-        node.stop = _reason_not_to_try(features, node, splits, config)
-        if node.stop is not None:
-            continue
-        sides, cut = best_split(features, node, config)
-        if cut is None:
-            continue
-        splits += 1
-        node.children = children_of(node, sides)
-        node.division, node.cut = Division.CUT, cut if all(sides) else None
-        node.stop = None
-        for child in node.children:
-            _push_open(waiting, child, config)
+    grow(root, split, features.places_min(config), config)
     return root
-
-
-def _push_open(waiting: list[tuple[float, str, Node]], top: Node, config: SegmentationConfig) -> None:
-    for node in depth_first(top):
-        if not node.children and node.stop is None:
-            heapq.heappush(waiting, (-node.value(config), node.name, node))
-
-
-def _reason_not_to_try(
-    features: GridFeatures, node: Node, splits: int, config: SegmentationConfig
-) -> StopReason | None:
-    if node.places.size == 0:
-        return StopReason.NO_POINTS
-    if node.places.size <= 2.0 * features.places_min(config):
-        return StopReason.TOO_SMALL
-    if node.cuts_above >= config.depth_max:
-        return StopReason.DEPTH
-    if splits >= config.splits_max:
-        return StopReason.SPLITS
-    if node.fit.surface is None:
-        return StopReason.NO_FIT
-    if not node.value(config) > 0:
-        return StopReason.CRITERION
-    return None
 
 
 #: A part of a split: its places on the grid, its fit, and why it is not to be split itself, if so.
@@ -361,6 +330,6 @@ __all__ = [
     "children_of",
     "fit_segment",
     "grid_features",
-    "grow",
+    "grown_tree",
     "segment_nurbseg",
 ]

@@ -66,10 +66,6 @@ class PixelGrid:
             return places
         return _on_image(places, self.shape[1], self.image_shape[1], self.step)
 
-    def places_of_window(self, window: Window, mask: NDArray[np.bool_]) -> NDArray[np.intp]:
-        """Return the flat places, ascending, of the marked places of a window."""
-        return _marked(np.ascontiguousarray(mask), window[0], window[1], self.shape[1], 1)
-
     def pixels_of_window(self, window: Window, mask: NDArray[np.bool_]) -> NDArray[np.intp]:
         """Return the flat indices into the full image of the marked places of a window."""
         return _marked(np.ascontiguousarray(mask), window[0], window[1], self.image_shape[1], self.step)

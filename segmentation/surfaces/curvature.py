@@ -78,8 +78,8 @@ def _from_derivatives(
     area = np.where(regular, area, 1.0)
     L, M, N = (np.einsum("cn,cn->n", d, cross) / area for d in (Suu, Suv, Svv))
     determinant = area * area
-    gaussian = (L * N - M * M) / determinant
-    mean = 0.5 * (E * N - 2.0 * F * M + G * L) / determinant
+    gaussian = (L * N - M * M) / determinant  # K = k1 k2
+    mean = 0.5 * (E * N - 2.0 * F * M + G * L) / determinant  # H = (k1 + k2) / 2
     root = np.sqrt(np.maximum(mean * mean - gaussian, 0.0))
     k1, k2 = mean + root, mean - root
     k1[~regular] = np.nan

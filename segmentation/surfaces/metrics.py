@@ -41,8 +41,10 @@ def residual_metrics(residuals_m: NDArray[np.float64], config: SegmentationConfi
     largest, squares, total, large = _sums(residuals_m, config.large_error_m)
     if largest <= ROUNDING_M:
         return {"mse": 0.0, "mae": 0.0, "ve": 0.0, "nle": 0.0}
-    mse, mae = squares / residuals_m.size, total / residuals_m.size
-    return {"mse": mse, "mae": mae, "ve": max(mse - mae * mae, 0.0), "nle": float(large)}
+    mse = squares / residuals_m.size  # eq. 7
+    mae = total / residuals_m.size  # eq. 9
+    ve = max(mse - mae * mae, 0.0)  # eq. 11, the mean of the squares less the square of the mean
+    return {"mse": mse, "mae": mae, "ve": ve, "nle": float(large)}  # NLE: section 4.4
 
 
 @compiled
@@ -78,13 +80,13 @@ def curvature_metrics(
     k1, k2 = k1[defined], k2[defined]
     if k1.size == 0:
         return {"vmxc": 0.0, "vmec": 0.0, "vgc": 0.0, "mmxc": 0.0, "nlc": 0.0}
-    largest = np.maximum(np.abs(k1), np.abs(k2))
+    largest = np.maximum(np.abs(k1), np.abs(k2))  # kappa_max
     return {
-        "vmxc": float(largest.var()),
-        "vmec": float((0.5 * (k1 + k2)).var()),
-        "vgc": float((k1 * k2).var()),
-        "mmxc": float(largest.mean()),
-        "nlc": float(np.count_nonzero(largest > config.large_curvature_per_m)),
+        "vmxc": float(largest.var()),  # eq. 14
+        "vmec": float((0.5 * (k1 + k2)).var()),  # eq. 17
+        "vgc": float((k1 * k2).var()),  # eq. 19
+        "mmxc": float(largest.mean()),  # eq. 15
+        "nlc": float(np.count_nonzero(largest > config.large_curvature_per_m)),  # section 4.9
     }
 
 
@@ -107,7 +109,8 @@ def acceptance_ratio(metric: Metric, parent: tuple[float, int], *parts: tuple[fl
     if not parent[0] > 0 or parent[1] == 0:
         return float(np.inf)
     if metric in COUNTS:
-        return sum(value for value, _ in parts) / parent[0]
+        return sum(value for value, _ in parts) / parent[0]  # eq. 13, 22
+    # Eq. 5, which is eq. 8, 10, 12, 16, 18, 20 and 21 of each metric.
     return sum(value * points for value, points in parts) / (parent[0] * parent[1])
 
 

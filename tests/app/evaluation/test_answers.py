@@ -6,11 +6,12 @@ from typing import get_args
 import numpy as np
 import pytest
 
+from nurbseg.app.evaluation import answers
+from nurbseg.app.evaluation.answers import SharedWork
 from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import Metric, SegmentationConfig, Stag15Config
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.shared import SharedWork
-from nurbseg.segmentation.stag15 import SegmentationTree, segment
+from nurbseg.segmentation.stag15 import SegmentationTree, segment_stag15
 
 
 @pytest.fixture(scope="module")
@@ -26,6 +27,10 @@ def cloud() -> PointMap:
     return PointMap(points.astype(np.float32), color, np.ones((60, 80), np.bool_))
 
 
+def shared_tree(cloud: PointMap, config: SegmentationConfig, shared: SharedWork) -> SegmentationTree:
+    return segment_stag15(cloud, config, cut=shared.cut, fit=shared.fit)
+
+
 def facts(tree: SegmentationTree) -> list[tuple[object, ...]]:
     return [(each.name, each.pixels.tolist(), each.ratio, each.stop) for each in tree.segments]
 
@@ -36,13 +41,13 @@ def test_trees_are_the_same_with_and_without_sharing(cloud: PointMap) -> None:
     for metric in get_args(Metric):
         for ratio_max in (1.0, 0.8):
             config = replace(base, metric=metric, ratio_max=ratio_max, large_error_m=0.05)
-            assert facts(segment(cloud, config, shared)) == facts(segment(cloud, config))
+            assert facts(shared_tree(cloud, config, shared)) == facts(segment_stag15(cloud, config))
 
 
 def test_settings_that_change_the_cut_do_not_share_it(cloud: PointMap) -> None:
     shared = SharedWork()
     base = SegmentationConfig(method="stag15", samples=40, stag15=Stag15Config(segment_pixels_min=300))
-    segment(cloud, base, shared)
+    shared_tree(cloud, base, shared)
     for change in (
         {"samples": 60},
         {"geometry_weight": 3.0},
@@ -50,13 +55,23 @@ def test_settings_that_change_the_cut_do_not_share_it(cloud: PointMap) -> None:
         {"stag15": {"control_points": "fixed"}},
     ):
         config = updated(base, **change)
-        assert facts(segment(cloud, config, shared)) == facts(segment(cloud, config))
+        assert facts(shared_tree(cloud, config, shared)) == facts(segment_stag15(cloud, config))
 
 
-def test_what_is_kept_is_made_once() -> None:
-    made: list[int] = []
+def test_cuts_and_fits_are_made_once(cloud: PointMap, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[str] = []
+    for name in ("cut_in_two", "fit_segment"):
+        step = getattr(answers, name)
+        monkeypatch.setattr(
+            answers, name, lambda *given, name=name, step=step: made.append(name) or step(*given)
+        )
     shared = SharedWork()
-    for ratio_max in (1.0, 0.9):
-        config = SegmentationConfig(ratio_max=ratio_max)
-        assert shared.once(config, "grid", lambda: made.append(1) or "made") == "made"
-    assert made == [1]
+    base = SegmentationConfig(method="stag15", samples=40, stag15=Stag15Config(segment_pixels_min=300))
+    tree = shared_tree(cloud, base, shared)
+    kept = sum(not each.is_leaf for each in tree.segments)
+    tried = sum(each.trial is not None for each in tree.segments)
+    assert made.count("fit_segment") == 1 + 2 * tried
+    assert made.count("cut_in_two") >= tried > kept > 0
+    before = list(made)
+    shared_tree(cloud, replace(base, metric="mae", ratio_max=0.9, splits_max=kept - 1), shared)
+    assert made == before

@@ -1,0 +1,70 @@
+"""How a tree of segments grows, by either method: the worst open segment is split first."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.segments import Node, StopReason, depth_first
+
+
+def grow(root: Node, split: Callable[[Node], bool], points_min: float, config: SegmentationConfig) -> None:
+    """Split segments, the one with the largest metric first (section 3.3).
+
+    Parameters
+    ----------
+    root : Node
+        The whole frame, fitted. It gets its descendants; where a frame falls into components it has some
+        already. Every leaf gets the reason why it is one.
+    split : callable
+        Splits a segment and returns True, or sets its `stop` and returns False.
+    points_min : float
+        T_p, in points of the grid.
+    config : SegmentationConfig
+        The metric, T_d and T_s.
+    """
+    waiting: list[tuple[float, str, Node]] = []
+    splits, grown = 0, [root]
+    while True:
+        for node in (leaf for top in grown for leaf in depth_first(top)):
+            if not node.children and node.stop is None:
+                heapq.heappush(waiting, (-node.value(config), node.name, node))
+        if not waiting:
+            return
+        node = heapq.heappop(waiting)[-1]
+        node.stop = stop_without_cut(node, splits, points_min, config)
+        grown = list(node.children) if node.stop is None and split(node) else []
+        splits += bool(grown)
+
+
+def stop_without_cut(
+    node: Node, splits: int, points_min: float, config: SegmentationConfig
+) -> StopReason | None:
+    """Return why a segment is not even cut (eq. 6), None where it is.
+
+    Parameters
+    ----------
+    node : Node
+        The segment.
+    splits : int
+        Splits so far.
+    points_min, config
+        As for `grow`.
+    """
+    if node.places.size == 0:
+        return StopReason.NO_POINTS
+    if node.places.size <= 2.0 * points_min:  # eq. 6: |P| <= 2 T_p
+        return StopReason.TOO_SMALL
+    if node.cuts_above >= config.depth_max:  # eq. 6: T_d
+        return StopReason.DEPTH
+    if splits >= config.splits_max:  # eq. 6: T_s
+        return StopReason.SPLITS
+    if node.fit.surface is None:
+        return StopReason.NO_FIT
+    # What is 0 cannot improve (eq. 5), but the paper keeps the first split if there is any error at all.
+    first = config.method == "stag15" and node.name == "" and node.fit.values["mse"] > 0
+    return None if first or node.value(config) > 0 else StopReason.CRITERION
+
+
+__all__ = ["grow", "stop_without_cut"]
