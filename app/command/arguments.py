@@ -9,9 +9,9 @@ from dataclasses import Field, dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
-from nurbseg.app.command.config import SOURCE_KINDS, AppConfig, sections
 from nurbseg.app.command.config_file import ConfigError, describe, read_config
 from nurbseg.app.command.values import ValueKind, value_kinds
+from nurbseg.app.config import SOURCE_KINDS, AppConfig, flags, sections
 from nurbseg.drivers.settings import described_fields, nested, updated
 
 _DESCRIPTION = """\
@@ -153,14 +153,6 @@ def _add_flag(group: Any, key: str, each: Field[Any], kind: ValueKind) -> None:
     if metadata["formerly"]:
         old = metadata["formerly"].replace("_", "-")
         group.add_argument(f"--{old}", help=argparse.SUPPRESS, **options)
-
-
-def flags(each: Field[Any]) -> list[str]:
-    """Return the names of a setting's flag, the usual one first."""
-    names = [each.metadata["flag"] or each.name.replace("_", "-")]
-    if each.metadata["symbol"]:
-        names.append(each.metadata["symbol"])
-    return [f"--{name}" for name in names]
 
 
 def _metavar(each: Field[Any], kind: ValueKind) -> str:

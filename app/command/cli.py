@@ -10,8 +10,8 @@ from contextlib import nullcontext
 from typing import TYPE_CHECKING, NoReturn
 
 from nurbseg.app.command.arguments import Arguments, parse_arguments
-from nurbseg.app.command.interruption import Interruption
 from nurbseg.app.command.threads import one_thread_for_products
+from nurbseg.app.live.interruption import Interruption
 
 if TYPE_CHECKING:
     from nurbseg.drivers.process.child import ChildProcess

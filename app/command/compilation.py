@@ -49,6 +49,3 @@ class _Listener(event.Listener):
             self._depth -= 1
             if self._depth == 0:
                 self.spent_s += time.monotonic() - self._began_s
-
-
-__all__ = ["told_compilation"]

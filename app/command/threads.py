@@ -23,6 +23,3 @@ def one_thread_for_products(environment: MutableMapping[str, str] = os.environ) 
     if not any(name in environment for name in _VARIABLES):
         for name in _VARIABLES:
             environment[name] = "1"
-
-
-__all__ = ["one_thread_for_products"]

@@ -293,8 +293,8 @@ def _run(given: argparse.Namespace, study: Study, config: SegmentationConfig, wo
 
 def _tune(given: argparse.Namespace, study: Study, config: SegmentationConfig) -> None:
     from nurbseg.app.atomic_file import write_atomically
-    from nurbseg.app.command.config import AppConfig
     from nurbseg.app.command.config_file import format_config, read_config
+    from nurbseg.app.config import AppConfig
     from nurbseg.app.evaluation.tuning import tunable, tune
 
     if given.method is not None:

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 
-from nurbseg.app.command.arguments import flags
-from nurbseg.app.command.config import AppConfig, SourceConfig
+from nurbseg.app.config import AppConfig, SourceConfig, flags
 from nurbseg.app.live.replay import Limited, Looped
 from nurbseg.drivers.calibration.file import read_camera_file
 from nurbseg.drivers.doctor.diagnosis import explain_no_camera

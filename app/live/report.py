@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from nurbseg.app.atomic_file import write_atomically
-from nurbseg.app.command.config import AppConfig
+from nurbseg.app.config import AppConfig
 from nurbseg.app.export import ExportError
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.versions import versions

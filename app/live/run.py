@@ -11,10 +11,10 @@ from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
-from nurbseg.app.command.config import AppConfig
-from nurbseg.app.command.interruption import Interruption
+from nurbseg.app.config import AppConfig
 from nurbseg.app.export import Exporter, ExportError, run_settings
 from nurbseg.app.live.capture import Captured, CaptureThread
+from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.latency_filter import LatencyFilter
 from nurbseg.app.live.opening import OpenedSource, open_chosen
 from nurbseg.app.live.parallel import process_count, segment_in_parallel

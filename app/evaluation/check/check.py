@@ -1,4 +1,4 @@
-"""Holds a folder of exports against itself, its settings and its recording."""
+"""Checks a folder of exports against itself, its settings and its recording."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from nurbseg.app.evaluation.check.exported import ExportedFrame, Finding
 from nurbseg.app.evaluation.check.floors import check_floors
 from nurbseg.app.evaluation.check.history import History
 from nurbseg.app.evaluation.check.reading import DamagedExportError, read_frame, read_settings
-from nurbseg.app.evaluation.check.splits import check_splits, grid_step
+from nurbseg.app.evaluation.check.splits import check_splits
 from nurbseg.app.evaluation.check.stops import check_live_stops, check_stops
 from nurbseg.app.evaluation.check.structure import check_names, check_partition
 from nurbseg.app.evaluation.check.surfaces import check_measured, check_surfaces
@@ -27,7 +27,7 @@ class FolderCheck:
     """Checks the frames of a folder of exports.
 
     Nothing here calls what made the values: surfaces are evaluated by SciPy; metrics, ratios and the order of
-    the tree are computed anew. What is shared is the recording's frames and their registration.
+    the tree are computed again. What is shared is the recording's frames and their registration.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class FolderCheck:
     frames, segments, recomputed : int
         What was checked so far: frames, their segments, and those of them whose values were recomputed.
     history : History
-        What they told, and how much belongs to frames that are not there.
+        Their values and trials, and how many belong to frames that are not there.
 
     Raises
     ------
@@ -87,7 +87,7 @@ class FolderCheck:
                 source = stack.enter_context(open_source(self._recording, self._options))
             for stem in self._stems:
                 try:
-                    frame = read_frame(self._folder, stem, surfaces=self._settings.surfaces)
+                    frame = read_frame(self._folder, stem, self._settings)
                 except DamagedExportError as err:
                     yield Finding(err.file, "", "", "a file of an export", str(err))
                     continue
@@ -96,44 +96,34 @@ class FolderCheck:
                 yield from self._check(frame, source)
 
     def _check(self, frame: ExportedFrame, source: FrameSource | None) -> Iterator[Finding]:
-        settings, config = self._settings, self._settings.config
         names = list(check_names(frame))
         yield from names
         if names:
             # The rest asks which segment is part of which.
             return
-        yield from check_partition(frame, in_order=not settings.temporal)
-        step = grid_step(frame, settings)
-        pixels_min = (
-            config.stag15.segment_pixels_min
-            if config.method == "stag15"
-            else config.extended.piece_pixels_min
-        )
-        points_min = pixels_min * frame.shape[0] * frame.shape[1] / (640 * 480) / step**2
-        yield from check_splits(frame, settings, points_min)
-        stops = check_stops if settings.grows_anew else check_live_stops
-        yield from stops(frame, settings, points_min)
-        yield from self.history.check(frame)
-        if not settings.surfaces:
+        stops = check_stops if frame.settings.independent else check_live_stops
+        for check in (check_partition, check_splits, stops, self.history.check):
+            yield from check(frame)
+        if not frame.settings.surfaces:
             return
-        yield from check_measured(frame, step)
+        yield from check_measured(frame)
         yield from check_surfaces(frame)
         if source is not None:
             yield from self._check_against(frame, _recorded(source, frame))
 
     def _check_against(self, frame: ExportedFrame, recorded: RGBDFrame | None) -> Iterator[Finding]:
         if recorded is None:
-            yield Finding(frame.tree_file, "", "frame", "one of the recording", str(frame.frame))
+            yield Finding(frame.tree_file, "", "frame", "one of the recording", str(frame.number))
             return
         for field, expected, found in (
-            ("name", recorded.name, frame.name),
-            ("timestamp_ns", recorded.timestamp_ns, frame.timestamp_ns),
+            ("name", recorded.name, frame.tree.name),
+            ("timestamp_ns", recorded.timestamp_ns, frame.tree.timestamp_ns),
         ):
             if found != expected:
                 yield Finding(frame.tree_file, "", field, f"{expected} as recorded", str(found))
-        cloud, config = register(recorded), self._settings.config
-        yield from check_values(frame, cloud, config)
-        yield from check_floors(frame, cloud, config, grid_step(frame, self._settings))
+        cloud = register(recorded)
+        yield from check_values(frame, cloud)
+        yield from check_floors(frame, cloud)
         self.recomputed += len(frame.surfaces)
 
 
@@ -146,5 +136,5 @@ def _recorded(source: FrameSource, frame: ExportedFrame) -> RGBDFrame | None:
             continue
         except EndOfRecordingError:
             return None
-        if recorded.index >= frame.frame:
-            return recorded if recorded.index == frame.frame else None
+        if recorded.index >= frame.number:
+            return recorded if recorded.index == frame.number else None

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
+
+#: Largest step of a grid that may be coarser than asked for.
+_STEP_MOST = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,26 +55,39 @@ class RunSettings:
     config: SegmentationConfig
 
     @property
-    def grows_anew(self) -> bool:
+    def independent(self) -> bool:
         """Whether the tree of each frame is grown for that frame alone."""
         return not (self.temporal and self.config.method == "nurbseg")
 
 
+class Measured(NamedTuple):
+    """A value of the deciding metric, None where nothing was measured, and its number of points."""
+
+    value: float | None
+    points: int
+
+
 @dataclass(frozen=True, slots=True)
 class ExportedTrial:
-    """A split that was tried: (value, points) of the whole and of each part; no value reads as None."""
+    """A split that was tried: value and points of the whole and of each part."""
 
     metric: str
-    whole: tuple[float | None, int]
-    parts: tuple[tuple[float | None, int], ...]
+    value: float | None
+    points: int
+    parts: tuple[Measured, ...]
     kept: bool
+
+    @property
+    def whole(self) -> Measured:
+        """What was measured of the whole."""
+        return Measured(self.value, self.points)
 
 
 @dataclass(frozen=True, slots=True)
 class ExportedSegment:
     """A segment as the tree's file describes it.
 
-    `measured` and `judged` are the number of the file's frame where it does not tell them.
+    `measured` and `judged` are the number of the file's frame where it does not give them.
     """
 
     name: str
@@ -99,6 +117,39 @@ class ExportedSegment:
         return max(self.value or 0.0, self.floor)
 
 
+@dataclass(frozen=True, slots=True)
+class ExportedObject:
+    """An object's label and the names of its leaves."""
+
+    object: int
+    leaves: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ExportedContact:
+    """Two leaves that meet, and whether they were merged."""
+
+    first: str
+    second: str
+    merged: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ExportedTree:
+    """The file of a frame's tree."""
+
+    frame: int
+    name: str
+    timestamp_ns: int
+    height: int
+    width: int
+    metric: str
+    level: str
+    segments: tuple[ExportedSegment, ...]
+    objects: tuple[ExportedObject, ...]
+    contacts: tuple[ExportedContact, ...]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ExportedSurface:
     """A surface as the file of surfaces holds it; shapes and units are those of `NurbsSurface`."""
@@ -111,7 +162,7 @@ class ExportedSurface:
     window: tuple[int, int, int, int]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class ExportedFrame:
     """All files of a frame.
 
@@ -119,18 +170,10 @@ class ExportedFrame:
     ----------
     stem : str
         The number that the files' names begin with.
-    frame, name, timestamp_ns : int, str, int
-        Which frame of the source it is.
-    shape : (int, int)
-        Rows and columns.
-    metric, level : str
-        Which metric decided, and what a label stands for.
-    segments : mapping of str to ExportedSegment
-        By name, in the order of the file.
-    objects : mapping of int to tuple of str
-        Names of the leaves of each object; none where nothing was merged.
-    contacts : tuple of (str, str, bool)
-        Two leaves that meet, and whether they were merged.
+    settings : RunSettings
+        Of its run.
+    tree : ExportedTree
+        The file of its tree.
     images : mapping of str to (H, W) uint16
         "labels" and, where there are objects, "surfaces" and "objects".
     surfaces, measured : mapping of str to ExportedSurface and to (N,) int64
@@ -138,18 +181,54 @@ class ExportedFrame:
     """
 
     stem: str
-    frame: int
-    name: str
-    timestamp_ns: int
-    shape: tuple[int, int]
-    metric: str
-    level: str
-    segments: Mapping[str, ExportedSegment]
-    objects: Mapping[int, tuple[str, ...]]
-    contacts: tuple[tuple[str, str, bool], ...]
+    settings: RunSettings
+    tree: ExportedTree
     images: Mapping[str, NDArray[np.uint16]]
     surfaces: Mapping[str, ExportedSurface]
     measured: Mapping[str, NDArray[np.int64]]
+
+    @property
+    def number(self) -> int:
+        """Number of the frame in its source."""
+        return self.tree.frame
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.tree.height, self.tree.width
+
+    @cached_property
+    def segments(self) -> Mapping[str, ExportedSegment]:
+        """Segments by name, in the order of the file."""
+        return {each.name: each for each in self.tree.segments}
+
+    @cached_property
+    def objects(self) -> Mapping[int, tuple[str, ...]]:
+        """Names of the leaves of each object; none where nothing was merged."""
+        return {each.object: each.leaves for each in self.tree.objects}
+
+    @cached_property
+    def step(self) -> int:
+        """Step of the grid on which splits were decided; the leaves were measured on every point of it."""
+        valid, asked = self.images["labels"] > 0, self.settings.config.decimation
+        if not valid[::asked, ::asked].any() and valid.any():
+            return 1
+        if self.settings.target_fps > 0:
+            for step in range(asked, _STEP_MOST + 1):
+                if np.count_nonzero(valid[::step, ::step]) == self.points_below("P"):
+                    return step
+        return asked
+
+    @property
+    def points_min(self) -> float:
+        """T_p in points of the grid."""
+        config = self.settings.config
+        pixels_min = (
+            config.stag15.segment_pixels_min
+            if config.method == "stag15"
+            else config.extended.piece_pixels_min
+        )
+        return pixels_min * self.shape[0] * self.shape[1] / (640 * 480) / self.step**2
 
     @property
     def tree_file(self) -> str:
@@ -173,6 +252,14 @@ class ExportedFrame:
     def below(self, name: str) -> list[ExportedSegment]:
         """Return the leaves below a segment; of a leaf, itself."""
         return [leaf for leaf in self.leaves() if leaf.name.startswith(name)]
+
+    def points_below(self, name: str) -> int:
+        """Return the number of points of all leaves below a segment."""
+        return sum(leaf.points for leaf in self.below(name))
+
+    def cuts_above(self, name: str) -> int:
+        """Return the number of cuts between the root and a segment."""
+        return sum(self.segments[name[:end]].division == "cut" for end in range(1, len(name)))
 
     def parts(self, name: str) -> list[ExportedSegment]:
         """Return the parts of a split, going through segments that only hold others together."""

@@ -20,42 +20,26 @@ _RIM_FACTOR = 3.0
 _SINGLE = 2.0**-21
 
 
-def check_floors(
-    frame: ExportedFrame, cloud: PointMap, config: SegmentationConfig, step: int
-) -> Iterator[Finding]:
+def check_floors(frame: ExportedFrame, cloud: PointMap) -> Iterator[Finding]:
     """Recompute what noise leaves of the metric that decides at the measured pixels of every segment.
 
     Noise of inverse depth moves a point along its ray by its deviation, times depth, times distance. The
-    floors of curvature do not depend on the points: they are held against each other only.
-
-    Parameters
-    ----------
-    frame : ExportedFrame
-        With measured pixels; segments whose pixels are not whole are passed over.
-    cloud : PointMap
-        The points of the same frame.
-    config : SegmentationConfig
-        Method, metric, noise and T_l.
-    step : int
-        Pixels from one place of the grid to the next.
-
-    Yields
-    ------
-    Finding
-        Each floor that is not that of its points.
+    floors of curvature do not depend on the points: they are compared with each other only. Segments whose
+    pixels are not whole are passed over; `cloud` has the points of the same frame.
     """
+    config = frame.settings.config
     floored = config.method == "nurbseg" and config.extended.noise_floor > 0
     per_point: dict[str, float] = {}
     for name, each in frame.segments.items():
         pixels = frame.measured.get(name, np.zeros(0, dtype=np.int64))
-        if each.measured != frame.frame or (each.surface and not have_points(pixels, cloud)):
+        if each.measured != frame.number or (each.surface and not have_points(pixels, cloud)):
             continue
         least = most = 0.0
         if floored and each.surface:
             if config.metric not in ("mse", "mae", "ve", "nle"):
                 per_point[name] = each.floor / (each.points if config.metric == "nlc" else 1)
                 continue
-            noise_m = _noise(pixels, cloud, step)
+            noise_m = _noise(pixels, cloud, frame.step)
             noise_m *= config.extended.noise_floor * config.extended.inverse_depth_noise
             least, most = (_floor(noise_m * factor, config) for factor in (1.0 - _SINGLE, 1.0 + _SINGLE))
         if not least <= each.floor <= most:

@@ -1,4 +1,4 @@
-"""Whether values and trials that belong to other frames are those that these frames told."""
+"""Whether values and trials that belong to other frames are those in the files of these frames."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from nurbseg.app.evaluation.check.exported import ExportedFrame, ExportedTrial, 
 
 
 class History:
-    """What the frames so far told of themselves.
+    """Values and trials of the frames that were checked so far.
 
     Attributes
     ----------
@@ -22,33 +22,22 @@ class History:
         self._trials: dict[int, set[ExportedTrial | None]] = {}
 
     def check(self, frame: ExportedFrame) -> Iterator[Finding]:
-        """Hold what belongs to frames before against what they told, and remember what this one tells.
-
-        Parameters
-        ----------
-        frame : ExportedFrame
-            Comes after all frames that were checked before.
-
-        Yields
-        ------
-        Finding
-            Each value and trial of another frame that this frame did not have.
-        """
+        """Check what belongs to frames before, which were checked, and remember what belongs to this one."""
         tree = frame.tree_file
         for name, each in frame.segments.items():
-            for field, number, told, found in (
+            for field, number, known, found in (
                 ("value", each.measured, self._values, (each.value, each.points)),
                 ("trial", each.judged, self._trials, each.trial),
             ):
-                if number == frame.frame or found in told.get(number, ()):
+                if number == frame.number or found in known.get(number, ()):
                     continue
-                if number > frame.frame or number in told:
+                if number > frame.number or number in known:
                     expected = f"one of frame {number}, to which it is said to belong"
                     yield Finding(tree, name, field, expected, str(found))
                 else:
                     self.unchecked += 1
         own = frame.segments.values()
-        self._values[frame.frame] = {
-            (each.value, each.points) for each in own if each.measured == frame.frame
+        self._values[frame.number] = {
+            (each.value, each.points) for each in own if each.measured == frame.number
         }
-        self._trials[frame.frame] = {each.trial for each in own if each.judged == frame.frame}
+        self._trials[frame.number] = {each.trial for each in own if each.judged == frame.number}

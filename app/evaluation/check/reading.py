@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import zipfile
+from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, get_args, get_origin, get_type_hints
 
 import cv2
 import numpy as np
@@ -15,7 +18,7 @@ from nurbseg.app.evaluation.check.exported import (
     ExportedFrame,
     ExportedSegment,
     ExportedSurface,
-    ExportedTrial,
+    ExportedTree,
     RunSettings,
 )
 from nurbseg.app.export import SETTINGS_FILE
@@ -29,6 +32,10 @@ class DamagedExportError(ValueError):
     def __init__(self, file: str, message: str) -> None:
         super().__init__(message)
         self.file = file
+
+
+class _UnexpectedError(ValueError):
+    """A value is of another type."""
 
 
 def read_settings(folder: Path) -> RunSettings:
@@ -60,7 +67,7 @@ def read_settings(folder: Path) -> RunSettings:
         raise ValueError(f"{path}: {err}; export again with this version") from err
 
 
-def read_frame(folder: Path, stem: str, *, surfaces: bool) -> ExportedFrame:
+def read_frame(folder: Path, stem: str, settings: RunSettings) -> ExportedFrame:
     """Read the files of one frame.
 
     Parameters
@@ -69,8 +76,8 @@ def read_frame(folder: Path, stem: str, *, surfaces: bool) -> ExportedFrame:
         Of the export.
     stem : str
         The frame's number, as in the names of its files.
-    surfaces : bool
-        Whether there is a file of surfaces.
+    settings : RunSettings
+        Say whether there is a file of surfaces.
 
     Raises
     ------
@@ -79,104 +86,62 @@ def read_frame(folder: Path, stem: str, *, surfaces: bool) -> ExportedFrame:
     """
     file = f"{stem}_tree.json"
     try:
-        document = json.loads((folder / file).read_text(encoding="utf-8"))
-        if not isinstance(document, dict):
-            raise ValueError("expected an object")
-        number, timestamp_ns = (_typed(document, key, int) for key in ("frame", "timestamp_ns"))
-        segments = [_segment(each, number) for each in _typed(document, "segments", list)]
-        objects = {
-            _typed(each, "object", int): tuple(_typed(each, "leaves", list))
-            for each in _typed(document, "objects", list)
-        }
-        contacts = tuple(
-            (_typed(each, "first", str), _typed(each, "second", str), _typed(each, "merged", bool))
-            for each in _typed(document, "contacts", list)
-        )
-        shape = _typed(document, "height", int), _typed(document, "width", int)
-        about = [_typed(document, key, str) for key in ("name", "metric", "level")]
-        if len({each.name for each in segments}) < len(segments) or not segments:
+        tree: ExportedTree = _decoded(ExportedTree, _with_frames(json.loads((folder / file).read_bytes())))
+        if len({each.name for each in tree.segments}) < len(tree.segments) or not tree.segments:
             raise ValueError("segments: expected at least one, and each name once")
     except OSError as err:
         raise DamagedExportError(file, f"cannot be read: {err.strerror}") from err
     except (ValueError, TypeError, AttributeError) as err:
         raise DamagedExportError(file, str(err)) from err
-    kinds = ("labels", "surfaces", "objects") if objects else ("labels",)
-    by_name, measured = _surfaces(folder, f"{stem}_surfaces.npz") if surfaces else ({}, {})
-    return ExportedFrame(
-        stem=stem,
-        frame=number,
-        name=about[0],
-        timestamp_ns=timestamp_ns,
-        shape=shape,
-        metric=about[1],
-        level=about[2],
-        segments={each.name: each for each in segments},
-        objects=objects,
-        contacts=contacts,
-        images={kind: _image(folder, f"{stem}_{kind}.png", shape) for kind in kinds},
-        surfaces=by_name,
-        measured=measured,
-    )
+    kinds = ("labels", "surfaces", "objects") if tree.objects else ("labels",)
+    images = {kind: _image(folder, f"{stem}_{kind}.png", (tree.height, tree.width)) for kind in kinds}
+    surfaces, measured = _surfaces(folder, f"{stem}_surfaces.npz") if settings.surfaces else ({}, {})
+    return ExportedFrame(stem, settings, tree, images, surfaces, measured)
 
 
-def _typed(document: Any, key: str, *kinds: type) -> Any:
-    """Return the value of a key that must be of one of some kinds."""
-    if not isinstance(document, dict) or key not in document:
-        raise ValueError(f"{key} is missing")
-    value = document[key]
+def _with_frames(document: Any) -> Any:
+    """Fill in the frame's own number where a segment does not name the frame of its values or its trial."""
+    for each in document.get("segments", ()):
+        for key in ("measured", "judged"):
+            if each.get(key) is None:
+                each[key] = document.get("frame")
+    return document
+
+
+_type_hints = cache(get_type_hints)
+
+
+def _decoded(kind: Any, value: Any) -> Any:
+    """Return a JSON value as a type asks: a class from an object with its fields, a tuple from a list.
+
+    Raises
+    ------
+    ValueError
+        If it is none; names the field, and the segment that it belongs to.
+    """
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin is UnionType:
+        return None if value is None else _decoded(inner[0], value)
+    if origin is tuple and isinstance(value, list):
+        return tuple(_decoded(inner[0], each) for each in value)
+    if origin is Mapping and isinstance(value, dict):
+        return {key: _decoded(inner[1], each) for key, each in value.items()}
+    if origin is None and hasattr(kind, "__annotations__") and isinstance(value, dict):
+        fields = {}
+        for name, hint in _type_hints(kind).items():
+            where = f"{value['name']} {name}" if kind is ExportedSegment and "name" in value else name
+            if name not in value:
+                raise ValueError(f"{where} is missing")
+            try:
+                fields[name] = _decoded(hint, value[name])
+            except _UnexpectedError as err:
+                raise ValueError(f"{where}: {err}") from err
+        return kind(**fields)
+    kinds = (float, int) if kind is float else origin or kind
     # To Python, a truth value is a whole number.
-    if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
-        names = " or ".join("null" if kind is type(None) else kind.__name__ for kind in kinds)
-        raise ValueError(f"{key}: expected {names}, got {value!r}")
-    return value
-
-
-_NUMBER = (float, int, type(None))
-
-
-def _segment(document: Any, frame: int) -> ExportedSegment:
-    name = _typed(document, "name", str)
-    # Told where they are another frame's.
-    for key in ("measured", "judged"):
-        if document.get(key) is None:
-            document[key] = frame
-    try:
-        tried = _typed(document, "trial", dict, type(None))
-        return ExportedSegment(
-            name=name,
-            parent=_typed(document, "parent", str, type(None)),
-            children=tuple(_typed(document, "children", list)),
-            size=_typed(document, "size", int),
-            depth=_typed(document, "depth", int),
-            value=_typed(document, "value", *_NUMBER),
-            values={
-                key: _typed(document["values"], key, *_NUMBER) for key in _typed(document, "values", dict)
-            },
-            ratio=_typed(document, "ratio", *_NUMBER),
-            trial=None if tried is None else _trial(tried),
-            division=_typed(document, "division", str, type(None)),
-            stop=_typed(document, "stop", str, type(None)),
-            points=_typed(document, "points", int),
-            surface=_typed(document, "surface", bool),
-            reason=_typed(document, "reason", str),
-            label=_typed(document, "label", int, type(None)),
-            leaf=_typed(document, "leaf", int, type(None)),
-            object=_typed(document, "object", int, type(None)),
-            floor=_typed(document, "floor", float, int),
-            measured=_typed(document, "measured", int),
-            judged=_typed(document, "judged", int),
-        )
-    except ValueError as err:
-        raise ValueError(f"{name} {err}") from err
-
-
-def _trial(document: Any) -> ExportedTrial:
-    whole, *parts = (
-        (_typed(each, "value", *_NUMBER), _typed(each, "points", int))
-        for each in (document, *_typed(document, "parts", list))
-    )
-    kept = _typed(document, "kept", bool)
-    return ExportedTrial(_typed(document, "metric", str), whole, tuple(parts), kept)
+    if isinstance(value, bool) == (kind is bool) and isinstance(value, kinds):
+        return value
+    raise _UnexpectedError(f"expected {getattr(kind, '__name__', kind)}, got {value!r}")
 
 
 def _image(folder: Path, file: str, shape: tuple[int, int]) -> NDArray[np.uint16]:

@@ -1,32 +1,16 @@
-"""Whether each leaf stopped for the reason that is told, the tree being grown again in its order (eq. 6)."""
+"""Whether each leaf stopped for the reason in the file, the tree being grown again in its order (eq. 6)."""
 
 from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator
 
-from nurbseg.app.evaluation.check.exported import ExportedFrame, ExportedSegment, Finding, RunSettings
-from nurbseg.app.evaluation.check.splits import cuts_above
+from nurbseg.app.evaluation.check.exported import ExportedFrame, ExportedSegment, Finding
 from nurbseg.segmentation.config import SegmentationConfig
 
 
-def check_stops(frame: ExportedFrame, settings: RunSettings, points_min: float) -> Iterator[Finding]:
-    """Grow the tree again in its order, the worst segment first, and hold the reasons against it.
-
-    Parameters
-    ----------
-    frame : ExportedFrame
-        Whose tree was grown for this frame alone.
-    settings : RunSettings
-        Of its run.
-    points_min : float
-        T_p in points of the grid.
-
-    Yields
-    ------
-    Finding
-        Each leaf with a reason that is not its own.
-    """
+def check_stops(frame: ExportedFrame) -> Iterator[Finding]:
+    """Grow a tree of this frame alone again in its order, the worst segment first; check the reasons."""
     root = frame.segments["P"]
     first = frame.parts("P") if root.division == "gap" else [root]
     waiting = [(-each.counted, each.name) for each in first]
@@ -35,7 +19,7 @@ def check_stops(frame: ExportedFrame, settings: RunSettings, points_min: float) 
     while waiting:
         _, name = heapq.heappop(waiting)
         each = frame.segments[name]
-        expected = _early_stop(frame, each, settings, points_min, splits)
+        expected = _early_stop(frame, each, splits)
         if each.division == "cut":
             if expected is not None:
                 yield Finding(frame.tree_file, name, "stop", expected, "split")
@@ -53,18 +37,16 @@ def check_stops(frame: ExportedFrame, settings: RunSettings, points_min: float) 
             )
 
 
-def _early_stop(
-    frame: ExportedFrame, each: ExportedSegment, settings: RunSettings, points_min: float, splits: int
-) -> str | None:
+def _early_stop(frame: ExportedFrame, each: ExportedSegment, splits: int) -> str | None:
     """Return why a segment is not cut at all (eq. 6); None where it is."""
-    config = settings.config
+    config = frame.settings.config
     if _hopeless(each, config):
         return "noise"
     if each.points == 0:
         return "no-points"
-    if each.points <= 2.0 * points_min:
+    if each.points <= 2.0 * frame.points_min:
         return "too-small"
-    if cuts_above(frame, each.name) >= config.depth_max:
+    if frame.cuts_above(each.name) >= config.depth_max:
         return "depth"
     if splits >= config.splits_max:
         return "splits"
@@ -80,31 +62,16 @@ def _hopeless(each: ExportedSegment, config: SegmentationConfig) -> bool:
     return each.floor > 0 and each.floor >= config.ratio_max * each.counted
 
 
-def check_live_stops(frame: ExportedFrame, settings: RunSettings, points_min: float) -> Iterator[Finding]:
-    """Hold the reasons of a live tree's leaves against what they say, in any order.
-
-    Parameters
-    ----------
-    frame : ExportedFrame
-        Whose tree goes on from frame to frame.
-    settings : RunSettings
-        Of its run.
-    points_min : float
-        T_p in points of the grid.
-
-    Yields
-    ------
-    Finding
-        Each leaf with a reason that does not hold.
-    """
-    config = settings.config
+def check_live_stops(frame: ExportedFrame) -> Iterator[Finding]:
+    """Check the reasons of a live tree's leaves against their values, in any order."""
+    config = frame.settings.config
     cuts = sum(each.division == "cut" for each in frame.segments.values())
     for leaf in frame.leaves():
         tried = leaf.trial is not None
         holds = {
             "no-points": leaf.points == 0,
-            "too-small": leaf.points <= 2.0 * points_min,
-            "depth": cuts_above(frame, leaf.name) >= config.depth_max,
+            "too-small": leaf.points <= 2.0 * frame.points_min,
+            "depth": frame.cuts_above(leaf.name) >= config.depth_max,
             "splits": cuts >= config.splits_max,
             "no-fit": not leaf.surface,
             "noise": _hopeless(leaf, config),

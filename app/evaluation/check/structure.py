@@ -10,18 +10,7 @@ from nurbseg.app.evaluation.check.exported import ExportedFrame, ExportedSegment
 
 
 def check_names(frame: ExportedFrame) -> Iterator[Finding]:
-    """Hold names, parents, children, depths and the order of segments against each other.
-
-    Parameters
-    ----------
-    frame : ExportedFrame
-        Whose tree is one tree if nothing is found here.
-
-    Yields
-    ------
-    Finding
-        Each contradiction.
-    """
+    """Check names, parents, children, depths and the order of segments: whether the tree is one tree."""
     waiting, reached = ["P"], []
     while waiting:
         reached.append(waiting.pop())
@@ -43,22 +32,12 @@ def check_names(frame: ExportedFrame) -> Iterator[Finding]:
                 yield Finding(frame.tree_file, name, field, str(expected), str(found))
 
 
-def check_partition(frame: ExportedFrame, *, in_order: bool) -> Iterator[Finding]:
-    """Hold sizes, labels and objects against the label images.
+def check_partition(frame: ExportedFrame) -> Iterator[Finding]:
+    """Check sizes, labels and objects against the label images.
 
-    Parameters
-    ----------
-    frame : ExportedFrame
-        With names that are right.
-    in_order : bool
-        Whether labels are places in the tree; else they are identities that go on from frame to frame.
-
-    Yields
-    ------
-    Finding
-        Each contradiction.
+    Labels are places in the tree, or identities where frames continue each other.
     """
-    tree, image = frame.tree_file, frame.leaf_image
+    tree, image, in_order = frame.tree_file, frame.leaf_image, not frame.settings.temporal
     counts = np.bincount(image.ravel(), minlength=1 << 16)
     known = {0}
     for place, leaf in enumerate(frame.leaves(), start=1):
@@ -86,7 +65,7 @@ def check_partition(frame: ExportedFrame, *, in_order: bool) -> Iterator[Finding
 
 def _labels_of(frame: ExportedFrame, each: ExportedSegment) -> Iterator[Finding]:
     """Say which of a segment's three labels are not what they follow from."""
-    by_object = bool(frame.objects) and frame.level == "objects"
+    by_object = bool(frame.objects) and frame.tree.level == "objects"
     expected = each.object if by_object else each.leaf
     if each.label != expected:
         yield Finding(frame.tree_file, each.name, "label", str(expected), str(each.label))
@@ -114,7 +93,7 @@ def _check_objects(frame: ExportedFrame, in_order: bool) -> Iterator[Finding]:
             label_of[leaf.leaf] = object_of.get(leaf.name, 0)
     expected = {"objects": label_of[frame.leaf_image]} if frame.objects else {}
     if frame.objects:
-        expected["labels"] = expected["objects"] if frame.level == "objects" else frame.leaf_image
+        expected["labels"] = expected["objects"] if frame.tree.level == "objects" else frame.leaf_image
     for kind, image in expected.items():
         wrong = np.argwhere(frame.images[kind] != image)
         if wrong.size:
@@ -126,7 +105,8 @@ def _check_objects(frame: ExportedFrame, in_order: bool) -> Iterator[Finding]:
                 f"{image[row, column]}, that of its leaf",
                 str(frame.images[kind][row, column]),
             )
-    for first, second, merged in frame.contacts:
+    for contact in frame.tree.contacts:
+        first, second, merged = contact.first, contact.second, contact.merged
         together = first in object_of and object_of[first] == object_of.get(second)
         if first == second or not {first, second} <= set(leaves):
             yield Finding(tree, f"{first}-{second}", "contact", "two leaves", f"{first} and {second}")

@@ -11,26 +11,13 @@ from scipy.interpolate import BSpline
 from nurbseg.app.evaluation.check.exported import ExportedFrame, ExportedSurface, Finding
 
 
-def check_measured(frame: ExportedFrame, step: int) -> Iterator[Finding]:
-    """Hold the measured pixels against each other, the grid and the number of points.
-
-    Parameters
-    ----------
-    frame : ExportedFrame
-        With names that are right, and measured pixels.
-    step : int
-        Pixels from one place of the grid to the next.
-
-    Yields
-    ------
-    Finding
-        Each contradiction.
-    """
+def check_measured(frame: ExportedFrame) -> Iterator[Finding]:
+    """Check the measured pixels against each other, the grid and the number of points."""
     file = frame.surfaces_file
     if set(frame.measured) != set(frame.segments):
         yield Finding(file, "", "measured", f"{sorted(frame.segments)}", f"{sorted(frame.measured)}")
         return
-    valid = frame.leaf_image > 0
+    valid, step = frame.leaf_image > 0, frame.step
     on_grid = np.zeros_like(valid)
     on_grid[::step, ::step] = valid[::step, ::step]
     for name, each in frame.segments.items():
@@ -38,7 +25,7 @@ def check_measured(frame: ExportedFrame, step: int) -> Iterator[Finding]:
         if pixels.size != each.points:
             yield Finding(file, name, "measured", f"{each.points} pixels", str(pixels.size))
         # What was measured in another frame has that one's pixels, and what a live tree did not cut has none.
-        own = each.measured == frame.frame and (pixels.size or each.points)
+        own = each.measured == frame.number and (pixels.size or each.points)
         if each.children and own and not np.array_equal(pixels, _measured_below(frame, name)):
             yield Finding(file, name, "measured", "the pixels of its leaves", "others")
     if not np.array_equal(_measured_below(frame, "P"), np.flatnonzero(on_grid)):
@@ -52,18 +39,7 @@ def _measured_below(frame: ExportedFrame, name: str) -> NDArray[np.int64]:
 
 
 def check_surfaces(frame: ExportedFrame) -> Iterator[Finding]:
-    """Hold the surfaces' arrays against each other, and their windows against the pixels.
-
-    Parameters
-    ----------
-    frame : ExportedFrame
-        With surfaces and measured pixels.
-
-    Yields
-    ------
-    Finding
-        Each contradiction.
-    """
+    """Check the surfaces' arrays against each other, and their windows against the pixels."""
     with_surface = [name for name, each in frame.segments.items() if each.surface]
     if list(frame.surfaces) != with_surface:
         yield Finding(frame.surfaces_file, "", "names", str(with_surface), str(list(frame.surfaces)))

@@ -27,24 +27,12 @@ _BESIDE_MOST = 1e-3
 Bounds = tuple[float, float]
 
 
-def check_values(frame: ExportedFrame, cloud: PointMap, config: SegmentationConfig) -> Iterator[Finding]:
+def check_values(frame: ExportedFrame, cloud: PointMap) -> Iterator[Finding]:
     """Recompute the values of every segment from its surface and the points at its measured pixels.
 
-    Parameters
-    ----------
-    frame : ExportedFrame
-        With surfaces and measured pixels; those that are not whole are passed over.
-    cloud : PointMap
-        The points of the same frame.
-    config : SegmentationConfig
-        Method, and the limits of the metrics that count.
-
-    Yields
-    ------
-    Finding
-        Each value that is not that of its surface.
+    What is not whole is passed over; `cloud` has the points of the same frame.
     """
-    labelled = frame.leaf_image > 0
+    labelled, config = frame.leaf_image > 0, frame.settings.config
     if not np.array_equal(labelled, cloud.valid):
         row, column = np.argwhere(labelled != cloud.valid)[0].tolist()
         expected = "a label" if cloud.valid[row, column] else "no label, there is no point"

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from nurbseg.app.command.arguments import flags, parse_arguments
-from nurbseg.app.command.config import AppConfig, sections
+from nurbseg.app.config import AppConfig, sections
 from nurbseg.drivers.settings import described_fields
 
 

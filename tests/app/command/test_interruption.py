@@ -11,7 +11,7 @@ import cv2
 import pytest
 from rerun.chunk import RrdReader
 
-from nurbseg.app.command.interruption import Interruption
+from nurbseg.app.live.interruption import Interruption
 
 START = Callable[..., Any]
 SCENE = "synthetic:?width=96&height=72&frames=30"

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from scripted_source import ScriptedSource, small_frame
 
-from nurbseg.app.command.config import AppConfig, SourceConfig
+from nurbseg.app.config import AppConfig, SourceConfig
 from nurbseg.app.live import opening
 from nurbseg.app.live.opening import demo_uri, open_chosen
 from nurbseg.drivers.errors import (

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from scripted_source import ScriptedSource, small_frame
 
-from nurbseg.app.command.config import AppConfig, ExportConfig
+from nurbseg.app.config import AppConfig, ExportConfig
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.report import RunReport, peak_memory_mb
 from nurbseg.drivers.errors import FrameFormatError

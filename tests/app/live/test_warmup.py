@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from nurbseg.app.command.config import AppConfig, SourceConfig
+from nurbseg.app.config import AppConfig, SourceConfig
 from nurbseg.app.live import warmup
 from nurbseg.app.live.run import _begin_warm_up
 from nurbseg.app.live.warmup import WarmUp

@@ -1,10 +1,10 @@
-"""Ctrl-C and the polite kill: both end a run cleanly, once, and not in the middle of closing files."""
+"""SIGINT (Ctrl-C) and SIGTERM: both end a run cleanly, once, and not in the middle of closing files."""
 
 from __future__ import annotations
 
 import signal
 import time
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, Self
 
 
@@ -31,12 +31,7 @@ class Interruption:
             self._before[number] = signal.signal(number, self._on_signal)
         return self
 
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 

@@ -7,7 +7,7 @@ setting is one new field; a new section is one new dataclass and one new field o
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import Field, dataclass, field
 from typing import Any, Literal
 
 from nurbseg.app.live.config import LiveConfig
@@ -139,3 +139,11 @@ def sections(config_type: type[Any] = AppConfig) -> dict[str, type[Any]]:
         found[name] = section
         found |= {f"{name}.{path}": inner for path, inner in sections(section).items()}
     return found
+
+
+def flags(each: Field[Any]) -> list[str]:
+    """Return the names of a setting's flag, the usual one first."""
+    names = [each.metadata["flag"] or each.name.replace("_", "-")]
+    if each.metadata["symbol"]:
+        names.append(each.metadata["symbol"])
+    return [f"--{name}" for name in names]
