@@ -80,7 +80,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 def _run(given: argparse.Namespace) -> int:
     from nurbseg.app.batch.batch import Batch, recordings_of, run_batch
-    from nurbseg.app.evaluation.cli import base_config, source_options
+    from nurbseg.app.evaluation.arguments import base_config, source_options
     from nurbseg.app.live.parallel import process_count
     from nurbseg.app.workers import open_workers
 

@@ -1,0 +1,196 @@
+"""What the commands of nurbseg-eval do, once their arguments are read."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+
+from nurbseg.app.atomic_file import write_atomically
+from nurbseg.app.command.config_file import format_config, read_config
+from nurbseg.app.config import AppConfig
+from nurbseg.app.evaluation.arguments import base_config, source_options
+from nurbseg.app.evaluation.check.check import FolderCheck
+from nurbseg.app.evaluation.computer import versions_line
+from nurbseg.app.evaluation.methods.methods import check_method
+from nurbseg.app.evaluation.progress import Progress
+from nurbseg.app.evaluation.report.findings import findings, means_of
+from nurbseg.app.evaluation.report.report import write_report
+from nurbseg.app.evaluation.report.tables import all_tables, as_markdown, as_text
+from nurbseg.app.evaluation.results import StudyResults, write_rows
+from nurbseg.app.evaluation.store import StudyStore, write_json
+from nurbseg.app.evaluation.study import Study, frame_refs, read_frame, run_study, times_per_frame
+from nurbseg.app.evaluation.tuning import tunable, tune
+from nurbseg.app.evaluation.variants import LABELS_PREFIX, grid_of, variants_of
+from nurbseg.drivers.calibration.file import read_camera_file
+from nurbseg.drivers.errors import FrameFormatError
+from nurbseg.segmentation.points.registration import PointMap, register
+from nurbseg.segmentation.surfaces.noise import measure_noise
+
+_METRICS = "mse,mae,ve,nle,vmxc,vmec,vgc,mmxc,nlc"
+
+
+def study_of(given: argparse.Namespace) -> Study:
+    """Return the study that the arguments describe, without its variants."""
+    for name, least in (("frames", 1), ("start", 0), ("jobs", 1), ("seed", 0), ("pictures", 0)):
+        value = getattr(given, name, None)
+        if value is not None and value < least:
+            raise ValueError(f"--{name}: expected at least {least}, got {value}")
+    return Study(
+        sources=tuple(given.data),
+        variants=(),
+        options=source_options(given),
+        seed=given.seed or 0,
+        frames=given.frames,
+        start=given.start,
+    )
+
+
+def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
+    """Score methods and settings; write tables and a report."""
+    methods = [*_words(given.methods), *(f"{LABELS_PREFIX}{folder}" for folder in given.labels)]
+    for method in methods:
+        check_method(method)
+    try:
+        thresholds = [float(each) for each in _words(given.thresholds)]
+    except ValueError:
+        raise ValueError(f"--thresholds {given.thresholds}: expected numbers, separated by commas") from None
+    study = replace(
+        study,
+        variants=variants_of(
+            methods,
+            metrics=_words(_METRICS if given.metrics == "all" else given.metrics),
+            thresholds=thresholds,
+            grid=grid_of(given.grid),
+            base=base_config(given),
+        ),
+    )
+    store = StudyStore(given.out, study.description())
+    refs = run_study(study, store, jobs=given.jobs, scheduler=given.scheduler, report=Progress("frames"))
+    results = StudyResults.load(store, study.variants, {ref.key for ref in refs})
+    if not results.frames:
+        raise ValueError(f"{', '.join(study.sources)}: no frame has ground truth; see {given.out}/frames")
+    seconds = times_per_frame(study, given.time_frames) if given.time_frames > 0 else {}
+    write_json(given.out / "times.json", dict(seconds))
+    files = list(write_rows(results, given.out))
+    tables = all_tables(results, seconds)
+    about = f"{len(results.frames)} frames. {versions_line()}. Computed on {'; '.join(results.computers())}."
+    sentences = findings(means_of(results))
+    for caption, rows in tables:
+        print(f"\n{caption}\n{as_text(rows)}")
+    print(f"\n{about}")
+    markdown = given.out / "tables.md"
+    parts = [about, "\n".join(f"- {each}" for each in sentences)]
+    parts += [f"**{caption}**\n\n{as_markdown(rows)}" for caption, rows in tables]
+    markdown.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+    files.append(markdown)
+    if not given.no_report:
+        files.append(
+            write_report(
+                study,
+                store,
+                results,
+                seconds,
+                title=given.title,
+                command=shlex.join(["nurbseg-eval", *words]),
+                date=datetime.now(UTC).date().isoformat(),
+                frames_shown=given.pictures,
+            )
+        )
+    for frame in results.skipped:
+        print(f"skipped {frame['key']}: {frame['skipped']}", file=sys.stderr)
+    print("\nwritten: " + ", ".join(map(str, files)))
+
+
+def search(given: argparse.Namespace, study: Study) -> None:
+    """Search the settings that score best, and write them as a configuration for nurbseg-live."""
+    config = base_config(given)
+    if given.method is not None:
+        config = replace(config, method=given.method)
+    if not given.out.parent.is_dir():
+        raise ValueError(f"--out {given.out}: no such folder")
+    progress = Progress("settings")
+    found = tune(
+        study,
+        config,
+        budget=given.budget,
+        folds=given.folds,
+        jobs=given.jobs,
+        seed=given.seed or 0,
+        report=lambda done, best: progress(done, given.budget, f"best {best:.4f}"),
+    )
+    before = AppConfig() if given.config is None else read_config(given.config)
+    write_atomically(given.out, format_config(replace(before, segmentation=found.config)).encode())
+    for name, value in tunable(found.config):
+        print(f"{name} = {value}")
+    gain = found.gain
+    print(
+        f"objective {found.objective:.4f} on all frames (GTRC - VoI / 10); gain on frames without part in "
+        f"the choice {gain.mean:+.4f}, 95 % interval {gain.low:+.4f} to {gain.high:+.4f}, "
+        f"{gain.frames} frames"
+    )
+    if gain.low <= 0:
+        print("the interval holds 0: more frames are needed to tell these settings from those before")
+    print(f"written: {given.out} (use it with nurbseg-live --config {given.out})")
+
+
+def noise(study: Study) -> None:
+    """Measure the sensor's noise on the largest plane."""
+
+    def clouds() -> Iterator[PointMap]:
+        for ref in refs:
+            try:
+                yield register(read_frame(ref, study.options))
+            except FrameFormatError as err:
+                print(f"nurbseg-eval: {err}", file=sys.stderr)
+
+    refs = frame_refs(study)
+    estimate = measure_noise(clouds(), seed=study.seed)
+    print(f"inverse_depth_noise = {estimate.inverse_depth_noise:.6f}")
+    print(
+        f"from {estimate.points} points on planes in {estimate.frames} of {len(refs)} frames; "
+        f"{estimate.nearest_per_m:.6f} 1/m at {estimate.nearest_m:.2f} m, "
+        f"{estimate.farthest_per_m:.6f} 1/m at {estimate.farthest_m:.2f} m"
+    )
+
+
+def _words(text: str) -> list[str]:
+    return [each.strip() for each in text.split(",") if each.strip()]
+
+
+def check(given: argparse.Namespace) -> int:
+    """Print what is wrong with a folder of exports, one finding a line, and then what was checked.
+
+    Returns
+    -------
+    int
+        0 where nothing was found, else 1.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds no export.
+    nurbseg.drivers.errors.DriverError
+        If the recording cannot be read.
+    """
+    options = source_options(given)
+    if given.calibration is not None:
+        options = replace(options, calibration=read_camera_file(given.calibration))
+    started_s = time.perf_counter()
+    folder = FolderCheck(given.folder, given.recording, options)
+    count = 0
+    for finding in folder.findings():
+        count += 1
+        print(finding)
+    per_frame_ms = 1e3 * (time.perf_counter() - started_s) / max(folder.frames, 1)
+    print(
+        f"{count} findings in {folder.frames} frames with {folder.segments} segments; {folder.recomputed} "
+        f"surfaces compared with their points; not checked: {folder.history.unchecked} values and trials of "
+        f"frames that are not there; {per_frame_ms:.0f} ms per frame",
+        file=sys.stderr,
+    )
+    return 1 if count else 0
