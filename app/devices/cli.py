@@ -72,7 +72,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.set_defaults(run=_list, json=False)
     parser.add_argument("--json", action="store_true", help="write the list as JSON")
-    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", dest="command")
 
     command = commands.add_parser("list", help="list the cameras that OpenNI2 finds (the default)")
     command.set_defaults(run=_list)
@@ -93,7 +93,7 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--force", action="store_true", help="replace the file where it exists")
 
     command = commands.add_parser("tilt", help="turn a Kinect v1's head")
-    command.set_defaults(run=_tilt)
+    command.set_defaults(run=_motor)
     command.add_argument(
         "angle_deg",
         type=_angle,
@@ -103,12 +103,12 @@ def _parser() -> argparse.ArgumentParser:
     _add_number(command)
 
     command = commands.add_parser("led", help="set a Kinect v1's light")
-    command.set_defaults(run=_led)
+    command.set_defaults(run=_motor)
     command.add_argument("color", choices=_LED_COLORS, metavar="COLOR", help=", ".join(_LED_COLORS))
     _add_number(command)
 
     command = commands.add_parser("accelerometer", help="read a Kinect v1's accelerometer and tilt")
-    command.set_defaults(run=_accelerometer)
+    command.set_defaults(run=_motor)
     command.add_argument("--json", action="store_true", help="write the values as JSON")
     _add_number(command)
     return parser
@@ -229,31 +229,21 @@ def _quiet() -> Iterator[None]:
         logger.setLevel(level)
 
 
-def _tilt(arguments: argparse.Namespace) -> int:
-    from nurbseg.drivers.doctor.kinect_motor import KinectMotor
-
-    with KinectMotor(number=arguments.number) as motor:
-        motor.tilt(arguments.angle_deg)
-    print(f"turning to {arguments.angle_deg:g} degrees")
-    return READY
-
-
-def _led(arguments: argparse.Namespace) -> int:
-    from nurbseg.drivers.doctor.kinect_motor import KinectMotor
-
-    with KinectMotor(number=arguments.number) as motor:
-        motor.led(arguments.color)
-    print(f"light: {arguments.color}")
-    return READY
-
-
-def _accelerometer(arguments: argparse.Namespace) -> int:
+def _motor(arguments: argparse.Namespace) -> int:
     from nurbseg.app.devices import report as device_report
     from nurbseg.drivers.doctor.kinect_motor import KinectMotor
 
     with KinectMotor(number=arguments.number) as motor:
-        state = motor.state()
-    print(device_report.motor_as_json(state) if arguments.json else device_report.motor_as_text(state))
+        if arguments.command == "tilt":
+            motor.tilt(arguments.angle_deg)
+            done = f"turning to {arguments.angle_deg:g} degrees"
+        elif arguments.command == "led":
+            motor.led(arguments.color)
+            done = f"light: {arguments.color}"
+        else:
+            as_words = device_report.motor_as_json if arguments.json else device_report.motor_as_text
+            done = as_words(motor.state())
+    print(done)
     return READY
 
 

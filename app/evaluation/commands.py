@@ -17,7 +17,6 @@ from nurbseg.app.evaluation.arguments import base_config, source_options
 from nurbseg.app.evaluation.check.check import FolderCheck
 from nurbseg.app.evaluation.computer import versions_line
 from nurbseg.app.evaluation.methods.methods import check_method
-from nurbseg.app.evaluation.progress import Progress
 from nurbseg.app.evaluation.report.findings import findings, means_of
 from nurbseg.app.evaluation.report.report import write_report
 from nurbseg.app.evaluation.report.tables import all_tables, as_markdown, as_text
@@ -32,6 +31,23 @@ from nurbseg.segmentation.points.registration import PointMap, register
 from nurbseg.segmentation.surfaces.noise import measure_noise
 
 _METRICS = "mse,mae,ve,nle,vmxc,vmec,vgc,mmxc,nlc"
+
+
+class Progress:
+    """One line on stderr that grows, where somebody watches; silent in a file."""
+
+    def __init__(self, unit: str) -> None:
+        self._unit = unit
+        self._shown = sys.stderr.isatty()
+
+    def __call__(self, done: int, total: int, more: str = "") -> None:
+        """Draw the line again."""
+        if not self._shown:
+            return
+        filled = round(30 * done / max(total, 1))
+        bar = "#" * filled + "." * (30 - filled)
+        end = "\n" if done == total else ""
+        print(f"\r[{bar}] {done}/{total} {self._unit} {more}", end=end, file=sys.stderr, flush=True)
 
 
 def study_of(given: argparse.Namespace) -> Study:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
@@ -21,6 +22,8 @@ from nurbseg.drivers.source import FrameSource, Paced
 _log = logging.getLogger(__name__)
 
 CAMERA, SYNTHETIC = "openni2:", "synthetic:"
+#: Settings that a camera does not heed.
+_REPLAY_SETTINGS = ("speed", "loop", "start", "intrinsics", "depth_scale")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,26 +148,23 @@ def _warn_of_camera_settings(uri: str, camera: DeviceOptions) -> None:
     heeded = set() if uri.startswith(SYNTHETIC) else {"calibration"}
     if uri.lower().endswith(".oni"):
         heeded |= {"mirror", "registration"}
-    ignored = [
-        flags(each)[0]
-        for each in described_fields(DeviceOptions)
-        if each.name not in heeded and getattr(camera, each.name) != each.default
-    ]
-    if ignored:
-        _log.warning("%s: for cameras only, ignored for %s", ", ".join(ignored), uri)
+    _warn_of(
+        camera,
+        {each.name for each in described_fields(DeviceOptions)} - heeded,
+        f"cameras only, ignored for {uri}",
+    )
 
 
 def _warn_of_replay_settings(config: SourceConfig) -> None:
+    _warn_of(config, _REPLAY_SETTINGS, "replays only, ignored for a camera")
+
+
+def _warn_of(config: SourceConfig | DeviceOptions, names: Collection[str], reason: str) -> None:
+    """Log which of some settings are not at their defaults."""
     ignored = [
-        flag
-        for flag, is_set in (
-            ("--speed", config.speed != 1),
-            ("--loop", config.loop),
-            ("--start", config.start > 0),
-            ("--intrinsics", config.intrinsics is not None),
-            ("--depth-scale", config.depth_scale is not None),
-        )
-        if is_set
+        flags(each)[0]
+        for each in described_fields(type(config))
+        if each.name in names and getattr(config, each.name) != each.default
     ]
     if ignored:
-        _log.warning("%s: for replays only, ignored for a camera", ", ".join(ignored))
+        _log.warning("%s: for %s", ", ".join(ignored), reason)

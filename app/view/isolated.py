@@ -17,7 +17,7 @@ from nurbseg.app.versions import versions
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame
-from nurbseg.app.view.messages import CODEC, Close, Closed, Failed, Line, Open, Opened, Refused, Status
+from nurbseg.app.view.messages import CODEC, Close, Closed, Failed, Line, Open, Opened, Status
 from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import FILE_CLOSE_S, FILE_PATIENCE_S, ViewError
 from nurbseg.drivers.frame import Calibration
@@ -233,7 +233,7 @@ class IsolatedView(View):
                 if isinstance(message, Opened):
                     self.how_to_look, self.serving = message.how_to_look, message.serving
                     return
-                if isinstance(message, Refused):
+                if isinstance(message, Failed):
                     raise ViewError(message.reason)
         except ChannelClosedError:
             raise ViewError(self._how_it_ended()) from None

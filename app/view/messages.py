@@ -31,13 +31,6 @@ class Opened:
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
-    """They cannot be opened, and the process ends."""
-
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
 class Line:
     """A line of the log, of one of logging's levels, as it is to be shown."""
 
@@ -63,7 +56,7 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """Something cannot be shown or saved."""
+    """Something cannot be opened, shown or saved."""
 
     reason: str
 
@@ -73,4 +66,4 @@ class Closed:
     """All is shown and saved."""
 
 
-CODEC = Codec(Open, Opened, Refused, ViewFrame, Line, Close, Status, Failed, Closed)
+CODEC = Codec(Open, Opened, ViewFrame, Line, Close, Status, Failed, Closed)

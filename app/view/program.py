@@ -12,7 +12,7 @@ import os
 import signal
 
 from nurbseg.app.view.drawing.frame import ViewFrame
-from nurbseg.app.view.messages import CODEC, Close, Closed, Failed, Line, Open, Opened, Refused, Status
+from nurbseg.app.view.messages import CODEC, Close, Closed, Failed, Line, Open, Opened, Status
 from nurbseg.app.view.rerun import RerunView
 from nurbseg.app.view.viewer import FILE_PATIENCE_S, ViewError
 from nurbseg.drivers.process.channel import Channel, ChannelClosedError, LogForwarder
@@ -65,7 +65,7 @@ def _run(channel: Channel) -> int:
     try:
         view = RerunView(message.config, message.segmentation, message.properties, message.name)
     except ViewError as err:
-        channel.send(Refused(str(err)))
+        channel.send(Failed(str(err)))
         return 1
     limit_s = FILE_PATIENCE_S
     with contextlib.suppress(ChannelClosedError):

@@ -128,14 +128,16 @@ def _decoded(kind: Any, value: Any) -> Any:
         return {key: _decoded(inner[1], each) for key, each in value.items()}
     if origin is None and hasattr(kind, "__annotations__") and isinstance(value, dict):
         fields = {}
+        whose = f"{value.get('name')} " if kind is ExportedSegment else ""
         for name, hint in _type_hints(kind).items():
-            where = f"{value['name']} {name}" if kind is ExportedSegment and "name" in value else name
             if name not in value:
-                raise ValueError(f"{where} is missing")
+                raise ValueError(f"{whose}{name} is missing")
             try:
                 fields[name] = _decoded(hint, value[name])
             except _UnexpectedError as err:
-                raise ValueError(f"{where}: {err}") from err
+                raise ValueError(f"{whose}{name}: {err}") from err
+            except ValueError as err:
+                raise ValueError(f"{whose}{err}") from err
         return kind(**fields)
     kinds = (float, int) if kind is float else origin or kind
     # To Python, a truth value is a whole number.
