@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled, inlined
+from nurbseg.drivers.synthetic.intersections import RECTANGLE
 from nurbseg.drivers.synthetic.scene import RenderedScene
-from nurbseg.drivers.synthetic.shapes import Rectangle
 
 #: Direction to the lamp, from left, in front and above.
 _LAMP = np.array([-0.45, -0.5, 0.95]) / np.linalg.norm([-0.45, -0.5, 0.95])
@@ -214,11 +214,11 @@ def _lit_grounds(seed: int) -> dict[int, NDArray[np.uint8]]:
     With it are the shadows of what stands still; the ball's moves over it.
     """
     scene = RenderedScene(seed)
-    still = [n for n, each in enumerate(scene.objects) if not isinstance(each.shape, Rectangle)]
+    still = [n for n, each in enumerate(scene.objects) if each.shape.kind != RECTANGLE]
     still.remove(scene.ball)
     grounds = {}
     for number, each in enumerate(scene.objects):
-        if not isinstance(each.shape, Rectangle):
+        if each.shape.kind != RECTANGLE:
             continue
         pose = each.world_from_object
         low, high = each.shape.corners_m.min(axis=0), each.shape.corners_m.max(axis=0)

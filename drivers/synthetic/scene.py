@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.synthetic import textures
-from nurbseg.drivers.synthetic.shapes import Bowl, Box, Cushion, Cylinder, Ellipsoid, Rectangle, Shape
+from nurbseg.drivers.synthetic.shapes import Shape, bowl, box, cushion, cylinder, ellipsoid, rectangle
 
 #: Ticks of the scene's clock per second, and those in which camera and ball return to where they were.
 TICKS_PER_S = 30.0
@@ -190,59 +190,59 @@ def _objects(rng: np.random.Generator, spread: float) -> tuple[RenderedObject, .
     on_book = book.copy()
     on_book[:3, 3] += [0.01, 0.0, 0.02]
     objects = [
-        RenderedObject("table", Rectangle(1.4, 0.7), textures.wood(rng, 700, 1400), table),
-        RenderedObject("wall", Rectangle(3.0, 1.2), textures.plaster(rng, 480, 1200), wall),
+        RenderedObject("table", rectangle(1.4, 0.7), textures.wood(rng, 700, 1400), table),
+        RenderedObject("wall", rectangle(3.0, 1.2), textures.plaster(rng, 480, 1200), wall),
         RenderedObject(
             _SCREEN_NAME,
-            Box(0.095, 0.035, 0.14),
+            box(0.095, 0.035, 0.14),
             textures.printed(rng, (196, 62, 44), (246, 190, 60)),
             placed(-0.34, 0.2, 0.14, 18),
             0.12,
         ),
         RenderedObject(
             "packet",
-            Box(0.07, 0.045, 0.032),
+            box(0.07, 0.045, 0.032),
             textures.printed(rng, (58, 110, 92), (226, 214, 170)),
             placed(0.05, -0.14, 0.032, -28),
             0.10,
         ),
-        RenderedObject("book", Box(0.12, 0.085, 0.02), textures.plain(rng, (70, 84, 128)), book, 0.08),
+        RenderedObject("book", box(0.12, 0.085, 0.02), textures.plain(rng, (70, 84, 128)), book, 0.08),
         RenderedObject(
             "can",
-            Cylinder(0.034, 0.115),
+            cylinder(0.034, 0.115),
             textures.banded(rng, (44, 100, 160), (232, 228, 214)),
             placed(-0.13, 0.06, 0.0, -40),
             0.45,
         ),
         RenderedObject(
             "tin",
-            Cylinder(0.056, 0.17),
+            cylinder(0.056, 0.17),
             textures.banded(rng, (128, 52, 62), (218, 182, 120)),
             placed(0.38, 0.2, 0.0, 20),
             0.35,
         ),
         RenderedObject(
             "melon",
-            Ellipsoid(0.062, 0.052, 0.05),
+            ellipsoid(0.062, 0.052, 0.05),
             textures.plain(rng, (226, 178, 64), grain=0.05),
             placed(0.24, 0.0, 0.05, 25),
             0.25,
         ),
         RenderedObject(
-            "orange", Ellipsoid(0.04, 0.04, 0.04), textures.plain(rng, (232, 126, 38)), on_book, 0.2
+            "orange", ellipsoid(0.04, 0.04, 0.04), textures.plain(rng, (232, 126, 38)), on_book, 0.2
         ),
         RenderedObject(
-            "bowl", Bowl(0.105, 0.075), textures.plain(rng, (222, 218, 206)), placed(-0.24, -0.14), 0.35
+            "bowl", bowl(0.105, 0.075), textures.plain(rng, (222, 218, 206)), placed(-0.24, -0.14), 0.35
         ),
         RenderedObject(
             "cushion",
-            Cushion(0.15, 0.12, 0.06),
+            cushion(0.15, 0.12, 0.06),
             textures.striped(rng, (88, 132, 138), (214, 204, 182)),
             placed(0.43, -0.08, 0.0, -12),
         ),
         RenderedObject(
             _BALL_NAME,
-            Ellipsoid(_BALL_RADIUS_M, _BALL_RADIUS_M, _BALL_RADIUS_M),
+            ellipsoid(_BALL_RADIUS_M, _BALL_RADIUS_M, _BALL_RADIUS_M),
             textures.beach_ball(((206, 52, 52), (240, 238, 230), (52, 96, 176), (240, 238, 230)) * 2),
             _tilted_upright(),
             0.3,

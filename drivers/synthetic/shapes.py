@@ -2,36 +2,49 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.synthetic import intersections, rays
+from nurbseg.drivers.synthetic.intersections import BOWL, BOX, CUSHION, CYLINDER, ELLIPSOID, RECTANGLE
+from nurbseg.drivers.synthetic.rays import hit_each
 
 
 class Shape:
     """A solid or sheet in its own frame, metres, z upwards.
 
-    Attributes
+    Parameters
     ----------
     kind : int
-        Which of the forms it is, for the loops that take many shapes at once.
-    sizes : (4,) float32
-        What the form leaves open.
+        Which of the forms it is.
+    sizes : tuple of float
+        What the form leaves open, up to four numbers.
+    low, high : (float, float, float)
+        Corners of a box around it.
     faces : int
         How many smooth surfaces it has.
+
+    Attributes
+    ----------
+    sizes : (4,) float32
+        The same, for the loops that take many shapes at once.
     corners_m : (8, 3) float64
-        Box around it.
+        The box's corners.
     """
 
-    kind: int
-    faces: int = 1
-
-    def __init__(self, sizes: tuple[float, ...], low: tuple[float, ...], high: tuple[float, ...]) -> None:
+    def __init__(
+        self,
+        kind: int,
+        sizes: tuple[float, ...],
+        low: tuple[float, float, float],
+        high: tuple[float, float, float],
+        faces: int = 1,
+    ) -> None:
+        self.kind, self.faces = kind, faces
         self.sizes = np.zeros(4, dtype=np.float32)
         self.sizes[: len(sizes)] = sizes
-        self.corners_m = np.array(
-            [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
-        )
+        self.corners_m = np.array(list(itertools.product(*zip(low, high, strict=True))))
 
     def hit(
         self, origins: NDArray[np.float32], directions: NDArray[np.float32]
@@ -52,70 +65,47 @@ class Shape:
         """
         multiples, faces = np.empty(len(origins), np.float32), np.empty(len(origins), np.uint8)
         rows = np.ascontiguousarray(origins), np.ascontiguousarray(directions)
-        rays.hit_each(self.kind, self.sizes, *rows, multiples, faces)
+        hit_each(self.kind, self.sizes, *rows, multiples, faces)
         return multiples, faces
 
 
-class Rectangle(Shape):
-    """The part of the plane z = 0 within half a width along x and half a height along y."""
-
-    kind = intersections.RECTANGLE
-
-    def __init__(self, half_width_m: float, half_height_m: float) -> None:
-        half = half_width_m, half_height_m
-        super().__init__(half, (-half_width_m, -half_height_m, 0.0), (*half, 0.0))
+def rectangle(half_width_m: float, half_height_m: float) -> Shape:
+    """Return the part of the plane z = 0 within half a width along x and half a height along y."""
+    half = half_width_m, half_height_m
+    return Shape(RECTANGLE, half, (-half_width_m, -half_height_m, 0.0), (*half, 0.0))
 
 
-class Box(Shape):
-    """A cuboid around the origin."""
-
-    kind, faces = intersections.BOX, 6
-
-    def __init__(self, half_x_m: float, half_y_m: float, half_z_m: float) -> None:
-        half = half_x_m, half_y_m, half_z_m
-        super().__init__(half, tuple(-h for h in half), half)
+def box(half_x_m: float, half_y_m: float, half_z_m: float) -> Shape:
+    """Return a cuboid around the origin."""
+    half = half_x_m, half_y_m, half_z_m
+    return Shape(BOX, half, (-half_x_m, -half_y_m, -half_z_m), half, faces=6)
 
 
-class Ellipsoid(Shape):
-    """An ellipsoid around the origin; a sphere if its radii are equal."""
-
-    kind = intersections.ELLIPSOID
-
-    def __init__(self, radius_x_m: float, radius_y_m: float, radius_z_m: float) -> None:
-        radii = radius_x_m, radius_y_m, radius_z_m
-        super().__init__(radii, tuple(-r for r in radii), radii)
+def ellipsoid(radius_x_m: float, radius_y_m: float, radius_z_m: float) -> Shape:
+    """Return an ellipsoid around the origin; a sphere if its radii are equal."""
+    radii = radius_x_m, radius_y_m, radius_z_m
+    return Shape(ELLIPSOID, radii, (-radius_x_m, -radius_y_m, -radius_z_m), radii)
 
 
-class Cylinder(Shape):
-    """An upright cylinder on the plane z = 0; its faces are the side and the two ends."""
-
-    kind, faces = intersections.CYLINDER, 3
-
-    def __init__(self, radius_m: float, height_m: float) -> None:
-        super().__init__((radius_m, height_m), (-radius_m, -radius_m, 0.0), (radius_m, radius_m, height_m))
+def cylinder(radius_m: float, height_m: float) -> Shape:
+    """Return an upright cylinder on the plane z = 0; its faces are the side and the two ends."""
+    low, high = (-radius_m, -radius_m, 0.0), (radius_m, radius_m, height_m)
+    return Shape(CYLINDER, (radius_m, height_m), low, high, faces=3)
 
 
-class Bowl(Shape):
-    """The lower part of a hollow sphere that stands on z = 0; its faces are the outside and the inside."""
-
-    kind, faces = intersections.BOWL, 2
-
-    def __init__(self, radius_m: float, depth_m: float) -> None:
-        rim = float(np.sqrt(radius_m**2 - (radius_m - depth_m) ** 2))
-        super().__init__((radius_m, depth_m), (-rim, -rim, 0.0), (rim, rim, depth_m))
+def bowl(radius_m: float, depth_m: float) -> Shape:
+    """Return the lower part of a hollow sphere that stands on z = 0; its faces are outside and inside."""
+    rim = float(np.sqrt(radius_m**2 - (radius_m - depth_m) ** 2))
+    return Shape(BOWL, (radius_m, depth_m), (-rim, -rim, 0.0), (rim, rim, depth_m), faces=2)
 
 
-class Cushion(Shape):
-    """A freeform sheet z = h(x, y) over a rectangle: a bump with folds, flat at its rim.
+def cushion(half_x_m: float, half_y_m: float, height_m: float, folds: float = 2.5) -> Shape:
+    """Return a freeform sheet z = h(x, y) over a rectangle: a bump with folds, flat at its rim.
 
     With x and y in halves of the rectangle's sides, h is the height times (1 - x^2) (1 - y^2) times
     1 + sin(folds (x + 0.6 y) + 0.7) / 4. Rays are followed in steps through the slab that holds the sheet,
     then the crossing is refined.
     """
-
-    kind = intersections.CUSHION
-
-    def __init__(self, half_x_m: float, half_y_m: float, height_m: float, folds: float = 2.5) -> None:
-        # The folds add a quarter at most; the sheet lies just above what it is put on.
-        sizes = half_x_m, half_y_m, height_m, folds
-        super().__init__(sizes, (-half_x_m, -half_y_m, 0.0), (half_x_m, half_y_m, 1.25 * height_m))
+    # The folds add a quarter at most; the sheet lies just above what it is put on.
+    low, high = (-half_x_m, -half_y_m, 0.0), (half_x_m, half_y_m, 1.25 * height_m)
+    return Shape(CUSHION, (half_x_m, half_y_m, height_m, folds), low, high)

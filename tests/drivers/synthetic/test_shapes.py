@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from nurbseg.drivers.synthetic.intersections import surface
-from nurbseg.drivers.synthetic.shapes import Bowl, Box, Cushion, Cylinder, Ellipsoid, Rectangle
+from nurbseg.drivers.synthetic.shapes import bowl, box, cushion, cylinder, ellipsoid, rectangle
 
-CUSHION = Cushion(0.15, 0.12, 0.06)
+CUSHION = cushion(0.15, 0.12, 0.06)
 
 
 def box_gap(p):
@@ -22,11 +22,12 @@ def ellipsoid_gap(p):
 
 
 SOLIDS = [
-    (Box(0.2, 0.1, 0.15), box_gap),
-    (Cylinder(0.1, 0.25), cylinder_gap),
-    (Ellipsoid(0.1, 0.15, 0.2), ellipsoid_gap),
+    (box(0.2, 0.1, 0.15), box_gap),
+    (cylinder(0.1, 0.25), cylinder_gap),
+    (ellipsoid(0.1, 0.15, 0.2), ellipsoid_gap),
 ]
-SHAPES = [shape for shape, _ in SOLIDS] + [Bowl(0.2, 0.12), CUSHION, Rectangle(0.3, 0.2)]
+IDS = ["box", "cylinder", "ellipsoid", "bowl", "cushion", "rectangle"]
+SHAPES = [shape for shape, _ in SOLIDS] + [bowl(0.2, 0.12), CUSHION, rectangle(0.3, 0.2)]
 
 
 def rays(count=3000, seed=0):
@@ -67,9 +68,9 @@ def test_rays_meet_solids_first_where_a_fine_walk_along_them_does(shape, gap):
 
 
 def test_rays_meet_the_bowl_outside_or_inside():
-    bowl = Bowl(0.2, 0.12)
+    half_sphere = bowl(0.2, 0.12)
     origin, direction = rays()
-    t, face = bowl.hit(origin, direction)
+    t, face = half_sphere.hit(origin, direction)
     met = np.isfinite(t)
     point = points(origin[met], t[met], direction[met])
     np.testing.assert_allclose(np.linalg.norm(point - [0, 0, 0.2], axis=1), 0.2, atol=2e-6)
@@ -77,8 +78,8 @@ def test_rays_meet_the_bowl_outside_or_inside():
     assert {0, 1} == set(np.unique(face[met]))
     # Straight from above one sees the inside, from below the outside.
     up = np.array([[0, 0, 1]], dtype=np.float32)
-    assert bowl.hit(up, -up)[1] == 1
-    assert bowl.hit(-up, up)[1] == 0
+    assert half_sphere.hit(up, -up)[1] == 1
+    assert half_sphere.hit(-up, up)[1] == 0
 
 
 def test_rays_meet_the_cushion_on_its_surface():
@@ -90,7 +91,7 @@ def test_rays_meet_the_cushion_on_its_surface():
     np.testing.assert_allclose(z, cushion_height(x, y), atol=5e-5)
 
 
-@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: type(shape).__name__)
+@pytest.mark.parametrize("shape", SHAPES, ids=IDS)
 def test_normals_are_units_and_stand_across_the_surface(shape):
     origin, direction = rays(seed=3)
     t, face = shape.hit(origin, direction)
@@ -112,7 +113,7 @@ def test_normals_are_units_and_stand_across_the_surface(shape):
     assert np.median(slope) < 0.02
 
 
-@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: type(shape).__name__)
+@pytest.mark.parametrize("shape", SHAPES, ids=IDS)
 def test_nothing_reaches_out_of_the_stated_box(shape):
     origin, direction = rays(seed=5)
     t, _ = shape.hit(origin, direction)
