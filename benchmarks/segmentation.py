@@ -35,7 +35,7 @@ from nurbseg.segmentation import stag15 as tree
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended import splitting
 from nurbseg.segmentation.points.registration import PointMap, register
-from nurbseg.segmentation.surfaces.surface import fit_surface
+from nurbseg.segmentation.surfaces.fit import fit_surface
 
 DEMO = Path(__file__).parent.parent / "recordings" / "demo.mcap"
 #: For each method the module that grows the tree, and the stage that the time of its functions belongs to.

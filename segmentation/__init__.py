@@ -11,7 +11,8 @@ if TYPE_CHECKING:
     from nurbseg.segmentation.points.registration import PointMap, register
     from nurbseg.segmentation.stag15 import Segment, SegmentationTree, StopReason, segment
     from nurbseg.segmentation.surfaces.curvature import all_metrics, principal_curvatures
-    from nurbseg.segmentation.surfaces.surface import Fit, NurbsSurface, evaluate, fit_surface, normals
+    from nurbseg.segmentation.surfaces.fit import Fit, fit_surface
+    from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate, normals
 
 __all__ = [
     "Cut",
@@ -40,10 +41,10 @@ _MODULES = {
     "normalized_cut": "cut.ncut",
     "PointMap": "points.registration",
     "register": "points.registration",
-    "Fit": "surfaces.surface",
+    "Fit": "surfaces.fit",
     "NurbsSurface": "surfaces.surface",
     "evaluate": "surfaces.surface",
-    "fit_surface": "surfaces.surface",
+    "fit_surface": "surfaces.fit",
     "normals": "surfaces.surface",
     "Segment": "stag15",
     "SegmentationTree": "stag15",

@@ -16,7 +16,7 @@ from nurbseg.segmentation.surfaces.metrics import acceptance_ratio, metric_value
 if TYPE_CHECKING:
     from nurbseg.segmentation.cut.ncut import Cut
     from nurbseg.segmentation.extended.merge import Contact, SceneObject
-    from nurbseg.segmentation.surfaces.surface import Fit
+    from nurbseg.segmentation.surfaces.fit import Fit
 
 
 class StopReason(StrEnum):

@@ -1,7 +1,7 @@
 """The paper's method: a tree of normalized cuts, decided by surface fits (section 3).
 
 To be read beside the paper. Vectors (eq. 1-3) are made in `cut/features.py`, the cut in `cut/ncut.py`,
-surfaces (eq. 4) in `surfaces/surface.py`, the metrics and their ratios (eq. 7-22) in `surfaces/metrics.py`
+surfaces (eq. 4) in `surfaces/fit.py`, the metrics and their ratios (eq. 7-22) in `surfaces/metrics.py`
 and `surfaces/curvature.py`; what ends the tree (eq. 6) is in `growth.py`.
 """
 
@@ -34,8 +34,8 @@ from nurbseg.segmentation.segments import (
     depth_first,
 )
 from nurbseg.segmentation.surfaces.curvature import all_metrics
+from nurbseg.segmentation.surfaces.fit import Fit, fit_on_grid
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, acceptance_ratio
-from nurbseg.segmentation.surfaces.surface import Fit, fit_on_grid
 
 #: Cuts a segment in two, given the grid, its node, the vectors of all places of the grid and the settings.
 Cutter = Callable[[PixelGrid, Node, NDArray[np.float32], SegmentationConfig], tuple[Cut, NDArray[np.bool_]]]

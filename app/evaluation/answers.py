@@ -20,8 +20,8 @@ from nurbseg.segmentation.points.grid import PixelGrid
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node
 from nurbseg.segmentation.stag15 import SegmentationTree, cut_in_two, fit_segment, segment, segment_stag15
+from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS
-from nurbseg.segmentation.surfaces.surface import Fit
 
 
 class SharedWork:

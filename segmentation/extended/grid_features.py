@@ -11,9 +11,9 @@ from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import Normalization, lab, normalization, raw_vectors
 from nurbseg.segmentation.labels.regions import PixelAdjacency, pixel_adjacency
+from nurbseg.segmentation.points.depth_grid import DepthGrid, depth_grid
 from nurbseg.segmentation.points.normals import facet_normals
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.surfaces.inverse_depth import DepthGrid, depth_grid
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,7 @@ from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.border_statistics import BorderStatistics, border_statistics, in_contact
 from nurbseg.segmentation.extended.smooth import smooth_borders
-from nurbseg.segmentation.surfaces.inverse_depth import DepthGrid
+from nurbseg.segmentation.points.depth_grid import DepthGrid
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.border_statistics import BorderStatistics, in_contact
 from nurbseg.segmentation.labels.strips import BorderStrips
+from nurbseg.segmentation.points.depth_grid import DepthGrid
 from nurbseg.segmentation.points.grid import Window
-from nurbseg.segmentation.surfaces.inverse_depth import DepthGrid, residuals_of_fit
+from nurbseg.segmentation.surfaces.inverse_depth import residuals_of_fit
 from nurbseg.segmentation.surfaces.noise import SQUARE_MOST
 
 #: The strip that is looked at on each side of a border: pixels of an image 640 wide up to a depth of 0.8 m,

@@ -18,6 +18,7 @@ from nurbseg.segmentation.growth import grow
 from nurbseg.segmentation.labels.regions import large_components
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
 from nurbseg.segmentation.labels.upsample import upsample_by_depth
+from nurbseg.segmentation.points.depth_grid import inverse_depth_image
 from nurbseg.segmentation.points.grid import step_with_points
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import (
@@ -29,10 +30,10 @@ from nurbseg.segmentation.segments import (
     depth_first,
 )
 from nurbseg.segmentation.surfaces.curvature import all_metrics
-from nurbseg.segmentation.surfaces.inverse_depth import fit_window, inverse_depth_image
+from nurbseg.segmentation.surfaces.fit import Fit
+from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, acceptance_ratio, metric_value
 from nurbseg.segmentation.surfaces.noise import noise_floor
-from nurbseg.segmentation.surfaces.surface import Fit
 
 #: From so many places on, a segment is cut at a quarter of them.
 _MANY_PLACES = 6_000

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.segments import Node, Segment
-from nurbseg.segmentation.surfaces.surface import Fit
+from nurbseg.segmentation.surfaces.fit import Fit
 
 
 def by_label(labels: NDArray[np.integer], count: int) -> tuple[NDArray[np.intp], NDArray[np.int64]]:

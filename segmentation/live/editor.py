@@ -14,7 +14,7 @@ from nurbseg.segmentation.extended.splitting import Part
 from nurbseg.segmentation.labels.regions import PixelAdjacency
 from nurbseg.segmentation.live.leaf import LiveLeaf
 from nurbseg.segmentation.segments import Division, Node, depth_first
-from nurbseg.segmentation.surfaces.surface import Fit
+from nurbseg.segmentation.surfaces.fit import Fit
 
 #: Why what was divided without a cut has no surface.
 NOT_CUT = "parts that no cut made"

@@ -13,7 +13,7 @@ from nurbseg.segmentation.extended.border_statistics import BorderStatistics, bo
 from nurbseg.segmentation.extended.merge import Contact, SceneObject, merged_objects
 from nurbseg.segmentation.extended.smooth import smooth_borders
 from nurbseg.segmentation.live.leaf import LiveLeaf
-from nurbseg.segmentation.surfaces.inverse_depth import DepthGrid
+from nurbseg.segmentation.points.depth_grid import DepthGrid
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 
 #: Share of a frame in what is remembered of a border.

@@ -13,8 +13,8 @@ from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.splitting import at_noise_floor, fit_segment
 from nurbseg.segmentation.live.leaf import LiveLeaf
 from nurbseg.segmentation.segments import Division, Node, StopReason, Trial, depth_first
+from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.metrics import acceptance_ratio
-from nurbseg.segmentation.surfaces.surface import Fit
 
 #: Frames within which every split is judged again, and after which the oldest rejected trial counts no more.
 SPLIT_FRAMES, TRIAL_FRAMES = 60, 300

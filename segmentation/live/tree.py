@@ -21,13 +21,13 @@ from nurbseg.segmentation.live.motion import brightness, flow_back, resized, war
 from nurbseg.segmentation.live.objects import ObjectMemory
 from nurbseg.segmentation.live.renewal import give_reasons, renew_splits
 from nurbseg.segmentation.live.updater import Budget, TreeUpdater
+from nurbseg.segmentation.points.depth_grid import DepthGrid, inverse_depth_image
 from nurbseg.segmentation.points.grid import decimated_grid
 from nurbseg.segmentation.points.rays import Rays, rays_of
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import TRIED, Division, Node, SegmentationTree, depth_first
-from nurbseg.segmentation.surfaces.inverse_depth import DepthGrid, inverse_depth_image
+from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
-from nurbseg.segmentation.surfaces.surface import Fit
 
 #: The scene is another one where so much of it is not explained by the surfaces of the frame before.
 _CHANGED_SHARE = 0.4

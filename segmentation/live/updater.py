@@ -17,9 +17,9 @@ from nurbseg.segmentation.labels.regions import PixelAdjacency
 from nurbseg.segmentation.live.editor import TreeEditor, TreeUpdate
 from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf, Misfit
 from nurbseg.segmentation.live.renewal import TRIAL_FRAMES
+from nurbseg.segmentation.points.depth_grid import DepthGrid
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Division, Node, StopReason, Trial, depth_first
-from nurbseg.segmentation.surfaces.inverse_depth import DepthGrid
 from nurbseg.segmentation.surfaces.metrics import acceptance_ratio, metric_value
 
 #: A leaf is tried again for a split when its mean square is this much more than at the last trial.

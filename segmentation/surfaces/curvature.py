@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import Metric, SegmentationConfig
+from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.metrics import curvature_metrics
-from nurbseg.segmentation.surfaces.surface import Fit, NurbsSurface, evaluate, evaluate_lattice
+from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate, evaluate_lattice
 
 
 def principal_curvatures(

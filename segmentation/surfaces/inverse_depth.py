@@ -8,21 +8,22 @@ sensor that triangulates measures d, with noise of one size at every depth.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.points.grid import PixelGrid, Window, decimated_grid
-from nurbseg.segmentation.points.rays import Rays, rays_of
-from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, basis_matrix
+from nurbseg.segmentation.points.depth_grid import DepthGrid
+from nurbseg.segmentation.points.grid import Window
+from nurbseg.segmentation.points.rays import Rays
+from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis
+from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.knot_lattice import lattice_basis
 from nurbseg.segmentation.surfaces.leastsquares import LinAlgError, fit_splines
 from nurbseg.segmentation.surfaces.metrics import residual_metrics
-from nurbseg.segmentation.surfaces.surface import Fit, NurbsSurface
+from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 #: How far beyond its segment a surface goes on without leaving its knots, pixels of a 640-wide image.
 _MARGIN_PX = 24.0
@@ -33,99 +34,6 @@ _HELD = 1.0
 #: Factors on the smoothness, tried in turn where a surface would go through infinity beyond its points and
 #: giving it less room does not help.
 _STIFFER = (1e2, 1e4)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DepthGrid:
-    """A grid of points with what a sensor that triangulates measures at each.
-
-    Parameters
-    ----------
-    points : PixelGrid
-        The points.
-    per_m : (h, w) float32
-        Inverse depth, 1/m; 0 where there is no point.
-    rays : Rays
-        Of the camera.
-
-    Attributes
-    ----------
-    distances_m : (h, w) float32
-        From the camera, metres; 0 or NaN where there is no point.
-    """
-
-    points: PixelGrid
-    per_m: NDArray[np.float32]
-    rays: Rays
-    distances_m: NDArray[np.float32] = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "distances_m", _distances(self.points.coordinates_m))
-
-    @property
-    def step(self) -> int:
-        """Pixels from one place of the grid to the next."""
-        return self.points.step
-
-    @property
-    def valid(self) -> NDArray[np.bool_]:
-        """Where there is a point, (h, w) bool."""
-        return self.points.valid
-
-    @property
-    def unit_px(self) -> float:
-        """Pixels of this image for each one of an image 640 wide, in which settings are given."""
-        return self.points.image_shape[1] / 640.0
-
-
-@compiled
-def _distances(coordinates_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Distance from the camera of each point of a grid."""
-    _, height, width = coordinates_m.shape
-    distances_m = np.empty((height, width), dtype=np.float32)
-    for row in range(height):
-        for column in range(width):
-            square = np.float32(0.0)
-            for axis in range(3):
-                square += coordinates_m[axis, row, column] * coordinates_m[axis, row, column]
-            distances_m[row, column] = np.sqrt(square)
-    return distances_m
-
-
-def depth_grid(cloud: PointMap, step: int) -> DepthGrid:
-    """Take every `step`-th row and column of a frame.
-
-    Parameters
-    ----------
-    cloud : PointMap
-        The frame.
-    step : int
-        Pixels from one row or column to the next.
-
-    Returns
-    -------
-    DepthGrid
-        Its points and their inverse depths.
-    """
-    points = decimated_grid(cloud, step)
-    return DepthGrid(points, _inverse_depths(points.coordinates_m[2], points.valid), rays_of(cloud))
-
-
-def inverse_depth_image(cloud: PointMap) -> NDArray[np.float32]:
-    """Return one over depth of every pixel, (H, W) float32 in 1/m; 0 where there is no point."""
-    return _inverse_depths(cloud.points_m[..., 2], cloud.valid)
-
-
-@compiled
-def _inverse_depths(depth_m: NDArray[np.float32], valid: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """One over depth where there is a point in front of the camera, else 0."""
-    height, width = valid.shape
-    per_m = np.empty((height, width), dtype=np.float32)
-    for y in range(height):
-        for x in range(width):
-            usable = valid[y, x] and depth_m[y, x] > 0
-            per_m[y, x] = np.float32(1.0) / depth_m[y, x] if usable else np.float32(0.0)
-    return per_m
 
 
 def fit_window(
@@ -325,42 +233,8 @@ def rational_surface(
     )
 
 
-def inverse_depth_lattice(
-    surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return a surface's inverse depth, and its slopes, where some rows meet some columns.
-
-    Parameters
-    ----------
-    surface : NurbsSurface
-        Any surface over the image.
-    u, v : (W,), (H,) float64
-        Columns and rows, pixels. Beyond the knots the polynomials of the ends go on.
-
-    Returns
-    -------
-    per_m, slope_u, slope_v : (H, W) float64
-        Inverse depth in 1/m and its change by one pixel along u and v.
-    """
-    Bu, Du = (basis_matrix(surface.knots_u, surface.degree[0], u, order).T for order in (0, 1))
-    Bv, Dv = (basis_matrix(surface.knots_v, surface.degree[1], v, order) for order in (0, 1))
-    weights = surface.weights
-    depths = surface.control_points_m[..., 2] * weights
-    w = Bv @ weights @ Bu, Bv @ weights @ Du, Dv @ weights @ Bu
-    if np.ptp(depths) <= 1e-12:
-        # The rational surfaces of this module: the ray's z is 1.
-        return w[0] / depths[0, 0], w[1] / depths[0, 0], w[2] / depths[0, 0]
-    z = Bv @ depths @ Bu, Bv @ depths @ Du, Dv @ depths @ Bu
-    per_m = w[0] / z[0]
-    return per_m, (w[1] - per_m * z[1]) / z[0], (w[2] - per_m * z[2]) / z[0]
-
-
 __all__ = [
-    "DepthGrid",
-    "depth_grid",
     "fit_window",
-    "inverse_depth_image",
-    "inverse_depth_lattice",
     "knots_on",
     "rational_surface",
     "residuals_of_fit",

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.points.depth_grid import DepthGrid, inverse_depth_image
 from nurbseg.segmentation.points.grid import Window
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.surfaces.inverse_depth import DepthGrid, inverse_depth_image, knots_on
+from nurbseg.segmentation.surfaces.inverse_depth import knots_on
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS
 
 #: A squared residual in units of the noise counts as no more than this, so that flying pixels do not decide.

@@ -8,7 +8,8 @@ from scipy.interpolate import NdBSpline
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.surfaces.surface import Fit, NurbsSurface
+from nurbseg.segmentation.surfaces.fit import Fit
+from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 Values = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from numpy.testing import assert_allclose
 
 from nurbseg.segmentation.config import SegmentationConfig, Stag15Config
 from nurbseg.segmentation.stag15 import SegmentationTree, StopReason, segment
+from nurbseg.segmentation.surfaces.fit import fit_surface
 from nurbseg.segmentation.surfaces.metrics import METRICS, acceptance_ratio
-from nurbseg.segmentation.surfaces.surface import fit_surface
 
 SIZE = (120, 160)
 

@@ -9,7 +9,7 @@ from nurbseg.segmentation.extended import splitting
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
 from nurbseg.segmentation.extended.splitting import _neighbors_side, best_split, children_of
 from nurbseg.segmentation.segments import Division, Node, StopReason, depth_first
-from nurbseg.segmentation.surfaces.surface import Fit
+from nurbseg.segmentation.surfaces.fit import Fit
 
 SIZE = (48, 64)
 #: 1/100 of the places of a 640x480 image: at most so many pixels make 20 places.

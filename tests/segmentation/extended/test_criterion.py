@@ -15,7 +15,8 @@ from nurbseg.segmentation.extended.splitting import best_split, fit_segment, gri
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Division, Node, SegmentationTree, StopReason
 from nurbseg.segmentation.stag15 import segment
-from nurbseg.segmentation.surfaces.surface import Fit, evaluate
+from nurbseg.segmentation.surfaces.fit import Fit
+from nurbseg.segmentation.surfaces.surface import evaluate
 
 CONFIG = SegmentationConfig(method="nurbseg", decimation=1, extended=ExtendedConfig(refine_borders=False))
 SIZE = (120, 160)

@@ -6,8 +6,9 @@ import pytest
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.extended.border_statistics import BorderStatistics, border_statistics
 from nurbseg.segmentation.extended.merge import merge_surfaces, merged_objects
+from nurbseg.segmentation.points.depth_grid import depth_grid
 from nurbseg.segmentation.points.rays import rays_of
-from nurbseg.segmentation.surfaces.inverse_depth import depth_grid, fit_window
+from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 
 CONFIG = SegmentationConfig()
 NAMES = ("00", "01", "10", "11")

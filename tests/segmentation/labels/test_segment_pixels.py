@@ -4,7 +4,7 @@ import numpy as np
 
 from nurbseg.segmentation.labels.segment_pixels import by_label, finished_segments
 from nurbseg.segmentation.segments import Node, SegmentationTree, StopReason, depth_first
-from nurbseg.segmentation.surfaces.surface import Fit
+from nurbseg.segmentation.surfaces.fit import Fit
 
 
 def test_places_are_sorted_by_label_and_keep_their_order_within_each() -> None:

@@ -6,7 +6,7 @@ from nurbseg.segmentation.labels.regions import pixel_adjacency
 from nurbseg.segmentation.live.editor import TreeEditor, TreeUpdate
 from nurbseg.segmentation.live.leaf import LiveLeaf
 from nurbseg.segmentation.segments import Division, Node, StopReason, Trial, depth_first
-from nurbseg.segmentation.surfaces.surface import Fit
+from nurbseg.segmentation.surfaces.fit import Fit
 
 
 def editor_of(labels):

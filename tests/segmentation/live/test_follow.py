@@ -3,13 +3,15 @@
 import cv2
 import numpy as np
 import pytest
+from inverse_depth_lattice import inverse_depth_lattice
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.live.borders import relax_borders, spread_to_pixels
 from nurbseg.segmentation.live.follow import grown_labels, kept_labels, moved_surfaces
 from nurbseg.segmentation.live.motion import brightness, flow_back, warped
+from nurbseg.segmentation.points.depth_grid import depth_grid
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.surfaces.inverse_depth import depth_grid, fit_window, inverse_depth_lattice
+from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 

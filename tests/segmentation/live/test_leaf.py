@@ -7,10 +7,11 @@ import pytest
 
 from nurbseg.segmentation.config import ExtendedConfig, Metric, SegmentationConfig
 from nurbseg.segmentation.live.leaf import LiveLeaf, misfit, update_residuals
+from nurbseg.segmentation.points.depth_grid import DepthGrid, depth_grid
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node
 from nurbseg.segmentation.surfaces.curvature import principal_curvatures
-from nurbseg.segmentation.surfaces.inverse_depth import DepthGrid, depth_grid, fit_window
+from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 from nurbseg.segmentation.surfaces.noise import noise_floor, noise_floors
 from nurbseg.segmentation.surfaces.surface import evaluate

@@ -10,7 +10,7 @@ from exact_surface import metric, ratio
 from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf
 from nurbseg.segmentation.live.renewal import Renewal, give_reasons, renew_splits
 from nurbseg.segmentation.segments import Division, Node, StopReason, Trial
-from nurbseg.segmentation.surfaces.surface import Fit
+from nurbseg.segmentation.surfaces.fit import Fit
 
 
 @pytest.fixture

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from nurbseg.segmentation.points.depth_grid import depth_grid
 from nurbseg.segmentation.points.normals import facet_normals, facet_slopes
-from nurbseg.segmentation.surfaces.inverse_depth import depth_grid
 
 SIZE = (90, 120)
 FOCAL = 0.8 * SIZE[1]

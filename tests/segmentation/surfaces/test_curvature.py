@@ -6,8 +6,9 @@ from numpy.testing import assert_allclose
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.curvature import all_metrics, curvatures_at_pixels, principal_curvatures
+from nurbseg.segmentation.surfaces.fit import fit_surface
 from nurbseg.segmentation.surfaces.metrics import METRICS
-from nurbseg.segmentation.surfaces.surface import NurbsSurface, fit_surface
+from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 
 def graph_cloud(height_of, size: int = 81, half_m: float = 0.1) -> PointMap:

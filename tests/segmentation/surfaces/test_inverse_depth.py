@@ -1,17 +1,15 @@
 import numpy as np
 import pytest
+from inverse_depth_lattice import inverse_depth_lattice
 from numpy.testing import assert_allclose
 
 from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.points.depth_grid import depth_grid
 from nurbseg.segmentation.points.rays import rays_of
 from nurbseg.segmentation.surfaces.bspline import averaged_knots, basis_matrix
-from nurbseg.segmentation.surfaces.inverse_depth import (
-    depth_grid,
-    fit_window,
-    inverse_depth_lattice,
-    rational_surface,
-)
-from nurbseg.segmentation.surfaces.surface import evaluate, evaluate_lattice, fit_surface
+from nurbseg.segmentation.surfaces.fit import fit_surface
+from nurbseg.segmentation.surfaces.inverse_depth import fit_window, rational_surface
+from nurbseg.segmentation.surfaces.surface import evaluate, evaluate_lattice
 
 SIZE = (60, 80)
 WHOLE = (0, 0, *SIZE)

@@ -12,8 +12,8 @@ from nurbseg.segmentation.config import Metric, SegmentationConfig, Stag15Config
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.bspline import averaged_knots, basis_matrix
 from nurbseg.segmentation.surfaces.curvature import all_metrics, curvatures_at_pixels
+from nurbseg.segmentation.surfaces.fit import fit_surface, has_least_norm
 from nurbseg.segmentation.surfaces.minimum_norm import minimum_norm_control_points
-from nurbseg.segmentation.surfaces.surface import fit_surface, has_least_norm
 
 CURVATURE = {"vmxc", "vmec", "vgc", "mmxc", "nlc"}
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
+from nurbseg.segmentation.points.depth_grid import depth_grid
 from nurbseg.segmentation.surfaces.curvature import principal_curvatures
-from nurbseg.segmentation.surfaces.inverse_depth import depth_grid, fit_window
+from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.metrics import COUNTS, METRICS, curvature_metrics
 from nurbseg.segmentation.surfaces.noise import measure_noise, noise_floor
 

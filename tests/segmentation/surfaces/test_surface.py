@@ -4,14 +4,8 @@ from numpy.testing import assert_allclose
 from scipy.interpolate import BSpline
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.surfaces.surface import (
-    NurbsSurface,
-    control_point_count,
-    evaluate,
-    evaluate_lattice,
-    fit_surface,
-    normals,
-)
+from nurbseg.segmentation.surfaces.fit import control_point_count, fit_surface
+from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate, evaluate_lattice, normals
 
 ROOT = np.sqrt(0.5)
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
+from inverse_depth_lattice import inverse_depth_lattice
 
-from nurbseg.segmentation.surfaces.inverse_depth import inverse_depth_lattice
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 

@@ -1,0 +1,109 @@
+"""The grid of points with what a camera that triangulates measures at each: inverse depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.points.grid import PixelGrid, decimated_grid
+from nurbseg.segmentation.points.rays import Rays, rays_of
+from nurbseg.segmentation.points.registration import PointMap
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthGrid:
+    """A grid of points with what a sensor that triangulates measures at each.
+
+    Parameters
+    ----------
+    points : PixelGrid
+        The points.
+    per_m : (h, w) float32
+        Inverse depth, 1/m; 0 where there is no point.
+    rays : Rays
+        Of the camera.
+
+    Attributes
+    ----------
+    distances_m : (h, w) float32
+        From the camera, metres; 0 or NaN where there is no point.
+    """
+
+    points: PixelGrid
+    per_m: NDArray[np.float32]
+    rays: Rays
+    distances_m: NDArray[np.float32] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "distances_m", _distances(self.points.coordinates_m))
+
+    @property
+    def step(self) -> int:
+        """Pixels from one place of the grid to the next."""
+        return self.points.step
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """Where there is a point, (h, w) bool."""
+        return self.points.valid
+
+    @property
+    def unit_px(self) -> float:
+        """Pixels of this image for each one of an image 640 wide, in which settings are given."""
+        return self.points.image_shape[1] / 640.0
+
+
+@compiled
+def _distances(coordinates_m: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Distance from the camera of each point of a grid."""
+    _, height, width = coordinates_m.shape
+    distances_m = np.empty((height, width), dtype=np.float32)
+    for row in range(height):
+        for column in range(width):
+            square = np.float32(0.0)
+            for axis in range(3):
+                square += coordinates_m[axis, row, column] * coordinates_m[axis, row, column]
+            distances_m[row, column] = np.sqrt(square)
+    return distances_m
+
+
+def depth_grid(cloud: PointMap, step: int) -> DepthGrid:
+    """Take every `step`-th row and column of a frame.
+
+    Parameters
+    ----------
+    cloud : PointMap
+        The frame.
+    step : int
+        Pixels from one row or column to the next.
+
+    Returns
+    -------
+    DepthGrid
+        Its points and their inverse depths.
+    """
+    points = decimated_grid(cloud, step)
+    return DepthGrid(points, _inverse_depths(points.coordinates_m[2], points.valid), rays_of(cloud))
+
+
+def inverse_depth_image(cloud: PointMap) -> NDArray[np.float32]:
+    """Return one over depth of every pixel, (H, W) float32 in 1/m; 0 where there is no point."""
+    return _inverse_depths(cloud.points_m[..., 2], cloud.valid)
+
+
+@compiled
+def _inverse_depths(depth_m: NDArray[np.float32], valid: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """One over depth where there is a point in front of the camera, else 0."""
+    height, width = valid.shape
+    per_m = np.empty((height, width), dtype=np.float32)
+    for y in range(height):
+        for x in range(width):
+            usable = valid[y, x] and depth_m[y, x] > 0
+            per_m[y, x] = np.float32(1.0) / depth_m[y, x] if usable else np.float32(0.0)
+    return per_m
+
+
+__all__ = ["DepthGrid", "depth_grid", "inverse_depth_image"]

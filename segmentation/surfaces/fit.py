@@ -1,0 +1,275 @@
+"""The paper's fit of a surface to a segment, and how well a surface explains one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.blas import one_blas_thread
+from nurbseg.segmentation.config import Metric, SegmentationConfig
+from nurbseg.segmentation.points.grid import PixelGrid, full_grid
+from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, pixel_basis, pixel_knots
+from nurbseg.segmentation.surfaces.leastsquares import LinAlgError, fit_control_points
+from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, residual_metrics
+from nurbseg.segmentation.surfaces.minimum_norm import minimum_norm_control_points
+from nurbseg.segmentation.surfaces.surface import NurbsSurface
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """How well one surface explains a segment.
+
+    Parameters
+    ----------
+    surface : NurbsSurface or None
+        The surface; None where there is none.
+    residuals_m : (N,) float64
+        Distance of each fitted point to the surface at the point's own parameters, metres.
+    values : mapping of metric to float
+        The deciding metric and the four residual metrics.
+    reason : str
+        Why there is no surface; empty where there is one.
+    pixels : (N,) intp
+        The pixels that were fitted, flat indices of the full image: those of the segment, or those of
+        them on the grid on which splits are decided.
+    floor : float
+        What noise alone leaves of the deciding metric, the least that it counts for in the ratio.
+    """
+
+    surface: NurbsSurface | None
+    residuals_m: NDArray[np.float64]
+    values: Mapping[Metric, float]
+    reason: str
+    pixels: NDArray[np.intp]
+    floor: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.residuals_m.flags.writeable = False
+        self.pixels.flags.writeable = False
+        object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
+
+
+def fit_surface(cloud: PointMap, pixels: NDArray[np.intp], config: SegmentationConfig) -> Fit:
+    """Fit a NURBS surface to some pixels of a frame (section 3.2).
+
+    Parameters
+    ----------
+    cloud : PointMap
+        The frame.
+    pixels : (N,) intp
+        Flat indices of the segment's pixels, each of which has a point.
+    config : SegmentationConfig
+        The number of control points, how they are solved for, and the limits of the metrics.
+
+    Returns
+    -------
+    Fit
+        The surface and how well it fits; without a surface and with a reason where there is nothing to
+        fit.
+
+    Raises
+    ------
+    ValueError
+        If a pixel has no point.
+
+    References
+    ----------
+    .. [1] L. Piegl and W. Tiller, "The NURBS Book", 2nd ed., 1997, chapter 9.
+    """
+    if not cloud.valid.reshape(-1)[pixels].all():
+        raise ValueError("pixels: expected pixels that have a point")
+    ascending = pixels if np.all(pixels[1:] > pixels[:-1]) else np.unique(pixels)
+    with one_blas_thread():
+        return fit_on_grid(full_grid(cloud), ascending, config)
+
+
+def fit_on_grid(grid: PixelGrid, places: NDArray[np.intp], config: SegmentationConfig) -> Fit:
+    """Fit a surface to some places of a grid, whose step may be larger than a pixel.
+
+    Parameters
+    ----------
+    grid : PixelGrid
+        The points.
+    places : (N,) intp
+        Flat indices into the grid, ascending.
+    config : SegmentationConfig
+        As for `fit_surface`.
+
+    Returns
+    -------
+    Fit
+        As of `fit_surface`; parameters and window are pixels of the full image.
+    """
+    if places.size == 0:
+        return Fit(None, np.zeros(0), {}, "0 points, 1 needed", places)
+    (top, left, bottom, right), mask = grid.window_mask(places)
+    counts = (
+        control_point_count(right - left, grid.shape[1], config),
+        control_point_count(bottom - top, grid.shape[0], config),
+    )
+    try:
+        solve = minimum_norm_control_points if has_least_norm(config) else fit_control_points
+        control = solve(grid.coordinates_m, mask, (top, left), counts)
+    except LinAlgError as error:
+        return Fit(None, np.zeros(0), {}, f"no least-squares solution: {error}", grid.pixels(places))
+    rows, columns = pixel_basis(bottom - top, counts[1]), pixel_basis(right - left, counts[0])
+    residuals = spline_distances(control, grid.coordinates_m, mask, (top, left), rows, columns)
+    surface = NurbsSurface(
+        degree=(CUBIC, CUBIC),
+        knots_u=_full_image_knots(right - left, counts[0], left, grid.step),
+        knots_v=_full_image_knots(bottom - top, counts[1], top, grid.step),
+        control_points_m=np.moveaxis(control, 0, -1),
+        weights=np.ones((counts[1], counts[0])),
+        window=grid.full_window((top, left, bottom, right)),
+    )
+    return Fit(surface, residuals, residual_metrics(residuals, config), "", grid.pixels(places))
+
+
+def has_least_norm(config: SegmentationConfig) -> bool:
+    """Say whether fits are the least-squares solutions of least norm, by SVD, and not by a ridge.
+
+    Parameters
+    ----------
+    config : SegmentationConfig
+        Its `least_squares`, and where that is "auto", its metric.
+
+    Returns
+    -------
+    bool
+        Curvature takes second derivatives, which a ridge changes much more than residuals.
+    """
+    if config.stag15.least_squares == "auto":
+        return config.metric in CURVATURE_METRICS
+    return config.stag15.least_squares == "svd"
+
+
+def control_point_count(extent: int, image_extent: int, config: SegmentationConfig) -> int:
+    """Return the number of control points for a segment, in proportion to its extent (section 3.2).
+
+    Parameters
+    ----------
+    extent, image_extent : int
+        Of the segment and of the image in one direction, in the same unit.
+    config : SegmentationConfig
+        Its `control_points_max` belongs to a segment that spans the image; where its `control_points` is
+        "fixed", to every segment.
+
+    Returns
+    -------
+    int
+        At least 4, which a cubic needs, and beyond that no more than there are pixels.
+    """
+    share = 1.0 if config.stag15.control_points == "fixed" else extent / image_extent
+    wanted = int(np.floor(config.stag15.control_points_max * share + 0.5))
+    return max((CUBIC + 1), min(wanted, extent))
+
+
+def _full_image_knots(size: int, count: int, first: int, step: int) -> NDArray[np.float64]:
+    return (pixel_knots(size, count) + first) * step
+
+
+def spline_distances(
+    control_m: NDArray[np.float64],
+    points_m: NDArray[np.float32],
+    mask: NDArray[np.bool_],
+    corner: tuple[int, int],
+    rows: SpanBasis,
+    columns: SpanBasis,
+) -> NDArray[np.float64]:
+    """Return the distance of each marked point of a window to a spline at the point's own parameters.
+
+    Parameters
+    ----------
+    control_m : (3, rows.count, columns.count) float64
+        Control points, metres.
+    points_m : (3, H, W) float32
+        Points, metres; read only where `mask` is set.
+    mask : (h, w) bool
+        Pixels of the window.
+    corner : (int, int)
+        First row and column of the window.
+    rows, columns : SpanBasis
+        At the rows and columns of the window.
+
+    Returns
+    -------
+    (N,) float64
+        Metres, in the order of pixels.
+    """
+    return _distances(
+        points_m,
+        np.ascontiguousarray(mask),
+        *corner,
+        control_m,
+        rows.starts,
+        rows.values,
+        columns.starts,
+        columns.values,
+    )
+
+
+@compiled
+def _distances(
+    points_m: NDArray[np.float32],
+    mask: NDArray[np.bool_],
+    top: int,
+    left: int,
+    control_m: NDArray[np.float64],
+    starts_v: NDArray[np.intp],
+    values_v: NDArray[np.float64],
+    starts_u: NDArray[np.intp],
+    values_u: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Distance of each marked point of a window to a spline at its own parameters, in the order of pixels."""
+    height, width = mask.shape
+    count = 0
+    for y in range(height):
+        for x in range(width):
+            count += mask[y, x]
+    distances, squares, off = np.empty(count), np.empty(width), np.empty(width)
+    net, weights = np.empty(control_m.shape[2]), np.ascontiguousarray(values_u.T)
+    n = 0
+    for y in range(height):
+        squares[:] = 0.0
+        first = starts_v[y]
+        for c in range(3):
+            for k in range(net.size):
+                net[k] = 0.0
+                for i in range(4):
+                    net[k] += values_v[y, i] * control_m[c, first + i, k]
+            along = points_m[c, top + y, left : left + width]
+            for x in range(width):
+                off[x] = along[x]
+            begin = 0
+            while begin < width:
+                start, end = starts_u[begin], begin + 1
+                while end < width and starts_u[end] == start:
+                    end += 1
+                for j in range(4):
+                    value, weight, part = net[start + j], weights[j, begin:end], off[begin:end]
+                    for x in range(end - begin):
+                        part[x] -= value * weight[x]
+                begin = end
+            for x in range(width):
+                squares[x] += off[x] * off[x]
+        for x in range(width):
+            if mask[y, x]:
+                distances[n] = np.sqrt(squares[x])
+                n += 1
+    return distances
+
+
+__all__ = [
+    "Fit",
+    "control_point_count",
+    "fit_on_grid",
+    "fit_surface",
+    "has_least_norm",
+    "spline_distances",
+]
