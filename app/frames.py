@@ -78,6 +78,3 @@ class Reader:
         if self._source is not None:
             self._source.close()
             self._source = None
-
-
-__all__ = ["Reader", "places"]

@@ -262,6 +262,3 @@ def _cluster(scheduler: str) -> Iterator[_Cluster]:
                 f"--scheduler {scheduler}: it has no worker; start some: dask worker {scheduler}"
             ) from err
         yield _Cluster(client)
-
-
-__all__ = ["WorkerLostError", "Workers", "in_order", "open_workers"]

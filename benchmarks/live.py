@@ -28,6 +28,8 @@ from typing import Any
 import numpy as np
 import psutil
 
+from nurbseg.app.evaluation.computer import computer
+
 COMMAND = Path(sys.executable).with_name("nurbseg-live")
 STAGES = ("wait", "register", "segment", "identify", "capture_to_labels", "show")
 
@@ -44,6 +46,7 @@ def main() -> None:
         one_run(arguments.source, arguments.duration, arguments.options) for _ in range(arguments.runs)
     ]
     print(f"{arguments.source}: {arguments.runs} runs of {arguments.duration:g} s at the recorded rate")
+    print(computer())
     versions = reports[0]["versions"]
     print(", ".join(f"{name} {version}" for name, version in versions.items()))
     print(f"\n{'':20}{'median':>10}{'least':>10}{'most':>10}")

@@ -15,6 +15,7 @@ from time import perf_counter
 import cv2
 import numpy as np
 
+from nurbseg.app.evaluation.computer import computer
 from nurbseg.drivers.synthetic.source import SyntheticOptions, SyntheticSource
 from nurbseg.segmentation.points.registration import register
 
@@ -45,6 +46,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--runs", type=int, default=60, help="calls that are timed in each case")
     runs = parser.parse_args().runs
+    print(computer())
     print(f"Python {platform.python_version()}, numpy {np.__version__}, OpenCV {cv2.__version__}")
     print(f"{'case':<28}{'register':>12}{'remap':>12}{'ratio':>8}{'first call':>14}")
     for name, options in CASES.items():

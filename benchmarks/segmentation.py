@@ -28,6 +28,7 @@ import scipy
 import skimage
 from skimage.segmentation import felzenszwalb
 
+from nurbseg.app.evaluation.computer import computer
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
@@ -191,6 +192,7 @@ def main() -> None:
     frames = frames[:: max(1, len(frames) // arguments.frames)][: arguments.frames]
     config = SegmentationConfig(method=arguments.method)
     versions = f"numpy {np.__version__}, scipy {scipy.__version__}, OpenCV {cv2.__version__}"
+    print(computer())
     print(f"Python {platform.python_version()}, {versions}, scikit-image {skimage.__version__}")
     print(f"{len(frames)} frames of {arguments.data}, medians of {arguments.repeat} runs, ms\n")
 

@@ -243,6 +243,3 @@ def _reader() -> Reader:
     reader: Reader = getattr(_kept, "reader", None) or Reader()
     _kept.reader = reader
     return reader
-
-
-__all__ = ["PROGRESS_FILE", "Batch", "Recording", "recordings_of", "run_batch", "segment_run"]

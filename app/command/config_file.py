@@ -13,7 +13,6 @@ from nurbseg.app.command.values import value_kinds
 from nurbseg.app.config import AppConfig, sections
 from nurbseg.drivers.errors import quoted
 from nurbseg.drivers.settings import described_fields, in_sections, subsections
-from nurbseg.drivers.structured_text import parse_toml
 
 _log = logging.getLogger("nurbseg.config")
 
@@ -40,6 +39,9 @@ def read_config(path: Path) -> AppConfig:
     ConfigError
         If the file cannot be read, or a section, key or value is none of ours.
     """
+    # Late: --help need not wait for the parsers.
+    from nurbseg.drivers.structured_text import parse_toml
+
     try:
         tables = parse_toml(path.read_text(encoding="utf-8"))
     except OSError as err:

@@ -11,7 +11,6 @@ from pathlib import Path
 from nurbseg.app.config import AppConfig, SourceConfig, flags
 from nurbseg.app.live.replay import Limited, Looped
 from nurbseg.drivers.calibration.file import read_camera_file
-from nurbseg.drivers.doctor.diagnosis import explain_no_camera
 from nurbseg.drivers.errors import BackendMissingError, DeviceNotFoundError, RecordingFormatError
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.options import SourceOptions
@@ -75,6 +74,8 @@ def open_chosen(app_config: AppConfig) -> OpenedSource:
         return _prepared(uri, app_config, options)
     except (DeviceNotFoundError, BackendMissingError) as err:
         if config.fallback is None and config.named:
+            from nurbseg.drivers.doctor.diagnosis import explain_no_camera
+
             raise DeviceNotFoundError(f"{err}\n{explain_no_camera(uri.removeprefix(CAMERA))}") from err
         instead = config.fallback or demo_uri()
         _log.warning("no camera found: %s", err)

@@ -137,5 +137,3 @@ def _frozen(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
 
 # Python sends no read-only mappings, and a result holds some.
 copyreg.pickle(MappingProxyType, lambda values: (_frozen, (dict(values),)))
-
-__all__ = ["FrameFailedError", "Segmented", "process_count", "segment_alone", "segment_in_parallel"]

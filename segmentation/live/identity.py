@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.labels.lookup import apply_lookup_table, labels_present, read_only
@@ -231,6 +230,9 @@ def _matched(
     both_before, both_now = common.sum(axis=1), common.sum(axis=0)
     union = np.minimum(before, both_before)[:, None] + np.minimum(now, both_now)[None, :] - common
     score = common / np.maximum(union, 1)
+    # Late: a third of what a run imports, and only frames that continue each other need it.
+    from scipy.optimize import linear_sum_assignment
+
     rows, columns = linear_sum_assignment(-score)
     return {
         int(present[1 + column]): int(identities[1 + row])

@@ -1,0 +1,51 @@
+"""The comparison of two measurements of speed."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("skimage")
+ALL = Path(__file__).parent.parent / "benchmarks" / "all.py"
+
+
+@pytest.mark.parametrize(
+    ("factor", "code", "said"),
+    [
+        (1.0, 0, "0 of 2 slower"),
+        (1.5, 1, "fit, ms: +50 %; confidence 100%\n1 of 2 slower"),
+        (0.5, 0, "0 of 2 slower"),
+    ],
+)
+def test_what_became_slower_is_named_with_its_confidence(
+    tmp_path: Path, factor: float, code: int, said: str
+) -> None:
+    times = 10 + np.random.default_rng(0).normal(0, 0.1, 12)
+    for name, factors in (("before", (1.0, 1.0)), ("after", (factor, 1.02))):
+        values = {
+            name: list(each * times) for name, each in zip(("fit, ms", "cut, ms"), factors, strict=True)
+        }
+        document = {"machine": {"computer": "one"}, "values": values}
+        (tmp_path / name).write_text(json.dumps(document))
+    done = subprocess.run(
+        [sys.executable, ALL, "--compare", "before", "after"], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == code, done.stderr
+    assert said in done.stdout
+
+
+def test_few_measurements_that_scatter_are_not_certain(tmp_path: Path) -> None:
+    for name, values in (("before", [10.0, 10.0, 20.0]), ("after", [11.0, 10.0, 20.0])):
+        (tmp_path / name).write_text(
+            json.dumps({"machine": {"computer": name}, "values": {"fit, ms": values}})
+        )
+    done = subprocess.run(
+        [sys.executable, ALL, "--compare", "before", "after"], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert "two computers: before; after" in done.stdout
+    assert "0 of 1 slower" in done.stdout
+    assert "fit, ms: +10 %; confidence" in done.stdout
+    assert done.returncode == 0
