@@ -117,7 +117,8 @@ class TumSource(PairSource):
             try:
                 inside = path.resolve().is_relative_to(self._folder)
             except (OSError, ValueError, RuntimeError) as err:
-                raise FrameFormatError(f"{quoted(str(path))}: not the name of an image ({err})") from err
+                name = quoted(str(path).removeprefix(f"{self._path}/"))
+                raise FrameFormatError(f"{self._path}: {name}: not the name of an image ({err})") from err
             if not inside:
                 raise FrameFormatError(f"{path}: the image is outside the recording's folder; copy it there")
         return pair
