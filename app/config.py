@@ -98,7 +98,7 @@ class ExportConfig:
 
 @dataclass(frozen=True, slots=True)
 class AppConfig:
-    """Everything that a run is told.
+    """The configuration of a run.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ class AppConfig:
     segmentation : SegmentationConfig
         How a frame is segmented.
     live : LiveConfig
-        What is carried from frame to frame.
+        How live segmentation goes.
     view : ViewConfig
         How results are shown and saved for viewing.
     export : ExportConfig

@@ -83,7 +83,7 @@ class Exporter:
     written : int
         Frames written so far.
     metric, surfaces : str, bool
-        Of the settings: what `frame_files` is to be told.
+        Of the settings: arguments of `frame_files`.
 
     Raises
     ------

@@ -88,7 +88,7 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
 
 
 def _run_with(arguments: Arguments, interruption: Interruption, process: ChildProcess | None) -> int:
-    from nurbseg.app.command.compilation import told_compilation
+    from nurbseg.app.command.compilation import logged_compilation
     from nurbseg.app.export import ExportError
     from nurbseg.app.live.parallel import FrameFailedError
     from nurbseg.app.live.run import SetupError, run
@@ -97,7 +97,7 @@ def _run_with(arguments: Arguments, interruption: Interruption, process: ChildPr
 
     config = arguments.config
     try:
-        with told_compilation():
+        with logged_compilation():
             report = run(config, interruption, process)
     except SetupError as err:
         _log.error("%s", err, exc_info=arguments.verbosity > 0)

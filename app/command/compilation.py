@@ -14,7 +14,7 @@ _log = logging.getLogger(__name__)
 
 
 @contextmanager
-def told_compilation() -> Iterator[None]:
+def logged_compilation() -> Iterator[None]:
     """Say once, while the block runs, that code is compiled; and at the end of the block how long it took."""
     listener = _Listener()
     try:

@@ -178,8 +178,8 @@ class RunReport:
 def _percentiles(values: array[float]) -> dict[str, float]:
     levels = (50, 95, 99.9)
     found = np.percentile(np.asarray(values), levels)
-    told = {f"p{level:g}": round(float(value), 3) for level, value in zip(levels, found, strict=True)}
-    return {**told, "max": round(max(values), 3)}
+    named = {f"p{level:g}": round(float(value), 3) for level, value in zip(levels, found, strict=True)}
+    return {**named, "max": round(max(values), 3)}
 
 
 def peak_memory_mb() -> float:

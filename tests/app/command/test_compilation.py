@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from nurbseg.app.command.compilation import told_compilation
+from nurbseg.app.command.compilation import logged_compilation
 
 _MODULE = """
 from nurbseg.drivers.compiled import compiled
@@ -30,7 +30,7 @@ def test_compiling_is_told_once_and_how_long_it_took(
     assert spec is not None and spec.loader is not None
     loops = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(loops)
-    with caplog.at_level(logging.INFO, "nurbseg"), told_compilation():
+    with caplog.at_level(logging.INFO, "nurbseg"), logged_compilation():
         assert loops.total(5) == 10
         assert loops.total(5.0 > 1.0) == 0  # another type, compiled anew
     said = [record.getMessage() for record in caplog.records]
@@ -43,9 +43,9 @@ def test_what_is_found_on_disk_is_not_told(tmp_path: Path) -> None:
     script = (
         "import logging, sys\n"
         "logging.basicConfig(level=logging.INFO)\n"
-        "from nurbseg.app.command.compilation import told_compilation\n"
+        "from nurbseg.app.command.compilation import logged_compilation\n"
         "import loops\n"
-        "with told_compilation():\n"
+        "with logged_compilation():\n"
         "    print(loops.total(5))\n"
     )
     runs = [
