@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from inverse_depth_lattice import inverse_depth_lattice
@@ -6,30 +8,16 @@ from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
 
-def surface(rng, *, even, plain, size=(6, 9)):
-    knots = []
-    for count in size:
-        inner = 7.3 * np.arange(1, count - 3) if even else np.sort(rng.uniform(5, 40, count - 4))
-        start, end = 4, 50
-        if even:
-            knots.append(7.3 * np.arange(-3, count + 1) + 2.0)
-        else:
-            knots.append(np.concatenate([np.full(4, start), inner, np.full(4, end)]).astype(np.float64))
+def surface(rng, size=(6, 9), spacing=7.3):
+    knots = [spacing * np.arange(-3, count + 1) + 2.0 for count in size]
     weights = rng.uniform(0.3, 2.0, size)
-    z = 1.3 / weights if plain else rng.uniform(0.5, 1.0, size)
-    points = np.stack([np.zeros(size), np.zeros(size), z], axis=-1)
+    points = np.stack([np.zeros(size), np.zeros(size), 1.3 / weights], axis=-1)
     return NurbsSurface((3, 3), knots[1], knots[0], points, weights, (0, 0, 60, 60))
 
 
-@pytest.mark.parametrize("even", [True, False])
-@pytest.mark.parametrize("plain", [True, False])
-def test_places_of_many_surfaces_are_those_of_each(even, plain):
+def test_places_of_many_surfaces_are_those_of_each():
     rng = np.random.default_rng(3)
-    known = [
-        surface(rng, even=even, plain=plain),
-        surface(rng, even=not even, plain=plain, size=(4, 7)),
-        surface(rng, even=even, plain=not plain, size=(8, 5)),
-    ]
+    known = [surface(rng), surface(rng, (4, 7), 11.0), surface(rng, (8, 5))]
     table = SurfaceTable([known[0], None, *known[1:]])
     labels = rng.integers(1, 5, 400).astype(np.int32)
     # Beyond the knots too.
@@ -67,3 +55,11 @@ def test_surfaces_of_another_degree_are_refused():
     )
     with pytest.raises(ValueError, match="bicubic"):
         SurfaceTable([flat])
+
+
+def test_surfaces_that_are_none_of_inverse_depth_are_refused():
+    own = surface(np.random.default_rng(0))
+    with pytest.raises(ValueError, match="weights that are proportional to inverse depth"):
+        SurfaceTable([replace(own, weights=own.weights + 0.01 * np.arange(9.0))])
+    with pytest.raises(ValueError, match="even knots"):
+        SurfaceTable([replace(own, knots_u=own.knots_u + 0.01 * np.arange(13.0) ** 2)])
