@@ -33,19 +33,14 @@ from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap, register
-from nurbseg.segmentation.scoring.scores import (
-    object_iou,
-    rand_index,
-    region_covering,
-    variation_of_information,
-)
+from nurbseg.segmentation.scoring.scores import Contingency
 from nurbseg.segmentation.stag15 import StopReason, segment
 
 SCORES = (
-    ("RI", rand_index),
-    ("GTRC", region_covering),
-    ("VoI", variation_of_information),
-    ("obj", object_iou),
+    ("RI", Contingency.rand_index),
+    ("GTRC", Contingency.region_covering),
+    ("VoI", Contingency.variation_of_information),
+    ("obj", Contingency.object_iou),
 )
 #: Settings of `ExtendedConfig` that turn each stage off, in the order in which the ladder adds the stages.
 STAGES: tuple[tuple[str, dict[str, Any]], ...] = (
@@ -88,7 +83,8 @@ def measured(
         tree = segment(cloud, config)
         elapsed_ms = 1e3 * (time.perf_counter() - started_s)
         labels = tree.labels()
-        scores = [score(labels, truth) for _, score in SCORES]
+        table = Contingency.between(labels, truth)
+        scores = [score(table) for _, score in SCORES]
         rows.append([*scores, float(labels.max()), float(len(tree.leaves())), elapsed_ms])
         if decided is not None:
             decided.update(str(leaf.stop) for leaf in tree.leaves())

@@ -36,7 +36,7 @@ from nurbseg.drivers.source import FrameSource
 from nurbseg.drivers.synthetic.source import SyntheticSource
 from nurbseg.segmentation.config import Level, SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.scoring.scores import variation_of_information
+from nurbseg.segmentation.scoring.scores import Contingency
 from nurbseg.segmentation.stag15 import SegmentationTree, segment
 
 #: Depth at which a carried pixel is seen again agrees within this share.
@@ -174,14 +174,22 @@ def measure(source: FrameSource, motion: Motion, config: SegmentationConfig, cou
                 for level in live:
                     each = found[level]
                     each.alone.append(best_agreement(earlier[level], alone[level], pairs))
-                    each.live_to_alone.append(variation_of_information(live[level], alone[level]))
-                    each.alone_to_alone.append(variation_of_information(other[level], alone[level]))
+                    each.live_to_alone.append(
+                        Contingency.between(live[level], alone[level]).variation_of_information()
+                    )
+                    each.alone_to_alone.append(
+                        Contingency.between(other[level], alone[level]).variation_of_information()
+                    )
                     carried = earlier[level].ravel()[pairs[0]], alone[level].ravel()[pairs[1]]
-                    each.alone_to_before.append(variation_of_information(*carried))
+                    each.alone_to_before.append(Contingency.between(*carried).variation_of_information())
                     if frame.labels is not None:
                         truth = np.where(cloud.valid, frame.labels, 0)
-                        each.live_to_truth.append(variation_of_information(live[level], truth))
-                        each.alone_to_truth.append(variation_of_information(alone[level], truth))
+                        each.live_to_truth.append(
+                            Contingency.between(live[level], truth).variation_of_information()
+                        )
+                        each.alone_to_truth.append(
+                            Contingency.between(alone[level], truth).variation_of_information()
+                        )
         if frame.labels is not None:
             truth = np.where(cloud.valid, frame.labels, 0)
             for label in np.flatnonzero(np.bincount(truth.ravel()) >= _OBJECT_PIXELS_MIN):

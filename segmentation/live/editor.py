@@ -136,8 +136,7 @@ class TreeEditor:
 
     def sizes(self) -> NDArray[np.int64]:
         """Return the number of places of each working number, that of 0 being 0."""
-        sizes = np.zeros(self._next, dtype=np.int64)
-        _count(self.labels, sizes)
+        sizes = np.bincount(self.labels.reshape(-1), minlength=self._next)
         sizes[0] = 0
         return sizes
 
@@ -250,16 +249,6 @@ class TreeEditor:
                     holder.node = node
                 _rename(node)
                 return
-
-
-@compiled
-def _count(labels: NDArray[np.int32], sizes: NDArray[np.int64]) -> None:
-    """Count the places of each number, run by run."""
-    flat, begin = labels.reshape(-1), 0
-    for place in range(1, flat.size + 1):
-        if place == flat.size or flat[place] != flat[begin]:
-            sizes[flat[begin]] += place - begin
-            begin = place
 
 
 @compiled

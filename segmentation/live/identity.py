@@ -9,8 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
-from nurbseg.segmentation.labels.lookup import apply_lookup_table, labels_present, read_only
+from nurbseg.segmentation.labels.lookup import apply_lookup_table, labels_present
 from nurbseg.segmentation.live.appearance import Appearance, appearances_of, most_alike, updated
 from nurbseg.segmentation.points.registration import PointMap
 
@@ -139,6 +138,8 @@ def track_identities(
     elif before is not None:
         previous = replace(previous, grid=previous.image(before[::step, ::step]))
     overlap, identities, present = _overlaps(previous.grid, coarse)
+    rows = {int(identity): row for row, identity in enumerate(identities)}
+    columns = {int(label): column for column, label in enumerate(present)}
     matched = _matched(overlap, identities, present, previous, seen)
 
     events: list[Event] = []
@@ -159,7 +160,7 @@ def track_identities(
             continue
         identity, next_identity = _fresh(next_identity, previous.appearances, of_label)
         of_label[label] = identity
-        parent = _mostly_from(label, overlap, identities, present)
+        parent = _most(overlap[:, columns[label]], identities) if label in columns else None
         events.append(Event("new", identity) if parent is None else Event("split", identity, parent))
 
     appearances = {
@@ -171,7 +172,8 @@ def track_identities(
             continue
         unseen = appearance.unseen + 1
         if appearance.unseen == 0:
-            into = _mostly_into(identity, overlap, identities, present, of_label)
+            into = _most(overlap[rows[identity]], present) if identity in rows else None
+            into = None if into is None else of_label.get(into)
             events.append(Event("lost", identity) if into is None else Event("merge", identity, into))
         if unseen <= remembered:
             appearances[identity] = Appearance(
@@ -185,32 +187,11 @@ def _overlaps(
     before: NDArray[np.uint16], now: NDArray[np.uint16]
 ) -> tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16]]:
     """Count common pixels of identities (rows) and labels (columns); the first of either is 0, "none"."""
-    identities, rows = _numbered(before)
-    present, columns = _numbered(now)
-    counts = np.zeros((identities.size, present.size), dtype=np.int64)
-    _count_pairs(read_only(before), read_only(now), rows, columns, counts)
-    return counts, identities, present
-
-
-def _numbered(image: NDArray[np.uint16]) -> tuple[NDArray[np.uint16], NDArray[np.int64]]:
-    """Return the values of an image, 0 among them, and the place among these of each value."""
-    values = np.union1d(labels_present(image), [0])
-    place = np.zeros(int(values[-1]) + 1, dtype=np.int64)
-    place[values] = np.arange(values.size)
-    return values.astype(np.uint16), place
-
-
-@compiled
-def _count_pairs(
-    before: NDArray[np.uint16],
-    now: NDArray[np.uint16],
-    rows: NDArray[np.int64],
-    columns: NDArray[np.int64],
-    counts: NDArray[np.int64],
-) -> None:
-    """Count the pixels of every value before and value now."""
-    for n in range(now.size):
-        counts[rows[before[n]], columns[now[n]]] += 1
+    identities, rows = np.unique(np.append(0, before), return_inverse=True)
+    present, columns = np.unique(np.append(0, now), return_inverse=True)
+    pairs = rows[1:] * present.size + columns[1:]
+    counts = np.bincount(pairs, minlength=identities.size * present.size)
+    return counts.reshape(identities.size, present.size), identities, present
 
 
 def _matched(
@@ -251,34 +232,7 @@ def _fresh(
     return next_identity, next_identity + 1
 
 
-def _mostly_from(
-    label: int,
-    overlap: NDArray[np.int64],
-    identities: NDArray[np.uint16],
-    present: NDArray[np.uint16],
-) -> int | None:
-    place = int(np.searchsorted(present, label))
-    if place >= present.size or present[place] != label:
-        return None
-    column = overlap[:, place]
-    row = int(column[1:].argmax()) + 1 if column.size > 1 else 0
-    if row == 0 or column[row] < _TAKEN_SHARE * column.sum():
-        return None
-    return int(identities[row])
-
-
-def _mostly_into(
-    identity: int,
-    overlap: NDArray[np.int64],
-    identities: NDArray[np.uint16],
-    present: NDArray[np.uint16],
-    of_label: Mapping[int, int],
-) -> int | None:
-    place = int(np.searchsorted(identities, identity))
-    if place >= identities.size or identities[place] != identity:
-        return None
-    row = overlap[place]
-    column = int(row[1:].argmax()) + 1 if row.size > 1 else 0
-    if column == 0 or row[column] < _TAKEN_SHARE * row.sum():
-        return None
-    return of_label.get(int(present[column]))
+def _most(counts: NDArray[np.int64], values: NDArray[np.uint16]) -> int | None:
+    """Return the value, but 0, that has the most of some counts, if that is a large enough share of all."""
+    most = int(counts[1:].argmax()) + 1 if counts.size > 1 else 0
+    return int(values[most]) if most and counts[most] >= _TAKEN_SHARE * counts.sum() else None

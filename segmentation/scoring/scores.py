@@ -10,12 +10,18 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contingency:
-    """How many pixels each pair of a segment and a ground-truth region has in common.
+    """How many pixels each pair of a segment and a ground-truth region has in common, and the scores of that.
 
     Attributes
     ----------
     pixels : (S, R) int64
         One row for each segment and one column for each region that is left.
+
+    References
+    ----------
+    .. [1] W. M. Rand, "Objective criteria for the evaluation of clustering methods", JASA 66, 1971.
+    .. [2] P. Arbelaez et al., "Contour detection and hierarchical image segmentation", TPAMI 33(5), 2011.
+    .. [3] M. Meila, "Comparing clusterings: an axiomatic view", ICML 2005.
     """
 
     pixels: NDArray[np.int64]
@@ -62,7 +68,7 @@ class Contingency:
         return np.asarray(self.pixels.sum(axis=0))
 
     def rand_index(self) -> float:
-        """Return the share of pixel pairs on which the two maps agree."""
+        """Return the Rand index [1]_: the share of pixel pairs that both maps join or both maps part."""
         together = _pairs(self.pixels)
         in_segments, in_regions = _pairs(self.segment_pixels), _pairs(self.region_pixels)
         everything = _pairs(self.pixels.sum(keepdims=True))
@@ -71,12 +77,12 @@ class Contingency:
         return (everything + 2 * together - in_segments - in_regions) / everything
 
     def region_covering(self) -> float:
-        """Return the best overlap of each ground-truth region, weighted by its size."""
+        """Return the covering of the ground truth [2]_: each region's best overlap, weighted by its size."""
         best = self._overlaps().max(axis=0)
         return float(best @ self.region_pixels / self.region_pixels.sum())
 
     def variation_of_information(self) -> float:
-        """Return the information, bits, that either map has and the other has not."""
+        """Return the variation of information [3]_, bits: the sum of both conditional entropies."""
         return self.over_segmentation_bits() + self.under_segmentation_bits()
 
     def over_segmentation_bits(self) -> float:
@@ -92,7 +98,11 @@ class Contingency:
         return int((self._overlaps().max(axis=0) > overlap_min).sum())
 
     def object_iou(self) -> float:
-        """Return the mean best overlap of the regions other than the largest; nan if it is the only one."""
+        """Return the mean best overlap of the regions other than the largest; nan if it is the only one.
+
+        The largest is what the objects stand on or before; it alone would give a good covering to a map of
+        one segment.
+        """
         if self.pixels.shape[1] < 2:
             return float("nan")
         best = np.delete(self._overlaps().max(axis=0), np.argmax(self.region_pixels))
@@ -101,106 +111,6 @@ class Contingency:
     def _overlaps(self) -> NDArray[np.float64]:
         union = self.segment_pixels[:, None] + self.region_pixels[None, :] - self.pixels
         return np.asarray(self.pixels / union)
-
-
-def rand_index(labels: NDArray[np.integer], truth: NDArray[np.integer]) -> float:
-    """Return the Rand index: the share of pixel pairs that both maps join or both maps part.
-
-    Parameters
-    ----------
-    labels, truth : integer arrays of the same shape
-        Segments and ground-truth regions; pixels that are 0 in either are left out.
-
-    Returns
-    -------
-    float
-        In [0, 1]; 1 for equal partitions.
-
-    Raises
-    ------
-    ValueError
-        If the maps do not match or have no labelled pixel in common.
-
-    References
-    ----------
-    .. [1] W. M. Rand, "Objective criteria for the evaluation of clustering methods", JASA 66, 1971.
-    .. [2] P. Arbelaez et al., "Contour detection and hierarchical image segmentation", TPAMI 33(5), 2011.
-    """
-    return Contingency.between(labels, truth).rand_index()
-
-
-def region_covering(labels: NDArray[np.integer], truth: NDArray[np.integer]) -> float:
-    """Return the covering of the ground truth: each region's best intersection over union, by its size.
-
-    Parameters
-    ----------
-    labels, truth : integer arrays of the same shape
-        Segments and ground-truth regions; pixels that are 0 in either are left out.
-
-    Returns
-    -------
-    float
-        In (0, 1]; 1 for equal partitions.
-
-    Raises
-    ------
-    ValueError
-        If the maps do not match or have no labelled pixel in common.
-
-    References
-    ----------
-    .. [1] P. Arbelaez et al., "Contour detection and hierarchical image segmentation", TPAMI 33(5), 2011.
-    """
-    return Contingency.between(labels, truth).region_covering()
-
-
-def variation_of_information(labels: NDArray[np.integer], truth: NDArray[np.integer]) -> float:
-    """Return the variation of information in bits: the sum of both conditional entropies.
-
-    Parameters
-    ----------
-    labels, truth : integer arrays of the same shape
-        Segments and ground-truth regions; pixels that are 0 in either are left out.
-
-    Returns
-    -------
-    float
-        From 0, for equal partitions.
-
-    Raises
-    ------
-    ValueError
-        If the maps do not match or have no labelled pixel in common.
-
-    References
-    ----------
-    .. [1] M. Meila, "Comparing clusterings: an axiomatic view", ICML 2005.
-    """
-    return Contingency.between(labels, truth).variation_of_information()
-
-
-def object_iou(labels: NDArray[np.integer], truth: NDArray[np.integer]) -> float:
-    """Return the mean best intersection over union of all ground-truth regions but the largest.
-
-    The largest is what the objects stand on or before; it alone would give a good covering to a map of
-    one segment.
-
-    Parameters
-    ----------
-    labels, truth : integer arrays of the same shape
-        Segments and ground-truth regions; pixels that are 0 in either are left out.
-
-    Returns
-    -------
-    float
-        In (0, 1]; nan where there is only one region.
-
-    Raises
-    ------
-    ValueError
-        If the maps do not match or have no labelled pixel in common.
-    """
-    return Contingency.between(labels, truth).object_iou()
 
 
 def _numbered(labels: NDArray[np.integer]) -> tuple[NDArray[np.intp], int]:

@@ -16,7 +16,7 @@ import pytest
 from nurbseg.app.live.opening import SYNTHETIC, demo_uri
 from nurbseg.app.view.viewer import viewer_executable
 from nurbseg.drivers.registry import open_source
-from nurbseg.segmentation.scoring.scores import rand_index, region_covering
+from nurbseg.segmentation.scoring.scores import Contingency
 from tests.fakes.saved_view import read_saved_view
 
 Live = Callable[..., subprocess.CompletedProcess[str]]
@@ -91,8 +91,8 @@ def test_the_demo_recording_comes_apart_into_its_objects(live: Live, tmp_path: P
         for index in range(3):
             truth = source.read().labels
             labels = cv2.imread(str(tmp_path / f"out/{index:06d}_labels.png"), cv2.IMREAD_UNCHANGED)
-            assert rand_index(labels, truth) > 0.95
-            assert region_covering(labels, truth) > 0.9
+            assert Contingency.between(labels, truth).rand_index() > 0.95
+            assert Contingency.between(labels, truth).region_covering() > 0.9
 
 
 def test_the_same_seed_gives_the_same_files_and_another_gives_others(live: Live, tmp_path: Path) -> None:

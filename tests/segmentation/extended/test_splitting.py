@@ -10,12 +10,7 @@ from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.points.registration import register
-from nurbseg.segmentation.scoring.scores import (
-    object_iou,
-    rand_index,
-    region_covering,
-    variation_of_information,
-)
+from nurbseg.segmentation.scoring.scores import Contingency
 from nurbseg.segmentation.stag15 import StopReason, segment
 from nurbseg.segmentation.surfaces.surface import evaluate
 
@@ -58,7 +53,7 @@ def test_a_box_on_a_table_is_two_objects_of_four_surfaces(cloud_of, box_on_table
     tree = segment(cloud, replace(CONFIG, decimation=decimation, seed=seed))
     the_tree_is_sound(tree, cloud.valid)
     assert len(tree.objects) == 2
-    assert rand_index(tree.labels(), np.minimum(truth, 2)) > 0.998
+    assert Contingency.between(tree.labels(), np.minimum(truth, 2)).rand_index() > 0.998
     # A surface lies on one face, though a face may be more than one surface.
     for leaf in tree.leaves():
         on_face = np.bincount(truth.ravel()[leaf.pixels])
@@ -170,10 +165,13 @@ def test_real_tabletop_frames_are_segmented_well():
             if frame.index % 9 or frame.labels is None:
                 continue
             labels = segment(register(frame), CONFIG).labels()
+            table = Contingency.between(labels, frame.labels)
             scores.append(
                 [
-                    score(labels, frame.labels)
-                    for score in (rand_index, region_covering, variation_of_information, object_iou)
+                    table.rand_index(),
+                    table.region_covering(),
+                    table.variation_of_information(),
+                    table.object_iou(),
                 ]
             )
     ri, covering, voi, iou = np.mean(scores, axis=0)

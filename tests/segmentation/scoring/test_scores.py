@@ -5,13 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from nurbseg.segmentation.scoring.boundaries import boundary_scores
-from nurbseg.segmentation.scoring.scores import (
-    Contingency,
-    object_iou,
-    rand_index,
-    region_covering,
-    variation_of_information,
-)
+from nurbseg.segmentation.scoring.scores import Contingency
 
 
 @st.composite
@@ -51,19 +45,21 @@ def test_scores_agree_with_independent_computations(pair):
 
     labels, truth = pair
     left = both_labelled(labels, truth)
-    assert rand_index(labels, truth) == pytest.approx(rand_score(*left), abs=1e-9)
+    assert Contingency.between(labels, truth).rand_index() == pytest.approx(rand_score(*left), abs=1e-9)
     over, under = peer_information(left[1], left[0])
     counts = Contingency.between(labels, truth)
-    assert variation_of_information(labels, truth) == pytest.approx(under + over, abs=1e-9)
+    assert Contingency.between(labels, truth).variation_of_information() == pytest.approx(
+        under + over, abs=1e-9
+    )
     assert counts.over_segmentation_bits() == pytest.approx(over, abs=1e-9)
     assert counts.under_segmentation_bits() == pytest.approx(under, abs=1e-9)
     regions = direct_overlaps(labels, truth)
     covering = sum(size * best for size, best in regions) / sum(size for size, _ in regions)
-    assert region_covering(labels, truth) == pytest.approx(covering, abs=1e-9)
+    assert Contingency.between(labels, truth).region_covering() == pytest.approx(covering, abs=1e-9)
     largest = max(range(len(regions)), key=lambda i: regions[i][0])
     others = [best for i, (_, best) in enumerate(regions) if i != largest]
     expected = np.mean(others) if others else np.nan
-    assert object_iou(labels, truth) == pytest.approx(expected, abs=1e-9, nan_ok=True)
+    assert Contingency.between(labels, truth).object_iou() == pytest.approx(expected, abs=1e-9, nan_ok=True)
 
 
 @settings(max_examples=50, deadline=None)
@@ -73,26 +69,28 @@ def test_scores_do_not_depend_on_what_labels_are_called(pair, random):
     names = list(range(1, 60_000, 977))
     random.shuffle(names)
     renamed = np.array([0, *names], dtype=np.uint16)[labels]
-    for score in (rand_index, region_covering, variation_of_information):
-        assert score(renamed, truth) == pytest.approx(score(labels, truth), abs=1e-12)
+    for name in ("rand_index", "region_covering", "variation_of_information"):
+        score = getattr(Contingency, name)
+        expected = score(Contingency.between(labels, truth))
+        assert score(Contingency.between(renamed, truth)) == pytest.approx(expected, abs=1e-12)
 
 
 def test_equal_maps_score_best():
     truth = np.array([[1, 1, 2], [3, 3, 0]], dtype=np.uint16)
-    assert rand_index(truth, truth) == 1.0
-    assert region_covering(truth, truth) == 1.0
-    assert variation_of_information(truth, truth) == 0.0
-    assert object_iou(truth, truth) == 1.0
+    assert Contingency.between(truth, truth).rand_index() == 1.0
+    assert Contingency.between(truth, truth).region_covering() == 1.0
+    assert Contingency.between(truth, truth).variation_of_information() == 0.0
+    assert Contingency.between(truth, truth).object_iou() == 1.0
 
 
 def test_scores_of_a_map_worked_out_by_hand():
     truth = np.array([[1, 1, 1, 1, 2, 2, 0]])
     labels = np.array([[5, 5, 7, 7, 7, 7, 9]])
     # Pairs: 15; apart or joined in both: {12}, {34}, {56}, and 1-2 against 5-6: 3 + 4.
-    assert rand_index(labels, truth) == pytest.approx(7 / 15)
-    assert region_covering(labels, truth) == pytest.approx((4 * 0.5 + 2 * 0.5) / 6)
-    assert object_iou(labels, truth) == pytest.approx(0.5)
-    assert variation_of_information(labels, truth) == pytest.approx(4 / 6 + 4 / 6)
+    assert Contingency.between(labels, truth).rand_index() == pytest.approx(7 / 15)
+    assert Contingency.between(labels, truth).region_covering() == pytest.approx((4 * 0.5 + 2 * 0.5) / 6)
+    assert Contingency.between(labels, truth).object_iou() == pytest.approx(0.5)
+    assert Contingency.between(labels, truth).variation_of_information() == pytest.approx(4 / 6 + 4 / 6)
     counts = Contingency.between(labels, truth)
     assert counts.over_segmentation_bits() == pytest.approx(4 / 6)
     assert counts.under_segmentation_bits() == pytest.approx(4 / 6)
@@ -108,16 +106,16 @@ def test_over_and_under_segmentation_are_told_apart():
 
 
 def test_one_pixel_is_a_perfect_partition():
-    assert rand_index(np.array([[3]]), np.array([[8]])) == 1.0
+    assert Contingency.between(np.array([[3]]), np.array([[8]])).rand_index() == 1.0
 
 
 def test_a_single_region_has_no_objects():
-    assert np.isnan(object_iou(np.array([[1, 2]]), np.array([[1, 1]])))
+    assert np.isnan(Contingency.between(np.array([[1, 2]]), np.array([[1, 1]])).object_iou())
 
 
 def test_very_large_labels_take_no_memory_of_their_size():
     labels = np.array([[1, 2**40, 2**40]])
-    assert rand_index(labels, np.array([[1, 2, 2]])) == 1.0
+    assert Contingency.between(labels, np.array([[1, 2, 2]])).rand_index() == 1.0
 
 
 @pytest.mark.parametrize(
@@ -131,7 +129,7 @@ def test_very_large_labels_take_no_memory_of_their_size():
 )
 def test_unusable_maps_are_refused(labels, truth, message):
     with pytest.raises(ValueError, match=message):
-        rand_index(labels, truth)
+        Contingency.between(labels, truth).rand_index()
 
 
 def halves(column):

@@ -15,7 +15,7 @@ from nurbseg.app.evaluation.methods.flat import (
 )
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.scoring.scores import rand_index
+from nurbseg.segmentation.scoring.scores import Contingency
 
 COLUMNS = np.mgrid[:48, :64][1]
 HALVES = (1 + (COLUMNS >= 32)).astype(np.uint16)
@@ -50,7 +50,7 @@ def test_with_every_point_in_the_sample_the_embedding_is_that_of_the_dense_matri
 def test_halves_that_differ_in_color_or_in_depth_are_two_clusters(color: np.ndarray, step_m: float) -> None:
     cloud = wall(color, step_m)
     labels = flat_clusters(cloud, SegmentationConfig(), clusters=2, rng=np.random.default_rng(0))
-    assert rand_index(labels, HALVES) > 0.95
+    assert Contingency.between(labels, HALVES).rand_index() > 0.95
 
 
 def plain_quality(labels: np.ndarray, cloud: PointMap, band: int) -> float:
