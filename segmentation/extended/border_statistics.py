@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,18 +89,44 @@ def border_statistics(
     count = _find_crossings(np.ascontiguousarray(labels), max(1, round(_REACH_PX * unit)), crossings)
     if count == 0:
         return ()
-    crossings = np.ascontiguousarray(crossings[:, :count])
-    # Both surfaces are looked at inside of the border: first all places before it, then all behind.
-    label, u, v = crossings[:2].ravel(), np.empty((2, count)), np.empty((2, count))
-    _step_inside(crossings, max(1.0, _INSET_PX * unit), u, v)
-    per_m, slope_u, slope_v = (evaluate or SurfaceTable(surfaces).slopes)(label, u.ravel(), v.ravel())
-    x, y = rays.at(u.ravel(), v.ravel())
-    places = np.stack([u.ravel(), v.ravel(), x, y, per_m, slope_u, slope_v]).reshape(7, 2, count)
+    before, after, row, column, apart = crossings[:, :count]
+    across, down = np.maximum(apart, 0), np.maximum(-apart, 0)
+    # Both surfaces are looked at inside of the border: (2, N), before it and behind.
+    inset = max(1.0, _INSET_PX * unit)
+    u = np.stack([column - inset * (across > 0), column + (across + inset) * (across > 0)])
+    v = np.stack([row - inset * (down > 0), row + (down + inset) * (down > 0)])
+    label = np.concatenate([before, after])
+    slopes = (evaluate or SurfaceTable(surfaces).slopes)(label, u.ravel(), v.ravel())
+    per_m, slope_u, slope_v, x, y = (
+        each.reshape(u.shape) for each in (*slopes, *rays.at(u.ravel(), v.ravel()))
+    )
 
-    borders = _no_borders(int(label.max()), count)
-    last = _measure(crossings, places, rays.focal_px, gap_per_m, borders)
-    rows = zip(*(each[1 : last + 1].tolist() for each in borders[2:]), strict=True)
-    return tuple(BorderStatistics(*row) for row in sorted(rows))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        # The tangent planes at the middle of what is between the surfaces.
+        middle_u, middle_v = column + 0.5 * across, row + 0.5 * down
+        planes = per_m + slope_u * (middle_u - u) + slope_v * (middle_v - v)
+        touching = np.abs(planes[0] - planes[1]) < gap_per_m
+        points = np.stack([x / per_m, y / per_m, 1.0 / per_m])
+        normals = np.stack([slope_u * rays.focal_px[0], slope_v * rays.focal_px[1], per_m])
+        normals[2] -= normals[0] * x
+        normals[2] -= normals[1] * y
+        normals *= -1.0 / np.maximum(np.sqrt(np.square(normals).sum(axis=0)), 1e-12)
+        chord = points[:, 1] - points[:, 0]
+        turn = -((normals[:, 1] - normals[:, 0]) * chord).sum(axis=0)
+        concavity = turn / np.maximum(np.sqrt(np.square(chord).sum(axis=0)), 1e-9)
+    counted = np.where(touching & np.isfinite(concavity), concavity, 0.0)
+
+    one, other = np.minimum(before, after), np.maximum(before, after)
+    pairs, border = np.unique(one * np.int64(label.max() + 1) + other, return_inverse=True)
+    columns = (
+        *np.divmod(pairs, label.max() + 1),
+        np.bincount(border),
+        np.bincount(border, weights=touching).astype(int),
+        np.bincount(border, weights=counted),
+    )
+    return tuple(
+        BorderStatistics(*each) for each in zip(*(values.tolist() for values in columns), strict=True)
+    )
 
 
 @compiled
@@ -141,109 +166,6 @@ def _pixels_to_next(labels: NDArray[np.int32]) -> int:
         if labels[apart] > 0:
             return apart if labels[apart] != labels[0] else 0
     return 0
-
-
-@compiled
-def _step_inside(
-    crossings: NDArray[np.int32], inset: float, u: NDArray[np.float64], v: NDArray[np.float64]
-) -> None:
-    """Say where both surfaces of each crossing are looked at, (2, N) columns u and rows v."""
-    for n in range(crossings.shape[1]):
-        row, column, apart = crossings[2, n], crossings[3, n], crossings[4, n]
-        u[0, n] = u[1, n] = column
-        v[0, n] = v[1, n] = row
-        if apart > 0:
-            u[0, n], u[1, n] = column - inset, column + (apart + inset)
-        else:
-            v[0, n], v[1, n] = row - inset, row + (inset - apart)
-
-
-class _Borders(NamedTuple):
-    """What is measured, by border from number 1 on.
-
-    Parameters
-    ----------
-    newest : (labels + 1,) int32
-        Of each label the newest border with a larger one, 0 for none.
-    older : (N + 1,) int32
-        The one before with the same smaller label, 0 for none.
-    first, second, samples, touching, concavity_sum : (N + 1,)
-        As those of a `BorderStatistics`.
-    """
-
-    newest: NDArray[np.int32]
-    older: NDArray[np.int32]
-    first: NDArray[np.int32]
-    second: NDArray[np.int32]
-    samples: NDArray[np.int32]
-    touching: NDArray[np.int32]
-    concavity_sum: NDArray[np.float64]
-
-
-def _no_borders(label_most: int, count: int) -> _Borders:
-    """Return room for as many borders as there are crossings."""
-    newest = np.zeros(label_most + 1, dtype=np.int32)
-    older, first, second, samples, touching = np.zeros((5, count + 1), dtype=np.int32)
-    return _Borders(newest, older, first, second, samples, touching, np.zeros(count + 1))
-
-
-@compiled
-def _measure(
-    crossings: NDArray[np.int32],
-    places: NDArray[np.float64],
-    focal_px: tuple[float, float],
-    gap_per_m: float,
-    borders: _Borders,
-) -> int:
-    """Add crossings up by border; `places` (7, 2, N) are u, v, rays x, y, inverse depth and its slopes.
-
-    Returns the number of borders.
-    """
-    u, v, ray_x, ray_y, per_m, slope_u, slope_v = places
-    last = 0
-    points, normals, at_border = np.empty((2, 3)), np.empty((2, 3)), np.empty(2)
-    for n in range(crossings.shape[1]):
-        one, other = min(crossings[0, n], crossings[1, n]), max(crossings[0, n], crossings[1, n])
-        border = borders.newest[one]
-        while border > 0 and borders.second[border] != other:
-            border = borders.older[border]
-        if border == 0:
-            last += 1
-            border = last
-            borders.first[border], borders.second[border] = one, other
-            borders.older[border], borders.newest[one] = borders.newest[one], border
-        borders.samples[border] += 1
-
-        # The tangent planes at the middle of what is between the surfaces.
-        apart = crossings[4, n]
-        middle_u = crossings[3, n] + 0.5 * max(apart, 0)
-        middle_v = crossings[2, n] + 0.5 * max(-apart, 0)
-        for side in range(2):
-            at_border[side] = (
-                per_m[side, n]
-                + slope_u[side, n] * (middle_u - u[side, n])
-                + slope_v[side, n] * (middle_v - v[side, n])
-            )
-        if not abs(at_border[0] - at_border[1]) < gap_per_m:
-            continue
-        borders.touching[border] += 1
-        for side in range(2):
-            x, y, d = ray_x[side, n], ray_y[side, n], per_m[side, n]
-            points[side, 0], points[side, 1], points[side, 2] = x / d, y / d, 1.0 / d
-            # As for the normals of facets.
-            nx, ny = slope_u[side, n] * focal_px[0], slope_v[side, n] * focal_px[1]
-            nz = d - nx * x - ny * y
-            towards = -1.0 / max(np.sqrt(nx * nx + ny * ny + nz * nz), 1e-12)
-            normals[side, 0], normals[side, 1], normals[side, 2] = nx * towards, ny * towards, nz * towards
-        square, turn = 0.0, 0.0
-        for axis in range(3):
-            apart_m = points[1, axis] - points[0, axis]
-            square += apart_m * apart_m
-            turn -= (normals[1, axis] - normals[0, axis]) * apart_m
-        concavity = turn / max(np.sqrt(square), 1e-9)
-        if abs(concavity) < np.inf:
-            borders.concavity_sum[border] += concavity
-    return last
 
 
 __all__ = ["BorderStatistics", "Evaluation", "border_statistics", "in_contact"]

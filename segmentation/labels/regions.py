@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled
-from nurbseg.segmentation.labels.segment_pixels import by_label
 from nurbseg.segmentation.labels.spreading import spread_in_place
 
 
@@ -80,11 +79,36 @@ def pixel_adjacency(
     PixelAdjacency
         Between points only.
     """
-    right, down = np.zeros(valid.shape, dtype=np.bool_), np.zeros(valid.shape, dtype=np.bool_)
-    gap = np.float32(gap_per_m)
-    right[:, :-1] = (np.abs(np.diff(inverse_depth, axis=1)) < gap) & valid[:, :-1] & valid[:, 1:]
-    down[:-1] = (np.abs(np.diff(inverse_depth, axis=0)) < gap) & valid[:-1] & valid[1:]
-    return PixelAdjacency(right, down)
+    adjacency = PixelAdjacency(np.empty(valid.shape, dtype=np.bool_), np.empty(valid.shape, dtype=np.bool_))
+    _connect_neighbors(
+        np.ascontiguousarray(inverse_depth),
+        np.ascontiguousarray(valid),
+        np.float32(gap_per_m),
+        adjacency.right,
+        adjacency.down,
+    )
+    return adjacency
+
+
+@compiled
+def _connect_neighbors(
+    per_m: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    gap_per_m: np.float32,
+    right: NDArray[np.bool_],
+    down: NDArray[np.bool_],
+) -> None:
+    height, width = valid.shape
+    for row in range(height):
+        for column in range(width - 1):
+            step = abs(per_m[row, column + 1] - per_m[row, column])
+            right[row, column] = (step < gap_per_m) & valid[row, column] & valid[row, column + 1]
+        right[row, width - 1] = False
+    for row in range(height - 1):
+        for column in range(width):
+            step = abs(per_m[row + 1, column] - per_m[row, column])
+            down[row, column] = (step < gap_per_m) & valid[row, column] & valid[row + 1, column]
+    down[height - 1] = False
 
 
 def connected_components(labels: NDArray[np.int32], adjacency: PixelAdjacency) -> Components:
@@ -227,15 +251,54 @@ def large_components(
     if kept.size + 1 < found.sizes.size:
         number = np.zeros(found.sizes.size, dtype=np.int32)
         number[kept] = np.arange(1, kept.size + 1)
-        number_at = number[found.numbers.reshape(-1)[at]]
-        found.numbers.reshape(-1)[at] = number_at
-        spread_in_place(found.numbers, at[number_at == 0], inverse_depth[rows], gap_per_m)
+        homeless = np.empty_like(at)
+        count = _keep(at, number, found.numbers, homeless)
+        spread_in_place(found.numbers, homeless[:count], inverse_depth[rows], gap_per_m)
     if kept.size == 1:
         return [places], found.labels_of[kept].tolist()
-    order, bounds = by_label(found.numbers.reshape(-1)[at], kept.size + 1)
-    grouped = places[order]
-    pieces = [grouped[bounds[n] : bounds[n + 1]] for n in range(1, kept.size + 1)]
+    grouped, ends = np.empty_like(places), np.zeros(kept.size + 2, dtype=np.intp)
+    _group(places, at, found.numbers, grouped, ends)
+    pieces = [grouped[ends[n - 1] : ends[n]] for n in range(1, kept.size + 1)]
     return pieces, found.labels_of[kept].tolist()
+
+
+@compiled
+def _keep(
+    places: NDArray[np.intp],
+    number: NDArray[np.int32],
+    numbers: NDArray[np.int32],
+    homeless: NDArray[np.intp],
+) -> int:
+    """Give places the new number of their component; list those that it has none for, and return how many."""
+    number_of = numbers.reshape(-1)
+    count = 0
+    for place in places:
+        number_of[place] = number[number_of[place]]
+        if number_of[place] == 0:
+            homeless[count] = place
+            count += 1
+    return count
+
+
+@compiled
+def _group(
+    places: NDArray[np.intp],
+    at: NDArray[np.intp],
+    numbers: NDArray[np.int32],
+    grouped: NDArray[np.intp],
+    ends: NDArray[np.intp],
+) -> None:
+    """Sort places by the number at each, from 1 on; `ends`, 0 at first, tells where each number ends."""
+    number_of = numbers.reshape(-1)
+    for n in range(places.size):
+        ends[number_of[at[n]] + 1] += 1
+    for n in range(1, ends.size):
+        ends[n] += ends[n - 1]
+    # What is the end of the number before grows to that of its own.
+    for n in range(places.size):
+        number = number_of[at[n]]
+        grouped[ends[number]] = places[n]
+        ends[number] += 1
 
 
 __all__ = ["Components", "PixelAdjacency", "connected_components", "large_components", "pixel_adjacency"]

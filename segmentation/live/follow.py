@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -116,7 +115,7 @@ def kept_labels(
     (h, w) int32
         The labels, 0 where they are not kept.
     """
-    is_own = np.abs(lattice.image(labels) - per_m) < limits_per_m[labels]
+    is_own = np.abs(lattice.image(labels) - per_m) < limits_per_m.take(labels)
     return np.where(is_own, labels, 0)
 
 
@@ -145,8 +144,25 @@ def grown_labels(
 
 def inner_places(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
     """Find places with a label whose eight neighbours have the same, (h, w) bool."""
-    kernel, image = np.ones((3, 3), dtype=np.uint8), labels.astype(np.uint16)
-    return np.asarray((image > 0) & (cv2.dilate(image, kernel) == cv2.erode(image, kernel)))
+    inner = np.empty(labels.shape, dtype=np.bool_)
+    _find_inner(labels, inner)
+    return inner
+
+
+@compiled
+def _find_inner(labels: NDArray[np.int32], inner: NDArray[np.bool_]) -> None:
+    """Mark places in columns of three equal labels, between two such columns of the same label."""
+    height, width = labels.shape
+    column = np.empty(width, dtype=np.bool_)
+    for r in range(height):
+        above, below = max(r - 1, 0), min(r + 1, height - 1)
+        for c in range(width):
+            column[c] = (labels[above, c] == labels[r, c]) & (labels[below, c] == labels[r, c])
+            inner[r, c] = column[c] & (labels[r, c] > 0)
+        for c in range(1, width):
+            inner[r, c] &= column[c - 1] & (labels[r, c - 1] == labels[r, c])
+        for c in range(width - 1):
+            inner[r, c] &= column[c + 1] & (labels[r, c + 1] == labels[r, c])
 
 
 @compiled

@@ -187,11 +187,20 @@ def _overlaps(
     before: NDArray[np.uint16], now: NDArray[np.uint16]
 ) -> tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16]]:
     """Count common pixels of identities (rows) and labels (columns); the first of either is 0, "none"."""
-    identities, rows = np.unique(np.append(0, before), return_inverse=True)
-    present, columns = np.unique(np.append(0, now), return_inverse=True)
-    pairs = rows[1:] * present.size + columns[1:]
-    counts = np.bincount(pairs, minlength=identities.size * present.size)
+    identities, rows = _numbered(before)
+    present, columns = _numbered(now)
+    counts = np.bincount(
+        (rows[before] * present.size + columns[now]).reshape(-1), minlength=identities.size * present.size
+    )
     return counts.reshape(identities.size, present.size), identities, present
+
+
+def _numbered(image: NDArray[np.uint16]) -> tuple[NDArray[np.uint16], NDArray[np.int64]]:
+    """Return the values of an image, 0 among them, and the place among these of each value."""
+    values = np.union1d(labels_present(image), [0]).astype(np.uint16)
+    place = np.zeros(int(values[-1]) + 1, dtype=np.int64)
+    place[values] = np.arange(values.size)
+    return values, place
 
 
 def _matched(
