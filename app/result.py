@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.segmentation.config import Level
 from nurbseg.segmentation.labels.lookup import apply_lookup_table
+from nurbseg.segmentation.live.editor import UpdateReport
 from nurbseg.segmentation.live.identity import Event, Identities
-from nurbseg.segmentation.live.tree import UpdateReport
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import SegmentationTree
 

@@ -6,7 +6,7 @@ import logging
 import statistics
 from collections import deque
 
-from nurbseg.segmentation.live.tree import Budget
+from nurbseg.segmentation.live.updater import Budget
 
 _log = logging.getLogger(__name__)
 

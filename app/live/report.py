@@ -22,9 +22,9 @@ from nurbseg.app.export import ExportError
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.versions import versions
 from nurbseg.app.view.view import View
+from nurbseg.segmentation.live.editor import UpdateReport
 from nurbseg.segmentation.live.identity import Event
 from nurbseg.segmentation.live.renewal import SPLIT_FRAMES, TRIAL_FRAMES
-from nurbseg.segmentation.live.tree import UpdateReport
 
 #: What is counted of updates of the live tree.
 _REVISED = ("refits", "trials", "splits", "appeared", "merges", "judged")

@@ -15,7 +15,8 @@ from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.labels.lookup import apply_lookup_table
 from nurbseg.segmentation.live.identity import Identities, track_identities
-from nurbseg.segmentation.live.tree import Budget, LiveTree, lives
+from nurbseg.segmentation.live.tree import LiveTree, lives
+from nurbseg.segmentation.live.updater import Budget
 from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.stag15 import SegmentationTree, segment
 

@@ -166,6 +166,3 @@ def _pixels_to_next(labels: NDArray[np.int32]) -> int:
         if labels[apart] > 0:
             return apart if labels[apart] != labels[0] else 0
     return 0
-
-
-__all__ = ["BorderStatistics", "Evaluation", "border_statistics", "in_contact"]

@@ -282,6 +282,3 @@ def _severed(
     small = ~found.large(config.extended.piece_pixels_min * unit, int(labels.max()))
     small[0] = False
     return np.flatnonzero(small.take(found.numbers)) if small.any() else np.zeros(0, dtype=np.intp)
-
-
-__all__ = ["refine_borders"]

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import Normalization, lab, normalization, raw_vectors
 from nurbseg.segmentation.labels.regions import PixelAdjacency, pixel_adjacency
@@ -56,15 +55,9 @@ def grid_features(cloud: PointMap, config: SegmentationConfig) -> GridFeatures:
     """
     grid = depth_grid(cloud, config.decimation)
     color = lab(cloud.color[:: grid.step, :: grid.step].reshape(-1, 3))
-    normals = facet_normals(
-        grid.per_m,
-        grid.valid,
-        grid.rays,
-        step=grid.step,
-        window=2 * _half_window(grid, config) + 1,
-        noise_per_m=config.extended.inverse_depth_noise,
-    )
-    raw = _side_by_side(color, grid.points.coordinates_m.reshape(3, -1), normals.reshape(-1, 3))
+    normals = _normals(grid, 0, 0, *grid.points.shape, config)
+    points_m = grid.points.coordinates_m.reshape(3, -1).T
+    raw = np.concatenate([color, points_m, normals.reshape(-1, 3)], axis=1)
     adjacency = pixel_adjacency(grid.per_m, grid.valid, config.extended.inverse_depth_gap)
     return GridFeatures(grid, adjacency, raw)
 
@@ -74,16 +67,19 @@ def _half_window(grid: DepthGrid, config: SegmentationConfig) -> int:
     return max(1, round(0.5 * config.extended.normal_window_px * grid.unit_px / grid.step - 0.5))
 
 
-@compiled
-def _side_by_side(
-    color: NDArray[np.float32], points_m: NDArray[np.float32], normals: NDArray[np.float32]
+def _normals(
+    grid: DepthGrid, top: int, left: int, bottom: int, right: int, config: SegmentationConfig
 ) -> NDArray[np.float32]:
-    """Put (N, 3) colors, (3, N) points and (N, 3) normals into one vector for each place."""
-    raw = np.empty((color.shape[0], 9), dtype=np.float32)
-    for n in range(color.shape[0]):
-        for k in range(3):
-            raw[n, k], raw[n, 3 + k], raw[n, 6 + k] = color[n, k], points_m[k, n], normals[n, k]
-    return raw
+    """Return the normals of a window of the grid."""
+    column, row = grid.rays.center
+    return facet_normals(
+        np.ascontiguousarray(grid.per_m[top:bottom, left:right]),
+        np.ascontiguousarray(grid.valid[top:bottom, left:right]),
+        replace(grid.rays, center=(column - left * grid.step, row - top * grid.step)),
+        step=grid.step,
+        window=2 * _half_window(grid, config) + 1,
+        noise_per_m=config.extended.inverse_depth_noise,
+    )
 
 
 def segment_normalization(
@@ -134,21 +130,6 @@ def with_features_at(
     rows, columns, (top, left, bottom, right) = grid.points.locate(places)
     # Windows for normals look at what is around the segment too.
     top, left = max(0, top - 2 * half), max(0, left - 2 * half)
-    bottom, right = bottom + 2 * half, right + 2 * half
-    shifted = replace(
-        grid.rays,
-        center=(grid.rays.center[0] - left * grid.step, grid.rays.center[1] - top * grid.step),
-    )
-    normals = facet_normals(
-        np.ascontiguousarray(grid.per_m[top:bottom, left:right]),
-        np.ascontiguousarray(grid.valid[top:bottom, left:right]),
-        shifted,
-        step=grid.step,
-        window=2 * half + 1,
-        noise_per_m=config.extended.inverse_depth_noise,
-    )
+    normals = _normals(grid, top, left, bottom + 2 * half, right + 2 * half, config)
     raw[places, 6:] = normals[rows - top, columns - left]
     return replace(features, raw=raw)
-
-
-__all__ = ["GridFeatures", "grid_features", "segment_normalization", "with_features_at"]

@@ -257,6 +257,3 @@ def _explained(
         concavity=concavity,
         smooth=smooth,
     )
-
-
-__all__ = ["Contact", "SceneObject", "merge_surfaces", "merged_objects"]

@@ -118,6 +118,3 @@ def _squares(
     far = np.count_nonzero(squares > 9.0)
     explained = np.minimum(squares, SQUARE_MOST).mean() < _MEAN_MOST and far < _FAR_SHARE_MOST * squares.size
     return float(residuals_per_m @ residuals_per_m), bool(explained)
-
-
-__all__ = ["smooth_borders"]

@@ -14,6 +14,7 @@ from nurbseg.segmentation.cut.ncut import Cut, normalized_cuts
 from nurbseg.segmentation.extended.borders import refine_borders
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features, segment_normalization
 from nurbseg.segmentation.extended.merge import merge_surfaces
+from nurbseg.segmentation.extended.parts import Part, chain_components, children_of, fit_segment, judge_split
 from nurbseg.segmentation.growth import grow
 from nurbseg.segmentation.labels.regions import large_components
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
@@ -21,19 +22,7 @@ from nurbseg.segmentation.labels.upsample import upsample_by_depth
 from nurbseg.segmentation.points.depth_grid import inverse_depth_image
 from nurbseg.segmentation.points.grid import step_with_points
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import (
-    Division,
-    Node,
-    SegmentationTree,
-    StopReason,
-    Trial,
-    depth_first,
-)
-from nurbseg.segmentation.surfaces.curvature import all_metrics
-from nurbseg.segmentation.surfaces.fit import Fit
-from nurbseg.segmentation.surfaces.inverse_depth import fit_window
-from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, acceptance_ratio, metric_value
-from nurbseg.segmentation.surfaces.noise import noise_floor
+from nurbseg.segmentation.segments import Division, Node, SegmentationTree, StopReason, depth_first
 
 #: From so many places on, a segment is cut at a quarter of them.
 _MANY_PLACES = 6_000
@@ -110,52 +99,9 @@ def grown_tree(features: GridFeatures, config: SegmentationConfig) -> Node:
 
     places = np.flatnonzero(features.grid.valid)
     parts = _pieces(features, places, np.ones(places.size, dtype=np.int32), config)[0] or [places]
-    root = _chain_components("", [fit_segment(features, part, config) for part in parts], 0)
+    root = chain_components("", [fit_segment(features, part, config) for part in parts], 0)
     grow(root, split, features.places_min(config), config)
     return root
-
-
-#: A part of a split: its places on the grid, its fit, and why it is not to be split itself, if so.
-Part = tuple[NDArray[np.intp], Fit, StopReason | None]
-
-
-def fit_segment(features: GridFeatures, places: NDArray[np.intp], config: SegmentationConfig) -> Part:
-    """Fit a surface, with the metric that decides among its values, and what noise leaves of that metric.
-
-    Parameters
-    ----------
-    features : GridFeatures
-        The frame.
-    places : (N,) intp
-        Flat places of the grid, ascending.
-    config : SegmentationConfig
-        Thresholds and choices.
-
-    Returns
-    -------
-    Part
-        The places, their fit, and why they are not to be split further, if they are not: `NOISE` where the
-        metric is so near its floor that the ratio (eq. 5) of any split would be T or more.
-    """
-    if places.size == 0:
-        return places, Fit(None, np.zeros(0), {}, "0 points, 1 needed", places), StopReason.NO_POINTS
-    window, mask = features.grid.points.window_mask(places)
-    fit, _ = fit_window(features.grid, window, mask, config)
-    if fit.surface is None:
-        return places, fit, None
-    if config.metric in CURVATURE_METRICS:
-        fit = replace(fit, values=all_metrics(fit, features.grid.points.image_shape[1], config))
-    if config.extended.noise_floor == 0:
-        return places, fit, None
-    fit = replace(fit, floor=noise_floor(features.grid, window, mask, config))
-    return places, fit, StopReason.NOISE if at_noise_floor(fit, config) else None
-
-
-def at_noise_floor(fit: Fit, config: SegmentationConfig) -> bool:
-    """Say whether a fit is so near to what noise leaves that no split can have a ratio (eq. 5) below T."""
-    # The floors of parts weigh no less than that of the whole: no ratio is below floor over value.
-    value = metric_value(fit.values, config.metric, fit.floor)
-    return config.extended.noise_floor > 0 and fit.floor >= config.ratio_max * value
 
 
 def best_split(
@@ -204,13 +150,11 @@ def best_split(
             node.stop = StopReason.CHILD_TOO_SMALL
             continue
         parts = [fit_segment(features, piece, config) for piece in pieces]
-        values = [(metric_value(fit.values, config.metric, fit.floor), own.size) for own, fit, _ in parts]
         whole = node.value(config), node.places.size
-        ratio = acceptance_ratio(config.metric, whole, *values)
-        kept = ratio < config.ratio_max
-        if kept or node.trial is None or ratio < node.trial.ratio:
-            node.trial = Trial(config.metric, *whole, tuple(values), kept)
-        if kept:
+        trial = judge_split(whole, [part.weighed(config) for part in parts], config)
+        if trial.kept or node.trial is None or trial.ratio < node.trial.ratio:
+            node.trial = trial
+        if trial.kept:
             sides = (
                 [part for part, side in zip(parts, side_of, strict=True) if side == 1],
                 [part for part, side in zip(parts, side_of, strict=True) if side == 2],
@@ -276,61 +220,3 @@ def _pieces(
         gap_per_m=config.extended.inverse_depth_gap,
         places_min=features.places_min(config),
     )
-
-
-def children_of(node: Node, sides: tuple[list[Part], list[Part]]) -> tuple[Node, Node]:
-    """Make two nodes of the parts of a cut's sides, or of the pieces of the one side that is left.
-
-    Parameters
-    ----------
-    node : Node
-        That is split.
-    sides : (list of Part, list of Part)
-        Together at least two parts.
-
-    Returns
-    -------
-    (Node, Node)
-        Its children, which may have children themselves.
-    """
-    first, second = sides
-    if not (first and second):
-        first, second = _largest_and_rest(first or second)
-    depth = node.cuts_above + 1
-    return _chain_components(f"{node.name}0", first, depth), _chain_components(f"{node.name}1", second, depth)
-
-
-def _chain_components(name: str, parts: list[Part], cuts_above: int) -> Node:
-    """Chain parts that are not connected: a node of the largest and of a node of the others, and so on."""
-    parts = sorted(parts, key=lambda part: -part[0].size)
-    places, fit, stop = parts[-1]
-    node = Node(f"{name}{'1' * (len(parts) - 1)}", places, fit, stop=stop, cuts_above=cuts_above)
-    for largest in range(len(parts) - 2, -1, -1):
-        inner, together = f"{name}{'1' * largest}", parts[largest:]
-        # Each part ascends: the stable sort merges them.
-        places = np.sort(np.concatenate([part[0] for part in together]), kind="stable")
-        pixels = np.sort(np.concatenate([part[1].pixels for part in together]), kind="stable")
-        fit = Fit(None, np.zeros(0), {}, f"{len(together)} pieces that are not connected", pixels)
-        own = Node(f"{inner}0", *parts[largest][:2], stop=parts[largest][2], cuts_above=cuts_above)
-        rest = node
-        node = Node(inner, places, fit, cuts_above=cuts_above)
-        node.children, node.division = (own, rest), Division.GAP
-    return node
-
-
-def _largest_and_rest(parts: list[Part]) -> tuple[list[Part], list[Part]]:
-    largest = max(range(len(parts)), key=lambda n: parts[n][0].size)
-    return [parts[largest]], [part for n, part in enumerate(parts) if n != largest]
-
-
-__all__ = [
-    "GridFeatures",
-    "Part",
-    "at_noise_floor",
-    "best_split",
-    "children_of",
-    "fit_segment",
-    "grid_features",
-    "grown_tree",
-    "segment_nurbseg",
-]

@@ -59,6 +59,3 @@ def _mark(labels: NDArray[np.uint16], is_there: NDArray[np.bool_]) -> None:
         if label != before:
             is_there[label] = True
             before = label
-
-
-__all__ = ["apply_lookup_table", "labels_present", "read_only"]

@@ -299,6 +299,3 @@ def _group(
         number = number_of[at[n]]
         grouped[ends[number]] = places[n]
         ends[number] += 1
-
-
-__all__ = ["Components", "PixelAdjacency", "connected_components", "large_components", "pixel_adjacency"]

@@ -135,6 +135,3 @@ def _reaching(fit: Fit, box: NDArray[np.int64]) -> Fit:
     if (top, left, bottom, right) == fit.surface.window:
         return fit
     return replace(fit, surface=replace(fit.surface, window=(top, left, bottom, right)))
-
-
-__all__ = ["by_label", "finished_segments"]

@@ -156,6 +156,3 @@ def _take_nearest(labels: NDArray[np.int32], islands: NDArray[np.intp]) -> None:
     flat = labels.reshape(-1)
     for n in range(islands.size):
         flat[islands[n]] = nearest[n]
-
-
-__all__ = ["spread_in_place", "spread_labels"]

@@ -66,6 +66,3 @@ class BorderStrips:
         return (*window, window[0] + height, window[1] + width), strip[
             top : top + height, left : left + width
         ]
-
-
-__all__ = ["BorderStrips"]

@@ -212,6 +212,3 @@ def _take_over(
             label = row_labels[column] if near & valid[row, column] else np.int32(0)
             labels[row, column] = label
             open_pixels[row, column] = valid[row, column] & (label == 0)
-
-
-__all__ = ["Split", "upsample_by_depth", "upsample_labels"]

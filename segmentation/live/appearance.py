@@ -118,6 +118,3 @@ def most_alike(appearance: Appearance, lost: Mapping[int, Appearance]) -> int | 
             if best is None or difference < best[0]:
                 best = difference, identity
     return None if best is None else best[1]
-
-
-__all__ = ["Appearance", "appearances_of", "most_alike", "updated"]

@@ -185,6 +185,3 @@ def _explained(
     upper = values[n] + across * (values[n + beside] - values[n])
     lower = values[below] + across * (values[below + beside] - values[below])
     return float(upper + down * (lower - upper))
-
-
-__all__ = ["relax_borders", "spread_to_pixels"]

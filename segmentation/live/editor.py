@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled
-from nurbseg.segmentation.extended.splitting import Part
+from nurbseg.segmentation.extended.parts import Part
 from nurbseg.segmentation.labels.regions import PixelAdjacency
 from nurbseg.segmentation.live.leaf import LiveLeaf
 from nurbseg.segmentation.segments import Division, Node, depth_first
@@ -20,6 +20,41 @@ from nurbseg.segmentation.surfaces.fit import Fit
 NOT_CUT = "parts that no cut made"
 #: What a node takes over from the one that takes its place.
 _TAKEN_OVER = ("places", "fit", "children", "division", "trial", "stop", "cut", "measured", "judged", "age")
+
+
+@dataclass(slots=True)
+class UpdateReport:
+    """What was done to the tree for a frame.
+
+    Parameters
+    ----------
+    reset : str
+        Why the frame was segmented from scratch; empty where the tree was continued.
+    unexplained : float
+        Share of the points that the moved surfaces did not explain.
+    refits, trials, splits, appeared, merges, judged : int
+        Surfaces fitted again, leaves tried for a split, splits made, leaves that came into view, merges of
+        leaves, and splits judged again.
+    oldest, oldest_trial : int
+        Frames since the oldest value or ratio of a split was found, and since the oldest trial of a leaf.
+    waiting : int
+        Leaves that are to be tried in later frames.
+    step : int
+        Pixels from one place of the grid to the next.
+    """
+
+    reset: str = ""
+    unexplained: float = 0.0
+    refits: int = 0
+    trials: int = 0
+    splits: int = 0
+    appeared: int = 0
+    merges: int = 0
+    judged: int = 0
+    oldest: int = 0
+    oldest_trial: int = 0
+    waiting: int = 0
+    step: int = 1
 
 
 @dataclass(slots=True, eq=False)
@@ -34,18 +69,15 @@ class TreeUpdate:
         Labels on the grid before it, and after it by their working numbers.
     final : (numbers,) uint16
         Label from now on of each working number.
+    report : UpdateReport
+        What was done so far.
     """
 
     leaves: list[LiveLeaf]
     before: NDArray[np.int32]
     on_grid: NDArray[np.int32]
     final: NDArray[np.uint16] = field(default_factory=lambda: np.zeros(1, dtype=np.uint16))
-    refits: int = 0
-    trials: int = 0
-    splits: int = 0
-    appeared: int = 0
-    merges: int = 0
-    waiting: int = 0
+    report: UpdateReport = field(default_factory=UpdateReport)
 
     def relabelled(
         self, labels: NDArray[np.uint16], per_m: NDArray[np.float32], step: int
@@ -165,7 +197,7 @@ class TreeEditor:
         node.stop = node.trial = node.cut = None
         leaf.node = rest
         self.labels.ravel()[places] = self.add_leaf(new)
-        self.done.appeared += 1
+        self.done.report.appeared += 1
 
     def add_leaf(self, node: Node) -> int:
         """Make a leaf of a node; return its working number."""
@@ -277,6 +309,3 @@ def _rename(top: Node) -> None:
         for place, child in enumerate(node.children):
             child.name = f"{node.name}{place}"
             child.cuts_above = node.cuts_above + (node.division is Division.CUT)
-
-
-__all__ = ["NOT_CUT", "TreeEditor", "TreeUpdate"]

@@ -9,6 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.extended.grid_features import GridFeatures
+from nurbseg.segmentation.labels.regions import connected_components
+from nurbseg.segmentation.labels.spreading import spread_labels
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
@@ -140,6 +144,45 @@ def grown_labels(
     grown = labels.copy()
     _grow(grown, per_m, lattice.values, lattice.windows, limits_per_m, _GROWTH)
     return grown
+
+
+def split_off_new(
+    labels: NDArray[np.int32], features: GridFeatures, count: int, config: SegmentationConfig
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Give small components to their neighbours; number the large ones that have no label.
+
+    Parameters
+    ----------
+    labels : (h, w) int32
+        Labels on the grid, 1 to `count`; 0 is none.
+    features : GridFeatures
+        The frame.
+    count : int
+        Number of labels.
+    config : SegmentationConfig
+        The smallest component, and the gap in depth.
+
+    Returns
+    -------
+    labels, new : (h, w) int32
+        The labels, of each of which the largest component stays however small it is; and the numbers of the
+        components that are new, 0 elsewhere.
+    """
+    grid, open_label = features.grid, count + 1
+    marked = np.where(grid.valid & (labels == 0), np.int32(open_label), labels)
+    found = connected_components(marked, features.adjacency)
+    kept = found.large(features.places_min(config), count)
+    new = np.flatnonzero(kept & (found.labels_of == open_label))
+    labels_of = np.where(kept, found.labels_of, 0).astype(np.int32)
+    labels_of[new] = np.arange(open_label, open_label + new.size)
+    cleaned = labels_of[found.numbers]
+    unlabelled = (cleaned == 0) & grid.valid
+    if unlabelled.any():
+        cleaned = spread_labels(cleaned, unlabelled, grid.per_m, config.extended.inverse_depth_gap)
+    is_new = cleaned >= open_label
+    numbers = np.where(is_new, cleaned - np.int32(count), 0)
+    cleaned[is_new] = 0
+    return cleaned, numbers
 
 
 def inner_places(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
@@ -292,6 +335,3 @@ def _grow(
                 places[left_over] = places[n]
                 left_over += 1
         waiting = left_over
-
-
-__all__ = ["grown_labels", "inner_places", "kept_labels", "moved_surfaces"]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.config import Metric, SegmentationConfig
+from nurbseg.segmentation.extended.parts import Part
 from nurbseg.segmentation.labels.segment_pixels import by_label
 from nurbseg.segmentation.live.follow import inner_places
 from nurbseg.segmentation.points.depth_grid import DepthGrid
@@ -73,6 +74,11 @@ class LiveLeaf:
 
     def __post_init__(self) -> None:
         self.surface = self.node.fit.surface
+
+    def refit(self, part: Part) -> None:
+        """Give it the places and the fit of this frame."""
+        self.node.places, self.node.fit, _ = part
+        self.surface, self.age, self.level = part.fit.surface, 0, float("nan")
 
     @property
     def attempt_age(self) -> int:
@@ -264,6 +270,3 @@ def _measure(
         own[1] += residual_m * residual_m
         own[2] += residual_m > large_m
         own[3] += min(beyond_per_m, most_per_m) ** 2
-
-
-__all__ = ["Attempt", "LiveLeaf", "Misfit", "misfit", "update_residuals"]

@@ -99,6 +99,3 @@ def _warp(image: NDArray[np.uint16], flow: NDArray[np.float32], found: NDArray[n
                 found[r, c] = image[row, column]
             else:
                 found[r, c] = 0
-
-
-__all__ = ["brightness", "flow_back", "resized", "warped"]

@@ -181,6 +181,3 @@ class ObjectMemory:
         return {
             (each.first, each.second) for each, border in zip(known, borders, strict=True) if border.smooth
         }
-
-
-__all__ = ["ObjectMemory"]

@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
-from nurbseg.segmentation.extended.splitting import at_noise_floor, fit_segment
+from nurbseg.segmentation.extended.parts import at_noise_floor, fit_segment, judge_split
 from nurbseg.segmentation.live.leaf import LiveLeaf
-from nurbseg.segmentation.segments import Division, Node, StopReason, Trial, depth_first
-from nurbseg.segmentation.surfaces.fit import Fit
-from nurbseg.segmentation.surfaces.metrics import acceptance_ratio
+from nurbseg.segmentation.segments import Division, Node, StopReason, depth_first
 
 #: Frames within which every split is judged again, and after which the oldest rejected trial counts no more.
 SPLIT_FRAMES, TRIAL_FRAMES = 60, 300
@@ -87,8 +85,8 @@ def renew_splits(
             first, second = node.children
             reach[id(node)] = reach[id(first)][0], reach[id(second)][1]
         else:
-            reach[id(node)] = (label[id(node)],) * 2
-    sizes = np.cumsum([0, 0, *(leaf.node.places.size for leaf in leaves)])
+            reach[id(node)] = label[id(node)], label[id(node)]
+    ends = np.cumsum([0, *(leaf.node.places.size for leaf in leaves)])
     for node in nodes:
         if node.division not in (None, Division.CUT):
             # It has no surface, and its pixels are those of its parts.
@@ -98,31 +96,25 @@ def renew_splits(
     judged = places = 0
     for node in sorted(splits, key=lambda node: -node.age):
         first_label, last_label = reach[id(node)]
-        size = int(sizes[last_label + 1] - sizes[first_label])
+        size = int(ends[last_label] - ends[first_label - 1])
         turn = judged == 0 or places + size <= _JUDGED_PLACES or node.age >= SPLIT_FRAMES
         if turn or every_surface:
             own = np.flatnonzero((labels >= first_label) & (labels <= last_label))
-            node.fit, node.measured = fit_segment(features, own, config)[1], frame
+            node.fit, node.measured = fit_segment(features, own, config).fit, frame
         elif node.measured != frame:
-            node.fit = _without_surface(node)
+            reason = f"measured in frame {node.measured}"
+            node.fit = replace(node.fit, surface=None, residuals_m=np.zeros(0), reason=reason)
         if not turn:
             continue
         judged, places = judged + 1, places + size
-        whole = node.value(config), size
         below = (leaf.node for leaf in leaves[first_label - 1 : last_label] if leaf.node.places.size)
-        parts = tuple((each.value(config), each.places.size) for each in below)
-        if acceptance_ratio(config.metric, whole, *parts) < config.ratio_max:
-            trial = Trial(config.metric, *whole, parts, kept=True)
+        parts = [(each.value(config), each.places.size) for each in below]
+        trial = judge_split((node.value(config), size), parts, config)
+        if trial.kept:
             node.trial, node.judged, node.age = trial, frame, 0
         else:
             rejected.append(node)
     return Renewal(judged, tuple(rejected), max((node.age for node in splits), default=0))
-
-
-def _without_surface(node: Node) -> Fit:
-    return replace(
-        node.fit, surface=None, residuals_m=np.zeros(0), reason=f"measured in frame {node.measured}"
-    )
 
 
 def give_reasons(
@@ -163,12 +155,3 @@ def give_reasons(
             node.stop, node.judged = attempt.stop, attempt.frame
         else:
             node.stop = StopReason.SPLITS if cuts >= config.splits_max else StopReason.UNTRIED
-
-
-__all__ = [
-    "SPLIT_FRAMES",
-    "TRIAL_FRAMES",
-    "Renewal",
-    "give_reasons",
-    "renew_splits",
-]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,13 +10,15 @@ from numpy.typing import NDArray
 from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
-from nurbseg.segmentation.extended.splitting import fit_segment, segment_nurbseg
-from nurbseg.segmentation.labels.regions import PixelAdjacency, connected_components, pixel_adjacency
+from nurbseg.segmentation.extended.parts import fit_segment
+from nurbseg.segmentation.extended.splitting import segment_nurbseg
+from nurbseg.segmentation.labels.regions import pixel_adjacency
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
 from nurbseg.segmentation.labels.spreading import spread_labels
 from nurbseg.segmentation.live.borders import relax_borders, spread_to_pixels
-from nurbseg.segmentation.live.follow import grown_labels, kept_labels, moved_surfaces
-from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf, Misfit, misfit, update_residuals
+from nurbseg.segmentation.live.editor import UpdateReport
+from nurbseg.segmentation.live.follow import grown_labels, kept_labels, moved_surfaces, split_off_new
+from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf, misfit, update_residuals
 from nurbseg.segmentation.live.motion import brightness, flow_back, resized, warped
 from nurbseg.segmentation.live.objects import ObjectMemory
 from nurbseg.segmentation.live.renewal import give_reasons, renew_splits
@@ -35,41 +37,6 @@ _CHANGED_SHARE = 0.4
 _WAITING_MOST, _WAITING_FRAMES = 6, 15
 #: A leaf's own residuals, in units of their root mean square, beyond which a place is not its own.
 _OWN_DEVIATIONS = 4.0
-
-
-@dataclass(frozen=True, slots=True)
-class UpdateReport:
-    """What was done to the tree for a frame.
-
-    Parameters
-    ----------
-    reset : str
-        Why the frame was segmented from scratch; empty where the tree was continued.
-    unexplained : float
-        Share of the points that the moved surfaces did not explain.
-    refits, trials, splits, appeared, merges, judged : int
-        Surfaces fitted again, leaves tried for a split, splits made, leaves that came into view, merges of
-        leaves, and splits judged again.
-    oldest, oldest_trial : int
-        Frames since the oldest value or ratio of a split was found, and since the oldest trial of a leaf.
-    waiting : int
-        Leaves that are to be tried in later frames.
-    step : int
-        Pixels from one place of the grid to the next.
-    """
-
-    reset: str = ""
-    unexplained: float = 0.0
-    refits: int = 0
-    trials: int = 0
-    splits: int = 0
-    appeared: int = 0
-    merges: int = 0
-    judged: int = 0
-    oldest: int = 0
-    oldest_trial: int = 0
-    waiting: int = 0
-    step: int = 1
 
 
 class LiveTree:
@@ -253,7 +220,8 @@ class LiveTree:
         # Labels grow into what is open; what stays open is new, or too small to be anything.
         on_grid = grown_labels(on_grid, grid.per_m, lattice, limits)
         adjacency = pixel_adjacency(grid.per_m, grid.valid, config.extended.inverse_depth_gap)
-        on_grid, appeared = self._cleaned(on_grid, grid, adjacency)
+        features = GridFeatures(grid, adjacency, np.zeros((0, 0), dtype=np.float32))
+        on_grid, appeared = split_off_new(on_grid, features, len(self._leaves), config)
 
         # Borders on every pixel.
         labels = spread_to_pixels(before, on_grid, per_m, step)
@@ -271,8 +239,7 @@ class LiveTree:
         measures = misfit(on_grid, lattice, grid, config.extended.inverse_depth_noise, len(self._leaves))
         done = self._updater.update(
             cloud,
-            grid,
-            adjacency,
+            features,
             on_grid,
             appeared,
             self._root,
@@ -293,18 +260,8 @@ class LiveTree:
             ).astype(np.uint16)
         self.labels_before = before
         self._gray = gray
-        self._overdue = self._overdue + 1 if done.waiting > _WAITING_MOST else 0
-        self.report = UpdateReport(
-            unexplained=unexplained,
-            refits=done.refits,
-            trials=done.trials,
-            splits=done.splits,
-            appeared=done.appeared,
-            merges=done.merges,
-            waiting=done.waiting,
-            step=step,
-        )
-        features = GridFeatures(grid, adjacency, np.zeros((0, 0), dtype=np.float32))
+        self._overdue = self._overdue + 1 if done.report.waiting > _WAITING_MOST else 0
+        self.report = replace(done.report, unexplained=unexplained, step=step)
         return self._finished(cloud, features, labels, before, config, every_surface)
 
     def _rays_of(self, cloud: PointMap) -> Rays:
@@ -322,29 +279,6 @@ class LiveTree:
         limits = np.maximum(np.array([0.0, *own]), self._config.extended.inverse_depth_gap)
         return np.asarray(limits, dtype=np.float32)
 
-    def _cleaned(
-        self, on_grid: NDArray[np.int32], grid: DepthGrid, adjacency: PixelAdjacency
-    ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Give small components to their neighbours; return the labels, and the components that are new."""
-        config = self._config
-        places_min = config.extended.piece_pixels_min * grid.points.pixel_share
-        open_label = len(self._leaves) + 1
-        marked = np.where(grid.valid & (on_grid == 0), np.int32(open_label), on_grid)
-        found = connected_components(marked, adjacency)
-        # The largest piece of a leaf stays, however small it is.
-        kept = found.large(places_min, open_label - 1)
-        new = np.flatnonzero(kept & (found.labels_of == open_label))
-        labels_of = np.where(kept, found.labels_of, 0).astype(np.int32)
-        labels_of[new] = np.arange(open_label, open_label + new.size)
-        cleaned = labels_of[found.numbers]
-        homeless = (cleaned == 0) & grid.valid
-        if homeless.any():
-            cleaned = spread_labels(cleaned, homeless, grid.per_m, config.extended.inverse_depth_gap)
-        is_new = cleaned >= open_label
-        appeared = np.where(is_new, cleaned - np.int32(open_label - 1), 0)
-        cleaned[is_new] = 0
-        return cleaned, appeared
-
     def _finished(
         self,
         cloud: PointMap,
@@ -360,8 +294,7 @@ class LiveTree:
         self._lattice = SurfaceLattice([leaf.surface for leaf in leaves], grid.step)
         not_reached = update_residuals(leaves, on_grid, self._lattice, grid, config)
         for leaf in not_reached:
-            leaf.node.fit = fit_segment(features, leaf.node.places, config)[1]
-            leaf.surface, leaf.age, leaf.level = leaf.node.fit.surface, 0, float("nan")
+            leaf.refit(fit_segment(features, leaf.node.places, config))
         if not_reached:
             self._lattice = SurfaceLattice([leaf.surface for leaf in leaves], grid.step)
         renewal = renew_splits(
@@ -388,6 +321,3 @@ class LiveTree:
 def lives(config: SegmentationConfig) -> bool:
     """Say whether the tree of a configuration can live on from frame to frame."""
     return config.method == "nurbseg"
-
-
-__all__ = ["Budget", "LiveTree", "Misfit", "UpdateReport", "lives"]

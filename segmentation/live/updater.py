@@ -11,16 +11,14 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures, with_features_at
-from nurbseg.segmentation.extended.splitting import Part, at_noise_floor, best_split, children_of, fit_segment
+from nurbseg.segmentation.extended.parts import Part, at_noise_floor, children_of, fit_segment, judge_split
+from nurbseg.segmentation.extended.splitting import best_split
 from nurbseg.segmentation.labels.lookup import apply_lookup_table
-from nurbseg.segmentation.labels.regions import PixelAdjacency
 from nurbseg.segmentation.live.editor import TreeEditor, TreeUpdate
 from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf, Misfit
 from nurbseg.segmentation.live.renewal import TRIAL_FRAMES
-from nurbseg.segmentation.points.depth_grid import DepthGrid
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Division, Node, StopReason, Trial, depth_first
-from nurbseg.segmentation.surfaces.metrics import acceptance_ratio, metric_value
 
 #: A leaf is tried again for a split when its mean square is this much more than at the last trial.
 _WORSE_FACTOR, _WORSE_BY = 1.5, 0.5
@@ -80,8 +78,7 @@ class TreeUpdater:
     def update(
         self,
         cloud: PointMap,
-        grid: DepthGrid,
-        adjacency: PixelAdjacency,
+        features: GridFeatures,
         on_grid: NDArray[np.int32],
         appeared: NDArray[np.int32],
         root: Node,
@@ -97,8 +94,8 @@ class TreeUpdater:
 
         Parameters
         ----------
-        cloud, grid, adjacency : PointMap, DepthGrid, PixelAdjacency
-            The frame.
+        cloud, features : PointMap, GridFeatures
+            The frame; raw vectors are made of it where they are needed.
         on_grid : (h, w) int32
             Labels on the grid, 1 to the number of leaves; 0 for none.
         appeared : (h, w) int32
@@ -127,7 +124,7 @@ class TreeUpdater:
         """
         self._turn += 1
         editor = TreeEditor(root, leaves, on_grid, self.leaf)
-        work = _Update(editor, cloud, grid, adjacency, measures, config, self._turn, frame)
+        work = _Update(editor, cloud, features, measures, config, self._turn, frame)
         work.collapse(rejected)
         work.add_appeared(appeared)
         work.remove_vanished()
@@ -147,8 +144,7 @@ class _Update:
         self,
         editor: TreeEditor,
         cloud: PointMap,
-        grid: DepthGrid,
-        adjacency: PixelAdjacency,
+        features: GridFeatures,
         measures: Misfit,
         config: SegmentationConfig,
         turn: int,
@@ -156,9 +152,9 @@ class _Update:
     ) -> None:
         self._editor, self._cloud, self._config = editor, cloud, config
         self._turn, self._frame = turn, frame
-        self._features = GridFeatures(grid, adjacency, np.zeros((0, 0), dtype=np.float32))
+        self._features = features
         self._measures = measures
-        self._places_min = config.extended.piece_pixels_min * grid.points.pixel_share
+        self._places_min = features.places_min(config)
         for number, leaf in editor.by_number.items():
             if np.isnan(leaf.level) and leaf.age <= 1:
                 leaf.level = float(measures.mean_squared[number])
@@ -206,12 +202,10 @@ class _Update:
                 break
             leaf = self._editor.by_number[number]
             own = np.flatnonzero(self._editor.labels == number)
-            places, fit, _ = fit_segment(self._features, own, self._config)
-            if fit.surface is None:
-                continue
-            leaf.node.places, leaf.node.fit = places, fit
-            leaf.surface, leaf.age, leaf.level = fit.surface, 0, float("nan")
-            self._editor.done.refits += 1
+            part = fit_segment(self._features, own, self._config)
+            if part.fit.surface is not None:
+                leaf.refit(part)
+                self._editor.done.report.refits += 1
 
     def split(self, most: int) -> None:
         """Try leaves for a split that have become worse, the worst first."""
@@ -227,8 +221,8 @@ class _Update:
         cuts = places = 0
         for rank, (_, number) in enumerate(waiting):
             full = cuts == most or (cuts and places + int(m.places[number]) > _CUT_PLACES)
-            if full or editor.done.splits >= room:
-                editor.done.waiting = len(waiting) - rank if full else 0
+            if full or editor.done.report.splits >= room:
+                editor.done.report.waiting = len(waiting) - rank if full else 0
                 return
             if self._try(number):
                 cuts, places = cuts + 1, places + int(m.places[number])
@@ -258,14 +252,11 @@ class _Update:
             own = [places for places in own if places.size]
             if not own:
                 continue
-            whole = fit_segment(self._features, np.sort(np.concatenate(own), kind="stable"), self._config)
-            trial = self._trial(whole, own)
-            if trial.kept or whole[1].surface is None:
+            whole, trial = self._compare(own)
+            if trial.kept or whole.fit.surface is None:
                 node.trial, node.judged, node.age = trial, self._frame, 0
             else:
-                self._refit_merged(
-                    editor.collapse(node), whole, Attempt(StopReason.CRITERION, trial, self._frame)
-                )
+                self._refit_merged(editor.collapse(node), whole, trial)
 
     def merge_leaves(
         self,
@@ -286,64 +277,52 @@ class _Update:
         for _, pair in pairs[:most]:
             asked[pair_of(pair)] = self._turn
             own = [np.flatnonzero(editor.labels == number) for number in pair]
-            both = fit_segment(self._features, np.sort(np.concatenate(own), kind="stable"), self._config)
-            trial = self._against(both, own, [editor.by_number[number] for number in pair])
-            if trial is None or trial.kept or both[1].surface is None:
+            whole, trial = self._compare(own, [editor.by_number[number].node for number in pair])
+            if trial.kept or whole.fit.surface is None:
                 continue
             kept, gone = pair if own[0].size >= own[1].size else (pair[1], pair[0])
             editor.merge_leaves(gone, kept)
-            self._refit_merged(kept, both, Attempt(StopReason.CRITERION, trial, self._frame))
+            self._refit_merged(kept, whole, trial)
             return
 
-    def _against(
-        self, both: Part, own: Sequence[NDArray[np.intp]], leaves: Sequence[LiveLeaf]
-    ) -> Trial | None:
-        """Hold one surface for two leaves against one for each; None where they are better as they are."""
+    def _compare(self, places: Sequence[NDArray[np.intp]], nodes: Sequence[Node] = ()) -> tuple[Part, Trial]:
+        """Compare one surface with nodes as they are and, if these are no better, with fits to each part."""
         config = self._config
-        whole = metric_value(both[1].values, config.metric, both[1].floor), both[0].size
-        as_they_are = [
-            (leaf.node.value(config), places.size) for leaf, places in zip(leaves, own, strict=True)
-        ]
-        if acceptance_ratio(config.metric, whole, *as_they_are) < config.ratio_max:
-            return None
-        return self._trial(both, own)
+        whole = fit_segment(self._features, np.sort(np.concatenate(places), kind="stable"), config)
+        if nodes:
+            as_they_are = [(node.value(config), own.size) for node, own in zip(nodes, places, strict=True)]
+            trial = judge_split(whole.weighed(config), as_they_are, config)
+            if trial.kept:
+                return whole, trial
+        parts = [fit_segment(self._features, own, config).weighed(config) for own in places]
+        return whole, judge_split(whole.weighed(config), parts, config)
 
-    def _trial(self, whole: Part, parts: Sequence[NDArray[np.intp]]) -> Trial:
-        """Hold a surface for some places against one fitted to each part of them (eq. 5)."""
-        config = self._config
-        fits = [whole[1], *(fit_segment(self._features, places, config)[1] for places in parts)]
-        first, *others = (
-            (metric_value(fit.values, config.metric, fit.floor), fit.pixels.size) for fit in fits
-        )
-        kept = acceptance_ratio(config.metric, first, *others) < config.ratio_max
-        return Trial(config.metric, *first, tuple(others), kept)
-
-    def _refit_merged(self, number: int, part: Part, attempt: Attempt) -> None:
-        """Give a leaf that has taken in others its fit, by the surfaces of the frame before."""
+    def _refit_merged(self, number: int, part: Part, trial: Trial) -> None:
+        """Give a merged leaf its fit, and the trial that rejected its parts."""
         leaf = self._editor.by_number[number]
-        leaf.node.places, leaf.node.fit, _ = part
-        leaf.surface, leaf.age, leaf.level, leaf.tried = part[1].surface, 0, float("nan"), float("nan")
-        leaf.attempt = attempt
-        self._editor.done.merges += 1
+        leaf.refit(part)
+        leaf.tried = float("nan")
+        leaf.attempt = Attempt(StopReason.CRITERION, trial, self._frame)
+        self._editor.done.report.merges += 1
 
     def _try(self, number: int) -> bool:
         """Try a leaf for a split; say whether it was cut for that, which is what takes time."""
         leaf = self._editor.by_number[number]
         node = leaf.node
-        self._editor.done.trials += 1
+        self._editor.done.report.trials += 1
         leaf.tried = float(self._measures.mean_squared[number])
         own = np.flatnonzero(self._editor.labels == number)
-        node.places, node.fit, stop = fit_segment(self._features, own, self._config)
-        leaf.surface, leaf.age, leaf.level = node.fit.surface, 0, float("nan")
+        whole = fit_segment(self._features, own, self._config)
+        leaf.refit(whole)
         leaf.attempt = None
-        if stop is not None or node.fit.surface is None or not node.value(self._config) > 0:
+        if whole.stop is not None or node.fit.surface is None or not node.value(self._config) > 0:
             return False
         features = with_features_at(self._cloud, self._features, node.places, self._config)
         sides, cut = best_split(features, node, self._config, thin_from=_MANY_PLACES)
         if cut is None:
             leaf.attempt = Attempt(node.stop or StopReason.NO_CUT, node.trial, self._frame)
             return True
-        self._editor.done.splits += 1
+        self._editor.done.report.splits += 1
         node.children = children_of(node, sides)
         node.division, node.cut, node.stop = Division.CUT, cut if all(sides) else None, None
         node.measured = node.judged = self._frame
@@ -351,11 +330,10 @@ class _Update:
         below = depth_first(node)[1:]
         for each in below:
             each.judged = self._frame
-        parts = sorted((each for each in below if not each.children), key=lambda each: -each.places.size)
-        leaf.node, leaf.surface, leaf.tried = parts[0], parts[0].fit.surface, 0.0
-        for part in parts[1:]:
-            self._editor.labels.ravel()[part.places] = self._editor.add_leaf(part)
+        first, *others = sorted(
+            (each for each in below if not each.children), key=lambda each: -each.places.size
+        )
+        leaf.node, leaf.surface, leaf.tried = first, first.fit.surface, 0.0
+        for each in others:
+            self._editor.labels.ravel()[each.places] = self._editor.add_leaf(each)
         return True
-
-
-__all__ = ["Budget", "TreeUpdater"]

@@ -11,7 +11,7 @@ from plates import SHAPE, WALL_PER_M, Box, cloud_of, inside_of
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
-from nurbseg.segmentation.extended.splitting import fit_segment
+from nurbseg.segmentation.extended.parts import fit_segment
 from nurbseg.segmentation.live.editor import TreeUpdate
 from nurbseg.segmentation.live.leaf import LiveLeaf, Misfit
 from nurbseg.segmentation.live.updater import Budget, TreeUpdater
@@ -70,8 +70,7 @@ class DesignedTree:
         )
         return self.updater.update(
             self.cloud,
-            self.features.grid,
-            self.features.adjacency,
+            self.features,
             self.labels,
             np.zeros(GRID, np.int32) if appeared is None else appeared,
             self.root,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nurbseg.app.live.rate_controller import RateController
-from nurbseg.segmentation.live.tree import Budget
+from nurbseg.segmentation.live.updater import Budget
 
 
 def test_nothing_is_given_up_while_the_rate_holds(caplog: pytest.LogCaptureFixture) -> None:

@@ -7,7 +7,8 @@ from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.cut.ncut import Cut
 from nurbseg.segmentation.extended import splitting
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
-from nurbseg.segmentation.extended.splitting import _neighbors_side, best_split, children_of
+from nurbseg.segmentation.extended.parts import Part, children_of
+from nurbseg.segmentation.extended.splitting import _neighbors_side, best_split
 from nurbseg.segmentation.segments import Division, Node, StopReason, depth_first
 from nurbseg.segmentation.surfaces.fit import Fit
 
@@ -94,7 +95,7 @@ def test_cuts_are_tried_in_turn_until_the_ratio_keeps_one(roof, monkeypatch, cut
 
 def part(first: int, places: int, stop: StopReason | None = None):
     own = np.arange(first, first + places)
-    return own, Fit(None, np.zeros(0), {}, "", 3 * own), stop
+    return Part(own, Fit(None, np.zeros(0), {}, "", 3 * own), stop)
 
 
 def test_pieces_hang_below_one_another_the_largest_first():

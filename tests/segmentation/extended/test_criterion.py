@@ -11,7 +11,9 @@ from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.cut.ncut import Cut
 from nurbseg.segmentation.extended import splitting
-from nurbseg.segmentation.extended.splitting import best_split, fit_segment, grid_features
+from nurbseg.segmentation.extended.grid_features import grid_features
+from nurbseg.segmentation.extended.parts import fit_segment
+from nurbseg.segmentation.extended.splitting import best_split
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Division, Node, SegmentationTree, StopReason
 from nurbseg.segmentation.stag15 import segment

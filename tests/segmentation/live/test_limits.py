@@ -8,7 +8,9 @@ from plates import PLATES, plates
 
 from nurbseg.segmentation.config import ExtendedConfig, Metric, SegmentationConfig
 from nurbseg.segmentation.live import renewal
-from nurbseg.segmentation.live.tree import Budget, LiveTree, UpdateReport
+from nurbseg.segmentation.live.editor import UpdateReport
+from nurbseg.segmentation.live.tree import LiveTree
+from nurbseg.segmentation.live.updater import Budget
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Division, Segment, SegmentationTree, StopReason
 from nurbseg.segmentation.surfaces.surface import evaluate

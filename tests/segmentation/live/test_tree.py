@@ -8,7 +8,8 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.live import tree as live_tree
-from nurbseg.segmentation.live.tree import Budget, LiveTree, lives
+from nurbseg.segmentation.live.tree import LiveTree, lives
+from nurbseg.segmentation.live.updater import Budget
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.stag15 import SegmentationTree, segment
 

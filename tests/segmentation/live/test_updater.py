@@ -43,7 +43,7 @@ def refitted(tree: DesignedTree, most: int, **measures: Sequence[float]) -> list
         assert np.isnan(leaf.level)
         assert np.array_equal(leaf.node.places, np.flatnonzero(tree.labels == label))
         assert leaf.node.fit.pixels.size == leaf.node.places.size
-    assert done.refits == len(found) <= most
+    assert done.report.refits == len(found) <= most
     return found
 
 
@@ -96,7 +96,7 @@ def test_what_appears_is_a_leaf_beside_its_surroundings_six_in_a_frame() -> None
     appeared = appearing(*corners)
     tree.labels[appeared > 0] = 0
     done = tree.update(appeared=appeared)
-    assert done.appeared == 6
+    assert done.report.appeared == 6
     # Three in each half; what waits is of its surroundings until then.
     images = done.final[done.on_grid]
     values = [images[row + 2, column + 2] for row, column in corners]
@@ -164,8 +164,8 @@ def tried(
     before = {id(leaf): leaf.node.name for leaf in tree.leaves}
     done = tree.update(square=square, budget=Budget(refits=0, trials=most, merges=0), config=config)
     found = [label for leaf, label in labels.items() if tree.leaves[label - 1].node.name != before[leaf]]
-    assert done.trials == done.splits == len(found)
-    return found, done.waiting
+    assert done.report.trials == done.report.splits == len(found)
+    return found, done.report.waiting
 
 
 @pytest.mark.parametrize(
@@ -215,7 +215,7 @@ def test_a_leaf_of_twice_the_least_is_not_tried(rows: int, is_tried: bool) -> No
     # 60 or 40 places, where the least is 25.
     tree = divided((rows, 24, 24))
     done = tree.update(square=(9, 0, 0), budget=Budget(refits=0, trials=3, merges=0))
-    assert done.trials == is_tried
+    assert done.report.trials == is_tried
     assert tree.leaves[0].tried == (9.0 if is_tried else 1.0)
 
 
@@ -245,7 +245,7 @@ def test_a_leaf_that_noise_explains_is_not_cut_and_keeps_no_attempt(thirds: Desi
     # As it is, it is far from the noise.
     leaf.node.fit = type(leaf.node.fit)(leaf.surface, np.zeros(1), {"mse": 1.0}, "", np.zeros(1, np.intp))
     done = thirds.update(square=(0, 9, 0), budget=Budget(refits=0, trials=1, merges=0))
-    assert (done.trials, done.splits, done.waiting) == (1, 0, 0)
+    assert (done.report.trials, done.report.splits, done.report.waiting) == (1, 0, 0)
     assert (leaf.attempt, leaf.tried, leaf.age) == (None, 9.0, 0)
     assert leaf.node.fit.values["mse"] < 1e-5
 
@@ -283,7 +283,7 @@ def test_a_split_that_is_not_kept_is_undone(flush: DesignedTree) -> None:
     largest = flush.leaves[3]
     wall = flush.nodes["1"]
     done = flush.update(rejected=[wall])
-    assert done.merges == 1
+    assert done.report.merges == 1
     assert done.leaves == [flush.leaves[0], largest]
     assert done.final.tolist() == [0, 1, 2, 2, 2]
     assert largest.node is wall
@@ -304,7 +304,7 @@ def test_a_split_that_fitted_surfaces_keep_stays(flush: DesignedTree) -> None:
     root = flush.root
     root.age = 50
     done = flush.update(rejected=[root])
-    assert done.merges == 0
+    assert done.report.merges == 0
     assert len(done.leaves) == 4
     assert (root.division, root.judged, root.age) == (Division.CUT, FRAME, 0)
     assert root.trial is not None
@@ -317,7 +317,7 @@ def test_a_split_that_fitted_surfaces_keep_stays(flush: DesignedTree) -> None:
 def test_what_is_no_split_any_more_is_not_undone(flush: DesignedTree) -> None:
     elsewhere = Node("1", flush.nodes["1"].places, flush.nodes["1"].fit, flush.nodes["1"].children)
     done = flush.update(rejected=[flush.nodes["0"], elsewhere])
-    assert done.merges == 0
+    assert done.report.merges == 0
     assert len(done.leaves) == 4
 
 
@@ -325,7 +325,7 @@ def test_a_split_whose_leaves_are_out_of_sight_is_left_alone() -> None:
     tree = designed_tree(Band("0", 30), Band("10", 25), Band("11", 25))
     tree.labels[tree.labels > 1] = 0
     done = tree.update(rejected=[tree.nodes["1"]])
-    assert done.merges == 0
+    assert done.report.merges == 0
     assert done.leaves == tree.leaves[:1]
     # And a part that is out of sight is none of the split's.
     tree = designed_tree(Band("0", 30), Band("100", 20), Band("101", 15), Band("11", 15))
@@ -342,7 +342,7 @@ def test_the_larger_of_two_leaves_of_an_object_takes_in_the_other_where_one_surf
         tree = designed_tree(Band("0", columns[0]), Band("1", columns[1]))
         leaf = tree.leaves[kept - 1]
         done = tree.update(same_object=[(1, 2)], budget=Budget(refits=0, trials=0, merges=1))
-        assert done.merges == 1
+        assert done.report.merges == 1
         assert done.leaves == [leaf]
         assert done.final.tolist() == [0, 1, 1]
         assert leaf.node.places.size == 4800
@@ -379,10 +379,10 @@ def test_pairs_are_asked_in_turn() -> None:
     tree = designed_tree(Band("0", 20, 0.02), Band("10", 30), Band("11", 30))
     pairs, one = [(1, 2), (2, 3)], Budget(refits=0, trials=0, merges=1)
     # First the plate and the wall, which stay apart; then the halves of the wall, in spite of their number.
-    assert tree.update(same_object=pairs, budget=one).merges == 0
-    assert tree.update(same_object=pairs, budget=one).merges == 1
+    assert tree.update(same_object=pairs, budget=one).report.merges == 0
+    assert tree.update(same_object=pairs, budget=one).report.merges == 1
     tree = designed_tree(Band("0", 20, 0.02), Band("10", 30), Band("11", 30))
-    assert tree.update(same_object=pairs, budget=Budget(refits=0, trials=0, merges=2)).merges == 1
+    assert tree.update(same_object=pairs, budget=Budget(refits=0, trials=0, merges=2)).report.merges == 1
 
 
 def test_labels_of_the_frame_before_are_known_after_an_update(flush: DesignedTree) -> None:
@@ -396,5 +396,12 @@ def test_nothing_is_done_without_need(thirds: DesignedTree) -> None:
     before = [(leaf, leaf.surface, leaf.node.name) for leaf in thirds.leaves]
     done = thirds.update(budget=Budget())
     assert [(leaf, leaf.surface, leaf.node.name) for leaf in done.leaves] == before
-    assert (done.refits, done.trials, done.splits, done.appeared, done.merges, done.waiting) == (0,) * 6
+    assert (
+        done.report.refits,
+        done.report.trials,
+        done.report.splits,
+        done.report.appeared,
+        done.report.merges,
+        done.report.waiting,
+    ) == (0,) * 6
     assert isinstance(thirds.root.trial, Trial)

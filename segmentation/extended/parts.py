@@ -1,0 +1,121 @@
+"""Parts of a split: how they are fitted, judged by the ratio, and made nodes of the tree."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.extended.grid_features import GridFeatures
+from nurbseg.segmentation.segments import Division, Node, StopReason, Trial
+from nurbseg.segmentation.surfaces.curvature import all_metrics
+from nurbseg.segmentation.surfaces.fit import Fit
+from nurbseg.segmentation.surfaces.inverse_depth import fit_window
+from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, acceptance_ratio, metric_value
+from nurbseg.segmentation.surfaces.noise import noise_floor
+
+
+class Part(NamedTuple):
+    """A part of a split: its flat places on the grid, its fit, and why it is not to be split, if so."""
+
+    places: NDArray[np.intp]
+    fit: Fit
+    stop: StopReason | None
+
+    def weighed(self, config: SegmentationConfig) -> tuple[float, int]:
+        """Return what its metric counts for in the ratio, and its number of points."""
+        return metric_value(self.fit.values, config.metric, self.fit.floor), self.places.size
+
+
+def judge_split(
+    whole: tuple[float, int], parts: Sequence[tuple[float, int]], config: SegmentationConfig
+) -> Trial:
+    """Compare the metric of a segment with that of its parts (eq. 5), each with its number of points."""
+    kept = acceptance_ratio(config.metric, whole, *parts) < config.ratio_max
+    return Trial(config.metric, *whole, tuple(parts), kept)
+
+
+def fit_segment(features: GridFeatures, places: NDArray[np.intp], config: SegmentationConfig) -> Part:
+    """Fit a surface, with the metric that decides among its values, and what noise leaves of that metric.
+
+    Parameters
+    ----------
+    features : GridFeatures
+        The frame.
+    places : (N,) intp
+        Flat places of the grid, ascending.
+    config : SegmentationConfig
+        Thresholds and choices.
+
+    Returns
+    -------
+    Part
+        Its stop is `NOISE` where the metric is so near its floor that the ratio (eq. 5) of any split would be
+        T or more.
+    """
+    if places.size == 0:
+        return Part(places, Fit(None, np.zeros(0), {}, "0 points, 1 needed", places), StopReason.NO_POINTS)
+    window, mask = features.grid.points.window_mask(places)
+    fit, _ = fit_window(features.grid, window, mask, config)
+    if fit.surface is None:
+        return Part(places, fit, None)
+    if config.metric in CURVATURE_METRICS:
+        fit = replace(fit, values=all_metrics(fit, features.grid.points.image_shape[1], config))
+    if config.extended.noise_floor == 0:
+        return Part(places, fit, None)
+    fit = replace(fit, floor=noise_floor(features.grid, window, mask, config))
+    return Part(places, fit, StopReason.NOISE if at_noise_floor(fit, config) else None)
+
+
+def at_noise_floor(fit: Fit, config: SegmentationConfig) -> bool:
+    """Say whether a fit is so near to what noise leaves that no split can have a ratio (eq. 5) below T."""
+    # The floors of parts weigh no less than that of the whole: no ratio is below floor over value.
+    value = metric_value(fit.values, config.metric, fit.floor)
+    return config.extended.noise_floor > 0 and fit.floor >= config.ratio_max * value
+
+
+def children_of(node: Node, sides: tuple[list[Part], list[Part]]) -> tuple[Node, Node]:
+    """Make two nodes of the parts of a cut's sides, or of the pieces of the one side that is left.
+
+    Parameters
+    ----------
+    node : Node
+        That is split.
+    sides : (list of Part, list of Part)
+        Together at least two parts.
+
+    Returns
+    -------
+    (Node, Node)
+        Its children, which may have children themselves.
+    """
+    first, second = sides
+    if not (first and second):
+        parts = first or second
+        largest = max(range(len(parts)), key=lambda n: parts[n].places.size)
+        first, second = [parts[largest]], parts[:largest] + parts[largest + 1 :]
+    depth = node.cuts_above + 1
+    return chain_components(f"{node.name}0", first, depth), chain_components(f"{node.name}1", second, depth)
+
+
+def chain_components(name: str, parts: list[Part], cuts_above: int) -> Node:
+    """Chain parts that are not connected: a node of the largest and of a node of the others, and so on."""
+    parts = sorted(parts, key=lambda part: -part.places.size)
+    places, fit, stop = parts[-1]
+    node = Node(f"{name}{'1' * (len(parts) - 1)}", places, fit, stop=stop, cuts_above=cuts_above)
+    for largest in range(len(parts) - 2, -1, -1):
+        inner, together = f"{name}{'1' * largest}", parts[largest:]
+        # Each part ascends: the stable sort merges them.
+        places = np.sort(np.concatenate([part.places for part in together]), kind="stable")
+        pixels = np.sort(np.concatenate([part.fit.pixels for part in together]), kind="stable")
+        fit = Fit(None, np.zeros(0), {}, f"{len(together)} pieces that are not connected", pixels)
+        own_places, own_fit, stop = parts[largest]
+        own = Node(f"{inner}0", own_places, own_fit, stop=stop, cuts_above=cuts_above)
+        rest = node
+        node = Node(inner, places, fit, cuts_above=cuts_above)
+        node.children, node.division = (own, rest), Division.GAP
+    return node
