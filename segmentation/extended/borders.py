@@ -22,7 +22,7 @@ _REACH = 2
 #: Weight of one neighbour at a distance of one pixel against a squared residual in units of the noise.
 _VOTE = 0.7
 #: Vote of a neighbour across a gap in depth, in shares of another's.
-_ACROSS_GAP = 0.25
+ACROSS_GAP = 0.25
 _SWEEPS = 6
 #: Pixels judged at once, so that what is found for them stays in the cache.
 _BLOCK = 4096
@@ -96,7 +96,7 @@ def _cheapest(
     gaps = (config.extended.inverse_depth_gap * np.sqrt(_DISTANCES)).astype(np.float32)
     # A pixel has no vote on itself.
     votes = np.where(_DISTANCES > 0, _VOTE / np.maximum(_DISTANCES, 1.0), 0.0).astype(np.float32)
-    across = np.float32(_ACROSS_GAP) * votes
+    across = np.float32(ACROSS_GAP) * votes
     per_deviation = np.float32(1.0 / config.extended.inverse_depth_noise)
 
     reached = np.empty(flat.size, dtype=np.bool_)

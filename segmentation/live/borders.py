@@ -6,13 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled
+from nurbseg.segmentation.extended.borders import ACROSS_GAP
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 from nurbseg.segmentation.surfaces.noise import SQUARE_MOST
 
 #: Vote of a neighbour at a distance of one pixel, and of a diagonal one.
 _VOTE, _DIAGONAL_VOTE = 1.4, 1.4 / 2**0.5
-#: Vote of a neighbour across a gap in depth, in shares of another's.
-_ACROSS_GAP = 0.25
 
 
 def spread_to_pixels(
@@ -149,7 +148,7 @@ def _relax(
             for y in range(above, below):
                 for x in range(left, right):
                     near, vote = labels[y, x], votes[(y != r) + (x != c)]
-                    vote *= 1.0 if abs(per_m[y, x] - own) < gap else _ACROSS_GAP
+                    vote *= 1.0 if abs(per_m[y, x] - own) < gap else ACROSS_GAP
                     for_before += vote if near == before else 0.0
                     for_most += vote if near == most else 0.0
                     for_least += vote if near == least else 0.0
