@@ -38,6 +38,7 @@ from nurbseg.app.view.viewer import (
     listens,
     reachable,
     start_viewer,
+    warn_beyond_loopback,
 )
 
 logger = logging.getLogger(__name__)
@@ -211,6 +212,7 @@ class RerunView:
             if is_taken(self._config.bind, port):
                 raise ViewError(f"port {port} is taken by something that is no viewer; name another port")
             process = start_viewer(self._config, port)
+            warn_beyond_loopback(self._config.bind, port)
 
         logged = False
 

@@ -8,7 +8,14 @@ from urllib.parse import quote
 
 from nurbseg.app.view.config import ViewConfig, bracketed
 from nurbseg.app.view.page import PageServer
-from nurbseg.app.view.viewer import ViewError, free_port, is_taken, reachable, start_web_server
+from nurbseg.app.view.viewer import (
+    ViewError,
+    free_port,
+    is_taken,
+    reachable,
+    start_web_server,
+    warn_beyond_loopback,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -53,6 +60,7 @@ class WebServer:
         except OSError as err:
             self._end()
             raise ViewError(f"web port {web_port} of {config.bind}: {err.strerror}") from err
+        warn_beyond_loopback(config.bind, self._port, web_port, self._rerun_port)
         self.url = f"rerun+http://{bracketed(host)}:{self._port}/proxy"
         self.page_url = f"http://{bracketed(host)}:{web_port}/?url={quote(self.url, safe='')}"
 

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import logging
 import os
 import socket
 import subprocess
 import sys
+from ipaddress import ip_address
 from pathlib import Path
 
 from nurbseg.app.view.config import ViewConfig, ViewMode
 from nurbseg.drivers.process.start import dying_with_parent
+
+logger = logging.getLogger(__name__)
 
 #: Longest wait for a file to be whole, seconds: where somebody waits for the end, and where nobody does.
 FILE_CLOSE_S, FILE_PATIENCE_S = 1.2, 15.0
@@ -143,6 +147,17 @@ def _bound(bind: str, port: int) -> int:
 def reachable(bind: str) -> str:
     """Return an address to reach what listens on `bind`."""
     return {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(bind, bind)
+
+
+def warn_beyond_loopback(bind: str, *ports: int) -> None:
+    """Say who sees what the camera sees, where somebody else than this computer can connect."""
+    if not ip_address(bind).is_loopback:
+        logger.warning(
+            "whoever reaches %s, ports %s, sees what the camera sees: "
+            "the stream has neither password nor encryption",
+            bind,
+            " and ".join(map(str, ports)),
+        )
 
 
 def listens(host: str, port: int) -> bool:
