@@ -75,9 +75,7 @@ def main() -> None:
 def told(outcomes: list[Outcome]) -> bool:
     """Print the table; return whether anything is wrong."""
     print(f"\n{len(outcomes)} signals; {computer()}")
-    print(
-        f"{'moment':>12}{'signals':>9}{'median, s':>11}{'longest, s':>12}{'Python':>8}{'wrong':>7}  codes"
-    )
+    print(f"{'moment':>12}{'signals':>9}{'median, s':>11}{'longest, s':>12}{'Python':>8}{'wrong':>7}  codes")
     begin_s = 0.0
     for end_s in _MOMENTS_S:
         found = [each for each in outcomes if begin_s <= each.moment_s < end_s]
