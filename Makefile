@@ -1,6 +1,8 @@
 # make demo   installs into .venv, segments the demo recording, and says where the results are
 # make test   installs, checks the style and the types, and runs all tests
 # make mutants  changes the code in 420 places, one at a time: how many of the changes the tests notice; an hour
+# make lock   pins the newest versions of all dependencies, in requirements/
+# make audit  asks a public database whether vulnerabilities of those versions are known
 # make clean  removes what these made
 
 PYTHON ?= python3
@@ -18,7 +20,7 @@ endif
 # Cameras are tested against the real OpenNI2, pictures of the viewer need a Vulkan driver.
 TEST_PACKAGES := g++ libopenni2-0 libopenni2-dev libusb-1.0-0 mesa-vulkan-drivers
 
-.PHONY: demo test mutants setup setup-test lint types clean
+.PHONY: demo test mutants setup setup-test lint types lock audit clean
 
 demo: $(VENV)/demo.stamp
 	rm -rf $(OUT)/demo $(OUT)/demo.rrd
@@ -59,17 +61,15 @@ $(VENV)/bin/pip:
 	    || { echo "$(PYTHON) is older than Python 3.11: make PYTHON=python3.11 ..."; exit 1; }
 	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || .ci/system-packages python3-venv
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --upgrade pip 'setuptools>=77'
+	$(BIN)/pip install --quiet --upgrade pip
 
-# What the project depends on, installed again when pyproject.toml changes ...
-$(VENV)/demo-dependencies.stamp: $(VENV)/bin/pip pyproject.toml
-	rm -rf build
-	$(BIN)/pip install --quiet --no-build-isolation .
+# What the project depends on, in pinned versions of known content ...
+$(VENV)/demo-dependencies.stamp: $(VENV)/bin/pip requirements/build.txt requirements/run.txt
+	$(BIN)/pip install --quiet --require-hashes -r requirements/build.txt -r requirements/run.txt
 	touch $@
 
-$(VENV)/test-dependencies.stamp: $(VENV)/bin/pip pyproject.toml
-	rm -rf build
-	$(BIN)/pip install --quiet --no-build-isolation '.[dev]'
+$(VENV)/test-dependencies.stamp: $(VENV)/bin/pip requirements/build.txt requirements/dev.txt
+	$(BIN)/pip install --quiet --require-hashes -r requirements/build.txt -r requirements/dev.txt
 	touch $@
 
 compiled = $(BIN)/nurbseg-live --quiet --replay 'synthetic:?$(1)' --speed 0 --temporal on --view none --save $(VENV)/first.rrd && rm $(VENV)/first.rrd
@@ -90,6 +90,19 @@ $(VENV)/demo.stamp: $(VENV)/demo-dependencies.stamp $(SOURCES)
 
 $(VENV)/test.stamp: $(VENV)/test-dependencies.stamp $(SOURCES)
 	$(install)
+
+# For every Python from 3.11 on, and without the name of the registry that was asked.
+pin = $(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.11 --generate-hashes --no-annotate --no-header
+
+lock: $(VENV)/bin/pip
+	$(BIN)/pip install --quiet uv
+	sed -n 's/^requires = \["\(.*\)"\]/\1/p' pyproject.toml | $(pin) --output-file requirements/build.txt -
+	$(pin) --output-file requirements/run.txt pyproject.toml
+	$(pin) --output-file requirements/dev.txt --extra dev pyproject.toml
+
+audit: $(VENV)/bin/pip
+	$(BIN)/pip install --quiet pip-audit
+	$(BIN)/pip-audit --require-hashes --disable-pip --strict -r requirements/dev.txt
 
 clean:
 	rm -rf $(VENV) $(OUT) build *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -48,6 +48,3 @@ def _interruptible(module: ModuleType, function: str) -> int:
     except KeyboardInterrupt:
         return _INTERRUPTED
     return result
-
-
-__all__ = ["batch", "devices", "evaluation", "live", "record"]

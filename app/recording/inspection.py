@@ -191,6 +191,3 @@ def _count(found: Inspection, stamps: Sequence[int]) -> None:
         steps = np.diff(np.array(stamps, dtype=np.int64)) * 1e-9
         after = np.flatnonzero(steps > _GAP_STEPS * np.median(steps))
         found.gaps = [(int(frame), round(float(steps[frame]), 3)) for frame in after]
-
-
-__all__ = ["Inspection", "form_of", "inspect"]

@@ -9,6 +9,7 @@ from nurbseg.drivers.openni2.options import DeviceOptions
 
 if TYPE_CHECKING:
     from nurbseg.drivers.options import SourceOptions
+    from nurbseg.drivers.process.child import ChildProcess
     from nurbseg.drivers.source import FrameSource
 
 __all__ = ["DeviceOptions", "open_uri"]
@@ -37,7 +38,7 @@ def open_uri(rest: str, options: SourceOptions) -> FrameSource:
         If it is a recording, and damaged.
     """
     # Imported late: the options alone need neither numpy nor the library.
-    from nurbseg.drivers.openni2.isolated.source import IsolatedCamera
+    from nurbseg.drivers.openni2.isolated.source import IsolatedCamera, begin_process
     from nurbseg.drivers.openni2.reopening import Reopening
     from nurbseg.drivers.reconnect import Reconnecting
 
@@ -47,14 +48,19 @@ def open_uri(rest: str, options: SourceOptions) -> FrameSource:
         return open_path(Path(rest), options)
     settings = options.device or DeviceOptions()
 
-    def open_camera(wanted: str, patience_s: float | None = None) -> IsolatedCamera:
-        limit_s = options.association_limit_s
-        return IsolatedCamera(wanted, settings, pairing_limit_s=limit_s, patience_s=patience_s)
-
-    camera = open_camera(rest)
+    limit_s = options.association_limit_s
+    camera = IsolatedCamera(rest, settings, pairing_limit_s=limit_s)
     if not settings.reconnect:
         return camera
     same = camera.metadata["serial"] or f"port:{camera.metadata['usb_port']}"
     interval_s = settings.reconnect_interval_s
-    reopen = Reopening(lambda: open_camera(same, interval_s))
+
+    def open_again(process: ChildProcess) -> IsolatedCamera:
+        return IsolatedCamera(same, settings, pairing_limit_s=limit_s, patience_s=interval_s, process=process)
+
+    try:
+        reopen = Reopening(lambda: begin_process(settings), open_again)
+    except BaseException:
+        camera.close()
+        raise
     return Reconnecting(camera, reopen, abandon=reopen.close, interval_s=min(interval_s, 0.1))

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from nurbseg.drivers.errors import DeviceNotFoundError, DriverError
 from nurbseg.drivers.openni2.isolated.source import IsolatedCamera
+from nurbseg.drivers.process.child import ChildProcess
 
 
 class Reopening:
@@ -13,12 +14,21 @@ class Reopening:
 
     Parameters
     ----------
+    begin : callable
+        Starts such a process. One is kept ready: to start Python takes longer than all else that is done
+        when a camera is plugged in again.
     open_patiently : callable
-        Starts such a process: opens an `IsolatedCamera` with patience.
+        Opens an `IsolatedCamera` with patience, by that process.
     """
 
-    def __init__(self, open_patiently: Callable[[], IsolatedCamera]) -> None:
+    def __init__(
+        self,
+        begin: Callable[[], ChildProcess],
+        open_patiently: Callable[[ChildProcess], IsolatedCamera],
+    ) -> None:
+        self._begin = begin
         self._open_patiently = open_patiently
+        self._ready: ChildProcess | None = begin()
         self._waiting: IsolatedCamera | None = None
 
     def __call__(self) -> IsolatedCamera:
@@ -30,7 +40,8 @@ class Reopening:
             If it is not back, or cannot be opened.
         """
         if self._waiting is None:
-            self._waiting = self._open_patiently()
+            process, self._ready = self._ready or self._begin(), None
+            self._waiting = self._open_patiently(process)
         try:
             is_open = self._waiting.is_open()
         except DriverError:
@@ -39,10 +50,13 @@ class Reopening:
         if not is_open:
             raise DeviceNotFoundError("the camera is away")
         camera, self._waiting = self._waiting, None
+        self._ready = self._begin()
         return camera
 
     def close(self) -> None:
         """Look no longer; safe to repeat."""
         waiting, self._waiting = self._waiting, None
-        if waiting is not None:
-            waiting.close()
+        ready, self._ready = self._ready, None
+        for each in (waiting, ready):
+            if each is not None:
+                each.close()

@@ -33,7 +33,8 @@ from nurbseg.drivers.process.parent import connect
 
 #: Longest wait for a frame before messages are looked at again, seconds.
 _SLICE_S = 0.1
-#: Longest wait for what is to be opened; and what ending may take, with a recording to be finished; seconds.
+#: Longest wait at a time for what is to be opened, and what ending may take, with a recording to be
+#: finished; seconds.
 _BEGIN_S, _END_S = 60.0, 30.0
 
 
@@ -103,7 +104,8 @@ def main() -> int:
     with contextlib.suppress(OSError):  # only some users may; a frame is lost if this is 33 ms late
         os.nice(-10)
     try:
-        request = channel.receive(_BEGIN_S)
+        while (request := channel.receive(_BEGIN_S)) is None:
+            pass  # It is kept ready for when a camera is plugged in again.
         if not isinstance(request, Open):
             return 1
         logging.basicConfig(level=request.log_level, handlers=[LogForwarder(channel)])

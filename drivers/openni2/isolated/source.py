@@ -38,6 +38,22 @@ _HANG_LIMIT_S = 10.0
 _DEPTH_S, _MORE = 1.0, 4
 
 
+def begin_process(options: DeviceOptions) -> ChildProcess:
+    """Start a process that will read a camera, once an `IsolatedCamera` tells it which.
+
+    Raises
+    ------
+    OSError
+        If it cannot be started.
+    """
+    return ChildProcess("nurbseg.drivers.openni2.isolated.program", slots=_slots(options))
+
+
+def _slots(options: DeviceOptions) -> int:
+    fps = max(parse_mode(each)[2] for each in (options.depth_mode, options.color_mode))
+    return max(4, round(fps * _DEPTH_S) + _MORE)
+
+
 class IsolatedCamera(FrameSource):
     """Frames of a camera, read as `DeviceSource` does, but by another process.
 
@@ -54,6 +70,8 @@ class IsolatedCamera(FrameSource):
     patience_s : float, optional
         Where the camera is not there, let the process look for it at this interval, seconds. The
         source is usable once `is_open` says so.
+    process : ChildProcess, optional
+        From `begin_process` with the same options; ended with this source.
 
     Attributes
     ----------
@@ -83,6 +101,7 @@ class IsolatedCamera(FrameSource):
         *,
         pairing_limit_s: float = 0.02,
         patience_s: float | None = None,
+        process: ChildProcess | None = None,
     ) -> None:
         super().__init__()
         self.missed = self.half_pairs = 0
@@ -91,9 +110,8 @@ class IsolatedCamera(FrameSource):
         self._begun = self._is_open = False
         self._frames: deque[CameraFrame] = deque()
         self._failure: DriverError | None = None
-        fps = max(parse_mode(each)[2] for each in (self._options.depth_mode, self._options.color_mode))
-        self._slots = max(4, round(fps * _DEPTH_S) + _MORE)
-        self._process = ChildProcess("nurbseg.drivers.openni2.isolated.program", slots=self._slots)
+        self._slots = _slots(self._options)
+        self._process = process or begin_process(self._options)
         self._channel = self._process.connect(CODEC)
         level = logging.getLogger("nurbseg.drivers").getEffectiveLevel()
         self._ask(Open(wanted, self._options, pairing_limit_s, patience_s, level))

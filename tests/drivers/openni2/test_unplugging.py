@@ -200,6 +200,24 @@ def test_frames_go_on_when_the_camera_is_back(virtual_cameras, caplog):
     assert any("PrimeSense PS1080 is back" in message for message in messages)
 
 
+def test_a_process_that_was_ready_takes_the_camera_up_again(virtual_cameras):
+    camera = virtual_cameras.add()
+    with open_uri("any", SourceOptions()) as source:
+        next_frame(source)
+        before = {child.pid for child in own_children()}
+        assert len(before) == 2  # one reads
+        camera.unplug()
+        with pytest.raises(FrameTimeoutError):
+            while True:
+                source.read(timeout_s=0.5)
+        camera.plug()
+        next_frame(source)
+        after = {child.pid for child in own_children()}
+        assert len(after) == 2
+        assert len(before & after) == 1
+    assert not own_children()
+
+
 def test_a_camera_that_blinks_is_taken_up_again(virtual_cameras):
     camera = virtual_cameras.add()
     options = SourceOptions(device=DeviceOptions(reconnect_interval_s=0.05))
