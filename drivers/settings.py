@@ -5,10 +5,12 @@ The command line, the configuration file and the checks are all made from these 
 
 from __future__ import annotations
 
-import math
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import Field, field, fields, is_dataclass, replace
 from typing import Any
+
+from nurbseg.drivers.errors import quoted
 
 
 def setting(
@@ -85,8 +87,9 @@ def check_settings(config: Any) -> None:
             raise ValueError(f"{each.name}: expected at most {bounds['most']}, got {value}")
         if bounds["above"] is not None and not value > bounds["above"]:
             raise ValueError(f"{each.name}: expected more than {bounds['above']}, got {value}")
-        if not math.isfinite(value):
-            raise ValueError(f"{each.name}: expected a finite number, got {value}")
+        # A whole number may be too large to be a float at all.
+        if not abs(value) <= sys.float_info.max:
+            raise ValueError(f"{each.name}: expected a finite number, got {quoted(value)}")
 
 
 def described_fields(config_type: type[Any]) -> Iterator[Field[Any]]:

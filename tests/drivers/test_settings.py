@@ -1,13 +1,14 @@
 """Settings and values at the edge of what is possible: refused by name where they would do harm."""
 
 import re
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
 
 from nurbseg.app.evaluation.variants import path_named
 from nurbseg.drivers import Intrinsics, SourceOptions
-from nurbseg.drivers.settings import nested, updated
+from nurbseg.drivers.settings import check_settings, nested, setting, updated
 from nurbseg.segmentation.config import SegmentationConfig
 
 INFINITE, NAN = float("inf"), float("nan")
@@ -44,3 +45,16 @@ def test_intrinsics_that_are_no_numbers_are_refused_by_name(name: str, value: An
 def test_an_infinite_association_limit_is_refused() -> None:
     with pytest.raises(ValueError, match="association_limit_s: expected seconds over 0, got inf"):
         SourceOptions(association_limit_s=INFINITE)
+
+
+def test_a_whole_number_of_hundreds_of_digits_is_refused_in_few_words():
+    @dataclass
+    class Numbers:
+        count: int = setting(1, "a number", least=0)
+
+        def __post_init__(self):
+            check_settings(self)
+
+    with pytest.raises(ValueError, match=r"count: expected a finite number, got 1000") as refused:
+        Numbers(count=10**400)
+    assert len(str(refused.value)) < 150

@@ -1,0 +1,76 @@
+"""The wheel and the source distribution: each is built, and installed where nothing else is."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import venv
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+#: What is no part of the project's source: other people's, and what was made of it.
+_LEFT_OUT = (".venv*", "build", "out", "*.egg-info", "__pycache__", ".git", ".hypothesis", ".*_cache")
+COMMANDS = ("nurbseg-batch", "nurbseg-devices", "nurbseg-eval", "nurbseg-live", "nurbseg-record")
+_BUILD = (
+    "import sys; from setuptools import build_meta as backend; "
+    "print(getattr(backend, 'build_' + sys.argv[1])(sys.argv[2]))"
+)
+
+
+def build(kind: str, source: Path, output: Path) -> Path:
+    output.mkdir(exist_ok=True)
+    command = [sys.executable, "-c", _BUILD, kind, str(output)]
+    done = subprocess.run(command, cwd=source, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return output / done.stdout.splitlines()[-1]
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    copy = tmp_path_factory.mktemp("source") / "nurbseg"
+    shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(*_LEFT_OUT))
+    return copy
+
+
+@pytest.mark.parametrize("kind", ["wheel", "sdist"])
+def test_it_can_be_installed_in_an_empty_environment(kind: str, source: Path, tmp_path: Path) -> None:
+    pytest.importorskip("setuptools", "77")
+    archive = build(kind, source, tmp_path / "dist")
+    if kind == "sdist":
+        unpacked = tmp_path / "unpacked"
+        shutil.unpack_archive(archive, unpacked)
+        archive = build("wheel", next(unpacked.iterdir()), tmp_path / "dist")
+    venv.create(tmp_path / "env", with_pip=True)
+    python = tmp_path / "env" / "bin" / "python"
+    install = [str(python), "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", str(archive)]
+    subprocess.run(install, check=True, timeout=120)
+    # Its dependencies are those of the tests, which takes no network; everything else must be in the archive.
+    site = next((tmp_path / "env" / "lib").glob("python*/site-packages"))
+    others = [path for path in sys.path if "site-packages" in path]
+    (site / "dependencies.pth").write_text("".join(f"{path}\n" for path in others))
+    for name in COMMANDS:
+        done = subprocess.run(
+            [tmp_path / "env" / "bin" / name, "--help"],
+            cwd=tmp_path,
+            env=os.environ | {"PYTHONPATH": str(site)},
+            capture_output=True,
+            text=True,
+            timeout=120,
+        )
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.startswith(f"usage: {name}")
+    where = "import nurbseg.app as a; from importlib.resources import files; "
+    where += "print(a.__file__); print((files('nurbseg.recordings') / 'demo.mcap').is_file())"
+    done = subprocess.run(
+        [python, "-c", where],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(site)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.stdout.split() == [str(site / "nurbseg" / "app" / "__init__.py"), "True"], done.stderr
