@@ -2,7 +2,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 from types import SimpleNamespace
 
 import pytest
@@ -46,15 +45,10 @@ def command(*words, **environment):
     )
 
 
-def test_help_comes_at_once():
-    times_s = []
-    for _ in range(3):
-        started_s = time.perf_counter()
-        done = command("--help")
-        times_s.append(time.perf_counter() - started_s)
-        assert done.returncode == 0
-        assert all(word in done.stdout for word in ("doctor", "tilt", "led", "accelerometer", "calibration"))
-    assert min(times_s) < 0.3
+def test_help_names_every_subject():
+    done = command("--help")
+    assert done.returncode == 0
+    assert all(word in done.stdout for word in ("doctor", "tilt", "led", "accelerometer", "calibration"))
 
 
 def test_help_needs_neither_numpy_nor_pyusb():
