@@ -7,7 +7,7 @@ import signal
 import subprocess
 
 from nurbseg.drivers.doctor.finding import Probe
-from nurbseg.drivers.doctor.usb_ids import WANTED
+from nurbseg.drivers.openni2.usb_ids import WANTED
 from nurbseg.drivers.process.start import dying_with_parent, python_command
 
 #: A camera that does not answer lets its driver wait for some seconds.

@@ -23,7 +23,7 @@ class Camera:
     Parameters
     ----------
     name, family : str
-        What the driver calls it, and its key in `nurbseg.drivers.doctor.usb_ids.FAMILIES` or nothing.
+        What the driver calls it, and its key in `nurbseg.drivers.openni2.usb_ids.FAMILIES` or nothing.
     uri, usb_id : str
         OpenNI2's name of it, and ``vendor:product``.
     usb_port, usb_speed, serial : str

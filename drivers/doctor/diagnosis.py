@@ -22,7 +22,7 @@ from nurbseg.drivers.doctor.usb_findings import (
     not_plugged_in,
     power_findings,
 )
-from nurbseg.drivers.doctor.usb_ids import families
+from nurbseg.drivers.openni2.usb_ids import families
 
 _ORDER = ("ok", "error", "warning", "note")
 

@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 
 from nurbseg.drivers.doctor.host import Host
 from nurbseg.drivers.doctor.usb import UsbDevice, UsbScan
-from nurbseg.drivers.doctor.usb_ids import Model
+from nurbseg.drivers.openni2.usb_ids import Model
 
 Severity = Literal["error", "warning", "note", "ok"]
 

@@ -9,8 +9,8 @@ from typing import Any, Final, Literal, get_args
 
 from nurbseg.drivers.closing import Closing
 from nurbseg.drivers.doctor.usb import find_devices
-from nurbseg.drivers.doctor.usb_ids import MICROSOFT
 from nurbseg.drivers.errors import DeviceLostError, DeviceNotFoundError, DriverError
+from nurbseg.drivers.openni2.usb_ids import MICROSOFT
 
 LedColor = Literal["off", "green", "red", "yellow", "blink-green", "blink-red-yellow"]
 Movement = Literal["stopped", "at-limit", "moving", "unknown"]

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from nurbseg.drivers.doctor.usb_ids import ASUS, Model, identify
 from nurbseg.drivers.errors import BackendMissingError
+from nurbseg.drivers.openni2.usb_ids import ASUS, Model, identify
 
 Access = Literal["open", "denied", "busy", "no-node", "silent", "unknown"]
 Speed = Literal["low", "full", "high", "super", "super+", ""]

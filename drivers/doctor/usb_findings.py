@@ -8,7 +8,7 @@ from dataclasses import replace
 from nurbseg.drivers.doctor.finding import Finding, Part, System
 from nurbseg.drivers.doctor.host import Host
 from nurbseg.drivers.doctor.usb import SPEED_TEXT, SPEEDS, UsbDevice, UsbScan
-from nurbseg.drivers.doctor.usb_ids import Family
+from nurbseg.drivers.openni2.usb_ids import Family
 
 RULES_FILE = "/etc/udev/rules.d/60-nurbseg.rules"
 BLACKLIST_FILE = "/etc/modprobe.d/nurbseg-kinect.conf"

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Final
 
-from nurbseg.drivers.doctor.usb_ids import WANTED, identify
 from nurbseg.drivers.errors import DeviceNotFoundError
 from nurbseg.drivers.openni2.library import DeviceListing
+from nurbseg.drivers.openni2.usb_ids import WANTED, identify
 
 #: Vendor or name where a driver reports no USB ids, and the family that it stands for.
 _WORDS: Final = (

@@ -1,4 +1,4 @@
-"""The ray through each pixel as a polynomial of the pixel's place, and as a spline."""
+"""The ray through each pixel as a polynomial of the pixel's place."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.surfaces.bspline import CUBIC, basis_matrix
 
 #: Rays of a lens without distortion differ from linear ones by the rounding of single precision.
 _ROUNDING = 2e-6
@@ -88,63 +86,6 @@ class Rays:
         x, y = (each[1, 0] * s + (each[0, 1] * t + each[0, 0]) for each in self.coefficients)
         return x, y
 
-    def control_values(
-        self, knots_u: NDArray[np.float64], knots_v: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return the control values of cubic splines that are these polynomials.
-
-        Parameters
-        ----------
-        knots_u, knots_v : (m + 4,), (n + 4,) float64
-            Knot vectors, pixels.
-
-        Returns
-        -------
-        (2, n, m) float64
-            Of x / z and y / z. The splines agree with the rays at the Greville abscissae, the means of three
-            successive knots. So they are the rays exactly where these are linear, and for a real lens
-            to the fourth order in the distance of the knots.
-
-        References
-        ----------
-        .. [1] C. de Boor, "A Practical Guide to Splines", 1978, chapter 13.
-        """
-        if self.linear:
-            # The control values of what is linear lie on it.
-            return _linear_control_values(self.coefficients, *self.center, self.scale, knots_u, knots_v)
-        u, take_u = _interpolator(knots_u)
-        v, take_v = _interpolator(knots_v)
-        return np.stack([take_v @ each @ take_u.T for each in self.lattice(u, v)])
-
-
-@compiled
-def _linear_control_values(
-    coefficients: NDArray[np.float64],
-    center_u: float,
-    center_v: float,
-    scale: float,
-    knots_u: NDArray[np.float64],
-    knots_v: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Evaluate linear rays at the Greville abscissae of cubic knot vectors."""
-    height, width = knots_v.size - 4, knots_u.size - 4
-    values = np.empty((2, height, width))
-    for row in range(height):
-        t = ((knots_v[row + 1] + knots_v[row + 2] + knots_v[row + 3]) / 3.0 - center_v) / scale
-        for column in range(width):
-            s = ((knots_u[column + 1] + knots_u[column + 2] + knots_u[column + 3]) / 3.0 - center_u) / scale
-            for k in range(2):
-                values[k, row, column] = (
-                    coefficients[k, 0, 0] + coefficients[k, 1, 0] * s + coefficients[k, 0, 1] * t
-                )
-    return values
-
-
-def _interpolator(knots: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the Greville abscissae of a knot vector and what takes values there to control values."""
-    places = np.asarray(knots[1:-3] + knots[2:-2] + knots[3:-1], dtype=np.float64) / 3.0
-    return places, np.asarray(np.linalg.inv(basis_matrix(knots, CUBIC, places)), dtype=np.float64)
-
 
 def rays_of(cloud: PointMap) -> Rays:
     """Find the rays of a camera from the points that it saw.
@@ -182,6 +123,3 @@ def rays_of(cloud: PointMap) -> Rays:
     for (a, b), pair in zip(powers, found, strict=True):
         coefficients[:, a, b] = pair
     return Rays(coefficients, center, scale)
-
-
-__all__ = ["Rays", "rays_of"]

@@ -18,7 +18,7 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.depth_grid import DepthGrid
 from nurbseg.segmentation.points.grid import Window
 from nurbseg.segmentation.points.rays import Rays
-from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis
+from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, basis_matrix
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.knot_lattice import lattice_basis
 from nurbseg.segmentation.surfaces.leastsquares import LinAlgError, fit_splines
@@ -221,7 +221,7 @@ def rational_surface(
         Whose point at (u, v) is ray(u, v) / d(u, v), exactly.
     """
     points_m = np.empty((*control_per_m.shape, 3))
-    for axis, along in enumerate((*rays.control_values(knots_u, knots_v), 1.0)):
+    for axis, along in enumerate((*ray_control_values(rays, knots_u, knots_v), 1.0)):
         np.divide(along, control_per_m, out=points_m[..., axis])
     return NurbsSurface(
         degree=(CUBIC, CUBIC),
@@ -231,6 +231,66 @@ def rational_surface(
         weights=control_per_m,
         window=window,
     )
+
+
+def ray_control_values(
+    rays: Rays, knots_u: NDArray[np.float64], knots_v: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the control values of cubic splines that are the rays' polynomials.
+
+    Parameters
+    ----------
+    rays : Rays
+        Of the camera.
+    knots_u, knots_v : (m + 4,), (n + 4,) float64
+        Knot vectors, pixels.
+
+    Returns
+    -------
+    (2, n, m) float64
+        Of x / z and y / z. The splines agree with the rays at the Greville abscissae, the means of three
+        successive knots. So they are the rays exactly where these are linear, and for a real lens
+        to the fourth order in the distance of the knots.
+
+    References
+    ----------
+    .. [1] C. de Boor, "A Practical Guide to Splines", 1978, chapter 13.
+    """
+    if rays.linear:
+        # The control values of what is linear lie on it.
+        return _linear_control_values(rays.coefficients, *rays.center, rays.scale, knots_u, knots_v)
+    u, take_u = _interpolator(knots_u)
+    v, take_v = _interpolator(knots_v)
+    return np.stack([take_v @ each @ take_u.T for each in rays.lattice(u, v)])
+
+
+@compiled
+def _linear_control_values(
+    coefficients: NDArray[np.float64],
+    center_u: float,
+    center_v: float,
+    scale: float,
+    knots_u: NDArray[np.float64],
+    knots_v: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Evaluate linear rays at the Greville abscissae of cubic knot vectors."""
+    height, width = knots_v.size - 4, knots_u.size - 4
+    values = np.empty((2, height, width))
+    for row in range(height):
+        t = ((knots_v[row + 1] + knots_v[row + 2] + knots_v[row + 3]) / 3.0 - center_v) / scale
+        for column in range(width):
+            s = ((knots_u[column + 1] + knots_u[column + 2] + knots_u[column + 3]) / 3.0 - center_u) / scale
+            for k in range(2):
+                values[k, row, column] = (
+                    coefficients[k, 0, 0] + coefficients[k, 1, 0] * s + coefficients[k, 0, 1] * t
+                )
+    return values
+
+
+def _interpolator(knots: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the Greville abscissae of a knot vector and what takes values there to control values."""
+    places = np.asarray(knots[1:-3] + knots[2:-2] + knots[3:-1], dtype=np.float64) / 3.0
+    return places, np.asarray(np.linalg.inv(basis_matrix(knots, CUBIC, places)), dtype=np.float64)
 
 
 __all__ = [

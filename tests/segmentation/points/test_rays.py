@@ -2,7 +2,6 @@ import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.interpolate import BSpline
 
 from nurbseg.segmentation.points.rays import rays_of
 from nurbseg.segmentation.points.registration import PointMap
@@ -34,21 +33,6 @@ def test_rays_of_a_real_lens_are_followed_to_a_fraction_of_a_pixel():
     error_px = 525 * np.hypot(x - straight[..., 0], y - straight[..., 1])
     assert error_px.max() < 0.5
     assert np.sqrt(np.mean(error_px**2)) < 0.05
-
-
-def test_control_values_make_splines_that_are_the_rays(cloud_of):
-    rays = rays_of(cloud_of(np.ones(SIZE)))
-    rng = np.random.default_rng(1)
-    cubic = np.zeros((2, 6, 6))
-    cubic[:, :4, :4] = rng.normal(size=(2, 4, 4))
-    rays = type(rays)(cubic, rays.center, rays.scale)
-    knots_u = np.array([0.0, 0, 0, 0, 11, 30, 30.5, 79, 79, 79, 79])
-    knots_v = np.array([-3.0, -2, 1, 5, 20, 44, 60, 61, 64])
-    control = rays.control_values(knots_u, knots_v)
-    u, v = np.linspace(0, 79, 31), np.linspace(5, 44, 23)
-    for image, expected in zip(control, rays.lattice(u, v), strict=True):
-        along_v = BSpline(knots_v, image, 3)(v)
-        assert_allclose(BSpline(knots_u, along_v.T, 3)(u).T, expected, atol=1e-9)
 
 
 def test_scattered_rays_agree_with_those_of_the_lattice(cloud_of):

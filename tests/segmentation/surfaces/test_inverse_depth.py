@@ -2,13 +2,14 @@ import numpy as np
 import pytest
 from inverse_depth_lattice import inverse_depth_lattice
 from numpy.testing import assert_allclose
+from scipy.interpolate import BSpline
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.depth_grid import depth_grid
 from nurbseg.segmentation.points.rays import rays_of
 from nurbseg.segmentation.surfaces.bspline import averaged_knots, basis_matrix
 from nurbseg.segmentation.surfaces.fit import fit_surface
-from nurbseg.segmentation.surfaces.inverse_depth import fit_window, rational_surface
+from nurbseg.segmentation.surfaces.inverse_depth import fit_window, rational_surface, ray_control_values
 from nurbseg.segmentation.surfaces.surface import evaluate, evaluate_lattice
 
 SIZE = (60, 80)
@@ -105,3 +106,18 @@ def test_points_that_are_nowhere_leave_no_surface_but_a_reason(cloud_of):
     assert fit.surface is None
     assert "least-squares" in fit.reason
     assert np.isinf(residuals).all()
+
+
+def test_control_values_make_splines_that_are_the_rays(cloud_of):
+    rays = rays_of(cloud_of(np.ones(SIZE)))
+    rng = np.random.default_rng(1)
+    cubic = np.zeros((2, 6, 6))
+    cubic[:, :4, :4] = rng.normal(size=(2, 4, 4))
+    rays = type(rays)(cubic, rays.center, rays.scale)
+    knots_u = np.array([0.0, 0, 0, 0, 11, 30, 30.5, 79, 79, 79, 79])
+    knots_v = np.array([-3.0, -2, 1, 5, 20, 44, 60, 61, 64])
+    control = ray_control_values(rays, knots_u, knots_v)
+    u, v = np.linspace(0, 79, 31), np.linspace(5, 44, 23)
+    for image, expected in zip(control, rays.lattice(u, v), strict=True):
+        along_v = BSpline(knots_v, image, 3)(v)
+        assert_allclose(BSpline(knots_u, along_v.T, 3)(u).T, expected, atol=1e-9)
