@@ -126,18 +126,18 @@ def test_a_paced_replay_drops_what_it_cannot_follow_and_says_so(live: Live, tmp_
 
 
 def test_what_is_too_old_is_not_saved_and_counted(live: Live, tmp_path: Path) -> None:
-    words = ("--replay", SMALL.format(40), "--view", "none", "--save", "a.rrd", "--report", "report.json")
-    done = live(*words, "--speed", "1", "--age-max-ms", "0.001", "--export", "out")
+    words = ("--replay", SMALL.format(40), "--view", "none", "--report", "report.json")
+    done = live(*words, "--speed", "1", "--age-max-ms", "0.001", "--export", "out", "--save", "a.rrd")
     assert done.returncode == 0, done.stderr
     frames = json.loads((tmp_path / "report.json").read_text())["frames"]
     shown = read_saved_view(tmp_path / "a.rrd", indexed=False).frames("tree")
     assert len(shown) == frames["segmented"] - frames["late"] < frames["segmented"]
     assert len(list((tmp_path / "out").glob("*_labels.png"))) == frames["segmented"]
 
-    done = live(*words, "--speed", "0", "--age-max-ms", "0.001")
+    done = live(*words, "--speed", "0", "--age-max-ms", "0.001", "--save", "b.rrd")
     assert done.returncode == 0, done.stderr
     assert json.loads((tmp_path / "report.json").read_text())["frames"]["late"] == 0
-    assert read_saved_view(tmp_path / "a.rrd").frames("tree") == list(range(40))
+    assert read_saved_view(tmp_path / "b.rrd").frames("tree") == list(range(40))
 
 
 def test_limits_and_loops(live: Live, tmp_path: Path) -> None:

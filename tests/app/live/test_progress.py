@@ -27,7 +27,7 @@ def test_the_rate_after_a_silence_is_that_of_the_frames_since(
     def stream(seconds: float) -> None:
         for _ in range(round(30 * seconds)):
             clock.now_s += 1 / 30
-            progress.segmented(small_result)
+            progress.segmented(small_result.frame, 3, small_result.elapsed_ms)
 
     with caplog.at_level(logging.INFO, "nurbseg"):
         stream(4.0)

@@ -12,7 +12,7 @@ from nurbseg.segmentation.live.updater import Budget
 
 
 def test_nothing_is_given_up_while_the_rate_holds(caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(logging.INFO)
+    caplog.set_level(logging.INFO, logger="nurbseg")
     controller = RateController(30.0, 2)
     for _ in range(200):
         controller.took(25.0)
@@ -22,7 +22,7 @@ def test_nothing_is_given_up_while_the_rate_holds(caplog: pytest.LogCaptureFixtu
 
 
 def test_less_is_done_step_by_step_until_the_rate_holds(caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(logging.INFO)
+    caplog.set_level(logging.INFO, logger="nurbseg")
     controller = RateController(30.0, 2)
     budgets = []
     for _ in range(200):

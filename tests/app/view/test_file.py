@@ -226,8 +226,9 @@ def test_a_date_as_the_device_clock_stays_one(tmp_path: Path) -> None:
 
 
 def test_a_file_that_cannot_be_created_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "nowhere" / "a.rrd"
-    with pytest.raises(ViewError, match=r"nowhere/a\.rrd: cannot be created"):
+    (tmp_path / "file").touch()
+    path = tmp_path / "file" / "a.rrd"
+    with pytest.raises(ViewError, match=r"file/a\.rrd: cannot be created"):
         open_view(ViewConfig(mode="none", save=str(path)), CONFIG)
 
 
