@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import queue
-import signal
 import socket
 import subprocess
 import threading
@@ -16,6 +13,7 @@ from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import Any, Protocol, TypeVar
 
+from nurbseg.drivers.process.child import end_group
 from nurbseg.drivers.process.start import python_command
 
 Task = TypeVar("Task")
@@ -23,8 +21,8 @@ Result = TypeVar("Result")
 
 #: Longest time for one task, seconds: a study may do a frame with a hundred settings.
 _TASK_LIMIT_S = 3600.0
-#: Longest wait for a process that was killed, and for a cluster's first worker, seconds.
-_KILLED_S, _WORKER_TIMEOUT_S = 10.0, 20.0
+#: Longest wait beyond that of a task that is done twice, and for a cluster's first worker, seconds.
+_SPARE_S, _WORKER_TIMEOUT_S = 10.0, 20.0
 #: What a process that is lost may take to end by itself, seconds.
 _LAST_WORDS_S = 1.0
 
@@ -67,7 +65,7 @@ def in_order(
     pending: deque[tuple[Task, Future[Result]]] = deque()
 
     def finished() -> tuple[Task, Future[Result]]:
-        if not wait([pending[0][1]], 2 * _TASK_LIMIT_S + _KILLED_S).done:
+        if not wait([pending[0][1]], 2 * _TASK_LIMIT_S + _SPARE_S).done:
             raise WorkerLostError(f"no worker has answered within {2 * _TASK_LIMIT_S:g} s")
         return pending.popleft()
 
@@ -177,6 +175,7 @@ class _Process:
 
     def _start(self) -> None:
         ours, theirs = socket.socketpair()
+        self._connection = Connection(ours.detach())
         with theirs:
             self._process = subprocess.Popen(
                 python_command("nurbseg.app.worker", str(theirs.fileno())),
@@ -185,7 +184,6 @@ class _Process:
                 # Ctrl-C is for this process, which ends the others in its own time.
                 start_new_session=True,
             )
-        self._connection = Connection(ours.detach())
 
     def call(self, function: Callable[[Task], Result], task: Task) -> Result:
         """Have a task done, once more if the process is lost."""
@@ -221,14 +219,7 @@ class _Process:
 
     def _end(self, limit_s: float) -> str:
         """End the process, if it does not within a time, and return how it ended."""
-        if self._process.returncode is None:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(limit_s)
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(self._process.pid, signal.SIGKILL)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(_KILLED_S)
-        code = self._process.returncode
+        code = end_group(self._process, limit_s)
         return f"ended by signal {-code}" if code is not None and code < 0 else f"ended with code {code}"
 
 

@@ -40,8 +40,8 @@ from nurbseg.app.versions import versions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.synthetic.source import SyntheticSource
 from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import register
-from nurbseg.segmentation.stag15 import segment
 
 #: Slower by more than this share is told; with such a confidence it counts.
 SLOWER, CONFIDENCE = 0.05, 0.95

@@ -35,9 +35,10 @@ from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
 from nurbseg.drivers.synthetic.source import SyntheticSource
 from nurbseg.segmentation.config import Level, SegmentationConfig
+from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.scoring.scores import Contingency
-from nurbseg.segmentation.stag15 import SegmentationTree, segment
+from nurbseg.segmentation.segments import SegmentationTree
 
 #: Depth at which a carried pixel is seen again agrees within this share.
 _DEPTH_SHARE = 0.02

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from nurbseg.segmentation.config import SegmentationConfig
     from nurbseg.segmentation.cut.ncut import Cut, normalized_cut
+    from nurbseg.segmentation.methods import segment
     from nurbseg.segmentation.points.registration import PointMap, register
-    from nurbseg.segmentation.stag15 import Segment, SegmentationTree, StopReason, segment
+    from nurbseg.segmentation.segments import Segment, SegmentationTree, StopReason
     from nurbseg.segmentation.surfaces.curvature import all_metrics, principal_curvatures
     from nurbseg.segmentation.surfaces.fit import Fit, fit_surface
     from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate, normals
@@ -46,10 +47,10 @@ _MODULES = {
     "evaluate": "surfaces.surface",
     "fit_surface": "surfaces.fit",
     "normals": "surfaces.surface",
-    "Segment": "stag15",
-    "SegmentationTree": "stag15",
-    "StopReason": "stag15",
-    "segment": "stag15",
+    "Segment": "segments",
+    "SegmentationTree": "segments",
+    "StopReason": "segments",
+    "segment": "methods",
 }
 
 

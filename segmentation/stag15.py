@@ -18,7 +18,6 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.components import remove_small_components
 from nurbseg.segmentation.cut.features import normalization, normalized, raw_vectors
 from nurbseg.segmentation.cut.ncut import Cut, normalized_cut
-from nurbseg.segmentation.extended.splitting import segment_nurbseg
 from nurbseg.segmentation.growth import grow
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
 from nurbseg.segmentation.labels.upsample import Split, upsample_labels
@@ -27,7 +26,6 @@ from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import (
     Division,
     Node,
-    Segment,
     SegmentationTree,
     StopReason,
     Trial,
@@ -41,28 +39,6 @@ from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, acceptance_
 Cutter = Callable[[PixelGrid, Node, NDArray[np.float32], SegmentationConfig], tuple[Cut, NDArray[np.bool_]]]
 #: Fits a surface to some places of the grid.
 Fitter = Callable[[PixelGrid, NDArray[np.intp], SegmentationConfig], Fit]
-
-
-def segment(cloud: PointMap, config: SegmentationConfig) -> SegmentationTree:
-    """Segment a frame by the method that is set.
-
-    Parameters
-    ----------
-    cloud : PointMap
-        Points and their colors.
-    config : SegmentationConfig
-        Thresholds and choices; the same seed gives the same tree.
-
-    Returns
-    -------
-    SegmentationTree
-        Every segment with its surface, metrics, ratio and, for a leaf, the reason why it is one. A frame
-        with too few points is one leaf.
-    """
-    if config.method == "stag15":
-        return segment_stag15(cloud, config)
-    with one_blas_thread():
-        return segment_nurbseg(cloud, config)
 
 
 def cut_in_two(
@@ -125,10 +101,17 @@ def segment_stag15(
 
     Parameters
     ----------
-    cloud, config : PointMap, SegmentationConfig
-        As for `segment`.
+    cloud : PointMap
+        Points and their colors.
+    config : SegmentationConfig
+        Thresholds and choices; the same seed gives the same tree.
     cut, fit : callable
         The two steps that take time; others may remember what they made of this very frame.
+
+    Returns
+    -------
+    SegmentationTree
+        As that of `nurbseg.segmentation.methods.segment`.
 
     References
     ----------
@@ -226,14 +209,3 @@ def _kept_splits(nodes: list[Node], leaves: list[Node]) -> list[Split]:
             first = sum(names[i].startswith(node.children[0].name) for i in below)
             splits.append(Split(below[0], below[0] + first, below[-1] + 1, node.cut))
     return splits
-
-
-__all__ = [
-    "Segment",
-    "SegmentationTree",
-    "StopReason",
-    "cut_in_two",
-    "fit_segment",
-    "segment",
-    "segment_stag15",
-]

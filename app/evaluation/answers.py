@@ -16,10 +16,11 @@ from nurbseg.app.evaluation.methods.methods import CLUSTERS, labels_on_disk, riv
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, TREE_METHODS, Variant
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.cut.ncut import Cut
+from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.grid import PixelGrid
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import Node
-from nurbseg.segmentation.stag15 import SegmentationTree, cut_in_two, fit_segment, segment, segment_stag15
+from nurbseg.segmentation.segments import Node, SegmentationTree
+from nurbseg.segmentation.stag15 import cut_in_two, fit_segment, segment_stag15
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS
 

@@ -28,7 +28,7 @@ from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.points.registration import PointMap, register
-from nurbseg.segmentation.stag15 import SegmentationTree
+from nurbseg.segmentation.segments import SegmentationTree
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,8 +18,8 @@ from nurbseg.app.workers import in_order, open_workers
 from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import Metric, SegmentationConfig, SplittingPoint
+from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap, register
-from nurbseg.segmentation.stag15 import segment
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -247,8 +247,9 @@ def _segment_in_parallel(
 ) -> None:
     """Take every frame, have it segmented by one of some processes and hand it on, until the source ends."""
     surfaces = None if exporter is None else exporter.surfaces
-    whole = type(view) is not View  # which shows nothing
-    results = segment_in_parallel(frames, config.segmentation, count=count, surfaces=surfaces, whole=whole)
+    results = segment_in_parallel(
+        frames, config.segmentation, count=count, surfaces=surfaces, whole=view.shows
+    )
     with closing(results):
         for captured, segmented in results:
             elapsed_ms = dict(segmented.elapsed_ms)

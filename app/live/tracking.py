@@ -17,8 +17,9 @@ from nurbseg.segmentation.labels.lookup import apply_lookup_table
 from nurbseg.segmentation.live.identity import Identities, track_identities
 from nurbseg.segmentation.live.tree import LiveTree, lives
 from nurbseg.segmentation.live.updater import Budget
+from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import register
-from nurbseg.segmentation.stag15 import SegmentationTree, segment
+from nurbseg.segmentation.segments import SegmentationTree
 
 
 class Segmenter:

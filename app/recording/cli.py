@@ -100,8 +100,9 @@ def _repaired(file: Path, out: Path | None, *, force: bool, as_text: bool) -> In
     from nurbseg.app.recording.repair import repair
 
     output = out or file.with_stem(f"{file.stem}-repaired")
-    repair(file, output, force=force)
+    left_out = repair(file, output, force=force)
     found = inspect(output)
+    found.remarks += left_out
     if as_text:
         print(_text(found))
     return found

@@ -18,6 +18,7 @@ from nurbseg.drivers.errors import (
     FrameFormatError,
     RecordingFormatError,
 )
+from nurbseg.drivers.files import open_regular
 from nurbseg.drivers.openni2.oni.file import OniFile, read_structure
 from nurbseg.drivers.registry import open_source
 
@@ -81,11 +82,8 @@ def form_of(path: Path) -> Form:
     RecordingFormatError
         If it cannot be read, or is of none.
     """
-    try:
-        with path.open("rb") as file:
-            head = file.read(8)
-    except OSError as err:
-        raise RecordingFormatError(f"{path}: cannot be read ({err.strerror})") from err
+    with open_regular(path) as file:
+        head = file.read(8)
     form = next((form for start, form in _FORMS.items() if head.startswith(start)), None)
     if form is None:
         raise RecordingFormatError(f"{path}: magic bytes: expected an .mcap, .oni or .rrd file")

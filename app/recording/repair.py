@@ -6,15 +6,15 @@ import shutil
 from pathlib import Path
 
 from nurbseg.app.recording import viewer_file
-from nurbseg.app.recording.inspection import Form, form_of
+from nurbseg.app.recording.inspection import form_of
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.files import check_absent, create_private
 from nurbseg.drivers.mcap.repair import rewrite
-from nurbseg.drivers.openni2.oni.file import correct_header, end
+from nurbseg.drivers.openni2.oni.file import correct_header, write_end
 
 
-def repair(path: Path, output: Path, *, force: bool = False) -> Form:
-    """Write what can be read of a recording as a new file; return of which form it is.
+def repair(path: Path, output: Path, *, force: bool = False) -> list[str]:
+    """Write what can be read of a recording as a new file; return what is not in it, for a person.
 
     Parameters
     ----------
@@ -30,30 +30,36 @@ def repair(path: Path, output: Path, *, force: bool = False) -> Form:
     DriverError
         If nothing of it can be read, the new file exists, or cannot be written.
     """
-    form = form_of(path)
+    write = {"mcap": _write_mcap, "oni": _write_oni, "rrd": _write_rrd}[form_of(path)]
     part = output.with_name(f".{output.name}.part")
-    write = {"mcap": _write_mcap, "oni": _write_oni, "rrd": viewer_file.rewrite}[form]
     try:
         if not force:
             check_absent(output)
         part.unlink(missing_ok=True)
         try:
-            write(path, part)
+            left_out = write(path, part)
             part.replace(output)
         finally:
             part.unlink(missing_ok=True)
     except OSError as err:
         raise DriverError(f"{output}: cannot be written: {err.strerror}") from err
-    return form
+    return left_out
 
 
-def _write_mcap(path: Path, part: Path) -> None:
+def _write_mcap(path: Path, part: Path) -> list[str]:
     with create_private(part) as file:
-        rewrite(path, file)
+        damaged = rewrite(path, file)
+    return [f"{damaged} damaged parts of {path} are not in it"] if damaged else []
 
 
-def _write_oni(path: Path, part: Path) -> None:
+def _write_oni(path: Path, part: Path) -> list[str]:
     with create_private(part) as file, path.open("rb") as source:
         shutil.copyfileobj(source, file, 1 << 20)
     correct_header(part)
-    end(part)
+    write_end(part)
+    return []
+
+
+def _write_rrd(path: Path, part: Path) -> list[str]:
+    viewer_file.rewrite(path, part)
+    return []

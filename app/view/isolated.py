@@ -87,6 +87,8 @@ class IsolatedView(View):
         If the file cannot be created, a port is taken, or the viewer cannot be started.
     """
 
+    shows = True
+
     def __init__(
         self,
         process: ChildProcess,

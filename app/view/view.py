@@ -13,11 +13,15 @@ class View:
 
     Attributes
     ----------
+    shows : bool
+        Whether it does anything with a result.
     how_to_look : str
         What a person does to see it; empty where a window opens by itself or there is nothing to see.
     serving : bool
         Whether a web page is served, which ends with this view.
     """
+
+    shows = False
 
     def __init__(self, how_to_look: str = "") -> None:
         self.how_to_look, self.serving = how_to_look, False

@@ -18,6 +18,31 @@ from nurbseg.drivers.process.start import python_command
 _KILLED_S = 10.0
 
 
+def end_group(process: subprocess.Popen[bytes], limit_s: float) -> int | None:
+    """Wait until a process that leads a session ends, or end it, with all that it started.
+
+    Parameters
+    ----------
+    process : subprocess.Popen
+        The process.
+    limit_s : float
+        How long it may take by itself, seconds.
+
+    Returns
+    -------
+    int or None
+        Its exit code; None if it does not even end when it is killed.
+    """
+    if process.returncode is None:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(limit_s)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(_KILLED_S)
+    return process.returncode
+
+
 class ChildProcess(Closing):
     """Runs a module that begins with `nurbseg.drivers.process.parent.connect`.
 
@@ -69,14 +94,7 @@ class ChildProcess(Closing):
         limit_s : float
             How long it may take by itself, seconds.
         """
-        if self._process.returncode is None:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(limit_s)
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(self._process.pid, signal.SIGKILL)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(_KILLED_S)
-        return self._process.returncode or 0
+        return end_group(self._process, limit_s) or 0
 
     def close(self, limit_s: float = 0.0) -> None:
         """End the process and release what is shared with it; safe to call twice."""

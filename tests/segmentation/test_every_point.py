@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig, Stag15Config
+from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.stag15 import segment
 
 HEIGHT, WIDTH = 23, 31
 

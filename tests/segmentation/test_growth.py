@@ -9,9 +9,9 @@ from exact_surface import ratio as exact_ratio
 
 from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import ExtendedConfig, Metric, SegmentationConfig, Stag15Config
+from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Division, Segment, SegmentationTree, StopReason
-from nurbseg.segmentation.stag15 import segment
 from nurbseg.segmentation.surfaces.metrics import METRICS
 
 SIZE = (96, 128)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from nurbseg.segmentation.config import SegmentationConfig, Stag15Config
+from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.stag15 import segment
 
 SHAPE = (60, 80)
 

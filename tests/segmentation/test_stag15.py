@@ -8,7 +8,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from nurbseg.segmentation.config import SegmentationConfig, Stag15Config
-from nurbseg.segmentation.stag15 import SegmentationTree, StopReason, segment
+from nurbseg.segmentation.methods import segment
+from nurbseg.segmentation.segments import SegmentationTree, StopReason
 from nurbseg.segmentation.surfaces.fit import fit_surface
 from nurbseg.segmentation.surfaces.metrics import METRICS, acceptance_ratio
 
@@ -168,7 +169,7 @@ import hashlib, sys
 import numpy as np
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.stag15 import segment
+from nurbseg.segmentation.methods import segment
 loaded = np.load(sys.argv[1])
 cloud = PointMap(loaded["points"], loaded["color"], np.ones(loaded["color"].shape[:2], dtype=bool))
 for method, seed in (("stag15", 0), ("stag15", 1), ("nurbseg", 0)):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig, Stag15Config
+from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.segments import Division, Segment, SegmentationTree
-from nurbseg.segmentation.stag15 import segment
 from nurbseg.segmentation.surfaces.surface import evaluate
 
 BOTH = pytest.mark.parametrize("method", ["stag15", "nurbseg"])

@@ -24,7 +24,7 @@ from nurbseg.app.evaluation.study import FrameRef, Study, label_path, read_frame
 from nurbseg.app.evaluation.variants import TREE_METHODS, Variant
 from nurbseg.app.view.drawing.palette import STOP_COLORS
 from nurbseg.segmentation.points.registration import register
-from nurbseg.segmentation.stag15 import Segment, SegmentationTree
+from nurbseg.segmentation.segments import Segment, SegmentationTree
 
 _TILE_PX = 214
 #: Frames whose trees and fits are drawn: the worst and the best ones.

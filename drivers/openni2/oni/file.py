@@ -255,7 +255,7 @@ def correct_header(path: Path) -> bool:
     return True
 
 
-def end(path: Path) -> bool:
+def write_end(path: Path) -> bool:
     """Let a recording that was cut short end after its last whole record; return whether it had no end.
 
     Raises

@@ -11,7 +11,8 @@ from nurbseg.app.evaluation.answers import SharedWork
 from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import Metric, SegmentationConfig, Stag15Config
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.stag15 import SegmentationTree, segment_stag15
+from nurbseg.segmentation.segments import SegmentationTree
+from nurbseg.segmentation.stag15 import segment_stag15
 
 
 @pytest.fixture(scope="module")

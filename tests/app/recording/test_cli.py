@@ -1,6 +1,7 @@
 """nurbseg-record: recordings that are whole, cut short or damaged, as it tells and repairs them."""
 
 import json
+import os
 import struct
 from pathlib import Path
 
@@ -94,6 +95,7 @@ def test_a_damaged_chunk_costs_its_frames_and_no_more(whole, capsys):
     assert told["problems"][0].startswith("1 damaged: ")
     code, told = found(capsys, "repair", str(whole))
     assert (code, told["frames"], told["opens_in_rerun"]) == (0, 11, True)
+    assert told["remarks"] == [f"1 damaged parts of {whole} are not in it"]
 
 
 def test_no_file_is_replaced_unless_that_is_asked_for(cut, capsys):
@@ -119,6 +121,12 @@ def test_the_worst_of_several_files_counts_and_what_is_no_recording_is_named(who
     assert "notes.txt: magic bytes: expected an .mcap, .oni or .rrd file" in told.err
     assert "a.mcap: whole, 12 frames" in told.out
     assert main(["check", str(tmp_path / "absent.mcap")]) == 2
+
+
+def test_a_pipe_is_refused_without_waiting_for_it(tmp_path, capsys):
+    os.mkfifo(tmp_path / "a.mcap")
+    assert main(["check", str(tmp_path / "a.mcap")]) == 2
+    assert "not a regular file" in capsys.readouterr().err
 
 
 def test_a_viewers_file_that_was_cut_short_is_repaired(tmp_path, live, capsys):

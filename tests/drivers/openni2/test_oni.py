@@ -25,7 +25,7 @@ from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.drivers.openni2 import open_uri
 from nurbseg.drivers.openni2.device import DeviceSource
 from nurbseg.drivers.openni2.oni import player_process, recorder
-from nurbseg.drivers.openni2.oni.file import correct_header, end, has_begun, read_structure
+from nurbseg.drivers.openni2.oni.file import correct_header, has_begun, read_structure, write_end
 from nurbseg.drivers.openni2.oni.playback import OniSource
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.options import SourceOptions
@@ -311,8 +311,8 @@ def test_a_recording_that_was_cut_short_can_be_given_its_end(virtual_cameras, tm
         source.stop_recording()
     before = replay(cut)
     assert not read_structure(cut).complete
-    assert end(cut)
-    assert not end(cut)
+    assert write_end(cut)
+    assert not write_end(cut)
     assert read_structure(cut).complete
     assert_exact(replay(cut), first=0)
     assert len(replay(cut)) == len(before) > 3

@@ -14,9 +14,9 @@ from nurbseg.segmentation.extended import splitting
 from nurbseg.segmentation.extended.grid_features import grid_features
 from nurbseg.segmentation.extended.parts import fit_segment
 from nurbseg.segmentation.extended.splitting import best_split
+from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Division, Node, SegmentationTree, StopReason
-from nurbseg.segmentation.stag15 import segment
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.surface import evaluate
 

@@ -9,9 +9,10 @@ from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
+from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.scoring.scores import Contingency
-from nurbseg.segmentation.stag15 import StopReason, segment
+from nurbseg.segmentation.segments import StopReason
 from nurbseg.segmentation.surfaces.surface import evaluate
 
 MANY_PIECES = SegmentationConfig(

@@ -10,8 +10,9 @@ from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.live import tree as live_tree
 from nurbseg.segmentation.live.tree import LiveTree, lives
 from nurbseg.segmentation.live.updater import Budget
+from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.stag15 import SegmentationTree, segment
+from nurbseg.segmentation.segments import SegmentationTree
 
 SHAPE = (120, 160)
 FOCAL = 130.0

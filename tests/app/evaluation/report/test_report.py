@@ -11,8 +11,8 @@ from nurbseg.app.evaluation.cli import main
 from nurbseg.app.evaluation.report.pictures import label_colors, tree_plot
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import register
-from nurbseg.segmentation.stag15 import segment
 
 
 def test_the_report_is_one_file_with_tables_plots_frames_and_trees(frames: Path, tmp_path: Path) -> None:

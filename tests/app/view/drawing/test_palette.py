@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from nurbseg.app.view.drawing.palette import LABEL_COLORS, STOP_COLORS, label_colors, residual_colors
-from nurbseg.segmentation.stag15 import StopReason
+from nurbseg.segmentation.segments import StopReason
 
 
 def test_every_label_has_a_color_of_its_own() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nurbseg.app.view.drawing.surface_mesh import surface_mesh
-from nurbseg.segmentation.stag15 import SegmentationTree
+from nurbseg.segmentation.segments import SegmentationTree
 from nurbseg.segmentation.surfaces.fit import Fit
 from tests.fakes.small_scene import small_frame, small_result
 
