@@ -2,7 +2,7 @@
 
 A virtual camera, which is a real OpenNI2 driver, shows images that are known by their number. Each run is
 the installed command with its processes, all of which are killed at a random moment. Then every frame of the
-recording is held against the camera's, and what the camera had delivered against what is in the file::
+recording is compared with the camera's, and what the camera had delivered with what is in the file::
 
     python benchmarks/kills.py --runs 200
 

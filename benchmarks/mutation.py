@@ -1,7 +1,7 @@
 """Whether the tests notice: places of the code are changed one at a time, and the tests must fail each time.
 
 The operators are those of Cosmic Ray. What is changed is a copy of the installed package, whose compiled
-functions are compiled anew with it, as are those that call them; tests and source are left alone.
+functions are compiled again with it, as are those that call them; tests and source are left alone.
 
 Examples
 --------

@@ -34,7 +34,7 @@ class Reconnecting(FrameSource):
 
     While the camera is away `read` raises FrameTimeoutError when its time is over, as for a camera that
     is slow. When it is back frames go on with the next index, and with times that continue those
-    before by the time that has passed: a camera's clock starts anew when it is plugged in.
+    before by the time that has passed: a camera's clock restarts when it is plugged in.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Reconnecting(FrameSource):
     connected : bool
         Whether the camera is there.
     reconnections : int
-        How often it was taken up again.
+        How often it was reopened.
     recorded_files : tuple of Path
         The files of the recording that is being made, or was made last.
     recording_failure : str

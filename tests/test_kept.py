@@ -1,6 +1,6 @@
 """Recordings and exports that earlier versions wrote: this one reads them all.
 
-Each folder in ``kept`` is a version. A version that is released gets one; none is changed or made anew.
+Each folder in ``kept`` is a version. A version that is released gets one; none is changed or made again.
 """
 
 from __future__ import annotations

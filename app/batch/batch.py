@@ -126,7 +126,7 @@ def run_batch(
     """Segment what of each recording is not yet done.
 
     Results are written by this process alone, in the order of the frames, and do not depend on who
-    computed them. What is wrong with a recording is kept with it, and the others are gone on with.
+    computed them. What is wrong with a recording is kept with it, and the run continues with the others.
 
     Parameters
     ----------

@@ -91,7 +91,7 @@ def form_of(path: Path) -> Form:
 
 
 def inspect(path: Path) -> Inspection:
-    """Read a recording to its end, and hold it against what it should be.
+    """Read a recording to its end, and compare it with what it should be.
 
     Raises
     ------

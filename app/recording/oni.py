@@ -88,7 +88,7 @@ class OniRecording:
         """Begin when it is time, and end when the disk is nearly full; for the thread that reads."""
         if self._first_ns is None:
             self._first_ns = frame.timestamp_ns
-        # Once it is recording, the camera's clock has begun anew.
+        # Once it is recording, the camera's clock has started again from zero.
         if self.failure or (not self._is_recording and frame.timestamp_ns - self._first_ns < self._delay_ns):
             return
         try:

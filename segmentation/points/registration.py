@@ -76,7 +76,7 @@ def register(frame: RGBDFrame) -> PointMap:
     """Give each depth pixel its point in space and its color.
 
     Depth pixels are back-projected along their undistorted rays; each point is carried into the color
-    camera's frame, projected through its lens, held against a z-buffer of all points seen from there,
+    camera's frame, projected through its lens, compared with a z-buffer of all points seen from there,
     and its color is sampled bilinearly. Where depth and color are registered already, pixels of equal
     place belong together and the color image is passed through.
 

@@ -165,7 +165,7 @@ def _residuals(
     starts_u: NDArray[np.intp],
     values_u: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Evaluate a spline at the marked places and hold it against what was measured there."""
+    """Evaluate a spline at the marked places and compare it with what was measured there."""
     height, width = mask.shape
     count = 0
     for y in range(height):

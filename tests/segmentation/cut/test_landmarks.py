@@ -1,4 +1,4 @@
-"""Samples held against the dense matrix of their affinities."""
+"""Samples compared with the dense matrix of their affinities."""
 
 import numpy as np
 from numpy.testing import assert_allclose

@@ -1,4 +1,4 @@
-"""The cut held against the exact generalized eigenproblem and against trying every partition."""
+"""The cut compared with the exact generalized eigenproblem and against trying every partition."""
 
 from itertools import product
 

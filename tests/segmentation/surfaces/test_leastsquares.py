@@ -1,4 +1,4 @@
-"""Fits held against the dense system of the paper: one row for each point, solved by SVD."""
+"""Fits compared with the dense system of the paper: one row for each point, solved by SVD."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Fits of least norm held against numpy's SVD of the whole design matrix, a row for each pixel."""
+"""Fits of least norm compared with numpy's SVD of the whole design matrix, a row for each pixel."""
 
 from typing import get_args
 
