@@ -35,6 +35,8 @@ _OPEN_S = 60.0
 _STUCK_S = 15.0
 #: What closing may take besides the file.
 _REST_S = 0.7
+#: How long the first frame may take to be drawn, seconds: half a minute where nothing is compiled yet.
+_COMPILE_S = 120.0
 #: How long the process may take to end by itself before it is killed, seconds.
 _END_S = 0.2
 #: Time between two looks whether it is over, seconds.
@@ -196,8 +198,7 @@ class IsolatedView(View):
         self._file_limit_s = file_limit_s
         self._queue.close()
         with self._changed:
-            ended = self._changed.wait_for(lambda: self._over, file_limit_s + _REST_S)
-            if not ended and self._config.save is not None:
+            if not self._wait_for_end(file_limit_s) and self._config.save is not None:
                 self._fail(f"{self._config.save}: not written in time; its last frames are missing")
             self._over = True
             self._changed.notify_all()
@@ -209,6 +210,15 @@ class IsolatedView(View):
 
     def __exit__(self, *exception: object) -> None:
         self.close(file_limit_s=FILE_CLOSE_S if any(exception) else FILE_PATIENCE_S)
+
+    def _wait_for_end(self, file_limit_s: float) -> bool:
+        """Return whether all is written in time; a patient wait begins once the first frame was drawn.
+
+        On the first run on a computer that frame waits until what draws it is compiled.
+        """
+        if file_limit_s >= FILE_PATIENCE_S and self._shown_s:
+            self._changed.wait_for(lambda: self._over or self._known is not None, _COMPILE_S)
+        return self._changed.wait_for(lambda: self._over, file_limit_s + _REST_S)
 
     def _rate_hz(self) -> float:
         if len(self._shown_s) < 2:
@@ -278,7 +288,9 @@ class IsolatedView(View):
             rate_hz=shown.rate_hz,
             known=self._known,
         )
-        self._known = shown.result.frame.calibration
+        with self._changed:
+            self._known = shown.result.frame.calibration
+            self._changed.notify_all()
         return frame
 
     def _listen(self) -> None:

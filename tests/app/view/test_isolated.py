@@ -8,6 +8,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psutil
@@ -17,6 +18,7 @@ from nurbseg.app.live.tracking import process_frame
 from nurbseg.app.result import FrameResult
 from nurbseg.app.view import isolated as view_isolated
 from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.app.view.isolated import IsolatedView
 from nurbseg.app.view.opening import begin_view, open_view
 from nurbseg.app.view.viewer import ViewError
@@ -55,6 +57,23 @@ def test_a_killed_process_is_told_of_and_nothing_waits_for_it(tmp_path: Path, re
         view.close()
     view.close()
     assert own_children() == []
+
+
+def test_a_first_frame_that_is_slow_to_draw_is_saved(
+    tmp_path: Path, result: FrameResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    draw = view_isolated.drawn
+
+    def compiled_first(*arguments: Any, **options: Any) -> ViewFrame:
+        time.sleep(3.0)
+        return draw(*arguments, **options)
+
+    monkeypatch.setattr(view_isolated, "FILE_PATIENCE_S", 1.0)
+    monkeypatch.setattr(view_isolated, "drawn", compiled_first)
+    path = tmp_path / "a.rrd"
+    with opened(path)[0] as view:
+        view.show(result)
+    assert read_saved_view(path).frames("tree") == [0]
 
 
 def test_signals_for_the_program_do_not_end_the_process_before_it(
