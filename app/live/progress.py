@@ -30,7 +30,7 @@ class Progress:
         self._capture = capture
         self._clock = clock
         self._logged_s = clock()
-        self._frames = 0
+        self._frames = self._withheld = 0
         self._is_first = True
 
     def segmented(
@@ -55,6 +55,7 @@ class Progress:
             )
         else:
             return
+        self._withheld = self._capture.withheld
         self._is_first, self._frames, self._logged_s = False, 0, self._clock()
 
     def recorded(self) -> None:
@@ -70,7 +71,11 @@ class Progress:
         return f", {recording.frames} recorded" + (f", {recording.lost} lost" if recording.lost else "")
 
     def waiting(self) -> None:
-        """Say that no frame comes, if that lasts."""
+        """Say that no frame comes, or that all are kept for the recording, if that lasts."""
         if self._clock() - self._logged_s >= _INTERVAL_S:
-            _log.info("waiting for a frame")
+            if withheld := self._capture.withheld - self._withheld:
+                _log.info("writing is slow: %d frames recorded only%s", withheld, self._recorded())
+            else:
+                _log.info("waiting for a frame")
+            self._withheld += withheld
             self._frames, self._logged_s = 0, self._clock()

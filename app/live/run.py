@@ -91,7 +91,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 _log.info("to look: %s", view.how_to_look)
             capture = CaptureThread(opened.source, lossless=opened.every_frame, recording=recording)
             report.capture = capture
-            with ExitStack() as reading:
+            with _watched(config.source.replay), ExitStack() as reading:
                 if recording is not None:
                     reading.enter_context(recording)
                 if warm_up is not None:
@@ -110,6 +110,17 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
             _log.info("all frames are shown; Ctrl-C ends the serving")
             interruption.wait()
         return report
+
+
+@contextmanager
+def _watched(replay: str | None) -> Iterator[None]:
+    """Say after the block if the file that is replayed is gone: it is read to its end all the same."""
+    is_file = replay is not None and Path(replay).is_file()
+    try:
+        yield
+    finally:
+        if replay is not None and is_file and not Path(replay).exists():
+            _log.warning("%s was deleted or moved while it was replayed", replay)
 
 
 def _refuse_existing(*files: str | None) -> None:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -123,6 +124,19 @@ def test_a_paced_replay_drops_what_it_cannot_follow_and_says_so(live: Live, tmp_
     assert frames["read"] == 60
     assert frames["segmented"] < 60
     assert frames["segmented"] + frames["dropped"]["overwritten_by_a_newer_frame"] == 60
+
+
+def test_a_recording_that_is_deleted_while_it_is_replayed_is_read_to_its_end_and_named(
+    start_live: Callable[..., Any], tmp_path: Path
+) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(Path(demo_uri()).read_bytes())
+    run = start_live("--replay", str(path), "--view", "none", "--splits-max", "1", "--duration", "2")
+    run.wait_for("frame 0")
+    path.unlink()
+    assert run.process.wait(60.0) == 0
+    run.close()
+    assert f"{path} was deleted or moved while it was replayed" in "".join(run.said)
 
 
 def test_what_is_too_old_is_not_saved_and_counted(live: Live, tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ def test_the_rate_after_a_silence_is_that_of_the_frames_since(
     caplog: pytest.LogCaptureFixture, small_result: FrameResult
 ) -> None:
     clock = Clock()
-    capture: Any = SimpleNamespace(read=0, recording=None, frames=SimpleNamespace(dropped=0))
+    capture: Any = SimpleNamespace(read=0, withheld=0, recording=None, frames=SimpleNamespace(dropped=0))
     progress = Progress(capture, clock=clock)
 
     def stream(seconds: float) -> None:
@@ -42,3 +42,20 @@ def test_the_rate_after_a_silence_is_that_of_the_frames_since(
     # No line counts frames of before the silence, nor more than a source of 30 Hz gives.
     assert rates
     assert max(rates) <= 30.5
+
+
+def test_frames_that_are_only_recorded_are_no_silence(caplog: pytest.LogCaptureFixture) -> None:
+    clock = Clock()
+    recording = SimpleNamespace(frames=40, lost=2)
+    capture: Any = SimpleNamespace(withheld=0, recording=recording)
+    progress = Progress(capture, clock=clock)
+    with caplog.at_level(logging.INFO, "nurbseg"):
+        for withheld in (12, 20, 20):
+            capture.withheld = withheld
+            clock.now_s += 6.0
+            progress.waiting()
+    assert caplog.messages == [
+        "writing is slow: 12 frames recorded only, 40 recorded, 2 lost",
+        "writing is slow: 8 frames recorded only, 40 recorded, 2 lost",
+        "waiting for a frame",
+    ]
