@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from nurbseg.app.atomic_file import write_atomically
-from nurbseg.app.export import Exporter, ExportError, run_settings
+from nurbseg.app.export.exporter import Exporter, ExportError, run_settings
 from nurbseg.app.frames import Reader, places
 from nurbseg.app.live.parallel import segment_alone
 from nurbseg.app.workers import Workers, in_order

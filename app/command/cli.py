@@ -89,7 +89,7 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
 
 def _run_with(arguments: Arguments, interruption: Interruption, process: ChildProcess | None) -> int:
     from nurbseg.app.command.compilation import logged_compilation
-    from nurbseg.app.export import ExportError
+    from nurbseg.app.export.exporter import ExportError
     from nurbseg.app.live.parallel import FrameFailedError
     from nurbseg.app.live.run import SetupError, run
     from nurbseg.app.view.viewer import ViewError

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import cv2
 
-from nurbseg.app.export import frame_files
+from nurbseg.app.export.exporter import frame_files
 from nurbseg.app.live.capture import Captured
 from nurbseg.app.live.tracking import process_frame
 from nurbseg.app.result import FrameResult

@@ -18,7 +18,7 @@ import numpy as np
 
 from nurbseg.app.atomic_file import write_atomically
 from nurbseg.app.config import AppConfig
-from nurbseg.app.export import ExportError
+from nurbseg.app.export.exporter import ExportError
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.versions import versions
 from nurbseg.app.view.view import View

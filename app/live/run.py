@@ -12,7 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from nurbseg.app.config import AppConfig
-from nurbseg.app.export import Exporter, ExportError, run_settings
+from nurbseg.app.export.exporter import Exporter, ExportError, run_settings
 from nurbseg.app.live.capture import Captured, CaptureThread
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.latency_filter import LatencyFilter

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable
 from pathlib import Path
 
-from nurbseg.app.export import ExportError
+from nurbseg.app.export.exporter import ExportError
 from nurbseg.app.recording.config import RecordConfig
 from nurbseg.app.recording.disk_space import free_space, shortage
 from nurbseg.app.recording.oni import OniRecording

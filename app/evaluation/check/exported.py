@@ -46,7 +46,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class RunSettings:
-    """What all frames of an export were made with; see `nurbseg.app.export.run_settings`."""
+    """What all frames of an export were made with; see `nurbseg.app.export.exporter.run_settings`."""
 
     source: str
     temporal: bool

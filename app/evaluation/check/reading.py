@@ -21,7 +21,7 @@ from nurbseg.app.evaluation.check.exported import (
     ExportedTree,
     RunSettings,
 )
-from nurbseg.app.export import SETTINGS_FILE
+from nurbseg.app.export.exporter import SETTINGS_FILE
 from nurbseg.drivers.settings import in_sections, updated
 from nurbseg.segmentation.config import SegmentationConfig
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from nurbseg.app.export import tree_document
+from nurbseg.app.export.tree import tree_document
 from nurbseg.app.live.config import LiveConfig
 from nurbseg.app.live.tracking import Segmenter
 from nurbseg.drivers.registry import open_source

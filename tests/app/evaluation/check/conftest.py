@@ -14,7 +14,7 @@ import pytest
 
 from nurbseg.app.evaluation.check.check import FolderCheck
 from nurbseg.app.evaluation.variants import path_named
-from nurbseg.app.export import Exporter, run_settings
+from nurbseg.app.export.exporter import Exporter, run_settings
 from nurbseg.app.live.tracking import process_frame
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig, Stag15Config

@@ -13,7 +13,7 @@ from scipy.interpolate import BSpline
 from nurbseg.app.evaluation.check.check import FolderCheck
 from nurbseg.app.evaluation.check.reading import read_settings
 from nurbseg.app.evaluation.cli import main
-from nurbseg.app.export import Exporter, run_settings
+from nurbseg.app.export.exporter import Exporter, run_settings
 from nurbseg.app.live.tracking import process_frame
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source

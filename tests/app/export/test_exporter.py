@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from nurbseg.app.atomic_file import write_atomically
-from nurbseg.app.export import Exporter, ExportError, run_settings, surfaces_npz, tree_document
+from nurbseg.app.export.exporter import Exporter, ExportError, run_settings
+from nurbseg.app.export.surfaces import surfaces_npz
+from nurbseg.app.export.tree import tree_document
 from nurbseg.app.live.tracking import process_frame
 from nurbseg.app.result import FrameResult
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig

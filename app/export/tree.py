@@ -1,0 +1,111 @@
+"""The tree of a frame as a JSON document."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from nurbseg.app.result import FrameResult
+from nurbseg.segmentation.config import Metric
+from nurbseg.segmentation.segments import Segment, Trial
+
+
+def tree_document(result: FrameResult, metric: Metric) -> dict[str, Any]:
+    """Return a frame's tree as what its JSON file holds.
+
+    Parameters
+    ----------
+    result : FrameResult
+        The frame and its tree.
+    metric : str
+        Which metric decided the splits.
+    """
+    tree = result.tree
+    numbered = tuple(zip(result.object_labels, tree.objects, strict=True))
+    object_of = {name: label for label, each in numbered for name in each.leaves}
+    leaf_of = {leaf.name: label for label, leaf in zip(result.surface_labels, tree.leaves(), strict=True)}
+    label_of = object_of if tree.objects and tree.level == "objects" else leaf_of
+    return {
+        "frame": result.frame.index,
+        "name": result.frame.name,
+        "timestamp_ns": result.frame.timestamp_ns,
+        "height": tree.shape[0],
+        "width": tree.shape[1],
+        "metric": metric,
+        "level": tree.level,
+        "segments": [
+            {
+                **_segment_document(each, metric, result.frame.index),
+                "label": label_of.get(each.name),
+                "leaf": leaf_of.get(each.name),
+                "object": object_of.get(each.name),
+            }
+            for each in tree.segments
+        ],
+        "objects": [
+            {"object": label, "leaves": [display_name(name) for name in each.leaves]}
+            for label, each in numbered
+        ],
+        "events": [
+            {"kind": each.kind, "label": each.identity, "other": each.other} for each in result.events
+        ],
+        "contacts": [
+            {
+                "first": display_name(each.first),
+                "second": display_name(each.second),
+                "merged": each.merged,
+                "reason": each.reason,
+            }
+            for each in tree.contacts
+        ],
+    }
+
+
+def _segment_document(each: Segment, metric: Metric, frame: int) -> dict[str, Any]:
+    return {
+        "name": display_name(each.name),
+        "parent": None if each.parent is None else display_name(each.parent),
+        "children": [display_name(child) for child in each.children],
+        "size": int(each.pixels.size),
+        "depth": each.depth,
+        "cuts_above": each.cuts_above,
+        "measured": _measured_in(each, frame),
+        "judged": frame if each.judged is None else each.judged,
+        "value": _number(each.fit.values.get(metric, math.nan)),
+        "floor": _number(each.fit.floor),
+        "values": {name: _number(value) for name, value in each.fit.values.items()},
+        "ratio": None if each.ratio is None else _number(each.ratio),
+        "trial": None if each.trial is None else _trial_document(each.trial),
+        "division": None if each.division is None else each.division.value,
+        "stop": None if each.stop is None else each.stop.value,
+        "points": int(each.fit.pixels.size),
+        "surface": each.fit.surface is not None,
+        "reason": each.fit.reason,
+    }
+
+
+def _measured_in(each: Segment, frame: int) -> int | None:
+    """Return the number of the frame that the values belong to; None where nothing was measured."""
+    if not each.fit.values:
+        return None
+    return frame if each.measured is None else each.measured
+
+
+def _trial_document(trial: Trial) -> dict[str, Any]:
+    return {
+        "metric": trial.metric,
+        "value": _number(trial.value),
+        "points": trial.points,
+        "parts": [{"value": _number(value), "points": points} for value, points in trial.parts],
+        "kept": trial.kept,
+    }
+
+
+def _number(value: float) -> float | None:
+    # JSON knows no infinity: a ratio against nothing and a metric of nothing are both "no value".
+    return float(value) if math.isfinite(value) else None
+
+
+def display_name(name: str) -> str:
+    """Return what the paper calls a segment: P for the whole cloud, P010 for a part."""
+    return f"P{name}"
