@@ -176,6 +176,13 @@ class SegmentationConfig:
     )
     depth_max: int = setting(8, "T_d: largest depth of the tree", least=0, most=64)
     splits_max: int = setting(60, "T_s: largest number of splits", least=0, most=10_000)
+    budget_ms: float = setting(
+        0.0,
+        "time from the start of a frame's segmentation after which nothing more is cut, and the tree so far "
+        "is the answer; 0 for no limit",
+        unit="ms",
+        least=0.0,
+    )
     large_error_m: float = setting(
         0.1, "T_l: residual over which a point counts for NLE", unit="m", above=0.0
     )

@@ -8,8 +8,25 @@ from collections.abc import Callable
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.segments import Node, StopReason, depth_first
 
+#: Returns the time, seconds from any moment.
+Clock = Callable[[], float]
 
-def grow(root: Node, split: Callable[[Node], bool], points_min: float, config: SegmentationConfig) -> None:
+
+def time_limit(config: SegmentationConfig, clock: Clock) -> Callable[[], bool]:
+    """Return a function that says whether the time that growing may take, from now on, is over."""
+    if config.budget_ms == 0:
+        return lambda: False
+    end_s = clock() + 1e-3 * config.budget_ms
+    return lambda: clock() >= end_s
+
+
+def grow(
+    root: Node,
+    split: Callable[[Node], bool],
+    points_min: float,
+    config: SegmentationConfig,
+    time_is_over: Callable[[], bool],
+) -> None:
     """Split segments, the one with the largest metric first (section 3.3).
 
     Parameters
@@ -23,6 +40,8 @@ def grow(root: Node, split: Callable[[Node], bool], points_min: float, config: S
         T_p, in points of the grid.
     config : SegmentationConfig
         The metric, T_d and T_s.
+    time_is_over : callable
+        Asked before each cut; from when it returns True on, what would be cut is a leaf.
     """
     waiting: list[tuple[float, str, Node]] = []
     splits, grown = 0, [root]
@@ -34,6 +53,8 @@ def grow(root: Node, split: Callable[[Node], bool], points_min: float, config: S
             return
         node = heapq.heappop(waiting)[-1]
         node.stop = stop_without_cut(node, splits, points_min, config)
+        if node.stop is None and time_is_over():
+            node.stop = StopReason.BUDGET
         grown = list(node.children) if node.stop is None and split(node) else []
         splits += bool(grown)
 
@@ -67,4 +88,4 @@ def stop_without_cut(
     return None if first or node.value(config) > 0 else StopReason.CRITERION
 
 
-__all__ = ["grow", "stop_without_cut"]
+__all__ = ["Clock", "grow", "stop_without_cut", "time_limit"]

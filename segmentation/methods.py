@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import time
+
 from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.splitting import segment_nurbseg
+from nurbseg.segmentation.growth import Clock
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import SegmentationTree
 from nurbseg.segmentation.stag15 import segment_stag15
 
 
-def segment(cloud: PointMap, config: SegmentationConfig) -> SegmentationTree:
+def segment(
+    cloud: PointMap, config: SegmentationConfig, *, clock: Clock = time.perf_counter
+) -> SegmentationTree:
     """Segment a frame by the method that is set.
 
     Parameters
@@ -18,7 +23,9 @@ def segment(cloud: PointMap, config: SegmentationConfig) -> SegmentationTree:
     cloud : PointMap
         Points and their colors.
     config : SegmentationConfig
-        Thresholds and choices; the same seed gives the same tree.
+        Thresholds and choices; the same seed gives the same tree, unless a budget of time ends it.
+    clock : callable
+        Returns the time, seconds; the budget is measured by it.
 
     Returns
     -------
@@ -27,6 +34,6 @@ def segment(cloud: PointMap, config: SegmentationConfig) -> SegmentationTree:
         with too few points is one leaf.
     """
     if config.method == "stag15":
-        return segment_stag15(cloud, config)
+        return segment_stag15(cloud, config, clock=clock)
     with one_blas_thread():
-        return segment_nurbseg(cloud, config)
+        return segment_nurbseg(cloud, config, clock=clock)

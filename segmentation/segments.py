@@ -24,7 +24,8 @@ class StopReason(StrEnum):
 
     ``noise`` is the default method's own, and foretells ``criterion``: the metric is so near to what noise
     leaves of it that no split can have a ratio below T, and none was tried. ``untried`` is the live tree's
-    own: the segment is new, or its last trial so old that it counts no more.
+    own: the segment is new, or its last trial so old that it counts no more. ``budget``: the time for the
+    frame was over when its turn came.
     """
 
     CRITERION = "criterion"
@@ -37,6 +38,7 @@ class StopReason(StrEnum):
     NO_POINTS = "no-points"
     NOISE = "noise"
     UNTRIED = "untried"
+    BUDGET = "budget"
 
 
 class Division(StrEnum):

@@ -7,6 +7,7 @@ and `surfaces/curvature.py`; what ends the tree (eq. 6) is in `growth.py`.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -18,7 +19,7 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.components import remove_small_components
 from nurbseg.segmentation.cut.features import normalization, normalized, raw_vectors
 from nurbseg.segmentation.cut.ncut import Cut, normalized_cut
-from nurbseg.segmentation.growth import grow
+from nurbseg.segmentation.growth import Clock, grow, time_limit
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
 from nurbseg.segmentation.labels.upsample import Split, upsample_labels
 from nurbseg.segmentation.points.grid import PixelGrid, decimated_grid, step_with_points
@@ -95,7 +96,12 @@ def fit_segment(grid: PixelGrid, places: NDArray[np.intp], config: SegmentationC
 
 @one_blas_thread()
 def segment_stag15(
-    cloud: PointMap, config: SegmentationConfig, *, cut: Cutter = cut_in_two, fit: Fitter = fit_segment
+    cloud: PointMap,
+    config: SegmentationConfig,
+    *,
+    cut: Cutter = cut_in_two,
+    fit: Fitter = fit_segment,
+    clock: Clock = time.perf_counter,
 ) -> SegmentationTree:
     """Segment a frame as the paper does, whatever the method set.
 
@@ -107,6 +113,8 @@ def segment_stag15(
         Thresholds and choices; the same seed gives the same tree.
     cut, fit : callable
         The two steps that take time; others may remember what they made of this very frame.
+    clock : callable
+        As for `nurbseg.segmentation.methods.segment`.
 
     Returns
     -------
@@ -118,6 +126,7 @@ def segment_stag15(
     .. [1] G. Pagnutti and P. Zanuttigh, "Scene segmentation based on NURBS surface fitting metrics",
        STAG 2015.
     """
+    time_is_over = time_limit(config, clock)
     step = step_with_points(cloud.valid, config.decimation)
     config = replace(config, method="stag15", decimation=step)
     grid = decimated_grid(cloud, step)
@@ -131,7 +140,13 @@ def segment_stag15(
 
     # The tree (section 3.3).
     root = Node("", places, fit(grid, places, config))
-    grow(root, lambda node: _split(node, grid, vectors, config, cut, fit), _points_min(grid, config), config)
+    grow(
+        root,
+        lambda node: _split(node, grid, vectors, config, cut, fit),
+        _points_min(grid, config),
+        config,
+        time_is_over,
+    )
 
     # A label for every pixel between the places of the grid.
     nodes = depth_first(root)

@@ -63,7 +63,7 @@ def _digest(places: NDArray[np.intp]) -> bytes:
 
 def _judged_alike(config: SegmentationConfig, metric: Metric) -> SegmentationConfig:
     """Return settings that are equal for all that differ in what is made of cuts and fits alone."""
-    return replace(config, metric=metric, ratio_max=1.0, depth_max=0, splits_max=0)
+    return replace(config, metric=metric, ratio_max=1.0, depth_max=0, splits_max=0, budget_ms=0.0)
 
 
 class Answers:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +17,7 @@ from nurbseg.segmentation.extended.borders import refine_borders
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features, segment_normalization
 from nurbseg.segmentation.extended.merge import merge_surfaces
 from nurbseg.segmentation.extended.parts import Part, chain_components, children_of, fit_segment, judge_split
-from nurbseg.segmentation.growth import grow
+from nurbseg.segmentation.growth import Clock, grow, time_limit
 from nurbseg.segmentation.labels.regions import large_components
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
 from nurbseg.segmentation.labels.upsample import upsample_by_depth
@@ -28,7 +30,9 @@ from nurbseg.segmentation.segments import Division, Node, SegmentationTree, Stop
 _MANY_PLACES = 6_000
 
 
-def segment_nurbseg(cloud: PointMap, config: SegmentationConfig) -> SegmentationTree:
+def segment_nurbseg(
+    cloud: PointMap, config: SegmentationConfig, *, clock: Clock = time.perf_counter
+) -> SegmentationTree:
     """Segment a frame into surfaces, and these into objects.
 
     The paper's tree of normalized cuts decided by surface fits, with vectors that hold normals, surfaces of
@@ -41,15 +45,18 @@ def segment_nurbseg(cloud: PointMap, config: SegmentationConfig) -> Segmentation
         Points and their colors.
     config : SegmentationConfig
         Thresholds and choices; the same seed gives the same tree.
+    clock : callable
+        As for `nurbseg.segmentation.methods.segment`.
 
     Returns
     -------
     SegmentationTree
         Its leaves are surfaces; its objects, none where merging is off, are merged leaves.
     """
+    time_is_over = time_limit(config, clock)
     config = replace(config, decimation=step_with_points(cloud.valid, config.decimation))
     features = grid_features(cloud, config)
-    root = grown_tree(features, config)
+    root = grown_tree(features, config, time_is_over)
     nodes = depth_first(root)
     leaves = [node for node in nodes if not node.children]
 
@@ -72,7 +79,7 @@ def segment_nurbseg(cloud: PointMap, config: SegmentationConfig) -> Segmentation
     return SegmentationTree(segments, cloud.valid.shape, objects, contacts, config.extended.level, image)
 
 
-def grown_tree(features: GridFeatures, config: SegmentationConfig) -> Node:
+def grown_tree(features: GridFeatures, config: SegmentationConfig, time_is_over: Callable[[], bool]) -> Node:
     """Grow the tree of surfaces on the grid.
 
     Parameters
@@ -81,6 +88,8 @@ def grown_tree(features: GridFeatures, config: SegmentationConfig) -> Node:
         The frame.
     config : SegmentationConfig
         Thresholds and choices.
+    time_is_over : callable
+        As for `grow`.
 
     Returns
     -------
@@ -100,7 +109,7 @@ def grown_tree(features: GridFeatures, config: SegmentationConfig) -> Node:
     places = np.flatnonzero(features.grid.valid)
     parts = _pieces(features, places, np.ones(places.size, dtype=np.int32), config)[0] or [places]
     root = chain_components("", [fit_segment(features, part, config) for part in parts], 0)
-    grow(root, split, features.places_min(config), config)
+    grow(root, split, features.places_min(config), config, time_is_over)
     return root
 
 

@@ -27,7 +27,7 @@ from nurbseg.segmentation.points.depth_grid import DepthGrid, inverse_depth_imag
 from nurbseg.segmentation.points.grid import decimated_grid
 from nurbseg.segmentation.points.rays import Rays, rays_of
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import TRIED, Division, Node, SegmentationTree, depth_first
+from nurbseg.segmentation.segments import TRIED, Division, Node, SegmentationTree, StopReason, depth_first
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 
@@ -172,6 +172,8 @@ class LiveTree:
         for leaf in self._leaves:
             if leaf.node.stop in TRIED:
                 leaf.attempt = Attempt(leaf.node.stop, leaf.node.trial, self._frame)
+            elif leaf.node.stop is StopReason.BUDGET:
+                leaf.tried = 0.0
         self._rejected = ()
         self.labels_before = np.zeros(tree.shape, dtype=np.uint16)
         self._labels = tree.labels("surfaces").copy()
@@ -260,7 +262,9 @@ class LiveTree:
             ).astype(np.uint16)
         self.labels_before = before
         self._gray = gray
-        self._overdue = self._overdue + 1 if done.report.waiting > _WAITING_MOST else 0
+        # A budget of time would leave a tree from scratch just as unfinished.
+        late = done.report.waiting > _WAITING_MOST and config.budget_ms == 0
+        self._overdue = self._overdue + 1 if late else 0
         self.report = replace(done.report, unexplained=unexplained, step=step)
         return self._finished(cloud, features, labels, before, config, every_surface)
 

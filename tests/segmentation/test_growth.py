@@ -1,6 +1,7 @@
 """How the tree grows: every tree is foretold from that without limits, whose values are computed by SciPy."""
 
 from dataclasses import replace
+from itertools import count
 
 import numpy as np
 import pytest
@@ -83,8 +84,11 @@ class Free:
         return [each for name in top.children for each in self.pieces(self.tree[name])]
 
 
-def foretold(free: Free, config: SegmentationConfig) -> tuple[list[str], dict[str, StopReason]]:
+def foretold(
+    free: Free, config: SegmentationConfig, cuts_in_time: float = np.inf
+) -> tuple[list[str], dict[str, StopReason]]:
     """Grow the tree of section 3.3 again, of the parts of one without limits: its splits, and why it ends."""
+    cuts = 0
     split: list[str] = []
     stops: dict[str, StopReason] = {}
     waiting = [(-free.values[each.name], each.name, 0) for each in free.pieces(free.tree.root)]
@@ -98,6 +102,8 @@ def foretold(free: Free, config: SegmentationConfig) -> tuple[list[str], dict[st
             stops[name] = StopReason.DEPTH
         elif len(split) >= config.splits_max:
             stops[name] = StopReason.SPLITS
+        elif (cuts := cuts + 1) > cuts_in_time:
+            stops[name] = StopReason.BUDGET
         elif name not in free.ratios:
             assert segment_here.stop is not None
             stops[name] = segment_here.stop
@@ -109,9 +115,11 @@ def foretold(free: Free, config: SegmentationConfig) -> tuple[list[str], dict[st
     return split, stops
 
 
-def is_as_foretold(tree: SegmentationTree, free: Free, config: SegmentationConfig) -> bool:
+def is_as_foretold(
+    tree: SegmentationTree, free: Free, config: SegmentationConfig, cuts_in_time: float = np.inf
+) -> bool:
     """Whether a tree has the splits, the stop reasons, the values and the ratios that it must have."""
-    split, stops = foretold(free, config)
+    split, stops = foretold(free, config, cuts_in_time)
     assert {each.name for each in tree.segments if each.division is Division.CUT} == set(split)
     assert {leaf.name: leaf.stop for leaf in tree.leaves()} == stops
     # Decided on every pixel, with no border refined, a leaf has the pixels that were fitted.
@@ -155,6 +163,19 @@ def test_thresholds_limits_and_order_are_those_of_the_paper(
             cuts = sum(each.division is Division.CUT for each in tree.segments)
             assert cuts == limits.get("splits_max", cuts)
     assert reasons >= {StopReason.TOO_SMALL, StopReason.DEPTH, StopReason.SPLITS, StopReason.CRITERION}
+
+
+@both_methods
+@pytest.mark.parametrize("cuts_in_time", [0, 1, 4, 9])
+def test_a_budget_of_time_ends_a_tree_where_it_is(
+    clutter: PointMap, base: SegmentationConfig, cuts_in_time: int
+) -> None:
+    free = Free(clutter, replace(base, ratio_max=1.0))
+    # A second goes by before each cut; the first is that of the start.
+    config = replace(base, **LIMITLESS, budget_ms=1e3 * cuts_in_time + 500.0)
+    tree = segment(clutter, config, clock=count().__next__)
+    assert is_as_foretold(tree, free, config, cuts_in_time)
+    assert StopReason.BUDGET in {leaf.stop for leaf in tree.leaves()}
 
 
 @both_methods

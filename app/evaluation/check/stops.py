@@ -15,11 +15,17 @@ def check_stops(frame: ExportedFrame) -> Iterator[Finding]:
     first = frame.parts("P") if root.division == "gap" else [root]
     waiting = [(-each.counted, each.name) for each in first]
     heapq.heapify(waiting)
-    splits = 0
+    splits, time_is_over = 0, False
     while waiting:
         _, name = heapq.heappop(waiting)
         each = frame.segments[name]
         expected = _early_stop(frame, each, splits)
+        if expected is None and _hurried(frame, each):
+            time_is_over = True
+            continue
+        if expected is None and time_is_over:
+            found = each.stop or "split"
+            yield Finding(frame.tree_file, name, "stop", "budget, as that of one before it", found)
         if each.division == "cut":
             if expected is not None:
                 yield Finding(frame.tree_file, name, "stop", expected, "split")
@@ -57,6 +63,11 @@ def _early_stop(frame: ExportedFrame, each: ExportedSegment, splits: int) -> str
     return None if each.counted > 0 or first else "criterion"
 
 
+def _hurried(frame: ExportedFrame, each: ExportedSegment) -> bool:
+    """Say whether a segment may have been left as it was since the time for the frame was over."""
+    return each.stop == "budget" and frame.settings.config.budget_ms > 0 and each.trial is None
+
+
 def _hopeless(each: ExportedSegment, config: SegmentationConfig) -> bool:
     """Say whether a value is so near its floor that no ratio of floored values is below T."""
     return each.floor > 0 and each.floor >= config.ratio_max * each.counted
@@ -79,6 +90,7 @@ def check_live_stops(frame: ExportedFrame) -> Iterator[Finding]:
             "child-too-small": True,
             "no-cut": True,
             "untried": True,
+            "budget": _hurried(frame, leaf),
         }
         if not holds.get(leaf.stop or "", False):
             yield Finding(frame.tree_file, leaf.name, "stop", "a reason that holds", str(leaf.stop))

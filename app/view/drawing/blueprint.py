@@ -22,6 +22,7 @@ _STOP_TEXTS = {
     "no-points": "white: no points",
     "noise": "turquoise: so near to the sensor's noise that no split can be kept",
     "untried": "sand: no split was tried lately (live)",
+    "budget": "maroon: the time for the frame (--budget-ms) was over",
 }
 
 

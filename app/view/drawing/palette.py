@@ -24,6 +24,7 @@ STOP_COLORS: dict[StopReason, tuple[int, int, int]] = {
     StopReason.NO_POINTS: (240, 240, 240),
     StopReason.NOISE: (45, 190, 200),
     StopReason.UNTRIED: (214, 196, 120),
+    StopReason.BUDGET: (128, 20, 70),
 }
 #: Fill of a segment that has parts: gray where it was cut, darker where nothing was.
 DIVISION_COLORS: dict[Division, tuple[int, int, int]] = {

@@ -155,7 +155,7 @@ def test_what_is_not_tried_for_its_noise_would_be_rejected(cloud_of, box_on_tabl
         depth[rng.random(depth.shape) < 0.02] *= 0.99
         cloud = cloud_of(depth)
         features = grid_features(cloud, config)
-        waiting = [splitting.grown_tree(features, config)]
+        waiting = [splitting.grown_tree(features, config, lambda: False)]
         while waiting:
             node = waiting.pop()
             waiting.extend(node.children)

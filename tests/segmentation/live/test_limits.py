@@ -8,6 +8,7 @@ from plates import PLATES, plates
 
 from nurbseg.segmentation.config import ExtendedConfig, Metric, SegmentationConfig
 from nurbseg.segmentation.live import renewal
+from nurbseg.segmentation.live import tree as tree_module
 from nurbseg.segmentation.live.editor import UpdateReport
 from nurbseg.segmentation.live.tree import LiveTree
 from nurbseg.segmentation.live.updater import Budget
@@ -82,6 +83,21 @@ def test_no_frame_has_more_cuts_than_splits_are_allowed(most: int) -> None:
             assert len(cuts_of(tree)) == most
     assert max(counts) == most
     assert StopReason.SPLITS in reasons
+
+
+def test_what_a_budget_of_time_left_is_cut_in_later_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Whatever waits is not segmented from scratch, which would end where it began.
+    monkeypatch.setattr(tree_module, "_WAITING_MOST", -1)
+    monkeypatch.setattr(tree_module, "_WAITING_FRAMES", 1)
+    live = LiveTree(replace(CONFIG, budget_ms=1e-6))
+    trees, resets = [], []
+    for frame in range(12):
+        trees.append(live.segment(plates(*PLATES[:3], frame=frame)))
+        resets.append(bool(live.report.reset))
+    assert resets == [True] + 11 * [False]
+    assert {each.stop for each in trees[0].leaves()} == {StopReason.BUDGET}
+    assert all(leaf.stop is not StopReason.BUDGET for tree in trees[1:] for leaf in tree.leaves())
+    assert len(cuts_of(trees[-1])) > 2
 
 
 def test_no_cut_has_a_ratio_of_t_or_more_and_t_tells() -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
@@ -18,6 +20,7 @@ from nurbseg.app.export.exporter import Exporter, run_settings
 from nurbseg.app.live.tracking import process_frame
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig, Stag15Config
+from nurbseg.segmentation.methods import segment
 
 RECORDING = "synthetic:?width=160&height=120&frames=2"
 CONFIGS = {
@@ -43,6 +46,7 @@ CONFIGS = {
         ratio_max=0.3, depth_max=3, extended=ExtendedConfig(inverse_depth_noise=1e-3)
     ),
     "floored": SegmentationConfig(metric="nle", large_error_m=0.02, splits_max=4),
+    "hurried": SegmentationConfig(budget_ms=3500.0),
     "surfaces": SegmentationConfig(splits_max=4, decimation=3, extended=ExtendedConfig(level="surfaces")),
 }
 
@@ -100,7 +104,10 @@ def exports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     for name, config in CONFIGS.items():
         exporter = Exporter(folder / name, run_settings(config, source=RECORDING, surfaces=True))
         for frame in frames:
-            exporter.write(process_frame(frame, config))
+            result = process_frame(frame, config)
+            # A second goes by before each cut.
+            tree = segment(result.cloud, config, clock=count().__next__)
+            exporter.write(replace(result, tree=tree))
     return {name: folder / name for name in CONFIGS}
 
 

@@ -169,10 +169,11 @@ REASONS = [
     "no-fit",
     "no-points",
     "noise",
+    "budget",
 ]
 
 
-@pytest.mark.parametrize("name", ["stag15", "counts", "nurbseg", "strict"])
+@pytest.mark.parametrize("name", ["stag15", "counts", "nurbseg", "strict", "hurried"])
 def test_every_wrong_reason_to_stop_is_found(export, name):
     folder = export(name)
     leaf_of = {each["stop"]: key for key, each in folder.segments().items() if each["stop"]}
@@ -221,6 +222,7 @@ OTHER_SETTINGS = {
         ("segment_pixels_min", 1200, "trial parts"),
     ],
     "strict": [("piece_pixels_min", 2, "stop")],
+    "hurried": [("budget_ms", 0.0, "stop"), ("splits_max", 3, "stop")],
     "nurbseg": [
         ("ratio_max", 1e-3, "trial"),
         ("depth_max", 2, "depth"),
