@@ -10,7 +10,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 OUT ?= out
 
-SOURCES := $(shell find app drivers segmentation recordings -name '*.py' -o -name '*.mcap' -o -name py.typed)
+SOURCES := $(shell find library app drivers segmentation recordings -name '*.py' -o -name '*.mcap' -o -name py.typed)
 
 # Tests find more real recordings here; they skip what needs them where there are none.
 ifneq ($(wildcard ../shared/data),)
@@ -53,7 +53,7 @@ lint: $(VENV)/test.stamp
 	$(BIN)/python .ci/file_lengths.py
 
 types: $(VENV)/test.stamp
-	$(BIN)/mypy -p nurbseg.app -p nurbseg.drivers -p nurbseg.segmentation
+	$(BIN)/mypy -p nurbseg
 
 # The virtual environment. Debian has venv's half in a package of its own.
 $(VENV)/bin/pip:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.app.objects import MeasuredObject, measure_objects
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.segmentation.config import Level
 from nurbseg.segmentation.labels.lookup import apply_lookup_table
@@ -71,6 +72,11 @@ class FrameResult:
         objects = (level or self.tree.level) == "objects"
         of_leaf = self.object_of_leaf if objects else self.surface_of_leaf
         return apply_lookup_table(of_leaf, self.tree.labels("surfaces"))
+
+    @property
+    def objects(self) -> tuple[MeasuredObject, ...]:
+        """What is measured of each object, in the order of labels; computed anew each time."""
+        return measure_objects(self.cloud, self.tree, self.object_of_leaf)
 
     @property
     def surface_labels(self) -> tuple[int, ...]:

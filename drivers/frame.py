@@ -224,3 +224,52 @@ class RGBDFrame:
             _read_only(self.labels)
         _read_only(self.depth_mm)
         _read_only(self.color)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        depth: NDArray[np.uint16] | NDArray[np.floating],
+        color: NDArray[np.uint8],
+        fx: float,
+        fy: float,
+        cx: float,
+        cy: float,
+        *,
+        index: int = 0,
+        timestamp_ns: int = 0,
+        name: str = "",
+    ) -> RGBDFrame:
+        """Return the frame of a depth image that is registered to its color image; both are copied.
+
+        Parameters
+        ----------
+        depth : (H, W) uint16 or float
+            Millimetres if whole numbers, metres if floating point; 0 or NaN where there is no depth.
+        color : (H, W, 3) uint8
+            RGB. What OpenCV reads is BGR: ``color[..., ::-1]``.
+        fx, fy, cx, cy : float
+            Focal lengths and principal point, pixels.
+        index, timestamp_ns, name : int, int, str
+            As of a frame.
+
+        Raises
+        ------
+        ValueError
+            If a shape, dtype or value is wrong, or the images differ in size.
+        """
+        depth, color = np.asarray(depth), np.asarray(color)
+        if np.issubdtype(depth.dtype, np.floating):
+            with np.errstate(invalid="ignore"):
+                depth_mm = np.rint(np.nan_to_num(depth * 1e3, nan=0.0, posinf=0.0))
+                depth = np.where((depth_mm > 0) & (depth_mm <= 65535), depth_mm, 0).astype(np.uint16)
+        elif depth.dtype != np.uint16:
+            raise ValueError(f"depth: expected uint16 (millimetres) or float (metres), got {depth.dtype}")
+        if depth.ndim != 2 or depth.shape != color.shape[:2]:
+            raise ValueError(
+                f"depth, color: expected (H, W) and (H, W, 3) of the same size, got {depth.shape} and "
+                f"{color.shape}; those of two cameras need RGBDFrame(..., calibration=Calibration(...))"
+            )
+        camera = Intrinsics(depth.shape[1], depth.shape[0], fx, fy, cx, cy)
+        return cls(
+            index, timestamp_ns, np.array(depth), np.array(color), Calibration.registered(camera), name=name
+        )

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from nurbseg.segmentation.config import SegmentationConfig
     from nurbseg.segmentation.cut.ncut import Cut, normalized_cut
+    from nurbseg.segmentation.live.tree import LiveTree
     from nurbseg.segmentation.methods import segment
     from nurbseg.segmentation.points.registration import PointMap, register
     from nurbseg.segmentation.segments import Segment, SegmentationTree, StopReason
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Cut",
     "Fit",
+    "LiveTree",
     "NurbsSurface",
     "PointMap",
     "Segment",
@@ -50,6 +52,7 @@ _MODULES = {
     "Segment": "segments",
     "SegmentationTree": "segments",
     "StopReason": "segments",
+    "LiveTree": "live.tree",
     "segment": "methods",
 }
 

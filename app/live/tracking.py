@@ -27,7 +27,7 @@ class Segmenter:
 
     Parameters
     ----------
-    config : SegmentationConfig
+    config : SegmentationConfig, optional
         How to segment.
     temporal : bool
         Whether a frame continues the one before: segments keep their identities and, with the default
@@ -40,13 +40,13 @@ class Segmenter:
 
     def __init__(
         self,
-        config: SegmentationConfig,
+        config: SegmentationConfig | None = None,
         *,
-        temporal: bool,
+        temporal: bool = True,
         target_hz: float = 0.0,
         every_surface: bool = False,
     ) -> None:
-        self.config = config
+        self.config = config = config or SegmentationConfig()
         self._every_surface = every_surface
         self._rate_controller = RateController(target_hz, config.decimation) if target_hz > 0 else None
         self._temporal = temporal
@@ -116,14 +116,14 @@ class Segmenter:
         )
 
 
-def process_frame(frame: RGBDFrame, config: SegmentationConfig) -> FrameResult:
+def process_frame(frame: RGBDFrame, config: SegmentationConfig | None = None) -> FrameResult:
     """Register and segment one frame.
 
     Parameters
     ----------
     frame : RGBDFrame
         Depth and color.
-    config : SegmentationConfig
+    config : SegmentationConfig, optional
         How to segment.
 
     Returns
@@ -134,7 +134,7 @@ def process_frame(frame: RGBDFrame, config: SegmentationConfig) -> FrameResult:
     started_s = time.perf_counter()
     cloud = register(frame)
     registered_s = time.perf_counter()
-    tree = segment(cloud, config)
+    tree = segment(cloud, config or SegmentationConfig())
     segmented_s = time.perf_counter()
     elapsed_ms = {
         "register": 1e3 * (registered_s - started_s),

@@ -1,0 +1,189 @@
+"""What is measured of the objects of a frame: place, size, orientation, color, and how well surfaces fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.app.view.drawing.surface_mesh import SurfaceMesh, surface_mesh
+from nurbseg.segmentation.blas import one_blas_thread
+from nurbseg.segmentation.labels.lookup import apply_lookup_table
+from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.segmentation.segments import SegmentationTree
+
+#: Distance of the places at which normals are averaged, pixels.
+_NORMALS_STEP_PX = 4.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OrientedBox:
+    """A box that holds all points of an object.
+
+    Its last axis is the direction in which they vary least; across it, the box is the rectangle of least
+    area.
+
+    Parameters
+    ----------
+    center_m : (3,) float64
+        Metres, in the depth camera's frame.
+    axes : (3, 3) float64
+        Unit vectors along its edges in rows, right-handed.
+    size_m : (3,) float64
+        Lengths of the edges along `axes`, metres; the first is no shorter than the second.
+    """
+
+    center_m: NDArray[np.float64]
+    axes: NDArray[np.float64]
+    size_m: NDArray[np.float64]
+
+    @classmethod
+    def around(cls, points_m: NDArray[np.floating]) -> OrientedBox:
+        """Return the box of points, (N, 3) metres, at least one."""
+        points = np.asarray(points_m, dtype=np.float64)
+        mean = points.mean(axis=0)
+        centered = points - mean
+        # Eigenvectors in columns, that of the least variance first.
+        axes = np.linalg.eigh(centered.T @ centered)[1].T[::-1]
+        across = np.ascontiguousarray(centered @ axes[:2].T, dtype=np.float32)
+        (_, (width, height), degrees) = cv2.minAreaRect(across)
+        turn = np.radians(degrees if width >= height else degrees + 90.0)
+        along = np.cos(turn) * axes[0] + np.sin(turn) * axes[1]
+        axes = np.array([along, np.cross(axes[2], along), axes[2]])
+        places = centered @ axes.T
+        low, high = places.min(axis=0), places.max(axis=0)
+        return cls(mean + (low + high) / 2.0 @ axes, axes, high - low)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredObject:
+    """An object of a frame and what is measured of it; a surface, where nothing was merged into objects.
+
+    Parameters
+    ----------
+    label : int
+        In the label image of the objects.
+    leaves : tuple of str
+        Names of the surfaces that it consists of.
+    pixels : (N,) intp
+        Flat indices into the image, ascending.
+    points_m : (N, 3) float32
+        Its points, metres, in the depth camera's frame: x right, y down, z forward.
+    colors : (N, 3) uint8
+        RGB of each point.
+    box : OrientedBox
+        Around its points.
+    mean_normal : (3,) float64 or None
+        Mean of the normals of its surfaces, as a unit vector towards the camera; None where there is none.
+    rms_m : float or None
+        Root mean square of the distances of its points to its surfaces, metres; None without a surface.
+    tree : SegmentationTree
+        That it is of.
+    """
+
+    label: int
+    leaves: tuple[str, ...]
+    pixels: NDArray[np.intp]
+    points_m: NDArray[np.float32]
+    colors: NDArray[np.uint8]
+    box: OrientedBox
+    mean_normal: NDArray[np.float64] | None
+    rms_m: float | None
+    tree: SegmentationTree
+
+    @property
+    def centroid_m(self) -> NDArray[np.float64]:
+        """Mean of its points, (3,) metres."""
+        return np.asarray(self.points_m.mean(axis=0, dtype=np.float64))
+
+    @property
+    def mean_color(self) -> NDArray[np.float64]:
+        """Mean of its colors, (3,) RGB from 0 to 255."""
+        return np.asarray(self.colors.mean(axis=0, dtype=np.float64))
+
+    def mesh(self, step_px: float = 2.0) -> SurfaceMesh:
+        """Return its surfaces as triangles, cut to its pixels.
+
+        Parameters
+        ----------
+        step_px : float
+            Distance of the lattice's rows and columns, pixels.
+        """
+        own = np.zeros(self.tree.shape, dtype=np.uint16)
+        own.flat[self.pixels] = self.tree.labels("surfaces").flat[self.pixels]
+        return surface_mesh(self.tree, own, step_px)
+
+
+def measure_objects(
+    cloud: PointMap, tree: SegmentationTree, object_of_leaf: NDArray[np.uint16]
+) -> tuple[MeasuredObject, ...]:
+    """Measure every object of a frame that has a pixel.
+
+    Parameters
+    ----------
+    cloud : PointMap
+        The frame's points.
+    tree : SegmentationTree
+        Its segments.
+    object_of_leaf : (L + 1,) uint16
+        Label of the object of each leaf, by the leaf's place plus one; 0 for 0.
+
+    Returns
+    -------
+    tuple of MeasuredObject
+        In the order of their labels.
+    """
+    with one_blas_thread():
+        return _measured(cloud, tree, object_of_leaf)
+
+
+def _measured(
+    cloud: PointMap, tree: SegmentationTree, object_of_leaf: NDArray[np.uint16]
+) -> tuple[MeasuredObject, ...]:
+    leaf_image = tree.labels("surfaces")
+    labels = apply_lookup_table(object_of_leaf, leaf_image).ravel()
+    order = np.argsort(labels, kind="stable")
+    counts = np.bincount(labels, minlength=int(object_of_leaf.max()) + 1)
+    ends = np.cumsum(counts)
+    mesh = surface_mesh(tree, leaf_image, _NORMALS_STEP_PX)
+    mesh_objects = object_of_leaf[mesh.labels]
+    points, colors = cloud.points_m.reshape(-1, 3), cloud.color.reshape(-1, 3)
+    leaves = tree.leaves()
+    measured = []
+    for label in (int(each) for each in np.flatnonzero(counts) if each):
+        pixels = order[ends[label] - counts[label] : ends[label]]
+        own = [leaf for leaf, of in zip(leaves, object_of_leaf[1:], strict=True) if of == label]
+        residuals = [leaf.fit.residuals_m for leaf in own if leaf.fit.surface is not None]
+        measured.append(
+            MeasuredObject(
+                label=label,
+                leaves=tuple(leaf.name for leaf in own),
+                pixels=pixels,
+                points_m=points[pixels],
+                colors=colors[pixels],
+                box=OrientedBox.around(points[pixels]),
+                mean_normal=_mean_direction(mesh.normals[mesh_objects == label]),
+                rms_m=_rms(residuals),
+                tree=tree,
+            )
+        )
+    return tuple(measured)
+
+
+def _mean_direction(normals: NDArray[np.float32]) -> NDArray[np.float64] | None:
+    total = normals.sum(axis=0, dtype=np.float64)
+    length = np.linalg.norm(total)
+    return np.asarray(total / length) if length > 0 else None
+
+
+def _rms(residuals_m: Sequence[NDArray[np.float64]]) -> float | None:
+    count = sum(each.size for each in residuals_m)
+    if not count:
+        return None
+    return float(np.sqrt(sum(float(np.dot(each, each)) for each in residuals_m) / count))
+
+
+__all__ = ["MeasuredObject", "OrientedBox", "measure_objects"]

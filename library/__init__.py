@@ -1,0 +1,80 @@
+"""Segments the frames of depth cameras: normalized cuts, decided by NURBS surface fits.
+
+A frame is segmented for itself by `segment`, and frame after frame by a `Segmenter`, which keeps the labels:
+
+>>> frame = RGBDFrame.from_arrays(depth, color, fx=525, fy=525, cx=319.5, cy=239.5)
+>>> result = segment(frame)
+>>> result.labels("objects")             # (H, W) uint16
+>>> [each.centroid_m for each in result.objects]
+
+Parts of the method are in `nurbseg.segmentation`, cameras and recordings in `nurbseg.drivers`, the commands
+in `nurbseg.app`.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from nurbseg.app.live.tracking import Segmenter as Segmenter
+    from nurbseg.app.live.tracking import process_frame as segment
+    from nurbseg.app.objects import MeasuredObject as MeasuredObject
+    from nurbseg.app.objects import OrientedBox as OrientedBox
+    from nurbseg.app.result import FrameResult as FrameResult
+    from nurbseg.drivers.frame import Calibration as Calibration
+    from nurbseg.drivers.frame import Intrinsics as Intrinsics
+    from nurbseg.drivers.frame import RGBDFrame as RGBDFrame
+    from nurbseg.drivers.registry import open_source as open_source
+    from nurbseg.segmentation.config import SegmentationConfig as SegmentationConfig
+    from nurbseg.segmentation.segments import SegmentationTree as SegmentationTree
+    from nurbseg.segmentation.surfaces.surface import NurbsSurface as NurbsSurface
+
+    __version__: str
+
+# Imported on use: a command shows its help in less time than numpy takes.
+_HOME = {
+    "Calibration": "drivers.frame:Calibration",
+    "FrameResult": "app.result:FrameResult",
+    "Intrinsics": "drivers.frame:Intrinsics",
+    "MeasuredObject": "app.objects:MeasuredObject",
+    "NurbsSurface": "segmentation.surfaces.surface:NurbsSurface",
+    "OrientedBox": "app.objects:OrientedBox",
+    "RGBDFrame": "drivers.frame:RGBDFrame",
+    "SegmentationConfig": "segmentation.config:SegmentationConfig",
+    "SegmentationTree": "segmentation.segments:SegmentationTree",
+    "Segmenter": "app.live.tracking:Segmenter",
+    "open_source": "drivers.registry:open_source",
+    "segment": "app.live.tracking:process_frame",
+}
+
+__all__ = [
+    "Calibration",
+    "FrameResult",
+    "Intrinsics",
+    "MeasuredObject",
+    "NurbsSurface",
+    "OrientedBox",
+    "RGBDFrame",
+    "SegmentationConfig",
+    "SegmentationTree",
+    "Segmenter",
+    "__version__",
+    "open_source",
+    "segment",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("nurbseg")
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module, _, attribute = _HOME[name].partition(":")
+    return getattr(import_module(f"{__name__}.{module}"), attribute)
+
+
+def __dir__() -> list[str]:
+    return __all__

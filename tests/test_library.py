@@ -1,0 +1,110 @@
+"""What a program of one's own gets from `import nurbseg`."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import exported_names
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import nurbseg
+
+ROOT = Path(__file__).parent.parent
+
+
+def test_every_exported_name_is_what_it_is_declared_to_be() -> None:
+    done = subprocess.run(
+        [sys.executable, exported_names.__file__, "nurbseg"], capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    assert set(nurbseg.__all__) <= set(dir(nurbseg))
+    with pytest.raises(AttributeError, match="nothing_of_the_kind"):
+        nurbseg.nothing_of_the_kind  # noqa: B018
+
+
+def test_the_version_is_that_of_the_project() -> None:
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        assert nurbseg.__version__ == tomllib.load(file)["project"]["version"]
+
+
+def test_importing_it_imports_nothing_else() -> None:
+    program = (
+        "import sys, nurbseg; sys.exit(any(n in sys.modules for n in ('numpy', 'cv2', 'importlib.metadata')))"
+    )
+    assert subprocess.run([sys.executable, "-c", program], timeout=60).returncode == 0
+
+
+def a_frame(depth: NDArray[Any]) -> nurbseg.RGBDFrame:
+    color = np.zeros((*depth.shape, 3), dtype=np.uint8)
+    return nurbseg.RGBDFrame.from_arrays(depth, color, 500.0, 510.0, 1.5, 0.5)
+
+
+def test_a_frame_of_arrays_holds_millimetres_of_whole_numbers_and_of_metres() -> None:
+    depth_mm = np.array([[0, 1, 1234], [65535, 40, 0]], dtype=np.uint16)
+    metres = np.array([[np.nan, 0.001, 1.2341], [65.535, 0.0396, -2.0]], dtype=np.float32)
+    for depth in (depth_mm, metres):
+        frame = a_frame(depth)
+        assert np.array_equal(frame.depth_mm, depth_mm)
+        # A copy: what a camera's library fills anew stays writeable.
+        assert depth.flags.writeable
+    assert frame.calibration.is_registered
+    camera = frame.calibration.depth
+    assert (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy) == (
+        3,
+        2,
+        500,
+        510,
+        1.5,
+        0.5,
+    )
+    assert not a_frame(np.array([[65.5356, np.inf, -np.inf]])).depth_mm.any()
+
+
+@pytest.mark.parametrize(
+    ("depth", "color", "message"),
+    [
+        (np.zeros((2, 3), np.int32), np.zeros((2, 3, 3), np.uint8), r"depth: expected uint16 .* got int32"),
+        (
+            np.zeros((2, 3), np.uint16),
+            np.zeros((4, 6, 3), np.uint8),
+            r"got \(2, 3\) and \(4, 6, 3\)",
+        ),
+        (np.zeros((2, 3), np.uint16), np.zeros((2, 3), np.uint8), r"color: expected \(H, W, 3\) uint8"),
+        (np.zeros((2, 3, 1), np.uint16), np.zeros((2, 3, 3), np.uint8), r"expected \(H, W\) and"),
+    ],
+)
+def test_arrays_that_are_no_frame_are_refused(depth: NDArray[Any], color: NDArray[Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        nurbseg.RGBDFrame.from_arrays(depth, color, 500.0, 500.0, 1.0, 1.0)
+
+
+_SCRIPT = """\
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg import RGBDFrame, SegmentationConfig, Segmenter, open_source, segment
+
+depth: NDArray[np.uint16] = np.full((48, 64), 1000, dtype=np.uint16)
+color: NDArray[np.uint8] = np.zeros((48, 64, 3), dtype=np.uint8)
+frame = RGBDFrame.from_arrays(depth, color, 60.0, 60.0, 31.5, 23.5)
+labels: NDArray[np.uint16] = segment(frame, SegmentationConfig(metric="mae")).labels("objects")
+for each in Segmenter().process(frame).objects:
+    size: NDArray[np.float64] = each.box.size_m
+with open_source("demo.mcap") as source:
+    stamps: list[int] = [frame.timestamp_ns for frame in source]
+"""
+
+
+def test_a_users_script_is_checked_by_mypy(tmp_path: Path) -> None:
+    api = pytest.importorskip("mypy.api")
+    script = tmp_path / "script.py"
+    for source, faults in ((_SCRIPT, 0), (_SCRIPT.replace('metric="mae"', "metric=7"), 1)):
+        script.write_text(source)
+        told, _, code = api.run(["--strict", "--cache-dir", str(tmp_path / "cache"), str(script)])
+        assert (code, told.count("error:")) == (faults, faults), told
