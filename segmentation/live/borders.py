@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.extended.borders import ACROSS_GAP
-from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
+from nurbseg.segmentation.surfaces.lattice import Samples, SurfaceLattice
 from nurbseg.segmentation.surfaces.noise import SQUARE_MOST
 
 #: Vote of a neighbour at a distance of one pixel, and of a diagonal one.
@@ -70,17 +70,7 @@ def relax_borders(
         The new labels.
     """
     relaxed = labels.copy()
-    _relax(
-        labels,
-        per_m,
-        lattice.values,
-        lattice.windows,
-        lattice.step,
-        1.0 / noise_per_m,
-        gap_per_m,
-        SQUARE_MOST,
-        relaxed,
-    )
+    _relax(labels, per_m, lattice.samples, lattice.step, 1.0 / noise_per_m, gap_per_m, relaxed)
     return relaxed
 
 
@@ -110,12 +100,10 @@ def _spread(
 def _relax(
     labels: NDArray[np.uint16],
     per_m: NDArray[np.float32],
-    values: NDArray[np.float32],
-    windows: NDArray[np.int32],
+    samples: Samples,
     step: int,
     per_deviation: float,
     gap: float,
-    square_most: float,
     relaxed: NDArray[np.uint16],
 ) -> None:
     """Write down the cheapest label of pixels at borders."""
@@ -158,21 +146,17 @@ def _relax(
             for label, vote in ((before, for_before), (most, for_most), (least, for_least)):
                 if label == 0 or (label == before and cheapest < np.inf):
                     continue
-                residual = per_deviation * (_explained(values, windows, label, at) - own)
-                cost = min(residual * residual, square_most) - vote
+                residual = per_deviation * (_explained(samples, label, at) - own)
+                cost = min(residual * residual, SQUARE_MOST) - vote
                 if cost < cheapest:
                     cheapest = cost
                     relaxed[r, c] = label
 
 
 @compiled
-def _explained(
-    values: NDArray[np.float32],
-    windows: NDArray[np.int32],
-    label: np.int64,
-    at: tuple[int, int, float, float],
-) -> float:
+def _explained(samples: Samples, label: np.int64, at: tuple[int, int, float, float]) -> float:
     """Return a surface's inverse depth at and beyond a place, linear between places; inf out of its reach."""
+    values, windows = samples
     row, column, down, across = at
     top, left, bottom, right, start = windows[label]
     # Beside the last place of a row or column no other one is asked.

@@ -13,7 +13,7 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.labels.regions import connected_components
 from nurbseg.segmentation.labels.spreading import spread_labels
-from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
+from nurbseg.segmentation.surfaces.lattice import Samples, SurfaceLattice
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 #: Differences of inverse depth between two frames that are another surface rather than motion, 1/m.
@@ -80,17 +80,9 @@ def moved_surfaces(
 
 
 def _moved(surface: NurbsSurface, change: NDArray[np.float64], step: int) -> NurbsSurface:
-    weights, points = np.empty_like(surface.weights), np.empty_like(surface.control_points_m)
-    _move_net(
-        surface.weights,
-        surface.control_points_m,
-        surface.knots_u,
-        surface.knots_v,
-        change[0],
-        change[1] / step,
-        change[2] / step,
-        weights,
-        points,
+    linear = (change[0], change[1] / step, change[2] / step)
+    weights, points = _moved_net(
+        surface.weights, surface.control_points_m, surface.knots_u, surface.knots_v, linear
     )
     return replace(surface, control_points_m=points, weights=weights)
 
@@ -142,7 +134,7 @@ def grown_labels(
         The labels; places that no neighbour's surface explains stay 0.
     """
     grown = labels.copy()
-    _grow(grown, per_m, lattice.values, lattice.windows, limits_per_m, _GROWTH)
+    _grow(grown, per_m, lattice.samples, limits_per_m, _GROWTH)
     return grown
 
 
@@ -262,19 +254,16 @@ def _sum_moments(
 
 
 @compiled
-def _move_net(
+def _moved_net(
     weights: NDArray[np.float64],
     points: NDArray[np.float64],
     knots_u: NDArray[np.float64],
     knots_v: NDArray[np.float64],
-    constant: float,
-    along_u: float,
-    along_v: float,
-    moved: NDArray[np.float64],
-    moved_points: NDArray[np.float64],
-) -> None:
+    linear: tuple[float, float, float],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Add a linear function to control values of inverse depth; control points stay on their rays."""
-    n, m = weights.shape
+    (constant, along_u, along_v), (n, m) = linear, weights.shape
+    moved, moved_points = np.empty_like(weights), np.empty_like(points)
     for i in range(n):
         for j in range(m):
             # On evenly spaced knots the middle one is the Greville abscissa.
@@ -282,18 +271,19 @@ def _move_net(
             moved[i, j] = max(weights[i, j] + change, _LEAST_PER_M)
             for axis in range(3):
                 moved_points[i, j, axis] = points[i, j, axis] * weights[i, j] / moved[i, j]
+    return moved, moved_points
 
 
 @compiled
 def _grow(
     labels: NDArray[np.int32],
     per_m: NDArray[np.float32],
-    values: NDArray[np.float32],
-    windows: NDArray[np.int32],
+    samples: Samples,
     limits: NDArray[np.float32],
     passes: int,
 ) -> None:
     """Give open places the label beside them that explains them best, all those of a pass at once."""
+    values, windows = samples
     height, width = labels.shape
     places, found = np.empty(labels.size, dtype=np.int64), np.empty(labels.size, dtype=np.int32)
     flat = labels.reshape(-1)

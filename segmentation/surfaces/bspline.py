@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -231,27 +231,22 @@ def pixel_knots(size: int, count: int) -> NDArray[np.float64]:
     return knots
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SpanBasis:
-    """The four cubic basis functions that are not zero at each of some places along an axis.
+class SpanBasis(NamedTuple):
+    """The four cubic basis functions that are not zero at each of some parameters along an axis.
 
     Parameters
     ----------
     starts : (M,) intp
-        Number of the first of the four functions, ascending.
+        Number of the first of the four functions, ascending; read-only.
     values : (M, 4) float64
-        Of the four functions.
-    count : int
+        Of the four functions; read-only.
+    size : int
         Number of functions.
     """
 
     starts: NDArray[np.intp]
     values: NDArray[np.float64]
-    count: int
-
-    def __post_init__(self) -> None:
-        self.starts.flags.writeable = False
-        self.values.flags.writeable = False
+    size: int
 
 
 @lru_cache(maxsize=256)
@@ -276,6 +271,7 @@ def pixel_basis(size: int, count: int) -> SpanBasis:
     starts = np.clip(np.searchsorted(domain, places, side="right") - 1, 0, last_span)
     functions = starts[:, np.newaxis] + np.arange(CUBIC + 1)
     values = np.take_along_axis(basis_matrix(knots, CUBIC, places), functions, axis=1)
+    starts.flags.writeable = values.flags.writeable = False
     return SpanBasis(starts, values, count)
 
 

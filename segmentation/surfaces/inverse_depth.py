@@ -120,11 +120,8 @@ class _Spline:
         self, grid: DepthGrid, window: Window, mask: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the residuals of inverse depth, 1/m, and in space, metres, at the marked places."""
-        rows, columns = self.rows, self.columns
-        return _residuals(
-            *(grid.per_m, grid.distances_m, mask, window[0], window[1], self.control_per_m),
-            *(rows.starts, rows.values, columns.starts, columns.values),
-        )
+        images = (grid.per_m, grid.distances_m)
+        return _residuals(images, mask, window[:2], self.control_per_m, self.rows, self.columns)
 
 
 def knots_on(grid: DepthGrid, config: SegmentationConfig) -> tuple[float, float]:
@@ -154,19 +151,15 @@ def _fitted_spline(
 
 @compiled
 def _residuals(
-    per_m: NDArray[np.float32],
-    distances_m: NDArray[np.float32],
+    images: tuple[NDArray[np.float32], NDArray[np.float32]],
     mask: NDArray[np.bool_],
-    top: int,
-    left: int,
+    corner: tuple[int, int],
     control: NDArray[np.float64],
-    starts_v: NDArray[np.intp],
-    values_v: NDArray[np.float64],
-    starts_u: NDArray[np.intp],
-    values_u: NDArray[np.float64],
+    rows: SpanBasis,
+    columns: SpanBasis,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Evaluate a spline at the marked places and compare it with what was measured there."""
-    height, width = mask.shape
+    """Compare a spline at the marked places with images of inverse depth and of distances."""
+    (per_m, distances_m), (top, left), (height, width) = images, corner, mask.shape
     count = 0
     for y in range(height):
         for x in range(width):
@@ -175,17 +168,17 @@ def _residuals(
     along = np.empty(control.shape[1])
     n = 0
     for y in range(height):
-        first = starts_v[y]
+        first = rows.starts[y]
         for k in range(along.size):
             along[k] = 0.0
             for i in range(4):
-                along[k] += values_v[y, i] * control[first + i, k]
+                along[k] += rows.values[y, i] * control[first + i, k]
         for x in range(width):
             if mask[y, x]:
-                start = starts_u[x]
+                start = columns.starts[x]
                 fitted = 0.0
                 for j in range(4):
-                    fitted += values_u[x, j] * along[start + j]
+                    fitted += columns.values[x, j] * along[start + j]
                 residual = fitted - per_m[top + y, left + x]
                 residuals_per_m[n] = residual
                 # The point and its surface point lie on one ray: their distance is in proportion to the

@@ -39,7 +39,9 @@ def lattice_basis(
     count = int((stop - 1 + margin) // spacing) - first + CUBIC + 1
     spans, values = _table(spacing, -(-stop // _TABLE_PLACES))
     knots = spacing * np.arange(first - CUBIC, first + count + 1, dtype=np.float64)
-    return SpanBasis(spans[start:stop] - first, values[start:stop], count), knots
+    starts = spans[start:stop] - first
+    starts.flags.writeable = False
+    return SpanBasis(starts, values[start:stop], count), knots
 
 
 @lru_cache(maxsize=16)

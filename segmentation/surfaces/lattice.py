@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,22 @@ from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 #: Part of a place by which a knot on the grid may be off it.
 _ROUNDING = 1e-9
+
+
+class Samples(NamedTuple):
+    """Inverse depths of surfaces on their windows, as compiled functions take them.
+
+    Parameters
+    ----------
+    values : (N,) float32
+        Inverse depths, 1/m, window after window in row order.
+    windows : (labels + 1, 5) int32
+        Of each label: first row and column of the grid that its surface reaches, one past the last of each,
+        and the index of the first in `values`. Empty for 0, which is no label.
+    """
+
+    values: NDArray[np.float32]
+    windows: NDArray[np.int32]
 
 
 class SurfaceLattice:
@@ -31,11 +48,8 @@ class SurfaceLattice:
 
     Attributes
     ----------
-    values : (N,) float32
-        Inverse depths, 1/m, window after window in row order.
-    windows : (labels + 1, 5) int32
-        Of each label: first row and column of the grid that its surface reaches, one past the last of each,
-        and the place of the first in `values`. Empty for 0, which is no label.
+    samples : Samples
+        The inverse depths.
     """
 
     def __init__(self, surfaces: Sequence[NurbsSurface | None], step: int) -> None:
@@ -54,17 +68,17 @@ class SurfaceLattice:
         stop = np.floor(first + shapes * spacing + _ROUNDING) + 1
         sizes = np.prod(stop - start, axis=1)
         ends = np.cumsum(sizes)
-        self.windows = np.zeros((len(surfaces) + 1, 5), dtype=np.int32)
-        self.windows[labels] = np.column_stack([start, stop, ends - sizes])
-        self.values = np.empty(int(sizes.sum()), dtype=np.float32)
+        windows = np.zeros((len(surfaces) + 1, 5), dtype=np.int32)
+        windows[labels] = np.column_stack([start, stop, ends - sizes])
+        self.samples = Samples(np.empty(int(sizes.sum()), dtype=np.float32), windows)
         if known:
-            nets = np.concatenate([each.weights.ravel() for each in known])
-            _evaluate(nets.astype(np.float32), shapes, first, spacing, self.windows[labels], self.values)
+            nets = np.concatenate([each.weights.ravel() for each in known]).astype(np.float32)
+            _evaluate(nets, shapes, first, spacing, Samples(self.samples.values, windows[labels]))
 
     def image(self, labels: NDArray[np.int32]) -> NDArray[np.float32]:
         """Return the inverse depth of each place's own surface, (h, w) float32; inf where there is none."""
         found = np.empty(labels.shape, dtype=np.float32)
-        _take(self.values, self.windows, np.ascontiguousarray(labels), found)
+        _take(self.samples, np.ascontiguousarray(labels), found)
         return found
 
     def slopes_at(
@@ -86,8 +100,7 @@ class SurfaceLattice:
         """
         found = np.empty((3, labels.size))
         _interpolate(
-            self.values,
-            self.windows,
+            self.samples,
             np.ascontiguousarray(labels, dtype=np.int32),
             np.asarray(v / self.step, dtype=np.float64),
             np.asarray(u / self.step, dtype=np.float64),
@@ -103,10 +116,10 @@ def _evaluate(
     shapes: NDArray[np.int64],
     first: NDArray[np.float64],
     spacing: NDArray[np.float64],
-    windows: NDArray[np.int32],
-    values: NDArray[np.float32],
+    samples: Samples,
 ) -> None:
     """Evaluate splines on their windows: each row of control values along columns, then all along rows."""
+    values, windows = samples
     most, widest = 1, 1
     for k in range(windows.shape[0]):
         most, widest = max(most, shapes[k, 0]), max(widest, windows[k, 3] - windows[k, 1])
@@ -149,13 +162,9 @@ def _cubic(place: float, count: int, basis: NDArray[np.float32]) -> int:
 
 
 @compiled
-def _take(
-    values: NDArray[np.float32],
-    windows: NDArray[np.int32],
-    labels: NDArray[np.int32],
-    found: NDArray[np.float32],
-) -> None:
+def _take(samples: Samples, labels: NDArray[np.int32], found: NDArray[np.float32]) -> None:
     """Take the value of each place's label."""
+    values, windows = samples
     height, width = labels.shape
     for r in range(height):
         label = np.int32(-1)
@@ -171,14 +180,14 @@ def _take(
 
 @compiled
 def _interpolate(
-    values: NDArray[np.float32],
-    windows: NDArray[np.int32],
+    samples: Samples,
     labels: NDArray[np.int32],
     rows: NDArray[np.float64],
     columns: NDArray[np.float64],
     found: NDArray[np.float64],
 ) -> None:
     """Interpolate values between four places, and their change by a place along columns and rows."""
+    values, windows = samples
     for n in range(labels.size):
         top, left, bottom, right, start = windows[labels[n]]
         r, c = rows[n] - top, columns[n] - left
@@ -197,4 +206,4 @@ def _interpolate(
         found[2, n] = lower - upper
 
 
-__all__ = ["SurfaceLattice"]
+__all__ = ["Samples", "SurfaceLattice"]

@@ -85,9 +85,9 @@ def fit_splines(
 
     Returns
     -------
-    control : (C, rows.count, columns.count) float64
+    control : (C, rows.size, columns.size) float64
         Control values; where nothing else tells, about each image's mean over the mask.
-    held : (rows.count, columns.count) float64
+    held : (rows.size, columns.size) float64
         Sum over the pixels of each basis function's square: by how much they hold its control value.
 
     Raises
@@ -95,18 +95,7 @@ def fit_splines(
     numpy.linalg.LinAlgError
         If there is no finite solution.
     """
-    solved, control, held = _fit(
-        values,
-        np.ascontiguousarray(mask),
-        *corner,
-        rows.starts,
-        rows.values,
-        rows.count,
-        columns.starts,
-        columns.values,
-        columns.count,
-        smoothness,
-    )
+    solved, control, held = _fit(values, np.ascontiguousarray(mask), corner, rows, columns, smoothness)
     if not solved:
         raise LinAlgError("the normal equations have no finite solution")
     return control, held
@@ -116,18 +105,13 @@ def fit_splines(
 def _fit(
     images: NDArray[np.float32],
     mask: NDArray[np.bool_],
-    top: int,
-    left: int,
-    starts_v: NDArray[np.intp],
-    values_v: NDArray[np.float64],
-    nv: int,
-    starts_u: NDArray[np.intp],
-    values_u: NDArray[np.float64],
-    nu: int,
+    corner: tuple[int, int],
+    rows: SpanBasis,
+    columns: SpanBasis,
     smoothness: float,
 ) -> tuple[bool, NDArray[np.float64], NDArray[np.float64]]:
     """Set up and solve the normal equations: whether there is a solution, it, and what holds it."""
-    count = images.shape[0]
+    count, nv, nu = images.shape[0], rows.size, columns.size
     # Numbering control points along the direction that has fewer gives the narrower band.
     step_v, step_u = (nu, 1) if nu <= nv else (1, nv)
     size = nv * nu
@@ -135,10 +119,8 @@ def _fit(
     # Row n of the band: entries of the normal matrix for n and itself, n + 1, ...
     band = np.zeros((size, reach + 1))
     right = np.zeros((count, size))
-    centers = _some_values(images, mask, top, left)
-    _add_points(
-        images, mask, top, left, starts_v, values_v, step_v, starts_u, values_u, step_u, centers, band, right
-    )
+    centers = _some_values(images, mask, corner)
+    _add_points(images, mask, corner, rows, columns, (step_v, step_u), centers, band, right)
     _center(band, right, centers)
     held = np.empty((nv, nu))
     for a in range(nv):
@@ -168,13 +150,13 @@ def _fit(
 
 @compiled
 def _some_values(
-    images: NDArray[np.float32], mask: NDArray[np.bool_], top: int, left: int
+    images: NDArray[np.float32], mask: NDArray[np.bool_], corner: tuple[int, int]
 ) -> NDArray[np.float64]:
     """Value of each image at the first marked pixel, about which sums lose little to rounding."""
     for y in range(mask.shape[0]):
         for x in range(mask.shape[1]):
             if mask[y, x]:
-                return images[:, top + y, left + x].astype(np.float64)
+                return images[:, corner[0] + y, corner[1] + x].astype(np.float64)
     return np.zeros(images.shape[0])
 
 
@@ -204,24 +186,20 @@ def _center(band: NDArray[np.float64], right: NDArray[np.float64], centers: NDAr
 def _add_points(
     images: NDArray[np.float32],
     mask: NDArray[np.bool_],
-    top: int,
-    left: int,
-    starts_v: NDArray[np.intp],
-    values_v: NDArray[np.float64],
-    step_v: int,
-    starts_u: NDArray[np.intp],
-    values_u: NDArray[np.float64],
-    step_u: int,
+    corner: tuple[int, int],
+    rows: SpanBasis,
+    columns: SpanBasis,
+    steps: tuple[int, int],
     centers: NDArray[np.float64],
     band: NDArray[np.float64],
     right: NDArray[np.float64],
 ) -> None:
     """Add the sums over points to the normal matrix and the right sides."""
     height, width = mask.shape
-    count = images.shape[0]
-    edges, spans = _spans(starts_u)
+    (top, left), count = corner, images.shape[0]
+    edges, spans = _spans(columns.starts)
     # Products of two functions at every column, and their sums over whole spans.
-    along, products = np.ascontiguousarray(values_u.T), np.empty((_PRODUCTS, width))
+    along, products = np.ascontiguousarray(columns.values.T), np.empty((_PRODUCTS, width))
     whole = np.zeros((spans, _PRODUCTS))
     for k in range(_PRODUCTS):
         first, second, product = along[_FIRST[k]], along[_SECOND[k]], products[k]
@@ -242,7 +220,7 @@ def _add_points(
             image, center, row = images[c, top + y, left : left + width], centers[c], shifted[c]
             for x in range(width):
                 row[x] = np.float64(image[x]) - center if marked[x] else 0.0
-        own = values_v[y]
+        own = rows.values[y]
         for s in range(spans):
             begin, end = edges[s], edges[s + 1]
             part = weight[begin:end]
@@ -266,10 +244,10 @@ def _add_points(
                 for i in range(4):
                     for j in range(4):
                         sides[s, c, i, j] += own[i] * moments[j]
-        if y + 1 == height or starts_v[y + 1] != starts_v[y]:
+        if y + 1 == height or rows.starts[y + 1] != rows.starts[y]:
             for s in range(spans):
-                origin = starts_v[y] * step_v + starts_u[edges[s]] * step_u
-                _scatter(matrix[s], sides[s], origin, step_v, step_u, band, right)
+                origin = rows.starts[y] * steps[0] + columns.starts[edges[s]] * steps[1]
+                _scatter(matrix[s], sides[s], origin, steps, band, right)
             matrix[:] = 0.0
             sides[:] = 0.0
 
@@ -293,12 +271,12 @@ def _scatter(
     matrix: NDArray[np.float64],
     sides: NDArray[np.float64],
     origin: int,
-    step_v: int,
-    step_u: int,
+    steps: tuple[int, int],
     band: NDArray[np.float64],
     right: NDArray[np.float64],
 ) -> None:
     """Add the sums of one span of rows and columns, whose first control point is number `origin`."""
+    step_v, step_u = steps
     for k in range(_PRODUCTS):
         i, p = _FIRST[k], _SECOND[k]
         for m in range(_PRODUCTS):

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lstsq
 
 from nurbseg.drivers.compiled import compiled
-from nurbseg.segmentation.surfaces.bspline import CUBIC, pixel_basis
+from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, pixel_basis
 
 
 def minimum_norm_control_points(
@@ -57,24 +57,13 @@ def minimum_norm_control_points(
     rows, columns = pixel_basis(height, counts[1]), pixel_basis(width, counts[0])
     window = values[:, corner[0] : corner[0] + height, corner[1] : corner[1] + width]
     centers = window[:, mask].mean(axis=1, dtype=np.float64)
-    size = rows.count * columns.count
-    factor = _triangular_factor(
-        values,
-        np.ascontiguousarray(mask),
-        *corner,
-        rows.starts,
-        rows.values,
-        rows.count,
-        columns.starts,
-        columns.values,
-        columns.count,
-        centers,
-    )
+    size = rows.size * columns.size
+    factor = _triangular_factor(window, np.ascontiguousarray(mask), rows, columns, centers)
     if not np.isfinite(factor).all():
         raise LinAlgError("the values are not finite")
     cutoff = float(np.finfo(np.float64).eps) * max(int(np.count_nonzero(mask)), size)
     solution = lstsq(factor[:, :size], factor[:, size:], cond=cutoff, check_finite=False)[0]
-    control: NDArray[np.float64] = (solution + centers).T.reshape(-1, rows.count, columns.count)
+    control: NDArray[np.float64] = (solution + centers).T.reshape(-1, rows.size, columns.size)
     return control
 
 
@@ -82,34 +71,29 @@ def minimum_norm_control_points(
 def _triangular_factor(
     images: NDArray[np.float32],
     mask: NDArray[np.bool_],
-    top: int,
-    left: int,
-    starts_v: NDArray[np.intp],
-    values_v: NDArray[np.float64],
-    nv: int,
-    starts_u: NDArray[np.intp],
-    values_u: NDArray[np.float64],
-    nu: int,
+    rows: SpanBasis,
+    columns: SpanBasis,
     centers: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Reduce the design matrix, with the images less their centers beside it: (nv nu, nv nu + C)."""
     height, width = mask.shape
-    count, reached, size = centers.size, 4 * nu, nv * nu
+    nu = columns.size
+    count, reached, size = centers.size, 4 * nu, rows.size * nu
     factor = np.zeros((size, size + count))
     # Rows for the control points that a span of rows reaches: first what earlier spans leave of them.
     system = np.empty((reached + 16 * nu, reached + count))
     system[:reached] = 0.0
     y = 0
     while y < height:
-        end_y = _end_of_span(starts_v, y)
+        end_y = _end_of_span(rows.starts, y)
         used, x = reached, 0
         while x < width:
-            end_x = _end_of_span(starts_u, x)
+            end_x = _end_of_span(columns.starts, x)
             cell = _cell(
-                images[:, top + y : top + end_y, left + x : left + end_x],
+                images[:, y:end_y, x:end_x],
                 mask[y:end_y, x:end_x],
-                values_v[y:end_y],
-                values_u[x:end_x],
+                rows.values[y:end_y],
+                columns.values[x:end_x],
                 centers,
             )
             for row in cell:
@@ -117,13 +101,13 @@ def _triangular_factor(
                 target[:] = 0.0
                 for i in range(4):
                     for j in range(4):
-                        target[i * nu + starts_u[x] + j] = row[4 * i + j]
+                        target[i * nu + columns.starts[x] + j] = row[4 * i + j]
                 target[reached:] = row[16:]
                 used += 1
             x = end_x
         _triangularize(system[:used], reached)
         # The first of four rows of control points is finished: the next span of rows begins at the second.
-        _put(system, nu if end_y < height else reached, factor, starts_v[y] * nu)
+        _put(system, nu if end_y < height else reached, factor, rows.starts[y] * nu)
         _move_up(system, nu, reached)
         y = end_y
     return factor

@@ -25,6 +25,15 @@ class _Axis(NamedTuple):
     counts: NDArray[np.intp]
 
 
+class _Splines(NamedTuple):
+    """Control values of all surfaces, each from its place in `starts` on, and their knots."""
+
+    u: _Axis
+    v: _Axis
+    weights: NDArray[np.float64]
+    starts: NDArray[np.intp]
+
+
 class SurfaceTable:
     """Surfaces of inverse depth, to be evaluated at many places that belong to different ones.
 
@@ -41,10 +50,12 @@ class SurfaceTable:
 
     def __init__(self, surfaces: Sequence[NurbsSurface | None]) -> None:
         nets = [np.zeros((0, 0)), *(np.zeros((0, 0)) if each is None else _net(each) for each in surfaces)]
-        self._u = _axis([None, *(None if each is None else each.knots_u for each in surfaces)])
-        self._v = _axis([None, *(None if each is None else each.knots_v for each in surfaces)])
-        self._starts = np.cumsum([0, *(net.size for net in nets[:-1])])
-        self._weights = np.concatenate([net.ravel() for net in nets])
+        self._splines = _Splines(
+            _axis([None, *(None if each is None else each.knots_u for each in surfaces)]),
+            _axis([None, *(None if each is None else each.knots_v for each in surfaces)]),
+            np.concatenate([net.ravel() for net in nets]),
+            np.cumsum([0, *(net.size for net in nets[:-1])]),
+        )
 
     def inverse_depths(
         self, labels: NDArray[np.int32], rows: NDArray[np.int32], columns: NDArray[np.int32]
@@ -62,7 +73,7 @@ class SurfaceTable:
             In 1/m; NaN where a label has no surface.
         """
         per_m = np.empty(labels.size, dtype=np.float32)
-        _evaluate(self._u, self._v, self._weights, self._starts, labels, rows, columns, per_m)
+        _evaluate(self._splines, labels, rows, columns, per_m)
         return per_m
 
     def slopes(
@@ -83,7 +94,7 @@ class SurfaceTable:
             Inverse depth in 1/m and its change by one pixel along u and v; NaN where a label has no surface.
         """
         found = np.empty((3, labels.size))
-        _evaluate_slopes(self._u, self._v, self._weights, self._starts, labels, u, v, found)
+        _evaluate_slopes(self._splines, labels, u, v, found)
         return found[0], found[1], found[2]
 
 
@@ -129,15 +140,13 @@ def _dot(B: Four, values: NDArray[np.float64], first: int, step: int) -> float:
 
 @compiled
 def _evaluate(
-    u: _Axis,
-    v: _Axis,
-    weights: NDArray[np.float64],
-    starts: NDArray[np.intp],
+    splines: _Splines,
     labels: NDArray[np.int32],
     rows: NDArray[np.int32],
     columns: NDArray[np.int32],
     per_m: NDArray[np.float32],
 ) -> None:
+    u, v, weights, starts = splines
     # Places come row by row: a surface along its last row is kept, a curve over the columns.
     last_row = np.full(u.counts.size, np.iinfo(np.int32).min, dtype=np.int32)
     longest = 0
@@ -176,15 +185,13 @@ def _sums(
 
 @compiled
 def _evaluate_slopes(
-    u: _Axis,
-    v: _Axis,
-    weights: NDArray[np.float64],
-    starts: NDArray[np.intp],
+    splines: _Splines,
     labels: NDArray[np.int32],
     columns: NDArray[np.float64],
     rows: NDArray[np.float64],
     found: NDArray[np.float64],
 ) -> None:
+    u, v, weights, starts = splines
     for n in range(labels.size):
         label = labels[n]
         length = u.counts[label]

@@ -13,8 +13,8 @@ WINDOWS = [(0, 1), (0, 40), (17, 18), (33, 97), (150, 171), (310, 500)]
 @pytest.mark.parametrize("spacing", [2.5, 25.0, 39.0625])
 def test_the_functions_are_the_splines_of_their_knots(start, stop, margin, spacing):
     basis, knots = lattice_basis(start, stop, margin, spacing)
-    assert knots.size == basis.count + CUBIC + 1
-    dense = np.zeros((stop - start, basis.count))
+    assert knots.size == basis.size + CUBIC + 1
+    dense = np.zeros((stop - start, basis.size))
     np.put_along_axis(dense, basis.starts[:, np.newaxis] + np.arange(CUBIC + 1), basis.values, axis=1)
     places = np.arange(start, stop, dtype=np.float64)
     assert_allclose(dense, basis_matrix(knots, CUBIC, places), atol=1e-12)

@@ -122,13 +122,13 @@ def test_smooth_fits_solve_the_penalised_normal_equations(spacing: float, margin
     Bu, Bv = basis_matrix(knots_u, 3, np.arange(4.0, 35.0)), basis_matrix(knots_v, 3, np.arange(7.0, 30.0))
     at = np.nonzero(mask)
     A = np.einsum("na,nb->nab", Bv[at[0]], Bu[at[1]])
-    bends = [np.diff(np.eye(count), n=2, axis=0) for count in (rows.count, columns.count)]
-    penalty = [np.kron(np.eye(rows.count), bends[1]), np.kron(bends[0], np.eye(columns.count))]
+    bends = [np.diff(np.eye(count), n=2, axis=0) for count in (rows.size, columns.size)]
+    penalty = [np.kron(np.eye(rows.size), bends[1]), np.kron(bends[0], np.eye(columns.size))]
     weight = 2.5
     stacked = np.concatenate([A.reshape(len(A), -1), *(np.sqrt(weight) * each for each in penalty)])
     right = np.zeros(len(stacked))
     right[: len(A)] = values[mask]
-    expected = np.linalg.lstsq(stacked, right, rcond=None)[0].reshape(rows.count, columns.count)
+    expected = np.linalg.lstsq(stacked, right, rcond=None)[0].reshape(rows.size, columns.size)
     images = values.astype(np.float32)[np.newaxis]
     control, held = leastsquares.fit_splines(images, mask, (0, 0), rows, columns, weight)
     assert_allclose(control[0], expected, atol=1e-5)
