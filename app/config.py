@@ -14,12 +14,12 @@ from nurbseg.app.live.config import LiveConfig
 from nurbseg.app.recording.config import RecordConfig
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.drivers.openni2.options import DeviceOptions
-from nurbseg.drivers.settings import check_settings, setting, subsections
+from nurbseg.drivers.settings import Settings, setting, subsections
 from nurbseg.segmentation.config import SegmentationConfig
 
 
 @dataclass(frozen=True, slots=True)
-class SourceConfig:
+class SourceConfig(Settings):
     """Where frames come from, and which of them are taken.
 
     Raises
@@ -61,7 +61,7 @@ class SourceConfig:
     )
 
     def __post_init__(self) -> None:
-        check_settings(self)
+        Settings.__post_init__(self)
         if len(self.named) > 1:
             raise ValueError(f"{', '.join(self.named)}: name one source, not {len(self.named)}")
         if self.intrinsics is not None:
@@ -81,7 +81,7 @@ SOURCE_KINDS = ("device", "replay", "synthetic")
 
 
 @dataclass(frozen=True, slots=True)
-class ExportConfig:
+class ExportConfig(Settings):
     """What is written of each frame's result, and of the run."""
 
     directory: str | None = setting(
@@ -91,9 +91,6 @@ class ExportConfig:
     report: str | None = setting(
         None, "file for the run's figures: frames, drops, rate, latency, memory (JSON)", unit="FILE"
     )
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,34 +62,38 @@ def setting(
     )
 
 
-def check_settings(config: Any) -> None:
-    """Check every described field of a configuration against its bounds.
+class Settings:
+    """A configuration of described fields and of sections; its dataclasses are frozen.
 
     Raises
     ------
     ValueError
-        If a value is out of bounds; names the field, the value and what is expected.
+        If a value is out of its bounds; names the field, the value and what is expected.
     """
-    for each in fields(config):
-        bounds = each.metadata
-        if not bounds:
-            continue
-        value = getattr(config, each.name)
-        if value is None and each.default is not None:
-            raise ValueError(f"{each.name}: expected a value, got None")
-        if bounds["choices"] and value not in bounds["choices"]:
-            raise ValueError(f"{each.name}: expected one of {', '.join(bounds['choices'])}, got {value!r}")
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            continue
-        if bounds["least"] is not None and not value >= bounds["least"]:
-            raise ValueError(f"{each.name}: expected at least {bounds['least']}, got {value}")
-        if bounds["most"] is not None and not value <= bounds["most"]:
-            raise ValueError(f"{each.name}: expected at most {bounds['most']}, got {value}")
-        if bounds["above"] is not None and not value > bounds["above"]:
-            raise ValueError(f"{each.name}: expected more than {bounds['above']}, got {value}")
-        # A whole number may be too large to be a float at all.
-        if not abs(value) <= sys.float_info.max:
-            raise ValueError(f"{each.name}: expected a finite number, got {quoted(value)}")
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        for each in described_fields(type(self)):
+            bounds = each.metadata
+            value = getattr(self, each.name)
+            if value is None and each.default is not None:
+                raise ValueError(f"{each.name}: expected a value, got None")
+            if bounds["choices"] and value not in bounds["choices"]:
+                raise ValueError(
+                    f"{each.name}: expected one of {', '.join(bounds['choices'])}, got {value!r}"
+                )
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                continue
+            if bounds["least"] is not None and not value >= bounds["least"]:
+                raise ValueError(f"{each.name}: expected at least {bounds['least']}, got {value}")
+            if bounds["most"] is not None and not value <= bounds["most"]:
+                raise ValueError(f"{each.name}: expected at most {bounds['most']}, got {value}")
+            if bounds["above"] is not None and not value > bounds["above"]:
+                raise ValueError(f"{each.name}: expected more than {bounds['above']}, got {value}")
+            # A whole number may be too large to be a float at all.
+            if not abs(value) <= sys.float_info.max:
+                raise ValueError(f"{each.name}: expected a finite number, got {quoted(value)}")
 
 
 def described_fields(config_type: type[Any]) -> Iterator[Field[Any]]:

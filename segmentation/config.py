@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal, get_args
 
-from nurbseg.drivers.settings import check_settings, setting
+from nurbseg.drivers.settings import Settings, setting
 
 Method = Literal["stag15", "nurbseg"]
 Metric = Literal["mse", "mae", "ve", "nle", "vmxc", "vmec", "vgc", "mmxc", "nlc"]
@@ -21,14 +21,8 @@ LeastSquares = Literal["auto", "svd", "ridge"]
 
 
 @dataclass(frozen=True, slots=True)
-class Stag15Config:
-    """Settings that only the paper's method reads.
-
-    Raises
-    ------
-    ValueError
-        If a value is out of its bounds.
-    """
+class Stag15Config(Settings):
+    """Settings that only the paper's method reads."""
 
     segment_pixels_min: int = setting(
         1500,
@@ -51,19 +45,10 @@ class Stag15Config:
         choices=get_args(LeastSquares),
     )
 
-    def __post_init__(self) -> None:
-        check_settings(self)
-
 
 @dataclass(frozen=True, slots=True)
-class ExtendedConfig:
-    """Settings that only the default method reads, for frames alone and for the live tree.
-
-    Raises
-    ------
-    ValueError
-        If a value is out of its bounds.
-    """
+class ExtendedConfig(Settings):
+    """Settings that only the default method reads, for frames alone and for the live tree."""
 
     level: Level = setting(
         "objects",
@@ -131,20 +116,12 @@ class ExtendedConfig:
         least=0.0,
     )
 
-    def __post_init__(self) -> None:
-        check_settings(self)
-
 
 @dataclass(frozen=True, slots=True)
-class SegmentationConfig:
+class SegmentationConfig(Settings):
     """Settings of the recursive segmentation; symbols are the paper's.
 
     What both methods read is here; `stag15` and `extended` hold what one of them reads.
-
-    Raises
-    ------
-    ValueError
-        If a value is out of its bounds.
     """
 
     method: Method = setting(
@@ -206,9 +183,6 @@ class SegmentationConfig:
         "connected_pieces": True,
         "fit_of": "inverse-depth",
     }
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 __all__ = [

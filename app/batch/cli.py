@@ -11,6 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nurbseg.app.command.parser import add_calibration_flags, add_setting_flags, command_parser
 from nurbseg.app.command.threads import one_thread_for_products
 
 if TYPE_CHECKING:
@@ -19,6 +20,10 @@ if TYPE_CHECKING:
 #: The file that tells of all recordings.
 REPORT_FILE = "report.json"
 
+_DESCRIPTION = """\
+Segment every frame of many recordings, each for itself, and write what nurbseg-live --export writes: into
+a folder for each recording that is called as it is."""
+
 _EPILOG = """\
 exit codes: 0 all is done, 1 some recordings failed (they are listed at the end), 2 usage, 130 interrupted;
 the same command goes on where it was, and does what failed again
@@ -26,42 +31,20 @@ example: nurbseg-batch recordings/*.mcap --export out --workers auto"""
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="nurbseg-batch",
-        description="Segment every frame of many recordings, each for itself, and write what nurbseg-live "
-        "--export writes: into a folder for each recording that is called as it is.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
+    parser = command_parser("nurbseg-batch", _DESCRIPTION, _EPILOG)
     add = parser.add_argument
     add("recordings", nargs="+", metavar="PATH", help="what nurbseg-live replays: files and folders")
     add("--export", type=Path, metavar="DIR", required=True, help="where results and report.json go")
     add("--export-surfaces", action="store_true", help="export the fitted surfaces too (NPZ)")
     add("--workers", metavar="N|auto", default="auto", help="processes; auto: one a core (%(default)s)")
     add("--scheduler", metavar="URL", help="a Dask scheduler, tcp://HOST:8786, in place of --workers")
-    add("--config", type=Path, metavar="FILE", help="read the segmentation's settings from a TOML file")
-    add(
-        "--set",
-        dest="settings",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="a segmentation setting; may be repeated",
-    )
-    add("--intrinsics", metavar="FX,FY,CX,CY", help="of recordings without calibration, pixels")
-    add("--depth-scale", type=float, help="depth units per metre of recordings that do not say")
+    add_setting_flags(parser)
+    add_calibration_flags(parser)
     return parser
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code.
-
-    Parameters
-    ----------
-    words : sequence of str, optional
-        The arguments; the process's own by default.
-    """
+    """Run the command with the process's arguments, or others; return its exit code."""
     one_thread_for_products()
     given = _parser().parse_args(words)
     given.seed = None

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from nurbseg.app.command.config_file import ConfigError, describe, read_config
+from nurbseg.app.command.parser import command_parser
 from nurbseg.app.command.values import ValueKind, value_kinds
 from nurbseg.app.config import SOURCE_KINDS, AppConfig, flags, sections
 from nurbseg.drivers.settings import described_fields, nested, updated
@@ -69,12 +70,7 @@ class _Version(argparse.Action):
 
 
 def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
-    """Read the command line.
-
-    Parameters
-    ----------
-    words : sequence of str, optional
-        The arguments; the process's own by default.
+    """Read the process's arguments, or others.
 
     Raises
     ------
@@ -100,14 +96,8 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="nurbseg-live",
-        usage="%(prog)s [--device NAME | --replay PATH | --synthetic] [options]",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
+    usage = "%(prog)s [--device NAME | --replay PATH | --synthetic] [options]"
+    parser = command_parser("nurbseg-live", _DESCRIPTION, _EPILOG, usage)
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and end")
     parser.add_argument("--config", type=Path, metavar="FILE", help="read settings from a TOML file")
     parser.add_argument(

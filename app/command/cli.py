@@ -32,12 +32,7 @@ def command() -> NoReturn:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code.
-
-    Parameters
-    ----------
-    words : sequence of str, optional
-        The arguments; the process's own by default.
+    """Run the command with the process's arguments, or others.
 
     Returns
     -------

@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from nurbseg.app.command.parser import command_parser
+
 READY, NOT_READY = 0, 1
 
 #: OpenNI2 must be done with its cameras within this time, seconds.
@@ -29,18 +31,7 @@ _TILT_MAX_DEG = 31.0
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code.
-
-    Parameters
-    ----------
-    words : sequence of str, optional
-        The arguments; the process's own by default.
-
-    Raises
-    ------
-    SystemExit
-        With code 2 if an argument is wrong, with code 0 after ``--help``.
-    """
+    """Run the command with the process's arguments, or others; return its exit code."""
     from nurbseg.drivers.errors import DeviceNotFoundError, DriverError
 
     arguments = _parser().parse_args(words)
@@ -63,13 +54,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="nurbseg-devices",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
+    parser = command_parser("nurbseg-devices", _DESCRIPTION, _EPILOG)
     parser.set_defaults(run=_list, json=False)
     parser.add_argument("--json", action="store_true", help="write the list as JSON")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", dest="command")

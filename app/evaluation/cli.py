@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from nurbseg.app.command.parser import add_calibration_flags, add_setting_flags, command_parser
 from nurbseg.app.command.threads import one_thread_for_products
 from nurbseg.app.evaluation.computer import same_products_everywhere
 
@@ -26,13 +27,7 @@ example: nurbseg-eval run my_frames --methods stag15,fh04 --metrics all --thresh
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="nurbseg-eval",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
+    parser = command_parser("nurbseg-eval", _DESCRIPTION, _EPILOG)
     commands = parser.add_subparsers(dest="command", required=True, metavar="run|tune|noise|check")
     run = commands.add_parser("run", help="score methods and settings, write tables and a report")
     run.add_argument("--methods", default="nurbseg,stag15", help="names, separated by commas (%(default)s)")
@@ -94,18 +89,9 @@ def _parser() -> argparse.ArgumentParser:
         each.add_argument("--start", type=int, default=0, help="first frame (%(default)s)")
         each.add_argument("--seed", type=int, help="of all that draws random numbers (0)")
     for each in (run, tune, noise, check):
-        each.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="of data without calibration, pixels")
-        each.add_argument("--depth-scale", type=float, help="depth units per metre of data that does not say")
+        add_calibration_flags(each)
     for each in (run, tune):
-        each.add_argument("--config", type=Path, metavar="FILE", help="read settings from a TOML file")
-        each.add_argument(
-            "--set",
-            dest="settings",
-            action="append",
-            default=[],
-            metavar="NAME=VALUE",
-            help="a segmentation setting; may be repeated",
-        )
+        add_setting_flags(each)
         each.add_argument("--jobs", type=int, default=1, help="processes (%(default)s)")
     return parser
 

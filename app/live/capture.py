@@ -17,7 +17,7 @@ from nurbseg.drivers.process.bounded_queue import BoundedQueue
 from nurbseg.drivers.source import FrameSource
 
 if TYPE_CHECKING:
-    from nurbseg.app.recording.recorder import Recording
+    from nurbseg.app.recording.recording import Recording
 
 _log = logging.getLogger(__name__)
 

@@ -5,20 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from nurbseg.drivers.settings import check_settings, setting
+from nurbseg.drivers.settings import Settings, setting
 
 Temporal = Literal["auto", "on", "off"]
 
 
 @dataclass(frozen=True, slots=True)
-class LiveConfig:
-    """Settings of live segmentation.
-
-    Raises
-    ------
-    ValueError
-        If a value is out of its bounds.
-    """
+class LiveConfig(Settings):
+    """Settings of live segmentation."""
 
     temporal: Temporal = setting(
         "auto",
@@ -39,9 +33,6 @@ class LiveConfig:
         unit="ms",
         least=0.0,
     )
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
     def follows(self, *, every_frame: bool) -> bool:
         """Say whether frames continue each other in a run of every frame, or of the newest ones."""

@@ -12,6 +12,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nurbseg.app.command.parser import command_parser
+
 if TYPE_CHECKING:
     from nurbseg.app.recording.inspection import Inspection
 
@@ -28,18 +30,7 @@ example: nurbseg-record check *.mcap; nurbseg-record repair kitchen.mcap"""
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code.
-
-    Parameters
-    ----------
-    words : sequence of str, optional
-        The arguments; the process's own by default.
-
-    Raises
-    ------
-    SystemExit
-        With code 2 if an argument is wrong, with code 0 after ``--help``.
-    """
+    """Run the command with the process's arguments, or others; return its exit code."""
     given = _parser().parse_args(words)
     from nurbseg.drivers.errors import DriverError
 
@@ -66,13 +57,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="nurbseg-record",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
+    parser = command_parser("nurbseg-record", _DESCRIPTION, _EPILOG)
     commands = parser.add_subparsers(dest="command", required=True, metavar="check|repair")
     check = commands.add_parser("check", help="read recordings to their end and say what is wrong with them")
     repair = commands.add_parser("repair", help="write a new, whole file of each recording that is not")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from nurbseg.drivers.settings import check_settings, setting
+from nurbseg.drivers.settings import Settings, setting
 
 RecordColor = Literal["jpeg95", "png", "raw"]
 
@@ -13,7 +13,7 @@ _SUFFIXES = (".mcap", ".oni")
 
 
 @dataclass(frozen=True, slots=True)
-class RecordConfig:
+class RecordConfig(Settings):
     """Settings of the recording that is made while a run goes on.
 
     Raises
@@ -58,7 +58,7 @@ class RecordConfig:
     )
 
     def __post_init__(self) -> None:
-        check_settings(self)
+        Settings.__post_init__(self)
         if self.file is not None and not self.file.lower().endswith(_SUFFIXES):
             raise ValueError(f"file: expected a name that ends in .mcap or .oni, got {self.file!r}")
         if self.split_s is not None and (self.file or "").lower().endswith(".oni"):

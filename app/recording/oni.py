@@ -5,11 +5,10 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
 
 from nurbseg.app.recording.config import RecordConfig
-from nurbseg.app.recording.disk_space import free_space, megabytes, shortage
+from nurbseg.app.recording.disk_space import free_space
+from nurbseg.app.recording.recording import Recording
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.reconnect import Reconnecting, Recordable
@@ -17,7 +16,7 @@ from nurbseg.drivers.reconnect import Reconnecting, Recordable
 _log = logging.getLogger(__name__)
 
 
-class OniRecording:
+class OniRecording(Recording):
     """Starts and stops the recorder of a camera, on the thread that reads the camera.
 
     Parameters
@@ -35,18 +34,13 @@ class OniRecording:
     ----------
     frames, lost : int
         Frames read while the recorder was at work, give or take those on their way as it began; and
-        none lost, because the recorder does not depend on us.
-    failure : str
-        Why the recording ended before the run did; empty where it did not.
+        none lost, because the recorder has a thread and a processor core of its own.
 
     Raises
     ------
     DriverError
         If it begins at once and cannot.
     """
-
-    #: The recorder has a thread and a processor core of its own, and does not fall behind us.
-    behind = False
 
     def __init__(
         self,
@@ -56,15 +50,9 @@ class OniRecording:
         *,
         free_bytes: Callable[[Path], int] = free_space,
     ) -> None:
-        self.path = path
-        self.frames = self.lost = 0
-        self.failure = ""
+        super().__init__(path, config, free_bytes)
         self._camera = camera
         self._lossy = config.color == "jpeg95"
-        self._delay_ns = round(config.delay_s * 1e9)
-        self._space_min_mb = config.space_min_mb
-        self._free_bytes = free_bytes
-        self._first_ns: int | None = None
         self._is_recording = False
         if not self._delay_ns:
             self._start()
@@ -86,15 +74,13 @@ class OniRecording:
 
     def put(self, frame: RGBDFrame) -> None:
         """Begin when it is time, and end when the disk is nearly full; for the thread that reads."""
-        if self._first_ns is None:
-            self._first_ns = frame.timestamp_ns
         # Once it is recording, the camera's clock has started again from zero.
-        if self.failure or (not self._is_recording and frame.timestamp_ns - self._first_ns < self._delay_ns):
+        if self.failure or (not self._is_recording and self._is_early(frame)):
             return
         try:
             if not self._is_recording:
                 self._start()
-            missing = shortage(self.path, self._space_min_mb, self._free_bytes)
+            missing = self._shortage()
             if not missing and not self.files[-1].exists():
                 missing = f"{self.files[-1]} was deleted or moved"
             if missing:
@@ -128,26 +114,3 @@ class OniRecording:
     def close(self) -> None:
         """Finish the file, for when nobody reads the camera any more; safe to call twice."""
         self.finish()
-
-    def figures(self) -> dict[str, Any]:
-        """Return what the run's report says of the recording."""
-        files = self.files
-        return {
-            "file": str(self.path),
-            "files": [str(file) for file in files],
-            "frames": self.frames,
-            "lost": self.lost,
-            "megabytes": megabytes(files),
-            "failure": self.failure,
-        }
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()

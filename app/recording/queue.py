@@ -7,12 +7,12 @@ import logging
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Final
 
 from nurbseg.app.recording.config import RecordConfig
-from nurbseg.app.recording.disk_space import free_space, megabytes, shortage
+from nurbseg.app.recording.disk_space import free_space
 from nurbseg.app.recording.parts import PartedWriter
+from nurbseg.app.recording.recording import Recording
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.process.bounded_queue import BoundedQueue
@@ -30,7 +30,7 @@ _DRAIN_S, _INTERRUPTED_DRAIN_S = 60.0, 1.2
 _LAST_FRAME_S = 10.0
 
 
-class QueuedRecording:
+class QueuedRecording(Recording):
     """Takes frames from the thread that captures them and writes them on a thread of its own.
 
     A frame that finds the queue full is lost and counted; before that, from `behind` on, the capture
@@ -47,15 +47,6 @@ class QueuedRecording:
         Whether `put` waits for room: for a source that waits too.
     free_bytes : callable
         Returns the space that is left where a file is, bytes.
-
-    Attributes
-    ----------
-    path : Path
-        The first file.
-    frames, lost : int
-        Frames in the files, and frames that were to be in it and are not.
-    failure : str
-        Why the recording ended before the run did; empty where it did not.
     """
 
     def __init__(
@@ -66,15 +57,9 @@ class QueuedRecording:
         lossless: bool = False,
         free_bytes: Callable[[Path], int] = free_space,
     ) -> None:
-        self.path = writer.files[0]
-        self.frames = self.lost = 0
-        self.failure = ""
+        super().__init__(writer.files[0], config, free_bytes)
         self._writer = writer
         self._lossless = lossless
-        self._delay_ns = round(config.delay_s * 1e9)
-        self._space_min_mb = config.space_min_mb
-        self._free_bytes = free_bytes
-        self._first_ns: int | None = None
         self._queue: BoundedQueue[RGBDFrame] = BoundedQueue(
             _QUEUE_BYTES_MAX,
             "wait" if lossless else "refuse",
@@ -92,10 +77,7 @@ class QueuedRecording:
 
     @property
     def behind(self) -> bool:
-        """Whether so much waits to be written that nothing else should use the processor.
-
-        Never for a lossless recording: its source waits instead.
-        """
+        """As every recording's; never for a lossless one, whose source waits instead."""
         return not self._lossless and self._queue.filled > self._behind_bytes
 
     @property
@@ -104,18 +86,8 @@ class QueuedRecording:
         return self._queue.closed
 
     def put(self, frame: RGBDFrame) -> None:
-        """Have a frame written; never waits, unless the recording is lossless and the queue full.
-
-        Parameters
-        ----------
-        frame : RGBDFrame
-            Those of the first `delay_s` seconds, by their own clock, are passed over.
-        """
-        if self._first_ns is None:
-            self._first_ns = frame.timestamp_ns
-        if frame.timestamp_ns - self._first_ns < self._delay_ns:
-            return
-        if not self._queue.put(frame):
+        """Have a frame written; never waits, unless the recording is lossless and the queue full."""
+        if not self._is_early(frame) and not self._queue.put(frame):
             self.lost += 1
 
     def _run(self) -> None:
@@ -140,7 +112,7 @@ class QueuedRecording:
                 return self._queue.take(_WAIT_S)
 
     def _check_space(self) -> None:
-        missing = shortage(self.files[-1], self._space_min_mb, self._free_bytes)
+        missing = self._shortage()
         if missing:
             raise DriverError(missing)
 
@@ -174,26 +146,6 @@ class QueuedRecording:
         if self.frames == 0:
             self.path.unlink(missing_ok=True)
 
-    def figures(self) -> dict[str, Any]:
-        """Return what the run's report says of the recording."""
-        files = self.files
-        return {
-            "file": str(self.path),
-            "files": [str(file) for file in files],
-            "frames": self.frames,
-            "lost": self.lost,
-            "megabytes": megabytes(files),
-            "failure": self.failure,
-        }
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        interrupted = exc_type is not None and issubclass(exc_type, KeyboardInterrupt)
+    def __exit__(self, *exception: object) -> None:
+        interrupted = isinstance(exception[1], KeyboardInterrupt)
         self.close(_INTERRUPTED_DRAIN_S if interrupted else _DRAIN_S)

@@ -12,6 +12,7 @@ from nurbseg.app.recording.disk_space import free_space, shortage
 from nurbseg.app.recording.oni import OniRecording
 from nurbseg.app.recording.parts import PartedWriter
 from nurbseg.app.recording.queue import QueuedRecording
+from nurbseg.app.recording.recording import Recording
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.files import check_absent
 from nurbseg.drivers.mcap.writer import RecordingWriter
@@ -19,8 +20,6 @@ from nurbseg.drivers.reconnect import Recordable
 from nurbseg.drivers.source import FrameSource
 
 _log = logging.getLogger(__name__)
-
-Recording = QueuedRecording | OniRecording
 
 
 class RecordError(ExportError):

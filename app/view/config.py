@@ -7,7 +7,7 @@ from ipaddress import ip_address
 from typing import Literal, get_args
 from urllib.parse import urlsplit
 
-from nurbseg.drivers.settings import check_settings, setting
+from nurbseg.drivers.settings import Settings, setting
 
 ViewMode = Literal["auto", "spawn", "connect", "serve", "none"]
 SaveIndex = Literal["auto", "on", "off"]
@@ -17,7 +17,7 @@ DEFAULT_PORT, DEFAULT_WEB_PORT = 9876, 9090
 
 
 @dataclass(frozen=True, slots=True)
-class ViewConfig:
+class ViewConfig(Settings):
     """Settings of the live view and of the saved recording.
 
     Raises
@@ -58,7 +58,7 @@ class ViewConfig:
     )
 
     def __post_init__(self) -> None:
-        check_settings(self)
+        Settings.__post_init__(self)
         try:
             ip_address(self.bind)
         except ValueError:

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from nurbseg.drivers.settings import check_settings, setting
+from nurbseg.drivers.settings import Settings, setting
 
 DepthUnit = Literal["1mm", "100um"]
 Registration = Literal["hardware", "software"]
@@ -38,7 +38,7 @@ def parse_mode(text: str) -> tuple[int, int, int]:
 
 
 @dataclass(frozen=True, slots=True)
-class DeviceOptions:
+class DeviceOptions(Settings):
     """Settings of a camera; each is set after the streams start, and read back.
 
     Parameters
@@ -113,7 +113,7 @@ class DeviceOptions:
     )
 
     def __post_init__(self) -> None:
-        check_settings(self)
+        Settings.__post_init__(self)
         for name in ("depth_mode", "color_mode"):
             try:
                 parse_mode(getattr(self, name))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nurbseg.drivers.errors import EndOfRecordingError, RecordingFormatError
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.settings import check_settings, setting
+from nurbseg.drivers.settings import Settings, setting
 from nurbseg.drivers.source import FrameSource
 from nurbseg.drivers.synthetic.render import Renderer, Rendering
 from nurbseg.drivers.synthetic.scene import TICKS_PER_S, RenderedPoses, RenderedScene
@@ -30,14 +30,8 @@ _DEPTH_MAX_M = 65.5
 
 
 @dataclass(frozen=True, slots=True)
-class SyntheticOptions:
-    """What a user can choose in ``synthetic:?key=value&...``.
-
-    Raises
-    ------
-    ValueError
-        If a value is out of its bounds.
-    """
+class SyntheticOptions(Settings):
+    """What a user can choose in ``synthetic:?key=value&...``."""
 
     frames: int = setting(120, "length of the sequence", unit="frames", least=1)
     width: int = setting(640, "width of the depth image", unit="px", least=16, most=4096)
@@ -63,7 +57,7 @@ class SyntheticOptions:
     )
 
     def __post_init__(self) -> None:
-        check_settings(self)
+        Settings.__post_init__(self)
         if self.distortion and not self.offset:
             raise ValueError("distortion: expected offset=1 with it, since registered images have none")
         if (self.color_width > 0) != (self.color_height > 0):

@@ -8,7 +8,7 @@ import pytest
 
 from nurbseg.app.evaluation.variants import path_named
 from nurbseg.drivers import Intrinsics, SourceOptions
-from nurbseg.drivers.settings import check_settings, nested, setting, updated
+from nurbseg.drivers.settings import Settings, nested, setting, updated
 from nurbseg.segmentation.config import SegmentationConfig
 
 INFINITE, NAN = float("inf"), float("nan")
@@ -49,11 +49,8 @@ def test_an_infinite_association_limit_is_refused() -> None:
 
 def test_a_whole_number_of_hundreds_of_digits_is_refused_in_few_words():
     @dataclass
-    class Numbers:
+    class Numbers(Settings):
         count: int = setting(1, "a number", least=0)
-
-        def __post_init__(self):
-            check_settings(self)
 
     with pytest.raises(ValueError, match=r"count: expected a finite number, got 1000") as refused:
         Numbers(count=10**400)

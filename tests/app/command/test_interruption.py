@@ -30,24 +30,11 @@ def assert_files_are_whole(folder: Path) -> None:
     assert not list((folder / "out").glob(".*"))
 
 
-def test_ctrl_c_while_frames_are_segmented_as_fast_as_possible(start_live: START, tmp_path: Path) -> None:
-    run = start_live("--replay", SCENE, "--loop", "--speed", "0", "--view", "none", *FILES)
-    run.wait_for("frame 0")
-    code, took_s = run.end_with(signal.SIGINT)
-    assert (code, took_s < LIMIT_S) == (130, True), took_s
-    assert_files_are_whole(tmp_path)
-
-
-def test_ctrl_c_while_a_replay_is_paced(start_live: START, tmp_path: Path) -> None:
-    run = start_live("--replay", SCENE, "--loop", "--view", "none", *FILES)
-    run.wait_for("frame 0")
-    code, took_s = run.end_with(signal.SIGINT)
-    assert (code, took_s < LIMIT_S) == (130, True), took_s
-    assert_files_are_whole(tmp_path)
-
-
-def test_ctrl_c_while_the_next_frame_is_far_away(start_live: START, tmp_path: Path) -> None:
-    run = start_live("--replay", SCENE, "--speed", "0.0001", "--view", "none", *FILES)
+@pytest.mark.parametrize(
+    "pace", [("--loop", "--speed", "0"), ("--loop",), ("--speed", "0.0001")], ids=["fast", "paced", "waiting"]
+)
+def test_ctrl_c_between_frames(pace: tuple[str, ...], start_live: START, tmp_path: Path) -> None:
+    run = start_live("--replay", SCENE, *pace, "--view", "none", *FILES)
     run.wait_for("frame 0")
     code, took_s = run.end_with(signal.SIGINT)
     assert (code, took_s < LIMIT_S) == (130, True), took_s

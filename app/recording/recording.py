@@ -1,0 +1,90 @@
+"""What every recording that is made while a run goes on has in common."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from nurbseg.app.recording.config import RecordConfig
+from nurbseg.app.recording.disk_space import megabytes, shortage
+from nurbseg.drivers.closing import Closing
+from nurbseg.drivers.frame import RGBDFrame
+
+
+class Recording(Closing):
+    """Takes the frames of a run, from the moment at which it begins.
+
+    Parameters
+    ----------
+    path : Path
+        The first file.
+    config : RecordConfig
+        From when on, and how much space must stay free.
+    free_bytes : callable
+        Returns the space that is left where a file is, bytes.
+
+    Attributes
+    ----------
+    path : Path
+        The first file.
+    frames, lost : int
+        Frames in the files, and frames that were to be in them and are not.
+    failure : str
+        Why the recording ended before the run did; empty where it did not.
+    """
+
+    def __init__(self, path: Path, config: RecordConfig, free_bytes: Callable[[Path], int]) -> None:
+        self.path = path
+        self.frames = self.lost = 0
+        self.failure = ""
+        self._delay_ns = round(config.delay_s * 1e9)
+        self._space_min_mb = config.space_min_mb
+        self._free_bytes = free_bytes
+        self._first_ns: int | None = None
+
+    @property
+    def behind(self) -> bool:
+        """Whether so much waits to be written that nothing else should use the processor."""
+        return False
+
+    @property
+    @abstractmethod
+    def files(self) -> tuple[Path, ...]:
+        """The files, in the order of their frames."""
+
+    @property
+    @abstractmethod
+    def ended(self) -> bool:
+        """Whether nothing more is written."""
+
+    @abstractmethod
+    def put(self, frame: RGBDFrame) -> None:
+        """Have a frame written; for the thread that reads."""
+
+    @abstractmethod
+    def finish(self) -> None:
+        """Say that no frame follows; for the thread that reads, and safe to call twice."""
+
+    def figures(self) -> dict[str, Any]:
+        """Return what the run's report says of the recording."""
+        files = self.files
+        return {
+            "file": str(self.path),
+            "files": [str(file) for file in files],
+            "frames": self.frames,
+            "lost": self.lost,
+            "megabytes": megabytes(files),
+            "failure": self.failure,
+        }
+
+    def _is_early(self, frame: RGBDFrame) -> bool:
+        """Say whether a frame is of the first seconds, by its own clock, that are not to be recorded."""
+        if self._first_ns is None:
+            self._first_ns = frame.timestamp_ns
+        return frame.timestamp_ns - self._first_ns < self._delay_ns
+
+    def _shortage(self) -> str:
+        """Say that too little space is left, or nothing."""
+        return shortage(self.files[-1], self._space_min_mb, self._free_bytes)
