@@ -11,8 +11,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nurbseg.app.command.parser import add_calibration_flags, add_setting_flags, command_parser
 from nurbseg.app.command.threads import one_thread_for_products
+from nurbseg.app.parser import add_calibration_flags, add_setting_flags, command_parser
 
 if TYPE_CHECKING:
     from nurbseg.app.batch.batch import Recording

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from nurbseg.app.command.config_file import ConfigError, describe, read_config
-from nurbseg.app.command.parser import command_parser
 from nurbseg.app.command.values import ValueKind, value_kinds
 from nurbseg.app.config import SOURCE_KINDS, AppConfig, flags, sections
+from nurbseg.app.parser import command_parser
 from nurbseg.drivers.settings import described_fields, nested, updated
 
 _DESCRIPTION = """\

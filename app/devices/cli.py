@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from nurbseg.app.command.parser import command_parser
+from nurbseg.app.parser import command_parser
 
 READY, NOT_READY = 0, 1
 

@@ -12,7 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nurbseg.app.command.parser import command_parser
+from nurbseg.app.parser import command_parser
 
 if TYPE_CHECKING:
     from nurbseg.app.recording.inspection import Inspection

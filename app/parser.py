@@ -1,4 +1,4 @@
-"""What the commands' argument parsers share."""
+"""What the argument parsers of the commands share."""
 
 from __future__ import annotations
 
