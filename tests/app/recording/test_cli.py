@@ -131,16 +131,16 @@ def test_a_pipe_is_refused_without_waiting_for_it(tmp_path, capsys):
 
 def test_a_viewers_file_that_was_cut_short_is_repaired(tmp_path, live, capsys):
     path, cut = tmp_path / "a.rrd", tmp_path / "cut.rrd"
-    words = ["--replay", "synthetic:?width=96&height=72&frames=4", "--speed", "0", "--view", "none"]
+    words = ["--replay", "synthetic:?width=96&height=72&frames=30", "--speed", "0", "--view", "none"]
     assert live(*words, "--save", str(path)).returncode == 0
     code, told = found(capsys, "check", str(path))
-    assert (code, told["frames"], told["opens_in_rerun"], told["end_written"]) == (0, 4, True, True)
+    assert (code, told["frames"], told["opens_in_rerun"], told["end_written"]) == (0, 30, True, True)
     # In the middle of a message.
     cut.write_bytes(path.read_bytes()[: path.stat().st_size * 6 // 10])
     code, told = found(capsys, "check", str(cut))
     assert (code, told["end_written"]) == (1, False)
     frames = told["frames"]
-    assert 0 < frames < 4
+    assert 0 < frames < 30
     code, told = found(capsys, "repair", str(cut))
     assert (code, told["frames"], told["end_written"]) == (0, frames, True)
 
