@@ -23,7 +23,7 @@ TEST_PACKAGES := g++ libopenni2-0 libopenni2-dev libusb-1.0-0 mesa-vulkan-driver
 .PHONY: demo test mutants setup setup-test lint types lock audit clean
 
 demo: $(VENV)/demo.stamp
-	rm -rf $(OUT)/demo $(OUT)/demo.rrd
+	rm -rf $(OUT)/demo $(OUT)/demo.rrd $(OUT)/demo.json
 	mkdir -p $(OUT)
 	$(BIN)/nurbseg-live --replay recordings/demo.mcap --speed 0 --view none \
 	    --save $(OUT)/demo.rrd --export $(OUT)/demo --report $(OUT)/demo.json

@@ -10,6 +10,7 @@ import math
 from dataclasses import Field, dataclass, field
 from typing import Any, Literal
 
+from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.live.config import LiveConfig
 from nurbseg.app.recording.config import RecordConfig
 from nurbseg.app.view.config import ViewConfig
@@ -78,19 +79,6 @@ class SourceConfig(Settings):
 
 #: The fields of `SourceConfig` of which one at most is given; the last one given wins.
 SOURCE_KINDS = ("device", "replay", "synthetic")
-
-
-@dataclass(frozen=True, slots=True)
-class ExportConfig(Settings):
-    """What is written of each frame's result, and of the run."""
-
-    directory: str | None = setting(
-        None, "folder for each frame's labels (PNG) and tree (JSON)", unit="DIR", flag="export"
-    )
-    surfaces: bool = setting(False, "export the fitted surfaces too (NPZ)", flag="export-surfaces")
-    report: str | None = setting(
-        None, "file for the run's figures: frames, drops, rate, latency, memory (JSON)", unit="FILE"
-    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,10 +13,13 @@ from nurbseg.app.view.drawing.surface_mesh import SurfaceMesh, surface_mesh
 from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.labels.lookup import apply_lookup_table
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import SegmentationTree
+from nurbseg.segmentation.segments import Segment, SegmentationTree
+from nurbseg.segmentation.surfaces.surface import normals
 
-#: Distance of the places at which normals are averaged, pixels.
-_NORMALS_STEP_PX = 4.0
+#: Points of an object that decide how its box is turned; it holds all of them.
+_TURNED_POINTS = 4000
+#: Places of a surface at which its normals are averaged.
+_NORMALS = 100
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,7 +27,7 @@ class OrientedBox:
     """A box that holds all points of an object.
 
     Its last axis is the direction in which they vary least; across it, the box is the rectangle of least
-    area.
+    area around some of them.
 
     Parameters
     ----------
@@ -43,18 +46,18 @@ class OrientedBox:
     @classmethod
     def around(cls, points_m: NDArray[np.floating]) -> OrientedBox:
         """Return the box of points, (N, 3) metres, at least one."""
-        points = np.asarray(points_m, dtype=np.float64)
-        mean = points.mean(axis=0)
-        centered = points - mean
+        points = np.ascontiguousarray(np.asarray(points_m).T, dtype=np.float64)
+        mean = points.mean(axis=1)
+        points -= mean[:, np.newaxis]
         # Eigenvectors in columns, that of the least variance first.
-        axes = np.linalg.eigh(centered.T @ centered)[1].T[::-1]
-        across = np.ascontiguousarray(centered @ axes[:2].T, dtype=np.float32)
-        (_, (width, height), degrees) = cv2.minAreaRect(across)
+        axes = np.linalg.eigh(points @ points.T)[1].T[::-1]
+        some = points[:, :: -(-points.shape[1] // _TURNED_POINTS)]
+        (_, (width, height), degrees) = cv2.minAreaRect((axes[:2] @ some).T.astype(np.float32))
         turn = np.radians(degrees if width >= height else degrees + 90.0)
         along = np.cos(turn) * axes[0] + np.sin(turn) * axes[1]
         axes = np.array([along, np.cross(axes[2], along), axes[2]])
-        places = centered @ axes.T
-        low, high = places.min(axis=0), places.max(axis=0)
+        places = axes @ points
+        low, high = places.min(axis=1), places.max(axis=1)
         return cls(mean + (low + high) / 2.0 @ axes, axes, high - low)
 
 
@@ -148,8 +151,6 @@ def _measured(
     order = np.argsort(labels, kind="stable")
     counts = np.bincount(labels, minlength=int(object_of_leaf.max()) + 1)
     ends = np.cumsum(counts)
-    mesh = surface_mesh(tree, leaf_image, _NORMALS_STEP_PX)
-    mesh_objects = object_of_leaf[mesh.labels]
     points, colors = cloud.points_m.reshape(-1, 3), cloud.color.reshape(-1, 3)
     leaves = tree.leaves()
     measured = []
@@ -165,7 +166,7 @@ def _measured(
                 points_m=points[pixels],
                 colors=colors[pixels],
                 box=OrientedBox.around(points[pixels]),
-                mean_normal=_mean_direction(mesh.normals[mesh_objects == label]),
+                mean_normal=_mean_normal(own, tree.shape[1]),
                 rms_m=_rms(residuals),
                 tree=tree,
             )
@@ -173,10 +174,17 @@ def _measured(
     return tuple(measured)
 
 
-def _mean_direction(normals: NDArray[np.float32]) -> NDArray[np.float64] | None:
-    total = normals.sum(axis=0, dtype=np.float64)
+def _mean_normal(leaves: Sequence[Segment], width: int) -> NDArray[np.float64] | None:
+    """Return the mean direction of the normals at some pixels of each leaf, which count for all of them."""
+    total = np.zeros(3)
+    for leaf in leaves:
+        if leaf.fit.surface is None or not leaf.pixels.size:
+            continue
+        v, u = np.divmod(leaf.pixels[:: -(-leaf.pixels.size // _NORMALS)], width)
+        found = normals(leaf.fit.surface, u, v)
+        total -= np.nansum(found, axis=0) * (leaf.pixels.size / u.size)
     length = np.linalg.norm(total)
-    return np.asarray(total / length) if length > 0 else None
+    return total / length if length > 0 else None
 
 
 def _rms(residuals_m: Sequence[NDArray[np.float64]]) -> float | None:

@@ -79,7 +79,7 @@ class Settings:
             value = getattr(self, each.name)
             if value is None and each.default is not None:
                 raise ValueError(f"{each.name}: expected a value, got None")
-            if bounds["choices"] and value not in bounds["choices"]:
+            if value is not None and bounds["choices"] and value not in bounds["choices"]:
                 raise ValueError(
                     f"{each.name}: expected one of {', '.join(bounds['choices'])}, got {value!r}"
                 )

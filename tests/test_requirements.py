@@ -35,7 +35,7 @@ def pinned(path: Path) -> dict[str, str]:
     return versions
 
 
-@pytest.mark.parametrize(("name", "extras"), [("run", ()), ("dev", ("eval", "dev"))])
+@pytest.mark.parametrize(("name", "extras"), [("run", ()), ("dev", ("cad", "eval", "dev"))])
 def test_all_that_the_project_asks_for_is_pinned_with_hashes(name: str, extras: tuple[str, ...]) -> None:
     versions = pinned(ROOT / "requirements" / f"{name}.txt")
     for requirement in wanted(extras):

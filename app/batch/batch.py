@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
 from nurbseg.app.atomic_file import write_atomically
+from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, ExportError, run_settings
 from nurbseg.app.frames import Reader, places
 from nurbseg.app.live.parallel import segment_alone
@@ -76,14 +77,14 @@ class Batch:
         How frames are segmented.
     options : SourceOptions
         Of all recordings.
-    surfaces : bool
-        Whether the fitted surfaces are exported.
+    export : ExportConfig
+        What is written of each frame. Files of a run that was killed are replaced by the same.
     """
 
     directory: Path
     config: SegmentationConfig
     options: SourceOptions = field(default_factory=SourceOptions)
-    surfaces: bool = False
+    export: ExportConfig = field(default_factory=ExportConfig)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,7 +154,7 @@ def run_batch(
                 if not each.failure:
                     yield _Task(number, each.uri, range(start, min(start + _TASK_FRAMES, each.frames)))
 
-    segment = partial(segment_run, config=batch.config, options=batch.options, surfaces=batch.surfaces)
+    segment = partial(segment_run, config=batch.config, options=batch.options, export=batch.export)
     try:
         for task, future in in_order(workers, segment, tasks()):
             recording = recordings[task.number]
@@ -173,8 +174,8 @@ def run_batch(
 def _begun(batch: Batch, recording: Recording) -> Exporter:
     """Find out how far a recording has come, and open its export."""
     folder = Path(recording.directory)
-    settings = run_settings(batch.config, source=recording.uri, surfaces=batch.surfaces)
-    exporter = Exporter(folder, settings)
+    settings = run_settings(batch.config, source=recording.uri, surfaces=batch.export.surfaces)
+    exporter = Exporter(folder, settings, replace(batch.export, force=True))
     path = folder / PROGRESS_FILE
     try:
         before = json.loads(path.read_text(encoding="utf-8"))
@@ -218,7 +219,7 @@ def _keep(recording: Recording, outcomes: Sequence[_Outcome], exporter: Exporter
 
 
 def segment_run(
-    task: _Task, *, config: SegmentationConfig, options: SourceOptions, surfaces: bool
+    task: _Task, *, config: SegmentationConfig, options: SourceOptions, export: ExportConfig
 ) -> list[_Outcome]:
     """Segment successive frames of a recording, each for itself; return the files of each.
 
@@ -232,7 +233,7 @@ def segment_run(
         if isinstance(frame, FrameFormatError):
             outcomes.append(str(frame))
         else:
-            outcomes.append(dict(segment_alone(frame, config, surfaces=surfaces).files))
+            outcomes.append(dict(segment_alone(frame, config, export=export).files))
     if len(outcomes) < len(task.run):
         raise RecordingFormatError(f"{task.uri}: ends after {task.run.start + len(outcomes)} frames")
     return outcomes

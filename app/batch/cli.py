@@ -11,7 +11,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nurbseg.app.command.arguments import add_flag
 from nurbseg.app.command.threads import one_thread_for_products
+from nurbseg.app.command.values import value_kinds
+from nurbseg.app.export.config import ExportConfig, export_forms
 from nurbseg.app.parser import add_calibration_flags, add_setting_flags, command_parser
 
 if TYPE_CHECKING:
@@ -35,7 +38,9 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("recordings", nargs="+", metavar="PATH", help="what nurbseg-live replays: files and folders")
     add("--export", type=Path, metavar="DIR", required=True, help="where results and report.json go")
-    add("--export-surfaces", action="store_true", help="export the fitted surfaces too (NPZ)")
+    kinds = value_kinds(ExportConfig)
+    for each in export_forms():
+        add_flag(parser, f"export.{each.name}", each, kinds[each.name])
     add("--workers", metavar="N|auto", default="auto", help="processes; auto: one a core (%(default)s)")
     add("--scheduler", metavar="URL", help="a Dask scheduler, tcp://HOST:8786, in place of --workers")
     add_setting_flags(parser)
@@ -67,7 +72,8 @@ def _run(given: argparse.Namespace) -> int:
     from nurbseg.app.live.parallel import process_count
     from nurbseg.app.workers import open_workers
 
-    batch = Batch(given.export, base_config(given), source_options(given), given.export_surfaces)
+    forms = {key.removeprefix("export."): value for key, value in vars(given).items() if "export." in key}
+    batch = Batch(given.export, base_config(given), source_options(given), ExportConfig(**forms))
     recordings = recordings_of(given.recordings, given.export)
     count = process_count("auto" if given.workers == "auto" else _number(given.workers))
     given.export.mkdir(parents=True, exist_ok=True)

@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 from nurbseg.app.command.config_file import ConfigError, describe, read_config
 from nurbseg.app.command.values import ValueKind, value_kinds
 from nurbseg.app.config import SOURCE_KINDS, AppConfig, flags, sections
+from nurbseg.app.export.config import export_forms
 from nurbseg.app.parser import command_parser
 from nurbseg.drivers.settings import described_fields, nested, updated
 
@@ -88,8 +89,10 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
         config = _overridden(config, given)
     except ConfigError as err:
         parser.error(str(err))
-    if config.export.surfaces and config.export.directory is None:
-        parser.error("--export-surfaces: expected a folder too (--export DIR)")
+    if config.export.directory is None:
+        for each in export_forms():
+            if getattr(config.export, each.name) != each.default:
+                parser.error(f"{flags(each)[0]}: expected a folder too (--export DIR)")
     if config.record.only and (config.export.directory is not None or config.view.save is not None):
         parser.error("--record-only: nothing is segmented, so that --export and --save have nothing to write")
     return Arguments(config, print_config, verbosity)
@@ -118,11 +121,12 @@ def _parser() -> argparse.ArgumentParser:
         kinds = value_kinds(section)
         for each in described_fields(section):
             target = one_of if name == "source" and each.name in SOURCE_KINDS else group
-            _add_flag(target, f"{name}.{each.name}", each, kinds[each.name])
+            add_flag(target, f"{name}.{each.name}", each, kinds[each.name])
     return parser
 
 
-def _add_flag(group: Any, key: str, each: Field[Any], kind: ValueKind) -> None:
+def add_flag(group: Any, key: str, each: Field[Any], kind: ValueKind) -> None:
+    """Add the flag of a setting to a parser or a group of one, under a key, with no default."""
     metadata = each.metadata
     text = describe(metadata).replace("%", "%%")
     options: dict[str, Any] = {"dest": key, "default": argparse.SUPPRESS}

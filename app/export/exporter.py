@@ -1,10 +1,12 @@
-"""Files of each frame's result: labels as PNG, the tree as JSON, the surfaces as NPZ; and of the settings."""
+"""Files of each frame's result: labels, tree, objects and what else is wanted; and of the settings."""
 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +15,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.atomic_file import write_atomically
+from nurbseg.app.export.cad import cad_file
+from nurbseg.app.export.cloud import cloud_file
+from nurbseg.app.export.config import ExportConfig
+from nurbseg.app.export.mesh import mesh_file
+from nurbseg.app.export.objects import ObjectTable, objects_document
 from nurbseg.app.export.surfaces import surfaces_npz
-from nurbseg.app.export.tree import tree_document
+from nurbseg.app.export.tree import tree_document, tree_graph
 from nurbseg.app.result import FrameResult
+from nurbseg.app.view.drawing.palette import LABEL_COLORS, label_colors
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 
 #: The file of an export that holds what all its frames were made with.
 SETTINGS_FILE = "settings.json"
+#: The file of an export that holds the objects of all frames, a row for each.
+OBJECTS_FILE = "objects.csv"
+_OBJECTS_SUFFIX = "_objects.json"
 
 
 class ExportError(Exception):
     """A result cannot be written; the message says where, why, and what is kept."""
+
+
+class MissingExtraError(ExportError):
+    """A form of export needs a library that is not installed; the message says how to install it."""
 
 
 def run_settings(
@@ -61,40 +76,52 @@ def run_settings(
 class Exporter:
     """Writes results to a folder, each file whole or not at all.
 
-    A frame's files are named by its number: ``000012_labels.png``, ``000012_tree.json`` and, if asked
-    for, ``000012_surfaces.npz``. Where surfaces were merged into objects, ``000012_surfaces.png`` and
-    ``000012_objects.png`` hold both; the labels are those that the level asks for. Where frames continue
-    each other, a segment has one label in all of them. The tree is written last: where it is, the others
-    are.
+    A frame's files are named by its number, or by its name in the source: ``000012_labels.png``,
+    ``000012_preview.png``, ``000012_objects.json``, ``000012_tree.json`` and what else is wanted. Where
+    surfaces were merged into objects, ``000012_surfaces.png`` and ``000012_objects.png`` hold both; the
+    labels are those that the level asks for. Where frames continue each other, a segment has one label in
+    all of them. The tree is written last: where it is, the others are.
 
-    Beside them ``settings.json`` holds what all frames were made with. A folder that holds results of other
-    settings is refused.
+    Beside them ``settings.json`` holds what all frames were made with, and ``objects.csv`` the objects of all
+    frames. A folder that holds results of other settings is refused.
 
     Parameters
     ----------
     directory : Path
-        Made where it does not exist; files of the same names are replaced.
+        Made where it does not exist.
     settings : mapping
         Of `run_settings`.
+    export : ExportConfig, optional
+        What is written of each frame; `directory` and `report` count for nothing here.
 
     Attributes
     ----------
     written : int
         Frames written so far.
-    metric, surfaces : str, bool
-        Of the settings: arguments of `frame_files`.
+    export : ExportConfig
+        As given, `surfaces` being that of the settings.
 
     Raises
     ------
+    MissingExtraError
+        If a library is missing that a form needs.
     ExportError
         If the folder cannot be made, or holds other results.
     """
 
-    def __init__(self, directory: Path, settings: Mapping[str, Any]) -> None:
+    def __init__(
+        self, directory: Path, settings: Mapping[str, Any], export: ExportConfig | None = None
+    ) -> None:
         self.directory = directory
         self.written = 0
-        self.metric: Metric = settings["segmentation"]["metric"]
-        self.surfaces: bool = settings["surfaces"]
+        self.export = replace(export or ExportConfig(), surfaces=settings["surfaces"])
+        self._metric: Metric = settings["segmentation"]["metric"]
+        self._table = ObjectTable(directory / OBJECTS_FILE)
+        if self.export.cad is not None and find_spec("rhino3dm") is None:
+            raise MissingExtraError(
+                f"--export-cad {self.export.cad}: needs rhino3dm, which the extra 'cad' brings: "
+                "pip install 'nurbseg[cad]' (in the project's folder: pip install '.[cad]')"
+            )
         try:
             directory.mkdir(parents=True, exist_ok=True)
         except OSError as err:
@@ -111,9 +138,9 @@ class Exporter:
         Raises
         ------
         ExportError
-            If one cannot be written.
+            If one cannot be written, or exists already and may not be replaced.
         """
-        self.write_files(frame_files(result, self.metric, surfaces=self.surfaces))
+        self.write_files(frame_files(result, self._metric, self.export))
 
     def write_files(self, files: Mapping[str, bytes]) -> None:
         """Write the files of one frame that `frame_files` has made, in their order.
@@ -121,20 +148,28 @@ class Exporter:
         Raises
         ------
         ExportError
-            If one cannot be written.
+            If one cannot be written, or exists already and may not be replaced.
         """
         for name, content in files.items():
+            path = self.directory / name
+            if not self.export.force and path.is_file():
+                raise ExportError(
+                    f"{path}: exists already; export to another folder, or replace results with --force"
+                )
             try:
-                write_atomically(self.directory / name, content)
+                write_atomically(path, content)
+                if name.endswith(_OBJECTS_SUFFIX):
+                    path = self.directory / OBJECTS_FILE
+                    self._table.add(json.loads(content))
             except OSError as err:
                 raise ExportError(
-                    f"{self.directory / name}: cannot be written: {err.strerror}; "
+                    f"{path}: cannot be written: {err.strerror}; "
                     f"the {self.written} frames before are kept in {self.directory}"
                 ) from err
         self.written += 1
 
 
-def frame_files(result: FrameResult, metric: Metric, *, surfaces: bool) -> dict[str, bytes]:
+def frame_files(result: FrameResult, metric: Metric, export: ExportConfig) -> dict[str, bytes]:
     """Return the files of a frame by name, the tree last.
 
     Parameters
@@ -143,25 +178,35 @@ def frame_files(result: FrameResult, metric: Metric, *, surfaces: bool) -> dict[
         The frame and its tree.
     metric : str
         Which metric decided the splits.
-    surfaces : bool
-        Whether the fitted surfaces are wanted.
+    export : ExportConfig
+        Which files are wanted, and how they are named.
 
     Raises
     ------
     ExportError
         If the labels cannot be a PNG.
     """
-    stem = f"{result.frame.index:06d}"
     tree = result.tree
-    files = {f"{stem}_labels.png": _png(result.labels())}
+    files = {"labels.png": _png(result.labels()), "preview.png": _preview(result)}
     if tree.objects:
-        files[f"{stem}_surfaces.png"] = _png(result.labels("surfaces"))
-        files[f"{stem}_objects.png"] = _png(result.labels("objects"))
-    if surfaces:
-        files[f"{stem}_surfaces.npz"] = surfaces_npz(tree)
-    document = tree_document(result, metric)
-    files[f"{stem}_tree.json"] = (json.dumps(document, indent=1) + "\n").encode()
-    return files
+        files["surfaces.png"] = _png(result.labels("surfaces"))
+        files["objects.png"] = _png(result.labels("objects"))
+    if export.surfaces:
+        files["surfaces.npz"] = surfaces_npz(tree)
+    if export.cloud is not None:
+        files[f"cloud.{export.cloud}"] = cloud_file(result, export.cloud)
+    if export.mesh is not None:
+        files[f"mesh.{export.mesh}"] = mesh_file(result, export.mesh)
+    if export.cad is not None:
+        files[f"surfaces.{export.cad}"] = cad_file(result)
+    if export.graph:
+        files["tree.dot"] = tree_graph(result, metric).encode()
+    files["objects.json"] = _json(objects_document(result))
+    files["tree.json"] = _json(tree_document(result, metric))
+    stem = f"{result.frame.index:06d}"
+    if export.names == "source" and result.frame.name:
+        stem = re.sub(r"[^\w.-]", "_", result.frame.name)
+    return {f"{stem}_{name}": content for name, content in files.items()}
 
 
 def _refuse_other_results(directory: Path, settings: Mapping[str, Any]) -> None:
@@ -193,8 +238,21 @@ def _flat(settings: Any) -> dict[str, Any]:
     return {**settings, **settings.get("segmentation", {}), "segmentation": None}
 
 
-def _png(labels: NDArray[np.uint16]) -> bytes:
-    written, content = cv2.imencode(".png", labels)
+def _json(document: Mapping[str, Any]) -> bytes:
+    return (json.dumps(document, indent=1) + "\n").encode()
+
+
+def _preview(result: FrameResult) -> bytes:
+    """Return the labels in colors over the frame in gray."""
+    labels = result.labels()
+    colors = np.vstack([np.zeros((1, 3), dtype=np.uint8), label_colors()])
+    painted = colors[np.where(labels > 0, (labels - 1) % LABEL_COLORS + 1, 0)]
+    gray = cv2.cvtColor(cv2.cvtColor(result.cloud.color, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
+    return _png(cv2.cvtColor(cv2.addWeighted(painted, 0.65, gray, 0.35, 0.0), cv2.COLOR_RGB2BGR))
+
+
+def _png(image: NDArray[Any]) -> bytes:
+    written, content = cv2.imencode(".png", image)
     if not written:
-        raise ExportError(f"labels of the shape {labels.shape} cannot be written as PNG")
+        raise ExportError(f"an image of the shape {image.shape} cannot be written as PNG")
     return content.tobytes()

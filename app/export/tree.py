@@ -109,3 +109,35 @@ def _number(value: float) -> float | None:
 def display_name(name: str) -> str:
     """Return what the paper calls a segment: P for the whole cloud, P010 for a part."""
     return f"P{name}"
+
+
+def tree_graph(result: FrameResult, metric: Metric) -> str:
+    """Return a frame's tree as a graph for Graphviz, in the language DOT.
+
+    A node tells a segment's name, its pixels, the metric and why it is a leaf; leaves also their object.
+
+    Parameters
+    ----------
+    result : FrameResult
+        The frame and its tree.
+    metric : str
+        Which metric decided the splits.
+    """
+    lines = [f'digraph "frame {result.frame.index}" {{', '  node [shape=box, fontname="sans-serif"];']
+    object_of = dict(
+        zip((leaf.name for leaf in result.tree.leaves()), result.object_of_leaf[1:], strict=True)
+    )
+    for each in result.tree.segments:
+        name, value = display_name(each.name), each.fit.values.get(metric, math.nan)
+        words = [name, f"{each.pixels.size} px", f"{metric} {value:.3g}"]
+        if each.ratio is not None:
+            words.append(f"ratio {each.ratio:.3g}")
+        if each.division is not None:
+            words.append(each.division.value)
+        if each.is_leaf:
+            words += [each.stop.value] if each.stop is not None else []
+            words.append(f"object {object_of[each.name]}" if result.tree.objects else "")
+        label = "\\n".join(word for word in words if word)
+        lines.append(f'  {name} [label="{label}"];')
+        lines += [f"  {name} -> {display_name(child)};" for child in each.children]
+    return "\n".join([*lines, "}"]) + "\n"

@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 import cv2
 
+from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import frame_files
 from nurbseg.app.live.capture import Captured
 from nurbseg.app.live.tracking import process_frame
@@ -53,7 +54,7 @@ def process_count(workers: int | Literal["auto"]) -> int:
     return len(os.sched_getaffinity(0)) if workers == "auto" else workers
 
 
-def segment_alone(frame: RGBDFrame, config: SegmentationConfig, *, surfaces: bool | None) -> Segmented:
+def segment_alone(frame: RGBDFrame, config: SegmentationConfig, *, export: ExportConfig | None) -> Segmented:
     """Segment a frame for itself, and make its files.
 
     Parameters
@@ -62,14 +63,14 @@ def segment_alone(frame: RGBDFrame, config: SegmentationConfig, *, surfaces: boo
         The frame.
     config : SegmentationConfig
         How to segment.
-    surfaces : bool or None
-        Whether its surfaces are exported; None where nothing is.
+    export : ExportConfig or None
+        What is exported of it; None where nothing is.
     """
     # The other cores have other frames to do.
     cv2.setNumThreads(1)
     result = process_frame(frame, config)
     started_s = time.perf_counter()
-    files = {} if surfaces is None else frame_files(result, config.metric, surfaces=surfaces)
+    files = {} if export is None else frame_files(result, config.metric, export)
     elapsed_ms = {**result.elapsed_ms, "encode": 1e3 * (time.perf_counter() - started_s)}
     return Segmented(len(result.tree.leaves()), elapsed_ms, files, result)
 
@@ -79,7 +80,7 @@ def segment_in_parallel(
     config: SegmentationConfig,
     *,
     count: int,
-    surfaces: bool | None,
+    export: ExportConfig | None,
     whole: bool,
 ) -> Generator[tuple[Captured, Segmented]]:
     """Segment frames as `segment_alone` does, by several processes.
@@ -93,7 +94,7 @@ def segment_in_parallel(
         How to segment.
     count : int
         Number of processes.
-    surfaces : bool or None
+    export : ExportConfig or None
         As that of `segment_alone`.
     whole : bool
         Whether all that came of a frame is wanted, or its files alone.
@@ -108,7 +109,7 @@ def segment_in_parallel(
     FrameFailedError
         If a frame cannot be segmented, or ends two processes that work on it.
     """
-    segment = partial(_segmented, config=config, surfaces=surfaces, whole=whole)
+    segment = partial(_segmented, config=config, export=export, whole=whole)
     with open_workers(count) as workers:
         for each, future in in_order(workers, segment, captured):
             try:
@@ -125,9 +126,9 @@ def segment_in_parallel(
 
 
 def _segmented(
-    captured: Captured, *, config: SegmentationConfig, surfaces: bool | None, whole: bool
+    captured: Captured, *, config: SegmentationConfig, export: ExportConfig | None, whole: bool
 ) -> Segmented:
-    segmented = segment_alone(captured.frame, config, surfaces=surfaces)
+    segmented = segment_alone(captured.frame, config, export=export)
     return segmented if whole else replace(segmented, result=None)
 
 

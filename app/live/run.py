@@ -73,7 +73,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
     KeyboardInterrupt
         If the run was interrupted.
     """
-    _refuse_existing(config.record.file, config.shown.save)
+    _refuse_existing(config)
     with ExitStack() as stack:
         warm_up = _begin_warm_up(config)
         with _setup():
@@ -123,14 +123,16 @@ def _watched(replay: str | None) -> Iterator[None]:
             _log.warning("%s was deleted or moved while it was replayed", replay)
 
 
-def _refuse_existing(*files: str | None) -> None:
+def _refuse_existing(config: AppConfig) -> None:
     """Raise if a file exists, before a camera is opened for it and other files are begun."""
-    for file in files:
+    replaceable = () if config.export.force else (config.shown.save, config.export.report)
+    for file in (config.record.file, *replaceable):
         try:
             if file is not None:
                 check_absent(Path(file))
         except OSError as err:
-            raise SetupError(f"{file}: {err.strerror}") from err
+            advice = "" if file == config.record.file else ", or replace it with --force"
+            raise SetupError(f"{file}: {err.strerror}{advice}") from err
 
 
 @contextmanager
@@ -192,13 +194,15 @@ def _open_export(config: AppConfig, opened: OpenedSource) -> Exporter | None:
         target_fps=_target_hz(config, opened),
         surfaces=config.export.surfaces,
     )
-    return Exporter(Path(config.export.directory), settings)
+    return Exporter(Path(config.export.directory), settings, config.export)
 
 
 def _open_view(config: AppConfig, opened: OpenedSource, process: ChildProcess | None) -> View:
     shown = config.shown
     if shown.save_index == "auto":
         shown = replace(shown, save_index="on" if opened.every_frame else "off")
+    if config.export.force and shown.save is not None and Path(shown.save).is_file():
+        Path(shown.save).unlink()
     name = Path(opened.uri).name
     return open_view(shown, config.segmentation, opened.source.metadata, name=name, process=process)
 
@@ -257,10 +261,8 @@ def _segment_in_parallel(
     progress: Progress,
 ) -> None:
     """Take every frame, have it segmented by one of some processes and hand it on, until the source ends."""
-    surfaces = None if exporter is None else exporter.surfaces
-    results = segment_in_parallel(
-        frames, config.segmentation, count=count, surfaces=surfaces, whole=view.shows
-    )
+    export = None if exporter is None else exporter.export
+    results = segment_in_parallel(frames, config.segmentation, count=count, export=export, whole=view.shows)
     with closing(results):
         for captured, segmented in results:
             elapsed_ms = dict(segmented.elapsed_ms)

@@ -72,8 +72,14 @@ def test_every_frame_of_a_recording_is_segmented_exported_and_reported(live: Liv
     assert done.returncode == 0, done.stderr
     assert done.stdout == ""
     names = sorted(path.name for path in (tmp_path / "out").iterdir())
-    kinds = ("labels.png", "objects.png", "surfaces.npz", "surfaces.png", "tree.json")
-    assert names == [*(f"{index:06d}_{kind}" for index in range(4) for kind in kinds), "settings.json"]
+    kinds = (
+        *("labels.png", "objects.json", "objects.png", "preview.png"),
+        *("surfaces.npz", "surfaces.png", "tree.json"),
+    )
+    assert names == [
+        *(f"{index:06d}_{kind}" for index in range(4) for kind in kinds),
+        *("objects.csv", "settings.json"),
+    ]
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["ended"] == "the source ended"
     assert (report["frames"]["read"], report["frames"]["segmented"]) == (4, 4)
@@ -148,7 +154,7 @@ def test_what_is_too_old_is_not_saved_and_counted(live: Live, tmp_path: Path) ->
     assert len(shown) == frames["segmented"] - frames["late"] < frames["segmented"]
     assert len(list((tmp_path / "out").glob("*_labels.png"))) == frames["segmented"]
 
-    done = live(*words, "--speed", "0", "--age-max-ms", "0.001", "--save", "b.rrd")
+    done = live(*words, "--speed", "0", "--age-max-ms", "0.001", "--save", "b.rrd", "--force")
     assert done.returncode == 0, done.stderr
     assert json.loads((tmp_path / "report.json").read_text())["frames"]["late"] == 0
     assert read_saved_view(tmp_path / "b.rrd").frames("tree") == list(range(40))
@@ -255,6 +261,27 @@ def test_no_file_is_overwritten_and_none_is_begun_where_one_exists(
     assert done.returncode == 2, done.stderr
     assert f"{taken}: exists already; name another file or remove it" in done.stderr
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [(taken, b"precious")]
+
+
+def test_results_reports_and_viewer_files_are_replaced_by_force_alone(live: Live, tmp_path: Path) -> None:
+    base = ("--replay", SMALL.format(1), *FAST)
+    written = {"--export": "out", "--report": "r.json", "--save": "a.rrd"}
+    every = [word for pair in written.items() for word in pair]
+    assert live(*base, *every).returncode == 0
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*[0-9]_*.*")}
+    assert len(before) > 5
+    for flag, name in written.items():
+        taken = "out/000000_labels.png" if flag == "--export" else name
+        content = (tmp_path / taken).read_bytes()
+        done = live(*base, flag, name)
+        assert done.returncode == (1 if flag == "--export" else 2)
+        assert f"{taken}: exists already" in done.stderr
+        assert "--force" in done.stderr
+        assert (tmp_path / taken).read_bytes() == content
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    done = live(*base, *every, "--force")
+    assert done.returncode == 0, done.stderr
+    assert all(path.stat().st_mtime_ns > stamp for path, stamp in before.items())
 
 
 def test_what_shows_the_cameras_images_is_for_this_user_alone(live: Live, tmp_path: Path) -> None:

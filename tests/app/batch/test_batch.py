@@ -45,9 +45,23 @@ def at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_recordings_give_what_the_live_command_gives_for_each(at_home: Path, write_pairs: Pairs) -> None:
     write_pairs(20, name="one")
     write_pairs(2, name="two")
-    assert main(["one", "two", "--export", "out", "--export-surfaces", "--workers", "2"]) == 0
+    assert (
+        main(["one", "two", "--export", "out", "--export-surfaces", "--export-mesh", "ply", "--workers", "2"])
+        == 0
+    )
     for name, frames in (("one", 20), ("two", 2)):
-        words = ["--replay", name, "--speed", "0", "--view", "none", "--quiet", "--export-surfaces"]
+        words = [
+            "--replay",
+            name,
+            "--speed",
+            "0",
+            "--view",
+            "none",
+            "--quiet",
+            "--export-surfaces",
+            "--export-mesh",
+            "ply",
+        ]
         assert live_main([*words, "--export", f"live-{name}"]) == 0
         alone = results(at_home / f"live-{name}")
         assert len([path for path in alone if path.endswith("_tree.json")]) == frames

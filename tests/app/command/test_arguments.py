@@ -94,6 +94,8 @@ def test_a_source_on_the_command_line_takes_the_place_of_the_files(
         (["--metric", "foo"], "argument --metric: invalid choice: 'foo'"),
         (["--replay", "a", "--synthetic"], "not allowed with argument --replay"),
         (["--export-surfaces"], "--export-surfaces: expected a folder too"),
+        (["--export-mesh", "glb"], "--export-mesh: expected a folder too"),
+        (["--export-cloud", "xyz", "--export", "out"], "invalid choice: 'xyz'"),
         (["--config", "no-such.toml"], "no-such.toml: cannot be read"),
         (["--ratio", "1"], "unrecognized arguments: --ratio"),
         (["--quiet", "--verbose"], "not allowed with argument"),

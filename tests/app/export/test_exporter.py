@@ -1,14 +1,17 @@
 import json
+import re
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
 from nurbseg.app.atomic_file import write_atomically
-from nurbseg.app.export.exporter import Exporter, ExportError, run_settings
+from nurbseg.app.export.config import ExportConfig
+from nurbseg.app.export.exporter import Exporter, ExportError, MissingExtraError, run_settings
 from nurbseg.app.export.surfaces import surfaces_npz
 from nurbseg.app.export.tree import tree_document
 from nurbseg.app.live.tracking import process_frame
@@ -37,7 +40,66 @@ def test_files_are_named_by_the_frames_number(small_result: FrameResult, tmp_pat
     result = replace(small_result, frame=replace(small_result.frame, index=42))
     exported(result, tmp_path / "out")
     names = sorted(path.name for path in (tmp_path / "out").iterdir())
-    assert names == ["000042_labels.png", "000042_surfaces.npz", "000042_tree.json", "settings.json"]
+    assert names == [
+        "000042_labels.png",
+        "000042_objects.json",
+        "000042_preview.png",
+        "000042_surfaces.npz",
+        "000042_tree.json",
+        "objects.csv",
+        "settings.json",
+    ]
+
+
+def test_files_may_keep_the_name_that_the_frame_has_in_its_source(
+    small_result: FrameResult, tmp_path: Path
+) -> None:
+    config = ExportConfig(names="source")
+    for name in ("Kueche 1/IMG_0042", ""):
+        frame = replace(small_result.frame, index=42, name=name)
+        Exporter(tmp_path, SETTINGS, config).write(replace(small_result, frame=frame))
+    trees = sorted(path.name for path in tmp_path.glob("*_tree.json"))
+    assert trees == ["000042_tree.json", "Kueche_1_IMG_0042_tree.json"]
+
+
+def test_what_exists_is_replaced_only_by_force(small_result: FrameResult, tmp_path: Path) -> None:
+    exported(small_result, tmp_path)
+    results = [path for path in tmp_path.iterdir() if path.name[0].isdigit()]
+    for path in results:
+        path.write_text("mine")
+    with pytest.raises(ExportError, match=r"000000_labels\.png: exists already; .* with --force"):
+        exported(small_result, tmp_path)
+    assert [path.read_text() for path in results] == ["mine"] * len(results)
+    Exporter(tmp_path, SETTINGS, ExportConfig(force=True)).write(small_result)
+    assert b"mine" not in {path.read_bytes() for path in results}
+
+
+def test_the_preview_shows_each_label_in_a_color_of_its_own(
+    small_result: FrameResult, tmp_path: Path
+) -> None:
+    exported(small_result, tmp_path)
+    preview = cv2.imread(str(tmp_path / "000000_preview.png"))
+    labels = small_result.labels()
+    assert preview.shape == (*labels.shape, 3)
+    gray = small_result.cloud.color @ np.array([0.299, 0.587, 0.114])
+    tints = []
+    for label in range(1, int(labels.max()) + 1):
+        # The frame shines through by a third; what is left is the label's color.
+        tint = preview[labels == label] - 0.35 * gray[labels == label][:, None]
+        assert tint.std(axis=0).max() < 1.0
+        tints.append(tint.mean(axis=0))
+    assert len(tints) > 2
+    apart = np.linalg.norm(np.array(tints)[:, None] - np.array(tints)[None], axis=2)
+    assert apart[~np.eye(len(tints), dtype=bool)].min() > 20
+
+
+def test_a_missing_library_is_named_with_the_extra_that_brings_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nurbseg.app.export.exporter.find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match=r"--export-cad 3dm: needs rhino3dm.*nurbseg\[cad\]"):
+        Exporter(tmp_path / "out", SETTINGS, ExportConfig(cad="3dm"))
+    assert not (tmp_path / "out").exists()
 
 
 def test_surfaces_are_written_only_when_asked_for(small_result: FrameResult, tmp_path: Path) -> None:
@@ -118,6 +180,25 @@ def test_the_surfaces_file_gives_the_surfaces_back(small_result: FrameResult, tm
             assert np.array_equal(evaluate(surface, u, v), evaluate(original, u, v))
 
 
+def test_the_evaluator_of_the_page_on_files_gives_the_points(
+    merged_result: FrameResult, small_result: FrameResult, tmp_path: Path
+) -> None:
+    page = (Path(__file__).parents[3] / "docs/files.md").read_text()
+    (program,) = re.findall(r"<!-- run by the tests: evaluator -->\n```python\n(.*?)```", page, re.DOTALL)
+    scope: dict[str, Any] = {}
+    exec(program, scope)
+    for number, result in enumerate((merged_result, small_result)):
+        path = tmp_path / f"{number}.npz"
+        path.write_bytes(surfaces_npz(result.tree))
+        leaves = [leaf for leaf in result.tree.leaves() if leaf.fit.surface is not None]
+        assert len(leaves) > 3
+        for leaf in leaves:
+            v, u = np.divmod(leaf.fit.pixels[:: max(1, leaf.fit.pixels.size // 9)], result.tree.shape[1])
+            assert leaf.fit.surface is not None
+            expected = evaluate(leaf.fit.surface, u, v)
+            assert np.allclose(scope["evaluate"](path, f"P{leaf.name}", u, v), expected, atol=1e-9)
+
+
 def test_the_surfaces_file_gives_the_measured_pixels_back(merged_result: FrameResult, tmp_path: Path) -> None:
     exported(merged_result, tmp_path)
     with np.load(tmp_path / "000000_surfaces.npz") as arrays:
@@ -139,7 +220,6 @@ def test_the_settings_are_written_beside_the_frames(small_result: FrameResult, t
 
 
 def test_results_of_other_settings_are_not_mixed(small_result: FrameResult, tmp_path: Path) -> None:
-    exported(small_result, tmp_path)
     exported(small_result, tmp_path)
     other = run_settings(SegmentationConfig(method="stag15", ratio_max=0.5))
     with pytest.raises(

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.live.capture import Captured
 from nurbseg.app.live.parallel import FrameFailedError, process_count, segment_in_parallel
 from nurbseg.drivers.registry import open_source
@@ -27,7 +28,7 @@ def test_files_do_not_depend_on_the_number_of_processes(live: Callable, tmp_path
     alone, shared = (
         {path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("alone", "shared")
     )
-    assert len(alone) == 7 * 5 + 1
+    assert len(alone) == 7 * 7 + 2
     assert shared == alone
 
 
@@ -59,9 +60,9 @@ def test_workers_are_refused_where_frames_wait_for_each_other(
 def test_a_frame_that_cannot_be_segmented_is_named() -> None:
     results = segment_in_parallel(
         captured_frames(3),
-        None,  # type: ignore[arg-type]
+        "no configuration",  # type: ignore[arg-type]
         count=2,
-        surfaces=None,
+        export=None,
         whole=False,
     )
     with pytest.raises(FrameFailedError, match=r"frame 0 .*cannot be segmented: AttributeError"):
@@ -77,7 +78,7 @@ def test_frames_are_read_as_there_is_room_for_them() -> None:
             read += 1
             yield each
 
-    results = segment_in_parallel(frames(), SegmentationConfig(), count=2, surfaces=False, whole=False)
+    results = segment_in_parallel(frames(), SegmentationConfig(), count=2, export=ExportConfig(), whole=False)
     for number, (captured, segmented) in zip(itertools.count(), results, strict=False):
         assert captured.frame.index == number
         assert read <= number + 4

@@ -1,0 +1,102 @@
+"""The points of a frame as a PLY or PCD file: color, normal, surface and object of each."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.app.export.config import CloudForm
+from nurbseg.app.export.ply import ply
+from nurbseg.app.result import FrameResult
+from nurbseg.segmentation.segments import SegmentationTree
+from nurbseg.segmentation.surfaces.surface import evaluate_lattice
+
+
+def cloud_file(result: FrameResult, form: CloudForm) -> bytes:
+    """Return the points of a frame with all that is known of each.
+
+    Parameters
+    ----------
+    result : FrameResult
+        The frame and its tree.
+    form : {"ply", "pcd"}
+        PLY holds the points alone, PCD is organised: a point for each pixel, NaN where there is none.
+
+    Returns
+    -------
+    bytes
+        Binary, little endian. Points are in metres in the depth camera's frame; `label` is that of the
+        level, `surface` and `object` are those of both.
+    """
+    vectors = np.concatenate([result.cloud.points_m, surface_normals(result.tree)], axis=2)
+    labels = [result.labels(), result.labels("surfaces"), result.labels("objects")]
+    if form == "pcd":
+        return _pcd(vectors, result.cloud.color, labels)
+    valid = result.cloud.valid
+    kinds = [*((name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz"))]
+    kinds += [*((name, "|u1") for name in ("red", "green", "blue"))]
+    kinds += [*((name, "<u2") for name in ("label", "surface", "object"))]
+    points = np.empty(np.count_nonzero(valid), dtype=kinds)
+    columns = [*vectors[valid].T, *result.cloud.color[valid].T, *(image[valid] for image in labels)]
+    for (name, _), values in zip(kinds, columns, strict=True):
+        points[name] = values
+    return ply(vertex=points)
+
+
+def surface_normals(tree: SegmentationTree) -> NDArray[np.float32]:
+    """Return the normal of the fitted surface at each pixel.
+
+    Parameters
+    ----------
+    tree : SegmentationTree
+        The segments.
+
+    Returns
+    -------
+    (H, W, 3) float32
+        Unit vectors towards the camera; 0 where no surface explains the pixel.
+    """
+    height, width = tree.shape
+    image = np.zeros((height * width, 3), dtype=np.float32)
+    for leaf in tree.leaves():
+        surface = leaf.fit.surface
+        if surface is None or not leaf.pixels.size:
+            continue
+        v, u = np.divmod(leaf.pixels, width)
+        rows, columns = np.arange(v.min(), v.max() + 1), np.arange(u.min(), u.max() + 1)
+        along_u, along_v = (
+            evaluate_lattice(surface, columns, rows, *order)[v - rows[0], u - columns[0]]
+            for order in ((1, 0), (0, 1))
+        )
+        normals = np.cross(along_v, along_u)
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        image[leaf.pixels] = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    return image.reshape(height, width, 3)
+
+
+def _pcd(vectors: NDArray[np.float32], color: NDArray[np.uint8], labels: list[NDArray[np.uint16]]) -> bytes:
+    height, width = color.shape[:2]
+    names = ("x", "y", "z", "normal_x", "normal_y", "normal_z", "rgb", "label", "surface", "object")
+    kinds = [*((name, "<f4") for name in names[:6]), *((name, "<u4") for name in names[6:])]
+    points = np.empty(height * width, dtype=kinds)
+    red, green, blue = color.reshape(-1, 3).astype(np.uint32).T
+    columns = [*vectors.reshape(-1, 6).T, red << 16 | green << 8 | blue, *(each.ravel() for each in labels)]
+    for name, values in zip(names, columns, strict=True):
+        points[name] = values
+    head = (
+        "# .PCD v0.7 - Point Cloud Data file format",
+        "VERSION 0.7",
+        f"FIELDS {' '.join(names)}",
+        f"SIZE {' '.join(['4'] * len(names))}",
+        f"TYPE {' '.join(['F'] * 6 + ['U'] * 4)}",
+        f"COUNT {' '.join(['1'] * len(names))}",
+        f"WIDTH {width}",
+        f"HEIGHT {height}",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {height * width}",
+        "DATA binary",
+    )
+    return ("\n".join(head) + "\n").encode() + points.tobytes()
+
+
+__all__ = ["cloud_file", "surface_normals"]

@@ -1,0 +1,155 @@
+"""The surfaces of a frame as triangles, cut to their pixels: GLB, OBJ or PLY, an object each."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.app.export.config import MeshForm
+from nurbseg.app.export.ply import ply
+from nurbseg.app.objects import MeasuredObject
+from nurbseg.app.result import FrameResult
+
+#: GLB: magic and version, kinds of chunks, of components and of buffers.
+_GLTF, _JSON, _BIN = b"glTF", b"JSON", b"BIN\0"
+_FLOAT, _UINT32, _ARRAY, _ELEMENTS = 5126, 5125, 34962, 34963
+_PLY_VECTORS, _PLY_COLORS = ("x", "y", "z", "nx", "ny", "nz"), ("red", "green", "blue")
+#: A half turn about x: glTF has y up and looks along -z.
+_HALF_TURN_X = [1.0, 0.0, 0.0, 0.0]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ObjectMesh:
+    """The triangles of an object."""
+
+    name: str
+    label: int
+    color: NDArray[np.uint8]
+    vertices_m: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    triangles: NDArray[np.uint32]
+
+
+def mesh_file(result: FrameResult, form: MeshForm) -> bytes:
+    """Return the fitted surfaces of a frame as triangles.
+
+    Parameters
+    ----------
+    result : FrameResult
+        The frame and its tree.
+    form : {"glb", "obj", "ply"}
+        In GLB and OBJ each object has a name (``object 3``), in PLY its label is with each vertex. The color
+        is the object's mean color.
+
+    Returns
+    -------
+    bytes
+        Metres in the depth camera's frame (x right, y down, z forward); GLB turns it as glTF wants it.
+    """
+    kind = "object" if result.tree.objects else "surface"
+    meshes = [_object_mesh(each, kind) for each in result.objects]
+    meshes = [each for each in meshes if len(each.triangles)]
+    return {"glb": _glb, "obj": _obj, "ply": _ply}[form](meshes)
+
+
+def _object_mesh(each: MeasuredObject, kind: str) -> _ObjectMesh:
+    mesh = each.mesh()
+    color = np.rint(each.mean_color).astype(np.uint8)
+    name = f"{kind} {each.label}"
+    return _ObjectMesh(name, each.label, color, mesh.vertices_m, mesh.normals, mesh.triangles)
+
+
+def _ply(meshes: Sequence[_ObjectMesh]) -> bytes:
+    sizes = [len(each.vertices_m) for each in meshes]
+    kinds = [*((name, "<f4") for name in _PLY_VECTORS), *((name, "|u1") for name in _PLY_COLORS)]
+    vertices = np.empty(sum(sizes), dtype=[*kinds, ("object", "<u2")])
+    faces = np.empty(
+        sum(len(each.triangles) for each in meshes),
+        dtype=[("count", "|u1"), ("vertex_indices", "<i4", (3,))],
+    )
+    faces["count"] = 3
+    vertex = face = 0
+    for each, size in zip(meshes, sizes, strict=True):
+        own = vertices[vertex : vertex + size]
+        for name, values in zip(_PLY_VECTORS, (*each.vertices_m.T, *each.normals.T), strict=True):
+            own[name] = values
+        for name, value in zip(_PLY_COLORS, each.color, strict=True):
+            own[name] = value
+        own["object"] = each.label
+        faces["vertex_indices"][face : face + len(each.triangles)] = each.triangles + vertex
+        vertex, face = vertex + size, face + len(each.triangles)
+    return ply(vertex=vertices, face=faces)
+
+
+def _obj(meshes: Sequence[_ObjectMesh]) -> bytes:
+    lines, first = ["# metres; x right, y down, z forward"], 1
+    for each in meshes:
+        lines.append(f"o {each.name.replace(' ', '_')}")
+        red, green, blue = (each.color / 255.0).round(4).tolist()
+        lines += [f"v {x:.6f} {y:.6f} {z:.6f} {red} {green} {blue}" for x, y, z in each.vertices_m.tolist()]
+        lines += [f"vn {x:.5f} {y:.5f} {z:.5f}" for x, y, z in each.normals.tolist()]
+        lines += [f"f {a}//{a} {b}//{b} {c}//{c}" for a, b, c in (each.triangles + first).tolist()]
+        first += len(each.vertices_m)
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _glb(meshes: Sequence[_ObjectMesh]) -> bytes:
+    """Return a binary glTF 2.0 file: a node and a mesh for each object, one buffer for all."""
+    buffer, views, accessors = bytearray(), [], []
+
+    def added(array: NDArray[Any], target: int, kind: int, shape: str, **more: Any) -> int:
+        views.append({"buffer": 0, "byteOffset": len(buffer), "byteLength": array.nbytes, "target": target})
+        accessors.append(
+            {"bufferView": len(views) - 1, "componentType": kind, "count": len(array), "type": shape, **more}
+        )
+        buffer.extend(array.tobytes())
+        return len(accessors) - 1
+
+    objects = []
+    for number, each in enumerate(meshes):
+        bounds = {"min": each.vertices_m.min(axis=0).tolist(), "max": each.vertices_m.max(axis=0).tolist()}
+        primitive = {
+            "attributes": {
+                "POSITION": added(each.vertices_m, _ARRAY, _FLOAT, "VEC3", **bounds),
+                "NORMAL": added(each.normals, _ARRAY, _FLOAT, "VEC3"),
+            },
+            "indices": added(each.triangles.reshape(-1), _ELEMENTS, _UINT32, "SCALAR"),
+            "material": number,
+        }
+        objects.append({"name": each.name, "primitives": [primitive]})
+    document = {
+        "asset": {"version": "2.0", "generator": "nurbseg"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [
+            {"name": "depth camera", "rotation": _HALF_TURN_X, "children": [*range(1, len(meshes) + 1)]},
+            *({"name": each.name, "mesh": number} for number, each in enumerate(meshes)),
+        ],
+        "meshes": objects,
+        "materials": [_material(each) for each in meshes],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(buffer)}],
+    }
+    head = json.dumps(document, separators=(",", ":")).encode()
+    head += b" " * (-len(head) % 4)
+    chunks = b"".join(
+        struct.pack("<I4s", len(content), kind) + content for kind, content in ((_JSON, head), (_BIN, buffer))
+    )
+    return struct.pack("<4sII", _GLTF, 2, 12 + len(chunks)) + chunks
+
+
+def _material(each: _ObjectMesh) -> dict[str, Any]:
+    # glTF's colors are linear, an image's are sRGB.
+    linear = ((each.color / 255.0) ** 2.2).round(4).tolist()
+    surface = {"baseColorFactor": [*linear, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.9}
+    return {"name": each.name, "pbrMetallicRoughness": surface, "doubleSided": True}
+
+
+__all__ = ["mesh_file"]

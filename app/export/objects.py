@@ -1,0 +1,152 @@
+"""The objects of a frame as a JSON document, and those of all frames as a table."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.app.atomic_file import write_atomically
+from nurbseg.app.export.tree import display_name
+from nurbseg.app.result import FrameResult
+from nurbseg.drivers.frame import Intrinsics
+
+#: What coordinates mean, for programs and people that have only the file.
+CONVENTION = "depth camera, metres: x right, y down, z forward; pixel centres at whole numbers (column, row)"
+
+#: Columns of the table: what each is called, and where it is in the document of a frame and of an object.
+_OF_FRAME = ("frame", "name", "timestamp_ns")
+_VECTORS = {
+    "centroid_m": "xyz",
+    "size_m": "123",
+    "center_m": "xyz",
+    "axis_1": "xyz",
+    "axis_2": "xyz",
+    "axis_3": "xyz",
+    "normal": "xyz",
+    "color": "rgb",
+}
+COLUMNS = (
+    *_OF_FRAME,
+    "object",
+    "pixels",
+    *(f"{name}_{axis}" for name, axes in _VECTORS.items() for axis in axes),
+    "rms_m",
+    "leaves",
+)
+
+
+def objects_document(result: FrameResult) -> dict[str, Any]:
+    """Return what is measured of a frame's objects, its camera and the convention of its coordinates.
+
+    Parameters
+    ----------
+    result : FrameResult
+        The frame and its tree.
+    """
+    frame = result.frame
+    return {
+        "frame": frame.index,
+        "name": frame.name,
+        "timestamp_ns": frame.timestamp_ns,
+        "coordinates": CONVENTION,
+        "camera": _camera_document(frame.calibration.depth),
+        "level": "objects" if result.tree.objects else "surfaces",
+        "objects": [
+            {
+                "object": each.label,
+                "pixels": int(each.pixels.size),
+                "centroid_m": _rounded(each.centroid_m),
+                "box": {
+                    "center_m": _rounded(each.box.center_m),
+                    "size_m": _rounded(each.box.size_m),
+                    "axes": [_rounded(axis) for axis in each.box.axes],
+                },
+                "normal": None if each.mean_normal is None else _rounded(each.mean_normal),
+                "color": _rounded(each.mean_color, 2),
+                "rms_m": None if each.rms_m is None else round(each.rms_m, 7),
+                "leaves": [display_name(name) for name in each.leaves],
+            }
+            for each in result.objects
+        ],
+    }
+
+
+def _camera_document(camera: Intrinsics) -> dict[str, Any]:
+    names = ("width", "height", "fx", "fy", "cx", "cy")
+    return {name: getattr(camera, name) for name in names} | {"distortion": camera.distortion.tolist()}
+
+
+def _rounded(values: NDArray[np.floating], digits: int = 6) -> list[float]:
+    return [round(float(value), digits) for value in values]
+
+
+class ObjectTable:
+    """A table of the objects of all frames, a row for each, to which frames are added one by one.
+
+    Rows of a table that is there already are kept up to the first frame that is added.
+
+    Parameters
+    ----------
+    path : Path
+        The CSV file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._begun = False
+
+    def add(self, document: Mapping[str, Any]) -> None:
+        """Add the objects of a frame.
+
+        Parameters
+        ----------
+        document : mapping
+            Of `objects_document`.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written.
+        """
+        if not self._begun:
+            self._begin(int(document["frame"]))
+            self._begun = True
+        with self._path.open("a", encoding="utf-8", newline="") as file:
+            file.write(_lines(_rows(document)))
+
+    def _begin(self, frame: int) -> None:
+        """Write the head, and the rows of frames before the first one."""
+        rows: list[Sequence[Any]] = [COLUMNS]
+        if self._path.exists():
+            with self._path.open(encoding="utf-8", newline="") as file:
+                # The last line of a run that was killed may be half of one.
+                before = [row for row in csv.reader(file) if len(row) == len(COLUMNS)]
+            rows += [row for row in before[1:] if int(row[0]) < frame]
+        write_atomically(self._path, _lines(rows).encode())
+
+
+def _rows(document: Mapping[str, Any]) -> list[Sequence[Any]]:
+    rows: list[Sequence[Any]] = []
+    for each in document["objects"]:
+        values = each | each["box"]
+        values |= {f"axis_{n}": axis for n, axis in enumerate(each["box"]["axes"], start=1)}
+        vectors = [value for name, axes in _VECTORS.items() for value in values[name] or [""] * len(axes)]
+        of_frame = [document[name] for name in _OF_FRAME]
+        leaves = " ".join(each["leaves"])
+        rows.append([*of_frame, each["object"], each["pixels"], *vectors, each["rms_m"], leaves])
+    return rows
+
+
+def _lines(rows: Sequence[Sequence[Any]]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
+
+
+__all__ = ["COLUMNS", "CONVENTION", "ObjectTable", "objects_document"]

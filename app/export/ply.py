@@ -1,0 +1,32 @@
+"""PLY files: elements of records, binary and little endian."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+_TYPES = {"<f4": "float", "|u1": "uchar", "<u2": "ushort", "<i4": "int"}
+
+
+def ply(**elements: NDArray[np.void]) -> bytes:
+    """Return a PLY file.
+
+    Parameters
+    ----------
+    **elements : (N,) of records
+        By name. A field of several numbers is a list, whose length stands before it in a field ``count``.
+    """
+    head = ["ply", "format binary_little_endian 1.0", "comment metres; x right, y down, z forward"]
+    content = []
+    for element, records in elements.items():
+        head.append(f"element {element} {records.size}")
+        for name, (kind, *_) in (records.dtype.fields or {}).items():
+            if kind.shape:
+                head.append(f"property list uchar {_TYPES[kind.base.str]} {name}")
+            elif name != "count":
+                head.append(f"property {_TYPES[kind.str]} {name}")
+        content.append(records.tobytes())
+    return ("\n".join([*head, "end_header"]) + "\n").encode() + b"".join(content)
+
+
+__all__ = ["ply"]

@@ -1,0 +1,72 @@
+"""Points as files, read again by trimesh, by Open3D where it is installed, and by our own reader."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nurbseg.app.export.cloud import cloud_file, surface_normals
+from nurbseg.app.result import FrameResult
+from nurbseg.drivers.registry import open_source
+from nurbseg.segmentation.surfaces.surface import normals
+
+
+def test_trimesh_reads_all_of_a_ply_cloud(merged: FrameResult, tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    path = tmp_path / "cloud.ply"
+    path.write_bytes(cloud_file(merged, "ply"))
+    cloud = trimesh.load(path)
+    valid = merged.cloud.valid
+    assert np.array_equal(cloud.vertices, merged.cloud.points_m[valid])
+    assert np.array_equal(cloud.colors[:, :3], merged.cloud.color[valid])
+    read = cloud.metadata["_ply_raw"]["vertex"]["data"]
+    for name, level in (("label", None), ("surface", "surfaces"), ("object", "objects")):
+        assert np.array_equal(np.ravel(read[name]), merged.labels(level)[valid])
+    for axis, name in enumerate(("nx", "ny", "nz")):
+        assert np.array_equal(np.ravel(read[name]), surface_normals(merged.tree)[valid][:, axis])
+
+
+@pytest.mark.parametrize("form", ["ply", "pcd"])
+def test_open3d_reads_a_cloud(merged: FrameResult, tmp_path: Path, form: str) -> None:
+    open3d = pytest.importorskip("open3d")
+    path = tmp_path / f"cloud.{form}"
+    path.write_bytes(cloud_file(merged, form))
+    cloud = open3d.io.read_point_cloud(str(path), remove_nan_points=True)
+    valid = merged.cloud.valid
+    assert np.allclose(cloud.points, merged.cloud.points_m[valid])
+    assert np.allclose(np.asarray(cloud.colors) * 255, merged.cloud.color[valid])
+    assert np.allclose(cloud.normals, surface_normals(merged.tree)[valid])
+
+
+def test_a_pcd_cloud_is_replayed(merged: FrameResult, tmp_path: Path) -> None:
+    path = tmp_path / "cloud.pcd"
+    path.write_bytes(cloud_file(merged, "pcd"))
+    with open_source(path) as source:
+        frame = source.read()
+    assert np.array_equal(frame.depth_mm, merged.frame.depth_mm)
+    valid = merged.cloud.valid
+    assert np.array_equal(frame.color[valid], merged.cloud.color[valid])
+    camera, expected = frame.calibration.depth, merged.frame.calibration.depth
+    assert (camera.fx, camera.cx) == pytest.approx((expected.fx, expected.cx), rel=1e-3)
+    head, _, content = path.read_bytes().partition(b"DATA binary\n")
+    assert re.search(rb"FIELDS .* rgb label surface object\n", head)
+    records = np.frombuffer(content, dtype="<u4").reshape(-1, 10)
+    assert np.array_equal(records[:, 9].reshape(valid.shape), merged.labels("objects"))
+
+
+def test_normals_are_those_of_the_surfaces_towards_the_camera(merged: FrameResult) -> None:
+    image = surface_normals(merged.tree)
+    for leaf in merged.tree.leaves():
+        surface = leaf.fit.surface
+        if surface is None:
+            assert not image.reshape(-1, 3)[leaf.pixels].any()
+            continue
+        some = leaf.pixels[::97]
+        v, u = np.divmod(some, image.shape[1])
+        found = image[v, u]
+        assert np.allclose(found, -normals(surface, u, v), atol=1e-6)
+        towards = np.einsum("nk,nk->n", found, merged.cloud.points_m[v, u])
+        assert (towards < 0).mean() > 0.95

@@ -1,0 +1,80 @@
+"""Meshes as files, read again by trimesh."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nurbseg.app.export.mesh import mesh_file
+from nurbseg.app.live.tracking import process_frame
+from nurbseg.app.result import FrameResult
+
+trimesh = pytest.importorskip("trimesh")
+
+
+def written(result: FrameResult, form: str, folder: Path) -> Path:
+    path = folder / f"mesh.{form}"
+    path.write_bytes(mesh_file(result, form))
+    return path
+
+
+def test_a_glb_scene_has_each_object_by_name_where_it_is(merged: FrameResult, tmp_path: Path) -> None:
+    scene = trimesh.load(written(merged, "glb", tmp_path))
+    expected = {f"object {each.label}": each for each in merged.objects if len(each.mesh().triangles)}
+    assert len(expected) > 3
+    assert set(scene.graph.nodes_geometry) == set(expected)
+    for name, each in expected.items():
+        placed, geometry = scene.graph[name]
+        mesh, own = scene.geometry[geometry], each.mesh()
+        # glTF: y up, and the camera looks along -z.
+        turned = mesh.vertices @ placed[:3, :3].T + placed[:3, 3]
+        assert np.allclose(turned * [1, -1, -1], own.vertices_m, atol=1e-6)
+        assert np.array_equal(mesh.faces, own.triangles)
+        assert np.allclose(mesh.vertex_normals, own.normals, atol=1e-5)
+        color = np.array(mesh.visual.material.baseColorFactor[:3]) / 255
+        assert np.allclose(color ** (1 / 2.2) * 255, each.mean_color, atol=8.0)
+
+
+def test_an_obj_file_has_each_object_by_name(merged: FrameResult, tmp_path: Path) -> None:
+    scene = trimesh.load(written(merged, "obj", tmp_path), split_objects=True)
+    expected = {f"object_{each.label}": each for each in merged.objects if len(each.mesh().triangles)}
+    assert set(scene.geometry) == set(expected)
+    for name, each in expected.items():
+        own = each.mesh()
+        corners = scene.geometry[name].triangles
+        assert np.allclose(corners, own.vertices_m[own.triangles], atol=1e-6)
+        assert np.allclose(scene.geometry[name].visual.vertex_colors[0, :3], each.mean_color, atol=1.0)
+
+
+def test_a_ply_mesh_says_of_each_vertex_which_object_it_is_of(merged: FrameResult, tmp_path: Path) -> None:
+    mesh = trimesh.load(written(merged, "ply", tmp_path), process=False)
+    labels = np.ravel(mesh.metadata["_ply_raw"]["vertex"]["data"]["object"])
+    assert set(labels) == {each.label for each in merged.objects if len(each.mesh().triangles)}
+    for each in merged.objects:
+        own = each.mesh()
+        assert np.array_equal(mesh.vertices[labels == each.label], own.vertices_m)
+        faces = mesh.faces[labels[mesh.faces[:, 0]] == each.label]
+        assert np.array_equal(mesh.vertices[faces], own.vertices_m[own.triangles])
+
+
+def test_triangles_lie_on_the_pixels_of_their_object(merged: FrameResult) -> None:
+    camera, labels = merged.frame.calibration.depth, merged.labels("objects")
+    inside = outside = 0
+    for each in merged.objects:
+        own = each.mesh(1.0)
+        centers = own.vertices_m[own.triangles].mean(axis=1)
+        u = np.rint(centers[:, 0] / centers[:, 2] * camera.fx + camera.cx).astype(int)
+        v = np.rint(centers[:, 1] / centers[:, 2] * camera.fy + camera.cy).astype(int)
+        inside += np.count_nonzero(labels[v, u] == each.label)
+        outside += np.count_nonzero(labels[v, u] != each.label)
+    assert inside > 50 * outside
+
+
+def test_a_frame_without_objects_gives_files_without_meshes(merged: FrameResult, tmp_path: Path) -> None:
+    empty = process_frame(replace(merged.frame, depth_mm=np.zeros_like(merged.frame.depth_mm), labels=None))
+    for form in ("glb", "obj", "ply"):
+        assert mesh_file(empty, form)
+    assert not trimesh.load(written(empty, "glb", tmp_path)).geometry
