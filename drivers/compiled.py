@@ -9,13 +9,26 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import ParamSpec, TypeVar
+from typing import ParamSpec, TypeAlias, TypeVar
 
 import numba
+import numpy as np
 from numba.core import config
+from numpy.typing import NDArray
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
+
+#: Arrays that compiled functions take, by the type of their elements, as Numba abbreviates it.
+F32: TypeAlias = NDArray[np.float32]
+F64: TypeAlias = NDArray[np.float64]
+I8: TypeAlias = NDArray[np.int8]
+I32: TypeAlias = NDArray[np.int32]
+I64: TypeAlias = NDArray[np.int64]
+Intp: TypeAlias = NDArray[np.intp]
+U8: TypeAlias = NDArray[np.uint8]
+U16: TypeAlias = NDArray[np.uint16]
+Bool: TypeAlias = NDArray[np.bool_]
 
 #: What the compiler may reorder: sums, and products within them. Comparisons know a NaN and an infinity, but
 #: `isfinite` of a sum does not: it looks at the number less itself, which is then 0.
@@ -126,4 +139,17 @@ def _remove_old(above: Path) -> None:
         shutil.rmtree(old, ignore_errors=True)
 
 
-__all__ = ["compiled", "content_digest", "inlined"]
+__all__ = [
+    "F32",
+    "F64",
+    "I8",
+    "I32",
+    "I64",
+    "U8",
+    "U16",
+    "Bool",
+    "Intp",
+    "compiled",
+    "content_digest",
+    "inlined",
+]

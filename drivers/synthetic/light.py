@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled, inlined
+from nurbseg.drivers.compiled import F32, I64, U8, Bool, compiled, inlined
 from nurbseg.drivers.synthetic.intersections import RECTANGLE
 from nurbseg.drivers.synthetic.scene import RenderedScene
 
@@ -98,18 +98,18 @@ class Light:
 
 @compiled
 def _light(
-    is_lit: NDArray[np.bool_],
-    shininess: NDArray[np.float32],
-    vectors: NDArray[np.float32],
+    is_lit: Bool,
+    shininess: F32,
+    vectors: F32,
     camera_height: Any,
     ball_radius: Any,
-    x: NDArray[np.float32],
-    y: NDArray[np.float32],
-    z: NDArray[np.float32],
-    objects: NDArray[np.uint8],
-    runs: NDArray[np.int64],
-    normals: NDArray[np.float32],
-    image: NDArray[np.uint8],
+    x: F32,
+    y: F32,
+    z: F32,
+    objects: U8,
+    runs: I64,
+    normals: F32,
+    image: U8,
 ) -> None:
     """Shade the texture; `vectors` are the directions to the lamp and up, and the ball's center."""
     for row, first, end in runs:

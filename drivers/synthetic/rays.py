@@ -6,23 +6,22 @@ from typing import Any
 
 import numpy as np
 from numba import literal_unroll
-from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled, inlined
+from nurbseg.drivers.compiled import F32, I64, U8, compiled, inlined
 from nurbseg.drivers.synthetic.intersections import KINDS, intersect, surface
 
 
 @compiled
 def cast(
-    kinds: NDArray[np.int64],
-    sizes: NDArray[np.float32],
-    object_from_camera: NDArray[np.float32],
-    windows: NDArray[np.int64],
-    x: NDArray[np.float32],
-    y: NDArray[np.float32],
-    depth: NDArray[np.float32],
-    objects: NDArray[np.uint8],
-    faces: NDArray[np.uint8],
+    kinds: I64,
+    sizes: F32,
+    object_from_camera: F32,
+    windows: I64,
+    x: F32,
+    y: F32,
+    depth: F32,
+    objects: U8,
+    faces: U8,
 ) -> None:
     """Cast the rays of a camera at many shapes, each within its window of rows and columns.
 
@@ -68,7 +67,7 @@ def _cast_row(
 
 
 @compiled
-def runs_of(objects: NDArray[np.uint8]) -> NDArray[np.int64]:
+def runs_of(objects: U8) -> I64:
     """Return the row, the first column and the end of each run of pixels that show one object, (R, 3)."""
     height, width = objects.shape
     runs = np.empty((height * width, 3), dtype=np.int64)
@@ -84,18 +83,18 @@ def runs_of(objects: NDArray[np.uint8]) -> NDArray[np.int64]:
 
 @compiled
 def surfaces_seen(
-    kinds: NDArray[np.int64],
-    sizes: NDArray[np.float32],
-    object_from_camera: NDArray[np.float32],
-    atlas_windows: NDArray[np.float32],
-    x: NDArray[np.float32],
-    y: NDArray[np.float32],
-    depth: NDArray[np.float32],
-    objects: NDArray[np.uint8],
-    faces: NDArray[np.uint8],
-    runs: NDArray[np.int64],
-    normals: NDArray[np.float32],
-    atlas_px: NDArray[np.float32],
+    kinds: I64,
+    sizes: F32,
+    object_from_camera: F32,
+    atlas_windows: F32,
+    x: F32,
+    y: F32,
+    depth: F32,
+    objects: U8,
+    faces: U8,
+    runs: I64,
+    normals: F32,
+    atlas_px: F32,
 ) -> None:
     """Find the normal and the texture coordinates of what each pixel shows.
 
@@ -149,14 +148,7 @@ def _surfaces_in_row(kind: int, shape: Any, pixels: Any, found: Any) -> None:
 
 
 @compiled
-def hit_each(
-    kind: int,
-    size: NDArray[np.float32],
-    origins: NDArray[np.float32],
-    directions: NDArray[np.float32],
-    multiples: NDArray[np.float32],
-    faces: NDArray[np.uint8],
-) -> None:
+def hit_each(kind: int, size: F32, origins: F32, directions: F32, multiples: F32, faces: U8) -> None:
     """Find where each ray meets one shape, see `Shape.hit`."""
     for n in range(multiples.size):
         o, d = origins[n], directions[n]

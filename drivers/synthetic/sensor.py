@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled, inlined
+from nurbseg.drivers.compiled import F32, I8, I64, U8, U16, Bool, compiled, inlined
 from nurbseg.drivers.frame import Intrinsics
 
 #: Step of inverse depth, 1/m: depth comes in steps of about 2.85e-3 z^2 metres.
@@ -125,7 +125,7 @@ class SensorModel:
 
 
 @compiled
-def _shadow(inverse: NDArray[np.float32], baseline_px_m: Any, dark: NDArray[np.uint8]) -> None:
+def _shadow(inverse: F32, baseline_px_m: Any, dark: U8) -> None:
     """Go through each row from its right end, up to where the projector's rays are taken."""
     for row in range(inverse.shape[0]):
         reached = np.float32(np.inf)
@@ -138,17 +138,17 @@ def _shadow(inverse: NDArray[np.float32], baseline_px_m: Any, dark: NDArray[np.u
 
 @compiled
 def _measure(
-    depth_m: NDArray[np.float32],
-    inverse: NDArray[np.float32],
-    highest: NDArray[np.float32],
-    lowest: NDArray[np.float32],
-    dark: NDArray[np.uint8],
-    axial: NDArray[np.float32],
-    jitter: NDArray[np.int8],
-    lost: NDArray[np.bool_],
-    cuts: NDArray[np.int64],
+    depth_m: F32,
+    inverse: F32,
+    highest: F32,
+    lowest: F32,
+    dark: U8,
+    axial: F32,
+    jitter: I8,
+    lost: Bool,
+    cuts: I64,
     grazing: Any,
-    depth_mm: NDArray[np.uint16],
+    depth_mm: U16,
 ) -> None:
     """Measure every pixel; `cuts` is where the image lies in the three banks of noise."""
     height, width = depth_m.shape

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import I32, compiled
 from nurbseg.segmentation.points.rays import Rays
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
@@ -130,7 +130,7 @@ def border_statistics(
 
 
 @compiled
-def _find_crossings(labels: NDArray[np.int32], reach: int, found: NDArray[np.int32]) -> int:
+def _find_crossings(labels: I32, reach: int, found: I32) -> int:
     """Find where rows and columns go from one label to another, over `reach` pixels at most.
 
     Writes to a column of `found` for each: label before and after, row and column of the last pixel before,
@@ -160,7 +160,7 @@ def _find_crossings(labels: NDArray[np.int32], reach: int, found: NDArray[np.int
 
 
 @compiled
-def _pixels_to_next(labels: NDArray[np.int32]) -> int:
+def _pixels_to_next(labels: I32) -> int:
     """Return how far the first pixel is from another label, over what has none; 0 where it is its own."""
     for apart in range(1, labels.size):
         if labels[apart] > 0:

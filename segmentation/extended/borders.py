@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, I32, Bool, Intp, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.labels.regions import connected_components, pixel_adjacency
 from nurbseg.segmentation.labels.spreading import spread_in_place
@@ -151,13 +151,13 @@ def _room_for(pixels: int) -> _Candidates:
 
 @compiled
 def _find_candidates(
-    labels: NDArray[np.int32],
-    per_m: NDArray[np.float32],
-    pixels: NDArray[np.intp],
+    labels: I32,
+    per_m: F32,
+    pixels: Intp,
     width: int,
-    gaps_per_m: NDArray[np.float32],
-    votes: NDArray[np.float32],
-    votes_across: NDArray[np.float32],
+    gaps_per_m: F32,
+    votes: F32,
+    votes_across: F32,
     found: _Candidates,
 ) -> int:
     """Find the labels around pixels, a pixel's own first, none where there is no other; count them."""
@@ -194,14 +194,14 @@ def _find_candidates(
 
 @compiled
 def _choose(
-    labels: NDArray[np.int32],
-    per_m: NDArray[np.float32],
-    pixels: NDArray[np.intp],
+    labels: I32,
+    per_m: F32,
+    pixels: Intp,
     candidates: _Candidates,
-    explained_per_m: NDArray[np.float32],
+    explained_per_m: F32,
     per_deviation: np.float32,
     square_most: float,
-    best: NDArray[np.int32],
+    best: I32,
 ) -> None:
     """Find the cheapest candidate of each pixel, the one of the smallest label among several."""
     first = 0
@@ -222,14 +222,7 @@ def _choose(
 
 
 @compiled
-def _move(
-    labels: NDArray[np.int32],
-    width: int,
-    pixels: NDArray[np.intp],
-    best: NDArray[np.int32],
-    parity: int,
-    reached: NDArray[np.bool_],
-) -> None:
+def _move(labels: I32, width: int, pixels: Intp, best: I32, parity: int, reached: Bool) -> None:
     """Give pixels new labels, and mark the labelled pixels within reach of those that changed.
 
     Of these only the ones whose row and column add up to an even number with `parity`, unless that is less
@@ -266,7 +259,7 @@ def _present(labels: NDArray[np.int32], count: int) -> NDArray[np.bool_]:
 
 
 @compiled
-def _mark(labels: NDArray[np.int32], present: NDArray[np.bool_]) -> None:
+def _mark(labels: I32, present: Bool) -> None:
     for label in labels.flat:
         present[label] = True
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import Bool, Intp, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import Normalization, normalized
 from nurbseg.segmentation.cut.ncut import Cut, normalized_cuts
@@ -187,12 +187,8 @@ def _continued(
 
 @compiled
 def _neighbors_side(
-    drawn_side: NDArray[np.bool_],
-    drawn: NDArray[np.intp],
-    places: NDArray[np.intp],
-    height: int,
-    width: int,
-) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+    drawn_side: Bool, drawn: Intp, places: Intp, height: int, width: int
+) -> tuple[Bool, Intp]:
     """Give places the side of the drawn ones around them; also return which are those with none, or both."""
     # Bit 0 for the False side and bit 1 for the True one, at every second row and column.
     corners = np.zeros(((height + 1) // 2 + 1, (width + 1) // 2 + 1), dtype=np.uint8)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import U16, Bool, compiled
 
 
 def apply_lookup_table(table: NDArray[np.uint16], labels: NDArray[np.uint16]) -> NDArray[np.uint16]:
@@ -43,7 +43,7 @@ def read_only(image: NDArray[np.uint16]) -> NDArray[np.uint16]:
 
 
 @compiled
-def _look_up(table: NDArray[np.uint16], labels: NDArray[np.uint16], found: NDArray[np.uint16]) -> None:
+def _look_up(table: U16, labels: U16, found: U16) -> None:
     """Take the table's entry of each label."""
     for n in range(labels.size):
         label = labels[n]
@@ -51,7 +51,7 @@ def _look_up(table: NDArray[np.uint16], labels: NDArray[np.uint16], found: NDArr
 
 
 @compiled
-def _mark(labels: NDArray[np.uint16], is_there: NDArray[np.bool_]) -> None:
+def _mark(labels: U16, is_there: Bool) -> None:
     """Mark the labels that are there, each run of equal ones at its first."""
     before = -1
     for n in range(labels.size):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, I32, Bool, Intp, compiled
 from nurbseg.segmentation.labels.spreading import spread_in_place
 
 
@@ -91,13 +91,7 @@ def pixel_adjacency(
 
 
 @compiled
-def _connect_neighbors(
-    per_m: NDArray[np.float32],
-    valid: NDArray[np.bool_],
-    gap_per_m: np.float32,
-    right: NDArray[np.bool_],
-    down: NDArray[np.bool_],
-) -> None:
+def _connect_neighbors(per_m: F32, valid: Bool, gap_per_m: np.float32, right: Bool, down: Bool) -> None:
     height, width = valid.shape
     for row in range(height):
         for column in range(width - 1):
@@ -139,7 +133,7 @@ def _connected(places: NDArray[np.intp], labels: NDArray[np.int32], adjacency: P
 
 
 @compiled
-def _root(parents: NDArray[np.int32], number: int) -> int:
+def _root(parents: I32, number: int) -> int:
     while parents[number] != number:
         parents[number] = parents[parents[number]]
         number = parents[number]
@@ -148,13 +142,7 @@ def _root(parents: NDArray[np.int32], number: int) -> int:
 
 @compiled
 def _connect(
-    places: NDArray[np.intp],
-    labels: NDArray[np.int32],
-    right: NDArray[np.bool_],
-    down: NDArray[np.bool_],
-    numbers: NDArray[np.int32],
-    labels_of: NDArray[np.int32],
-    sizes: NDArray[np.intp],
+    places: Intp, labels: I32, right: Bool, down: Bool, numbers: I32, labels_of: I32, sizes: Intp
 ) -> int:
     """Give each place the number of its component; return how many there are.
 
@@ -263,12 +251,7 @@ def large_components(
 
 
 @compiled
-def _keep(
-    places: NDArray[np.intp],
-    number: NDArray[np.int32],
-    numbers: NDArray[np.int32],
-    homeless: NDArray[np.intp],
-) -> int:
+def _keep(places: Intp, number: I32, numbers: I32, homeless: Intp) -> int:
     """Give places the new number of their component; list those that it has none for, and return how many."""
     number_of = numbers.reshape(-1)
     count = 0
@@ -281,13 +264,7 @@ def _keep(
 
 
 @compiled
-def _group(
-    places: NDArray[np.intp],
-    at: NDArray[np.intp],
-    numbers: NDArray[np.int32],
-    grouped: NDArray[np.intp],
-    ends: NDArray[np.intp],
-) -> None:
+def _group(places: Intp, at: Intp, numbers: I32, grouped: Intp, ends: Intp) -> None:
     """Sort places by the number at each, from 1 on; `ends`, 0 at first, tells where each number ends."""
     number_of = numbers.reshape(-1)
     for n in range(places.size):

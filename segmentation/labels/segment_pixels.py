@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import I64, U16, Intp, compiled
 from nurbseg.segmentation.segments import Node, Segment
 from nurbseg.segmentation.surfaces.fit import Fit
 
@@ -35,7 +35,7 @@ def by_label(labels: NDArray[np.integer], count: int) -> tuple[NDArray[np.intp],
 
 
 @compiled
-def _sort_by_label(labels: NDArray[np.integer], order: NDArray[np.intp], bounds: NDArray[np.int64]) -> None:
+def _sort_by_label(labels: NDArray[np.integer], order: Intp, bounds: I64) -> None:
     """Count labels, and put each place where those of its label are, run by run of equal labels."""
     starts, runs = np.empty(labels.size + 1, dtype=np.int64), 0
     for place in range(labels.size):
@@ -109,7 +109,7 @@ def finished_segments(
 
 
 @compiled
-def _bounding_boxes(labels: NDArray[np.uint16], boxes: NDArray[np.int64]) -> None:
+def _bounding_boxes(labels: U16, boxes: I64) -> None:
     """Find the first row and column of each label, and one past the last of each."""
     height, width = labels.shape
     boxes[:, 0], boxes[:, 1], boxes[:, 2:] = height, width, 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, I32, Intp, compiled
 
 #: Marks of places to label, in an image of labels: those that wait, and those that are next.
 _OPEN, _NEXT = -1, -2
@@ -69,9 +69,7 @@ def spread_in_place(
 
 
 @compiled
-def _spread(
-    labels: NDArray[np.int32], per_m: NDArray[np.float32], places: NDArray[np.intp], gap_per_m: np.float32
-) -> int:
+def _spread(labels: I32, per_m: F32, places: Intp, gap_per_m: np.float32) -> int:
     """Label open places in rounds; return how many stay open, which are then the first of `places`."""
     height, width = labels.shape
     flat = labels.reshape(-1)
@@ -120,7 +118,7 @@ def _spread(
 
 
 @compiled
-def _take_nearest(labels: NDArray[np.int32], islands: NDArray[np.intp]) -> None:
+def _take_nearest(labels: I32, islands: Intp) -> None:
     """Give open places the label of the nearest labelled place, 0 where there is none."""
     height, width = labels.shape
     # How far the nearest label of the same column is, upwards less than 0; `height` where there is none.

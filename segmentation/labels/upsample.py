@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, I32, Bool, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.ncut import Cut
 from nurbseg.segmentation.labels.spreading import spread_labels
@@ -190,14 +190,14 @@ def upsample_by_depth(
 
 @compiled
 def _take_over(
-    on_grid: NDArray[np.int32],
-    grid_per_m: NDArray[np.float32],
-    per_m: NDArray[np.float32],
-    valid: NDArray[np.bool_],
+    on_grid: I32,
+    grid_per_m: F32,
+    per_m: F32,
+    valid: Bool,
     step: int,
     gap_per_m: np.float32,
-    labels: NDArray[np.int32],
-    open_pixels: NDArray[np.bool_],
+    labels: I32,
+    open_pixels: Bool,
 ) -> None:
     """Give pixels the label of their place of the grid, where no gap is in between; open the others."""
     height, width = valid.shape

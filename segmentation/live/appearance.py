@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, F64, I64, U8, U16, compiled
 from nurbseg.segmentation.cut.features import lab
 from nurbseg.segmentation.labels.lookup import read_only
 from nurbseg.segmentation.points.registration import PointMap
@@ -81,14 +81,7 @@ def appearances_of(
 
 
 @compiled
-def _sum_points(
-    labels: NDArray[np.uint16],
-    points_m: NDArray[np.float32],
-    color: NDArray[np.uint8],
-    step: int,
-    place: NDArray[np.int64],
-    sums: NDArray[np.float64],
-) -> None:
+def _sum_points(labels: U16, points_m: F32, color: U8, step: int, place: I64, sums: F64) -> None:
     """Count pixels, and sum their points and colors, by the place of their label, if it has one."""
     height, width = color.shape[:2]
     for r in range(0, height, step):

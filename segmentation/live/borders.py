@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, I32, U16, compiled
 from nurbseg.segmentation.extended.borders import ACROSS_GAP
 from nurbseg.segmentation.surfaces.lattice import Samples, SurfaceLattice
 from nurbseg.segmentation.surfaces.noise import SQUARE_MOST
@@ -75,13 +75,7 @@ def relax_borders(
 
 
 @compiled
-def _spread(
-    before: NDArray[np.uint16],
-    on_grid: NDArray[np.int32],
-    per_m: NDArray[np.float32],
-    step: int,
-    labels: NDArray[np.uint16],
-) -> None:
+def _spread(before: U16, on_grid: I32, per_m: F32, step: int, labels: U16) -> None:
     """Give the pixels of a place its label where it is another one than before."""
     height, width = before.shape
     # What the pixels of a row of places take, -1 where they keep what they have.
@@ -98,13 +92,7 @@ def _spread(
 
 @compiled
 def _relax(
-    labels: NDArray[np.uint16],
-    per_m: NDArray[np.float32],
-    samples: Samples,
-    step: int,
-    per_deviation: float,
-    gap: float,
-    relaxed: NDArray[np.uint16],
+    labels: U16, per_m: F32, samples: Samples, step: int, per_deviation: float, gap: float, relaxed: U16
 ) -> None:
     """Write down the cheapest label of pixels at borders."""
     height, width = labels.shape

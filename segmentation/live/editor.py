@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, I32, I64, U16, Bool, compiled
 from nurbseg.segmentation.extended.parts import Part
 from nurbseg.segmentation.labels.regions import PixelAdjacency
 from nurbseg.segmentation.live.leaf import LiveLeaf
@@ -105,13 +105,7 @@ class TreeUpdate:
 
 @compiled
 def _relabel(
-    labels: NDArray[np.uint16],
-    per_m: NDArray[np.float32],
-    before: NDArray[np.int32],
-    on_grid: NDArray[np.int32],
-    final: NDArray[np.uint16],
-    step: int,
-    relabelled: NDArray[np.uint16],
+    labels: U16, per_m: F32, before: I32, on_grid: I32, final: U16, step: int, relabelled: U16
 ) -> None:
     """Look up labels from now on; pixels that have the label of their place change with it."""
     height, width = labels.shape
@@ -284,12 +278,7 @@ class TreeEditor:
 
 
 @compiled
-def _count_contacts(
-    labels: NDArray[np.int32],
-    right: NDArray[np.bool_],
-    down: NDArray[np.bool_],
-    contacts: NDArray[np.int64],
-) -> None:
+def _count_contacts(labels: I32, right: Bool, down: Bool, contacts: I64) -> None:
     """Count the adjacent places of two numbers, the first to the left of the second or above it."""
     height, width = labels.shape
     for r in range(height):

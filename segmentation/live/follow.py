@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, F64, I32, Bool, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.labels.regions import connected_components
@@ -185,7 +185,7 @@ def inner_places(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
 
 
 @compiled
-def _find_inner(labels: NDArray[np.int32], inner: NDArray[np.bool_]) -> None:
+def _find_inner(labels: I32, inner: Bool) -> None:
     """Mark places in columns of three equal labels, between two such columns of the same label."""
     height, width = labels.shape
     column = np.empty(width, dtype=np.bool_)
@@ -201,13 +201,7 @@ def _find_inner(labels: NDArray[np.int32], inner: NDArray[np.bool_]) -> None:
 
 
 @compiled
-def _tell_changes(
-    labels: NDArray[np.int32],
-    inner: NDArray[np.bool_],
-    per_m: NDArray[np.float32],
-    change: NDArray[np.float32],
-    sums: NDArray[np.float64],
-) -> None:
+def _tell_changes(labels: I32, inner: Bool, per_m: F32, change: F32, sums: F64) -> None:
     """Turn surfaces' inverse depths into changes, NaN where a place does not count; sum 1, c, cc by label."""
     height, width = labels.shape
     for r in range(height):
@@ -229,13 +223,7 @@ def _tell_changes(
 
 
 @compiled
-def _sum_moments(
-    labels: NDArray[np.int32],
-    change: NDArray[np.float32],
-    mean: NDArray[np.float64],
-    limit: NDArray[np.float64],
-    sums: NDArray[np.float64],
-) -> None:
+def _sum_moments(labels: I32, change: F32, mean: F64, limit: F64, sums: F64) -> None:
     """Sum by label over changes that agree with their mean: 1, x, y, c, xx, yy, xy, xc, yc."""
     height, width = labels.shape
     for r in range(height):
@@ -255,12 +243,8 @@ def _sum_moments(
 
 @compiled
 def _moved_net(
-    weights: NDArray[np.float64],
-    points: NDArray[np.float64],
-    knots_u: NDArray[np.float64],
-    knots_v: NDArray[np.float64],
-    linear: tuple[float, float, float],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    weights: F64, points: F64, knots_u: F64, knots_v: F64, linear: tuple[float, float, float]
+) -> tuple[F64, F64]:
     """Add a linear function to control values of inverse depth; control points stay on their rays."""
     (constant, along_u, along_v), (n, m) = linear, weights.shape
     moved, moved_points = np.empty_like(weights), np.empty_like(points)
@@ -275,13 +259,7 @@ def _moved_net(
 
 
 @compiled
-def _grow(
-    labels: NDArray[np.int32],
-    per_m: NDArray[np.float32],
-    samples: Samples,
-    limits: NDArray[np.float32],
-    passes: int,
-) -> None:
+def _grow(labels: I32, per_m: F32, samples: Samples, limits: F32, passes: int) -> None:
     """Give open places the label beside them that explains them best, all those of a pass at once."""
     values, windows = samples
     height, width = labels.shape

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, F64, I32, Bool, Intp, compiled
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.extended.parts import Part
 from nurbseg.segmentation.labels.segment_pixels import by_label
@@ -138,13 +138,7 @@ def misfit(
 
 @compiled
 def _sum_misfits(
-    labels: NDArray[np.int32],
-    per_m: NDArray[np.float32],
-    per_deviation: float,
-    most: float,
-    explained: NDArray[np.float32],
-    inner: NDArray[np.bool_],
-    sums: NDArray[np.float64],
+    labels: I32, per_m: F32, per_deviation: float, most: float, explained: F32, inner: Bool, sums: F64
 ) -> None:
     """Sum by label over places at the rim and inner ones: 1, those not reached, limited squared residuals."""
     height, width = labels.shape
@@ -237,17 +231,17 @@ def update_residuals(
 
 @compiled
 def _measure(
-    order: NDArray[np.intp],
-    labels: NDArray[np.int32],
-    explained: NDArray[np.float32],
-    per_m: NDArray[np.float32],
-    distances_m: NDArray[np.float32],
+    order: Intp,
+    labels: I32,
+    explained: F32,
+    per_m: F32,
+    distances_m: F32,
     most_per_m: float,
     large_m: float,
     widths: tuple[int, int, int],
-    residuals_m: NDArray[np.float64],
-    pixels: NDArray[np.intp],
-    sums: NDArray[np.float64],
+    residuals_m: F64,
+    pixels: Intp,
+    sums: F64,
 ) -> None:
     """Give residuals in space and pixels in the order of labels; sum them, count large and missing ones."""
     grid_width, image_width, step = widths

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, U16, compiled
 
 
 def brightness(color: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
@@ -70,7 +70,7 @@ def warped(image: NDArray[np.uint16], flow: NDArray[np.float32]) -> NDArray[np.u
 
 
 @compiled
-def _warp(image: NDArray[np.uint16], flow: NDArray[np.float32], found: NDArray[np.uint16]) -> None:
+def _warp(image: U16, flow: F32, found: U16) -> None:
     """Take each pixel's value from where the flow, linear between its places, says that it was."""
     height, width = image.shape
     h, w = flow.shape[:2]

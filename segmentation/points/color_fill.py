@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, U8, Bool, Intp, compiled
 
 #: Pixels that a source on another, farther surface counts as being more distant.
 _OTHER_SURFACE_PX = 10_000
@@ -68,13 +68,7 @@ def fill_colors(
 
 
 @compiled
-def _lend_in_lines(
-    color: NDArray[np.uint8],
-    sources: NDArray[np.bool_],
-    wanted: NDArray[np.intp],
-    depth_m: NDArray[np.float32],
-    tolerance_per_m: float,
-) -> NDArray[np.intp]:
+def _lend_in_lines(color: U8, sources: Bool, wanted: Intp, depth_m: F32, tolerance_per_m: float) -> Intp:
     """Color wanted pixels, ascending, from the best source left, right, above or below.
 
     They become sources too. Returns those for which there is none.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, Bool, compiled
 from nurbseg.segmentation.points.grid import PixelGrid, decimated_grid
 from nurbseg.segmentation.points.rays import Rays, rays_of
 from nurbseg.segmentation.points.registration import PointMap
@@ -57,7 +57,7 @@ class DepthGrid:
 
 
 @compiled
-def _distances(coordinates_m: NDArray[np.float32]) -> NDArray[np.float32]:
+def _distances(coordinates_m: F32) -> F32:
     """Distance from the camera of each point of a grid."""
     _, height, width = coordinates_m.shape
     distances_m = np.empty((height, width), dtype=np.float32)
@@ -95,7 +95,7 @@ def inverse_depth_image(cloud: PointMap) -> NDArray[np.float32]:
 
 
 @compiled
-def _inverse_depths(depth_m: NDArray[np.float32], valid: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _inverse_depths(depth_m: F32, valid: Bool) -> F32:
     """One over depth where there is a point in front of the camera, else 0."""
     height, width = valid.shape
     per_m = np.empty((height, width), dtype=np.float32)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, Bool, Intp, compiled
 from nurbseg.segmentation.points.registration import PointMap
 
 Window = tuple[int, int, int, int]
@@ -86,7 +86,7 @@ class PixelGrid:
 
 
 @compiled
-def _window_mask(places: NDArray[np.intp], width: int) -> tuple[int, int, int, int, NDArray[np.bool_]]:
+def _window_mask(places: Intp, width: int) -> tuple[int, int, int, int, Bool]:
     """Tight window of at least one flat place, one past the last, and which of its places they are."""
     # Successive places are mostly of one row: so few need a division.
     row = top = bottom = places[0] // width
@@ -106,7 +106,7 @@ def _window_mask(places: NDArray[np.intp], width: int) -> tuple[int, int, int, i
 
 
 @compiled
-def _marked(mask: NDArray[np.bool_], top: int, left: int, width: int, step: int) -> NDArray[np.intp]:
+def _marked(mask: Bool, top: int, left: int, width: int, step: int) -> Intp:
     """Flat indices, on an image of some width, of the marked places of a window of every `step`-th pixel."""
     marked = np.empty(mask.size, dtype=np.intp)
     count = 0
@@ -118,7 +118,7 @@ def _marked(mask: NDArray[np.bool_], top: int, left: int, width: int, step: int)
 
 
 @compiled
-def _on_image(places: NDArray[np.intp], width: int, image_width: int, step: int) -> NDArray[np.intp]:
+def _on_image(places: Intp, width: int, image_width: int, step: int) -> Intp:
     """Flat indices into the image of flat places of the grid."""
     pixels = np.empty(places.size, dtype=np.intp)
     for n in range(places.size):
@@ -128,7 +128,7 @@ def _on_image(places: NDArray[np.intp], width: int, image_width: int, step: int)
 
 
 @compiled
-def _every_second(places: NDArray[np.intp], width: int) -> NDArray[np.intp]:
+def _every_second(places: Intp, width: int) -> Intp:
     """Those of some flat places that are on even rows and columns."""
     found = np.empty(places.size, dtype=np.intp)
     count = 0
@@ -159,9 +159,7 @@ def decimated_grid(cloud: PointMap, step: int) -> PixelGrid:
 
 
 @compiled
-def _decimated(
-    points_m: NDArray[np.float32], valid: NDArray[np.bool_], step: int
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def _decimated(points_m: F32, valid: Bool, step: int) -> tuple[F32, Bool]:
     """Take coordinates, 0 where there is no point, and where there is one, from every `step`-th pixel."""
     height, width = -(-valid.shape[0] // step), -(-valid.shape[1] // step)
     coordinates_m = np.empty((3, height, width), dtype=np.float32)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, F64, Bool, compiled
 from nurbseg.segmentation.points.rays import Rays
 
 #: A window needs points on this share of its places to have a plane of its own.
@@ -64,9 +64,7 @@ def facet_slopes(
 
 
 @compiled
-def _window_planes(
-    inverse_depth: NDArray[np.float32], valid: NDArray[np.bool_], window: int, noise_per_m: float
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _window_planes(inverse_depth: F32, valid: Bool, window: int, noise_per_m: float) -> tuple[F32, F32]:
     """Fit a plane in the window around each place: (3, h, w) value there and slopes; (h, w) what it costs.
 
     Sums over a window are those over the window before it, with what has entered and without what has left.
@@ -116,7 +114,7 @@ def _window_planes(
 
 
 @compiled
-def _mean(inverse_depth: NDArray[np.float32], valid: NDArray[np.bool_]) -> float:
+def _mean(inverse_depth: F32, valid: Bool) -> float:
     total, count = 0.0, 0
     for y in range(valid.shape[0]):
         for x in range(valid.shape[1]):
@@ -126,14 +124,7 @@ def _mean(inverse_depth: NDArray[np.float32], valid: NDArray[np.bool_]) -> float
 
 
 @compiled
-def _add_row(
-    below: NDArray[np.float64],
-    inverse_depth: NDArray[np.float32],
-    valid: NDArray[np.bool_],
-    offset: float,
-    v: float,
-    sign: float,
-) -> None:
+def _add_row(below: F64, inverse_depth: F32, valid: Bool, offset: float, v: float, sign: float) -> None:
     """Add a row of points to the sums at each column, or take it away."""
     for x in range(valid.size):
         one = sign if valid[x] else 0.0
@@ -147,7 +138,7 @@ def _add_row(
 
 
 @compiled
-def _add_columns(below: NDArray[np.float64], half: int, sums: NDArray[np.float64]) -> None:
+def _add_columns(below: F64, half: int, sums: F64) -> None:
     """Add up columns in windows: of 1, v, v^2, d, d v, d^2 and, with u, of u, u^2, u v, d u."""
     width = below.shape[1]
     n, nv, nvv, nd, ndv, ndd, nu, nuu, nuv, ndu = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -173,13 +164,8 @@ def _add_columns(below: NDArray[np.float64], half: int, sums: NDArray[np.float64
 
 @compiled
 def _chosen_planes(
-    inverse_depth: NDArray[np.float32],
-    valid: NDArray[np.bool_],
-    planes: NDArray[np.float32],
-    cost: NDArray[np.float32],
-    reach: int,
-    own_per_m: float,
-) -> NDArray[np.float32]:
+    inverse_depth: F32, valid: Bool, planes: F32, cost: F32, reach: int, own_per_m: float
+) -> F32:
     """Give each place the best plane of nine windows that hold it: (3, h, w) value there and slopes."""
     height, width = valid.shape
     chosen = planes.copy()
@@ -255,14 +241,8 @@ def facet_normals(
 
 @compiled
 def _normals(
-    slope_u: NDArray[np.float32],
-    slope_v: NDArray[np.float32],
-    inverse_depth: NDArray[np.float32],
-    ray_x: NDArray[np.float64],
-    ray_y: NDArray[np.float64],
-    fx: float,
-    fy: float,
-) -> NDArray[np.float32]:
+    slope_u: F32, slope_v: F32, inverse_depth: F32, ray_x: F64, ray_y: F64, fx: float, fy: float
+) -> F32:
     """Turn slopes of inverse depth into unit normals, where there is an inverse depth.
 
     The plane n . p = 1 is seen as inverse depth n . (ray_x, ray_y, 1), so that n is the slope times the

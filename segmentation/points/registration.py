@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, I32, U8, U16, Bool, compiled
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.segmentation.points.color_fill import fill_colors
 
@@ -174,9 +174,7 @@ class _Registration:
 
 
 @compiled
-def _back_projected(
-    depth_mm: NDArray[np.uint16], ray_x: NDArray[np.float32], ray_y: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def _back_projected(depth_mm: U16, ray_x: F32, ray_y: F32) -> F32:
     """Points on their rays, (H, W, 3); NaN where there is no depth or no ray."""
     height, width = depth_mm.shape
     points_m = np.empty((height, width, 3), dtype=np.float32)
@@ -193,20 +191,18 @@ def _back_projected(
 
 @compiled
 def _projected(
-    points_m: NDArray[np.float32],
-    color_from_depth: NDArray[np.float32],
-    lens: NDArray[np.float32],
+    points_m: F32,
+    color_from_depth: F32,
+    lens: F32,
     fold_square: np.float32,
-    tilt: NDArray[np.float32],
-    camera: NDArray[np.float32],
+    tilt: F32,
+    camera: F32,
     color_height: int,
     color_width: int,
     cells_per_px: np.float32,
     cells_high: int,
     cells_wide: int,
-) -> tuple[
-    NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.int32], NDArray[np.float32]
-]:
+) -> tuple[F32, F32, F32, I32, F32]:
     """Project every point into the color image.
 
     Returns its place there, limited to the image, pixels; its inverse depth in the color camera's frame, 1/m,
@@ -265,13 +261,7 @@ def _limited(x: np.float32, least: np.float32, most: np.float32) -> np.float32:
 
 
 @compiled
-def _distort_row(
-    along_x: NDArray[np.float32],
-    along_y: NDArray[np.float32],
-    k: NDArray[np.float32],
-    fold_square: np.float32,
-    tilt: NDArray[np.float32],
-) -> None:
+def _distort_row(along_x: F32, along_y: F32, k: F32, fold_square: np.float32, tilt: F32) -> None:
     """Distort a row of image coordinates, in place, by OpenCV's model."""
     one, two = np.float32(1.0), np.float32(2.0)
     k1, k2, p1, p2, k3, k4, k5, k6 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7]
@@ -296,13 +286,8 @@ def _distort_row(
 
 @compiled
 def _seen(
-    points_m: NDArray[np.float32],
-    nearness: NDArray[np.float32],
-    cell: NDArray[np.int32],
-    buffer: NDArray[np.float32],
-    hiding_per_m: np.float32,
-    color: NDArray[np.uint8],
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    points_m: F32, nearness: F32, cell: I32, buffer: F32, hiding_per_m: np.float32, color: U8
+) -> tuple[Bool, Bool]:
     """Tell points that the color camera sees from others, and make color black where there is no point."""
     height, width = cell.shape
     seen, missing = np.empty((height, width), dtype=np.bool_), np.empty((height, width), dtype=np.bool_)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F64, compiled
 
 
 @compiled
-def dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+def dot(a: F64, b: F64) -> float:
     """Add up the products of two rows."""
     total = 0.0
     for n in range(a.size):
@@ -18,7 +17,7 @@ def dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 
 
 @compiled
-def factorize(band: NDArray[np.float64]) -> bool:
+def factorize(band: F64) -> bool:
     """Replace a symmetric band by its Cholesky factor.
 
     Parameters
@@ -50,7 +49,7 @@ def factorize(band: NDArray[np.float64]) -> bool:
 
 
 @compiled
-def substitute(factor: NDArray[np.float64], x: NDArray[np.float64]) -> None:
+def substitute(factor: F64, x: F64) -> None:
     """Solve a system in place.
 
     Parameters

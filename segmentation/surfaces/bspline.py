@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled, inlined
+from nurbseg.drivers.compiled import F64, compiled, inlined
 
 #: The paper's surfaces are cubic in both directions.
 CUBIC = 3
@@ -152,9 +152,7 @@ def even_functions(t: NDArray[np.float64], spacing: float, derivative: int = 0) 
 
 
 @compiled
-def _fill_even(
-    t: NDArray[np.float64], per_spacing: float, derivative: int, values: NDArray[np.float64]
-) -> None:
+def _fill_even(t: F64, per_spacing: float, derivative: int, values: F64) -> None:
     """Evaluate the functions, or their slopes, at every place."""
     for n in range(t.size):
         four = even_values(t[n]) if derivative == 0 else even_slopes(t[n], per_spacing)
@@ -180,7 +178,7 @@ def even_slopes(t: float, per_spacing: float) -> Four:
 
 
 @inlined
-def knot_span(knots: NDArray[np.float64], start: int, count: int, t: float) -> int:
+def knot_span(knots: F64, start: int, count: int, t: float) -> int:
     """Return the span that holds t, from `start` on; the end spans also hold what lies beyond them."""
     span = CUBIC
     while (
@@ -191,7 +189,7 @@ def knot_span(knots: NDArray[np.float64], start: int, count: int, t: float) -> i
 
 
 @inlined
-def cubic_functions(knots: NDArray[np.float64], span: int, t: float) -> tuple[Four, Four]:
+def cubic_functions(knots: F64, span: int, t: float) -> tuple[Four, Four]:
     """Evaluate the four cubic functions on a span between any knots, and their slopes.
 
     References

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, F64, Bool, compiled
 from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.points.grid import PixelGrid, full_grid
@@ -207,13 +207,8 @@ def spline_distances(
 
 @compiled
 def _distances(
-    points_m: NDArray[np.float32],
-    mask: NDArray[np.bool_],
-    corner: tuple[int, int],
-    control_m: NDArray[np.float64],
-    rows: SpanBasis,
-    columns: SpanBasis,
-) -> NDArray[np.float64]:
+    points_m: F32, mask: Bool, corner: tuple[int, int], control_m: F64, rows: SpanBasis, columns: SpanBasis
+) -> F64:
     """Distance of each marked point of a window to a spline at its own parameters, in the order of pixels."""
     height, width = mask.shape
     top, left = corner

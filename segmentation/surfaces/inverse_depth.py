@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, F64, Bool, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.depth_grid import DepthGrid
 from nurbseg.segmentation.points.grid import Window
@@ -151,13 +151,13 @@ def _fitted_spline(
 
 @compiled
 def _residuals(
-    images: tuple[NDArray[np.float32], NDArray[np.float32]],
-    mask: NDArray[np.bool_],
+    images: tuple[F32, F32],
+    mask: Bool,
     corner: tuple[int, int],
-    control: NDArray[np.float64],
+    control: F64,
     rows: SpanBasis,
     columns: SpanBasis,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[F64, F64]:
     """Compare a spline at the marked places with images of inverse depth and of distances."""
     (per_m, distances_m), (top, left), (height, width) = images, corner, mask.shape
     count = 0
@@ -259,13 +259,8 @@ def ray_control_values(
 
 @compiled
 def _linear_control_values(
-    coefficients: NDArray[np.float64],
-    center_u: float,
-    center_v: float,
-    scale: float,
-    knots_u: NDArray[np.float64],
-    knots_v: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    coefficients: F64, center_u: float, center_v: float, scale: float, knots_u: F64, knots_v: F64
+) -> F64:
     """Evaluate linear rays at the Greville abscissae of cubic knot vectors."""
     height, width = knots_v.size - 4, knots_u.size - 4
     values = np.empty((2, height, width))

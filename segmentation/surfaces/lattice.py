@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, F64, I32, I64, compiled
 from nurbseg.segmentation.surfaces.bspline import CUBIC, even_values
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
@@ -111,13 +111,7 @@ class SurfaceLattice:
 
 
 @compiled
-def _evaluate(
-    nets: NDArray[np.float32],
-    shapes: NDArray[np.int64],
-    first: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-    samples: Samples,
-) -> None:
+def _evaluate(nets: F32, shapes: I64, first: F64, spacing: F64, samples: Samples) -> None:
     """Evaluate splines on their windows: each row of control values along columns, then all along rows."""
     values, windows = samples
     most, widest = 1, 1
@@ -154,7 +148,7 @@ def _evaluate(
 
 
 @compiled
-def _cubic(place: float, count: int, basis: NDArray[np.float32]) -> int:
+def _cubic(place: float, count: int, basis: F32) -> int:
     """Fill in the four cubic functions that are not zero at a place; return the number of the first."""
     span = min(max(int(np.floor(place)), 3), count - 1)
     basis[0], basis[1], basis[2], basis[3] = even_values(place - span)
@@ -162,7 +156,7 @@ def _cubic(place: float, count: int, basis: NDArray[np.float32]) -> int:
 
 
 @compiled
-def _take(samples: Samples, labels: NDArray[np.int32], found: NDArray[np.float32]) -> None:
+def _take(samples: Samples, labels: I32, found: F32) -> None:
     """Take the value of each place's label."""
     values, windows = samples
     height, width = labels.shape
@@ -179,13 +173,7 @@ def _take(samples: Samples, labels: NDArray[np.int32], found: NDArray[np.float32
 
 
 @compiled
-def _interpolate(
-    samples: Samples,
-    labels: NDArray[np.int32],
-    rows: NDArray[np.float64],
-    columns: NDArray[np.float64],
-    found: NDArray[np.float64],
-) -> None:
+def _interpolate(samples: Samples, labels: I32, rows: F64, columns: F64, found: F64) -> None:
     """Interpolate values between four places, and their change by a place along columns and rows."""
     values, windows = samples
     for n in range(labels.size):

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, F64, Bool, Intp, compiled
 from nurbseg.segmentation.surfaces.banded import dot, factorize, substitute
 from nurbseg.segmentation.surfaces.bspline import SpanBasis, pixel_basis
 
@@ -103,13 +103,8 @@ def fit_splines(
 
 @compiled
 def _fit(
-    images: NDArray[np.float32],
-    mask: NDArray[np.bool_],
-    corner: tuple[int, int],
-    rows: SpanBasis,
-    columns: SpanBasis,
-    smoothness: float,
-) -> tuple[bool, NDArray[np.float64], NDArray[np.float64]]:
+    images: F32, mask: Bool, corner: tuple[int, int], rows: SpanBasis, columns: SpanBasis, smoothness: float
+) -> tuple[bool, F64, F64]:
     """Set up and solve the normal equations: whether there is a solution, it, and what holds it."""
     count, nv, nu = images.shape[0], rows.size, columns.size
     # Numbering control points along the direction that has fewer gives the narrower band.
@@ -149,9 +144,7 @@ def _fit(
 
 
 @compiled
-def _some_values(
-    images: NDArray[np.float32], mask: NDArray[np.bool_], corner: tuple[int, int]
-) -> NDArray[np.float64]:
+def _some_values(images: F32, mask: Bool, corner: tuple[int, int]) -> F64:
     """Value of each image at the first marked pixel, about which sums lose little to rounding."""
     for y in range(mask.shape[0]):
         for x in range(mask.shape[1]):
@@ -161,7 +154,7 @@ def _some_values(
 
 
 @compiled
-def _center(band: NDArray[np.float64], right: NDArray[np.float64], centers: NDArray[np.float64]) -> None:
+def _center(band: F64, right: F64, centers: F64) -> None:
     """Turn right sides about some values into those about the mean of each image, and say the means.
 
     The functions sum to 1: so a row of the normal matrix sums to that of its function over the points, and
@@ -184,15 +177,15 @@ def _center(band: NDArray[np.float64], right: NDArray[np.float64], centers: NDAr
 
 @compiled
 def _add_points(
-    images: NDArray[np.float32],
-    mask: NDArray[np.bool_],
+    images: F32,
+    mask: Bool,
     corner: tuple[int, int],
     rows: SpanBasis,
     columns: SpanBasis,
     steps: tuple[int, int],
-    centers: NDArray[np.float64],
-    band: NDArray[np.float64],
-    right: NDArray[np.float64],
+    centers: F64,
+    band: F64,
+    right: F64,
 ) -> None:
     """Add the sums over points to the normal matrix and the right sides."""
     height, width = mask.shape
@@ -253,7 +246,7 @@ def _add_points(
 
 
 @compiled
-def _spans(starts: NDArray[np.intp]) -> tuple[NDArray[np.intp], int]:
+def _spans(starts: Intp) -> tuple[Intp, int]:
     """Places at which the functions change, with both ends, and how many spans these bound."""
     edges = np.empty(starts.size + 1, dtype=np.intp)
     edges[0] = 0
@@ -267,14 +260,7 @@ def _spans(starts: NDArray[np.intp]) -> tuple[NDArray[np.intp], int]:
 
 
 @compiled
-def _scatter(
-    matrix: NDArray[np.float64],
-    sides: NDArray[np.float64],
-    origin: int,
-    steps: tuple[int, int],
-    band: NDArray[np.float64],
-    right: NDArray[np.float64],
-) -> None:
+def _scatter(matrix: F64, sides: F64, origin: int, steps: tuple[int, int], band: F64, right: F64) -> None:
     """Add the sums of one span of rows and columns, whose first control point is number `origin`."""
     step_v, step_u = steps
     for k in range(_PRODUCTS):
@@ -296,7 +282,7 @@ def _scatter(
 
 
 @compiled
-def _add_bends(band: NDArray[np.float64], weight: float, n: int, step: int, lines: int, across: int) -> None:
+def _add_bends(band: F64, weight: float, n: int, step: int, lines: int, across: int) -> None:
     """Add the squared second differences of control values along one axis to the normal matrix."""
     for line in range(lines):
         for k in range(n - 2):

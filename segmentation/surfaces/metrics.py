@@ -8,7 +8,7 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F64, compiled
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 
 METRICS: tuple[Metric, ...] = get_args(Metric)
@@ -48,7 +48,7 @@ def residual_metrics(residuals_m: NDArray[np.float64], config: SegmentationConfi
 
 
 @compiled
-def _sums(residuals_m: NDArray[np.float64], large_m: float) -> tuple[float, float, float, int]:
+def _sums(residuals_m: F64, large_m: float) -> tuple[float, float, float, int]:
     """Largest residual, sum of squares, sum, and how many are large."""
     largest, squares, total, large = 0.0, 0.0, 0.0, 0
     for residual in residuals_m:

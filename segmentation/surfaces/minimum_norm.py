@@ -7,7 +7,7 @@ from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 from scipy.linalg import lstsq
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, F64, Bool, Intp, compiled
 from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, pixel_basis
 
 
@@ -68,13 +68,7 @@ def minimum_norm_control_points(
 
 
 @compiled
-def _triangular_factor(
-    images: NDArray[np.float32],
-    mask: NDArray[np.bool_],
-    rows: SpanBasis,
-    columns: SpanBasis,
-    centers: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _triangular_factor(images: F32, mask: Bool, rows: SpanBasis, columns: SpanBasis, centers: F64) -> F64:
     """Reduce the design matrix, with the images less their centers beside it: (nv nu, nv nu + C)."""
     height, width = mask.shape
     nu = columns.size
@@ -114,7 +108,7 @@ def _triangular_factor(
 
 
 @compiled
-def _end_of_span(starts: NDArray[np.intp], begin: int) -> int:
+def _end_of_span(starts: Intp, begin: int) -> int:
     """Return one past the last place with the functions of the first."""
     end = begin + 1
     while end < starts.size and starts[end] == starts[begin]:
@@ -123,13 +117,7 @@ def _end_of_span(starts: NDArray[np.intp], begin: int) -> int:
 
 
 @compiled
-def _cell(
-    images: NDArray[np.float32],
-    mask: NDArray[np.bool_],
-    values_v: NDArray[np.float64],
-    values_u: NDArray[np.float64],
-    centers: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _cell(images: F32, mask: Bool, values_v: F64, values_u: F64, centers: F64) -> F64:
     """Reduce the rows of the pixels of one span of rows and columns, to 16 functions at most: (M, 16 + C)."""
     height, width = mask.shape
     count = centers.size
@@ -155,7 +143,7 @@ def _cell(
 
 
 @compiled
-def _put(system: NDArray[np.float64], rows: int, factor: NDArray[np.float64], first: int) -> None:
+def _put(system: F64, rows: int, factor: F64, first: int) -> None:
     """Put the first rows of a reduced system where its first control point is number `first`."""
     count = factor.shape[1] - factor.shape[0]
     reached = system.shape[1] - count
@@ -165,7 +153,7 @@ def _put(system: NDArray[np.float64], rows: int, factor: NDArray[np.float64], fi
 
 
 @compiled
-def _move_up(system: NDArray[np.float64], rows: int, reached: int) -> None:
+def _move_up(system: F64, rows: int, reached: int) -> None:
     """Leave out the first control points of a reduced system, for as many new ones at its end."""
     for n in range(reached):
         for m in range(reached):
@@ -176,7 +164,7 @@ def _move_up(system: NDArray[np.float64], rows: int, reached: int) -> None:
 
 
 @compiled
-def _triangularize(A: NDArray[np.float64], columns: int) -> None:
+def _triangularize(A: F64, columns: int) -> None:
     """Make the first columns upper triangular by Householder reflections of the rows, in place."""
     rows, width = A.shape
     dots = np.empty(width)

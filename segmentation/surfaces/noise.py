@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, F64, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.depth_grid import DepthGrid, inverse_depth_image
 from nurbseg.segmentation.points.grid import Window
@@ -106,14 +106,14 @@ def _floors(
 
 @compiled
 def _noise_sums(
-    per_m: NDArray[np.float32],
-    distances_m: NDArray[np.float32],
+    per_m: F32,
+    distances_m: F32,
     labels: NDArray[np.integer],
     top: int,
     left: int,
     deviation_per_m: float,
     large_m: float,
-    sums: NDArray[np.float64],
+    sums: F64,
 ) -> None:
     """Count places by label; sum their noise in metres, its square, and how probably it exceeds a limit."""
     height, width = labels.shape

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled, inlined
+from nurbseg.drivers.compiled import F32, F64, I32, compiled, inlined
 from nurbseg.segmentation.surfaces.bspline import CUBIC, Four, even_slopes, even_values
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
@@ -130,7 +130,7 @@ def _functions(axis: _Axis, label: int, t: float) -> tuple[int, Four, Four]:
 
 
 @inlined
-def _dot(B: Four, values: NDArray[np.float64], first: int, step: int) -> float:
+def _dot(B: Four, values: F64, first: int, step: int) -> float:
     """Add up four values that are a step apart, weighted by a basis."""
     return float(
         (B[0] * values[first] + B[1] * values[first + step])
@@ -139,13 +139,7 @@ def _dot(B: Four, values: NDArray[np.float64], first: int, step: int) -> float:
 
 
 @compiled
-def _evaluate(
-    splines: _Splines,
-    labels: NDArray[np.int32],
-    rows: NDArray[np.int32],
-    columns: NDArray[np.int32],
-    per_m: NDArray[np.float32],
-) -> None:
+def _evaluate(splines: _Splines, labels: I32, rows: I32, columns: I32, per_m: F32) -> None:
     u, v, weights, starts = splines
     # Places come row by row: a surface along its last row is kept, a curve over the columns.
     last_row = np.full(u.counts.size, np.iinfo(np.int32).min, dtype=np.int32)
@@ -171,7 +165,7 @@ def _evaluate(
 
 @inlined
 def _sums(
-    net: NDArray[np.float64], first: int, length: int, Bu: Four, Du: Four, Bv: Four, Dv: Four
+    net: F64, first: int, length: int, Bu: Four, Du: Four, Bv: Four, Dv: Four
 ) -> tuple[float, float, float]:
     """Add up the sixteen control values at `first` and beside it: a spline and its slopes."""
     value, along_u, along_v = 0.0, 0.0, 0.0
@@ -184,13 +178,7 @@ def _sums(
 
 
 @compiled
-def _evaluate_slopes(
-    splines: _Splines,
-    labels: NDArray[np.int32],
-    columns: NDArray[np.float64],
-    rows: NDArray[np.float64],
-    found: NDArray[np.float64],
-) -> None:
+def _evaluate_slopes(splines: _Splines, labels: I32, columns: F64, rows: F64, found: F64) -> None:
     u, v, weights, starts = splines
     for n in range(labels.size):
         label = labels[n]

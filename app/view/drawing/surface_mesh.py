@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.view.drawing.surface_samples import Lattices, evaluate_vertices
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, F64, I64, U16, Intp, compiled
 from nurbseg.segmentation.segments import SegmentationTree
 
 
@@ -92,13 +92,7 @@ def surface_mesh(tree: SegmentationTree, labels: NDArray[np.uint16], step_px: fl
 
 @compiled
 def _trimmed_triangles(
-    labels: NDArray[np.uint16],
-    label_of: NDArray[np.uint16],
-    first: NDArray[np.float64],
-    step: NDArray[np.float64],
-    count: NDArray[np.intp],
-    row_of: NDArray[np.int64],
-    corners: NDArray[np.uint32],
+    labels: U16, label_of: U16, first: F64, step: F64, count: Intp, row_of: I64, corners: NDArray[np.uint32]
 ) -> int:
     """Keep the triangles, two for a cell, at whose centroid the image has the surface's label.
 
@@ -137,15 +131,15 @@ def _trimmed_triangles(
 
 @compiled
 def _mean_residuals(
-    pixels: NDArray[np.intp],
-    residuals_m: NDArray[np.float64],
-    sizes: NDArray[np.intp],
+    pixels: Intp,
+    residuals_m: F64,
+    sizes: Intp,
     width: int,
-    first: NDArray[np.float64],
-    step: NDArray[np.float64],
-    count: NDArray[np.intp],
-    row_of: NDArray[np.int64],
-    means: NDArray[np.float32],
+    first: F64,
+    step: F64,
+    count: Intp,
+    row_of: I64,
+    means: F32,
 ) -> None:
     """Average the residuals around each vertex; where there is none, those of the whole fit.
 
@@ -181,9 +175,7 @@ def _mean_residuals(
 
 
 @compiled
-def _normals(
-    vertices: NDArray[np.float32], triangles: NDArray[np.uint32], normals: NDArray[np.float32]
-) -> None:
+def _normals(vertices: F32, triangles: NDArray[np.uint32], normals: F32) -> None:
     """Add up the normals of each vertex's triangles by area, as unit vectors towards the camera."""
     for triangle in range(triangles.shape[0]):
         a, b, c = (

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled, inlined
+from nurbseg.drivers.compiled import F32, F64, Bool, Intp, compiled, inlined
 from nurbseg.segmentation.surfaces.bspline import CUBIC, cubic_functions, knot_span
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
@@ -104,16 +104,16 @@ def evaluate_vertices(
 
 @compiled
 def _evaluate(
-    knots_u: NDArray[np.float64],
-    knots_v: NDArray[np.float64],
-    control: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    shapes: NDArray[np.intp],
-    first: NDArray[np.float64],
-    step: NDArray[np.float64],
-    count: NDArray[np.intp],
-    wanted: NDArray[np.bool_],
-    points: NDArray[np.float32],
+    knots_u: F64,
+    knots_v: F64,
+    control: F64,
+    weights: F64,
+    shapes: Intp,
+    first: F64,
+    step: F64,
+    count: Intp,
+    wanted: Bool,
+    points: F32,
 ) -> None:
     """Fill `points`: for each lattice row a curve of homogeneous points, evaluated at the columns."""
     widest, most_columns = shapes[:, 1].max(), count[:, 1].max()
@@ -157,7 +157,7 @@ def _evaluate(
 
 
 @inlined
-def _basis(knots: NDArray[np.float64], at: float, values: NDArray[np.float64]) -> int:
+def _basis(knots: F64, at: float, values: F64) -> int:
     """Fill in the cubic functions that are not 0 at a parameter; return the number of the first."""
     span = knot_span(knots, 0, knots.size - CUBIC - 1, at)
     values[0], values[1], values[2], values[3] = cubic_functions(knots, span, at)[0]
