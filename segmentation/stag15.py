@@ -77,17 +77,7 @@ def cut_in_two(
 
 
 def fit_segment(grid: PixelGrid, places: NDArray[np.intp], config: SegmentationConfig) -> Fit:
-    """Fit a surface to a segment (section 3.2), with the metric that decides among its values (section 4).
-
-    Parameters
-    ----------
-    grid : PixelGrid
-        The points.
-    places : (N,) intp
-        Flat places on the grid, ascending.
-    config : SegmentationConfig
-        How surfaces are fitted, and the metric.
-    """
+    """Fit a surface to a segment (section 3.2), with the metric that decides among its values (section 4)."""
     fit = fit_on_grid(grid, places, config)  # eq. 4; eq. 7, 9, 11 and NLE
     if config.metric in CURVATURE_METRICS:
         fit = replace(fit, values=all_metrics(fit, grid.image_shape[1], config))  # eq. 14-19 and NLC
@@ -107,19 +97,10 @@ def segment_stag15(
 
     Parameters
     ----------
-    cloud : PointMap
-        Points and their colors.
-    config : SegmentationConfig
-        Thresholds and choices; the same seed gives the same tree.
+    cloud, config, clock
+        As for `nurbseg.segmentation.methods.segment`, which says what is returned, too.
     cut, fit : callable
         The two steps that take time; others may remember what they made of this very frame.
-    clock : callable
-        As for `nurbseg.segmentation.methods.segment`.
-
-    Returns
-    -------
-    SegmentationTree
-        As that of `nurbseg.segmentation.methods.segment`.
 
     References
     ----------

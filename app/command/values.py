@@ -33,25 +33,13 @@ class ValueKind:
     word: str = ""
 
     def from_text(self, text: str) -> Any:
-        """Return the value of a flag's text.
-
-        Raises
-        ------
-        ValueError
-            If the text is of another kind.
-        """
+        """Return the value of a flag's text; raises ValueError where that is of another kind."""
         if self.length:
             return self._checked(tuple(self._number(part) for part in text.split(",")), text)
         return text if self.kind is str or text == self.word else self._number(text)
 
     def from_toml(self, value: Any) -> Any:
-        """Return the setting's value of what a TOML file holds.
-
-        Raises
-        ------
-        ValueError
-            If the value is of another kind.
-        """
+        """Return the value of what a TOML file holds; raises ValueError where that is of another kind."""
         if self.length:
             if not isinstance(value, list):
                 raise ValueError(f"expected {self.words}, got {quoted(value)}")

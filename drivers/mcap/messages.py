@@ -171,13 +171,7 @@ def depth_of(message: Any, schema: str, name: str, units_per_metre: float | None
 
 
 def color_of(message: Any, schema: str, name: str) -> NDArray[np.uint8]:
-    """Return the (H, W, 3) uint8 RGB of a color message.
-
-    Raises
-    ------
-    FrameFormatError
-        If it is not a whole color image.
-    """
+    """Return the (H, W, 3) uint8 RGB of a color message; raises `FrameFormatError` as `depth_of` does."""
     if schema == COMPRESSED_IMAGE:
         return decode_color(bytes(message.data), name)
     pixels = _pixels(message, COLOR_ENCODINGS, name)
@@ -189,13 +183,7 @@ def color_of(message: Any, schema: str, name: str) -> NDArray[np.uint8]:
 
 
 def labels_of(message: Any, schema: str, name: str) -> NDArray[np.uint16]:
-    """Return the (H, W) uint16 labels of a message.
-
-    Raises
-    ------
-    FrameFormatError
-        If it is not a whole label image.
-    """
+    """Return the (H, W) uint16 labels of a message; raises `FrameFormatError` as `depth_of` does."""
     if schema == COMPRESSED_IMAGE:
         return decode_labels(bytes(message.data), name)
     return _pixels(message, LABEL_ENCODINGS, name).astype(np.uint16)

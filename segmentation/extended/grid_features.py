@@ -39,20 +39,7 @@ class GridFeatures:
 
 
 def grid_features(cloud: PointMap, config: SegmentationConfig) -> GridFeatures:
-    """Lay a frame out on the grid: inverse depth, adjacency and raw vectors.
-
-    Parameters
-    ----------
-    cloud : PointMap
-        The frame.
-    config : SegmentationConfig
-        Grid, windows, weights and gap.
-
-    Returns
-    -------
-    GridFeatures
-        What the tree grows on.
-    """
+    """Lay a frame out on the grid that is set: inverse depth, adjacency and raw vectors."""
     grid = depth_grid(cloud, config.decimation)
     color = lab(cloud.color[:: grid.step, :: grid.step].reshape(-1, 3))
     normals = _normals(grid, 0, 0, *grid.points.shape, config)

@@ -42,14 +42,7 @@ def judge_split(
 def fit_segment(features: GridFeatures, places: NDArray[np.intp], config: SegmentationConfig) -> Part:
     """Fit a surface, with the metric that decides among its values, and what noise leaves of that metric.
 
-    Parameters
-    ----------
-    features : GridFeatures
-        The frame.
-    places : (N,) intp
-        Flat places of the grid, ascending.
-    config : SegmentationConfig
-        Thresholds and choices.
+    The places are flat indices into the grid, (N,) intp, ascending.
 
     Returns
     -------

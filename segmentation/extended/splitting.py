@@ -41,11 +41,7 @@ def segment_nurbseg(
 
     Parameters
     ----------
-    cloud : PointMap
-        Points and their colors.
-    config : SegmentationConfig
-        Thresholds and choices; the same seed gives the same tree.
-    clock : callable
+    cloud, config, clock
         As for `nurbseg.segmentation.methods.segment`.
 
     Returns

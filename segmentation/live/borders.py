@@ -24,11 +24,9 @@ def spread_to_pixels(
     before : (H, W) uint16
         Label that each pixel had.
     on_grid : (h, w) int32
-        Labels on the grid.
+        Labels on every `step`-th row and column.
     per_m : (H, W) float32
         Inverse depth, 1/m; 0 where there is no point, and so no label.
-    step : int
-        Pixels from one place of the grid to the next.
 
     Returns
     -------

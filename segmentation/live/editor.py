@@ -82,21 +82,9 @@ class TreeUpdate:
     def relabelled(
         self, labels: NDArray[np.uint16], per_m: NDArray[np.float32], step: int
     ) -> NDArray[np.uint16]:
-        """Return a label image as it is after the update.
+        """Return a label image (H, W) as it is after the update, given each pixel's inverse depth, 1/m.
 
-        Parameters
-        ----------
-        labels : (H, W) uint16
-            Labels before it.
-        per_m : (H, W) float32
-            Inverse depth, 1/m; 0 where there is no point, and so no label.
-        step : int
-            Pixels from one place of the grid to the next.
-
-        Returns
-        -------
-        (H, W) uint16
-            Labels from now on.
+        Where that is 0 there is no point, and so no label; `step` is that of the grid, pixels.
         """
         relabelled = np.empty_like(labels)
         _relabel(labels, per_m, self.before, self.on_grid, self.final, step, relabelled)

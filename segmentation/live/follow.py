@@ -123,15 +123,8 @@ def grown_labels(
 ) -> NDArray[np.int32]:
     """Let labels grow into unlabelled places that their surfaces explain.
 
-    Parameters
-    ----------
-    labels, per_m, lattice, limits_per_m
-        As for `kept_labels`; places without a point, whose inverse depth is 0, stay unlabelled.
-
-    Returns
-    -------
-    (h, w) int32
-        The labels; places that no neighbour's surface explains stay 0.
+    All is as for `kept_labels`; places without a point, whose inverse depth is 0, and those that no
+    neighbour's surface explains stay 0.
     """
     grown = labels.copy()
     _grow(grown, per_m, lattice.samples, limits_per_m, _GROWTH)

@@ -71,20 +71,7 @@ def _distances(coordinates_m: F32) -> F32:
 
 
 def depth_grid(cloud: PointMap, step: int) -> DepthGrid:
-    """Take every `step`-th row and column of a frame.
-
-    Parameters
-    ----------
-    cloud : PointMap
-        The frame.
-    step : int
-        Pixels from one row or column to the next.
-
-    Returns
-    -------
-    DepthGrid
-        Its points and their inverse depths.
-    """
+    """Take every `step`-th row and column of a frame: its points and their inverse depths."""
     points = decimated_grid(cloud, step)
     return DepthGrid(points, _inverse_depths(points.coordinates_m[2], points.valid), rays_of(cloud))
 

@@ -140,20 +140,7 @@ def _every_second(places: Intp, width: int) -> Intp:
 
 
 def decimated_grid(cloud: PointMap, step: int) -> PixelGrid:
-    """Take every `step`-th row and column of a frame.
-
-    Parameters
-    ----------
-    cloud : PointMap
-        The frame.
-    step : int
-        Pixels from one row or column to the next.
-
-    Returns
-    -------
-    PixelGrid
-        Its points and which of them there are.
-    """
+    """Take every `step`-th row and column of a frame: its points and which of them there are."""
     height, width = cloud.valid.shape
     return PixelGrid(step, (height, width), *_decimated(cloud.points_m, cloud.valid, step))
 

@@ -212,17 +212,8 @@ def cubic_functions(knots: F64, span: int, t: float) -> tuple[Four, Four]:
 def pixel_knots(size: int, count: int) -> NDArray[np.float64]:
     """Return the knots of a cubic fit to `size` pixels in a row, whose parameters are 0, 1, ..., size - 1.
 
-    Parameters
-    ----------
-    size : int
-        Number of pixels.
-    count : int
-        Number of control points.
-
-    Returns
-    -------
-    (count + 4,) float64
-        Read-only, since they are kept for the next segment of the same size.
+    They are (count + 4,) float64 for `count` control points, and read-only, since they are kept for the next
+    segment of the same size.
     """
     knots = averaged_knots(np.arange(size, dtype=np.float64), count)
     knots.flags.writeable = False
@@ -249,20 +240,7 @@ class SpanBasis(NamedTuple):
 
 @lru_cache(maxsize=256)
 def pixel_basis(size: int, count: int) -> SpanBasis:
-    """Return the cubic basis at `size` pixels in a row, whose parameters are 0, 1, ..., size - 1.
-
-    Parameters
-    ----------
-    size : int
-        Number of pixels.
-    count : int
-        Number of control points.
-
-    Returns
-    -------
-    SpanBasis
-        Kept for the next segment of the same size.
-    """
+    """Return the `count` functions of a cubic fit at `size` pixels in a row, kept as their `pixel_knots`."""
     knots, places = pixel_knots(size, count), np.arange(size, dtype=np.float64)
     domain = knots[CUBIC : count + 1]
     last_span = int(np.searchsorted(domain, domain[-1], side="left")) - 1

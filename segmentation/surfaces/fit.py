@@ -94,12 +94,10 @@ def fit_on_grid(grid: PixelGrid, places: NDArray[np.intp], config: SegmentationC
 
     Parameters
     ----------
-    grid : PixelGrid
-        The points.
+    grid, config : PixelGrid, SegmentationConfig
+        The points; and the settings, as for `fit_surface`.
     places : (N,) intp
         Flat indices into the grid, ascending.
-    config : SegmentationConfig
-        As for `fit_surface`.
 
     Returns
     -------

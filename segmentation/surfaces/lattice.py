@@ -84,19 +84,9 @@ class SurfaceLattice:
     def slopes_at(
         self, labels: NDArray[np.int32], u: NDArray[np.float64], v: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return surfaces at pixels between the places of the grid, where they are taken for linear.
+        """Return what `SurfaceTable.slopes` does, of surfaces taken for linear from pixel to grid pixel.
 
-        Parameters
-        ----------
-        labels : (N,) int32
-            Which surface.
-        u, v : (N,) float64
-            Columns and rows, pixels.
-
-        Returns
-        -------
-        per_m, along_u, along_v : (N,) float64
-            Inverse depth in 1/m, NaN where a surface does not reach, and its change by a pixel.
+        All three are NaN where a surface does not reach.
         """
         found = np.empty((3, labels.size))
         _interpolate(

@@ -70,12 +70,8 @@ def fit_splines(
 
     Parameters
     ----------
-    values : (C, H, W) float32
-        Images to fit; read only where `mask` is set.
-    mask : (h, w) bool
-        Pixels of the window that have a value, at least one.
-    corner : (int, int)
-        First row and column of the window.
+    values, mask, corner
+        As for `fit_control_points`.
     rows, columns : SpanBasis
         At the rows and columns of the window.
     smoothness : float

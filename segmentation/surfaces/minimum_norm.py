@@ -23,15 +23,10 @@ def minimum_norm_control_points(
 
     Parameters
     ----------
-    values : (C, H, W) float32
-        Images to fit; read only where `mask` is set.
-    mask : (h, w) bool
-        Pixels of the window that have a value, at least one.
-    corner : (int, int)
-        First row and column of the window.
+    values, mask, corner
+        As for `nurbseg.segmentation.surfaces.leastsquares.fit_control_points`.
     counts : (int, int)
-        Control points along rows' parameter u (columns of the image) and v (rows of the image): at least
-        4, and beyond that no more than there are pixels, so that no span of knots is without one.
+        As there; beyond 4 no more than there are pixels, so that no span of knots is without one.
 
     Returns
     -------

@@ -39,12 +39,8 @@ def noise_floor(
 
     Parameters
     ----------
-    grid : DepthGrid
-        The points.
-    window : (int, int, int, int)
-        First row and column of the grid, and one past the last of each.
-    mask : (h, w) bool
-        Places of the window that belong to the segment, at least one.
+    grid, window, mask
+        As for `nurbseg.segmentation.surfaces.inverse_depth.fit_window`.
     config : SegmentationConfig
         The metric, T_l and T_c, the noise and its factor `noise_floor`, and the knots of the surfaces.
 

@@ -111,23 +111,12 @@ def evaluate(
 def evaluate_lattice(
     surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64], du: int = 0, dv: int = 0
 ) -> NDArray[np.float64]:
-    """Evaluate a surface or its derivative wherever one of some rows meets one of some columns.
-
-    Parameters
-    ----------
-    surface : NurbsSurface
-        The surface.
-    u : (W,) float
-        Columns, pixels.
-    v : (H,) float
-        Rows, pixels.
-    du, dv : int
-        Order of the derivative along u and v, together at most 2.
+    """Evaluate a surface or its derivative, as `evaluate` does, where rows v (H,) meet columns u (W,).
 
     Returns
     -------
     (H, W, 3) float64
-        As `evaluate`.
+        As of `evaluate`.
     """
     u, v = np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64)
 
@@ -142,12 +131,7 @@ def evaluate_lattice(
 def normals(surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the unit normals of a surface, S_u x S_v, which look away from the camera.
 
-    Parameters
-    ----------
-    surface : NurbsSurface
-        The surface.
-    u, v : (N,) float
-        Parameters: column and row, pixels.
+    They are those at scattered columns u and rows v, (N,) float pixels.
 
     Returns
     -------

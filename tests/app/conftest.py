@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import IO, Any
 
@@ -94,15 +95,8 @@ class RunningCommand:
 @pytest.fixture
 def start_live(tmp_path: Path) -> Iterator[Callable[..., RunningCommand]]:
     """Start nurbseg-live in an empty folder."""
-    running: list[RunningCommand] = []
-
-    def start(*words: str) -> RunningCommand:
-        running.append(RunningCommand(words, tmp_path))
-        return running[-1]
-
-    yield start
-    for each in running:
-        each.close()
+    with ExitStack() as running:
+        yield lambda *words: running.enter_context(closing(RunningCommand(words, tmp_path)))
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -190,15 +191,8 @@ class Watched:
 
 @pytest.fixture
 def watch(tmp_path: Path) -> Iterator[Callable[..., Watched]]:
-    watched: list[Watched] = []
-
-    def start(*words: str) -> Watched:
-        watched.append(Watched(words, tmp_path))
-        return watched[-1]
-
-    yield start
-    for each in watched:
-        each.close()
+    with ExitStack() as watched:
+        yield lambda *words: watched.enter_context(closing(Watched(words, tmp_path)))
 
 
 def assert_as_documented(run: str, watched: Watched) -> None:

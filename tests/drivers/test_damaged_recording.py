@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from all_frames import frames_and_errors
 from mcap.opcode import Opcode
 from mcap.stream_reader import StreamReader
 from recorded_scene import APART, scenes, write_mcap
@@ -163,15 +164,7 @@ def test_a_damaged_chunk_is_named_and_the_run_goes_on(whole, frames, tmp_path) -
     content[start + length // 2] ^= 0xFF
     path = tmp_path / "damaged.mcap"
     path.write_bytes(content)
-    read, errors = [], []
-    with open_source(path) as source:
-        while True:
-            try:
-                read.append(source.read())
-            except FrameFormatError as err:
-                errors.append(str(err))
-            except EOFError:
-                break
+    read, errors = frames_and_errors(path)
     assert len(errors) == 1
     assert f"damaged.mcap: the chunk at byte {start}" in errors[0]
     assert FRAMES - 10 < len(read) < FRAMES

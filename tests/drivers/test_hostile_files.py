@@ -12,6 +12,7 @@ import lz4.frame
 import numpy as np
 import pytest
 import zstandard
+from all_frames import frames_and_errors
 from bounded_child import Reading, read_bounded
 from hostile_files import GIB, black_png, mcap_chunk, mcap_file, mcap_record, png_chunk, tiff, zeros
 from mcap.opcode import Opcode
@@ -20,7 +21,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from recorded_scene import scenes, write_mcap, write_pairs, write_tum
 
-from nurbseg.drivers import EndOfRecordingError, FrameFormatError, RecordingFormatError, open_source
+from nurbseg.drivers import FrameFormatError, RecordingFormatError, open_source
 from nurbseg.drivers.datasets.images import decode_color, decode_depth
 from nurbseg.drivers.limits import CHUNK_BYTES_MAX, PIXELS_MAX
 from nurbseg.drivers.mcap import names
@@ -436,15 +437,7 @@ def test_a_stamp_before_1970_in_a_message_costs_its_frame(tmp_path: Path) -> Non
     path = write_mcap(tmp_path / "a.mcap", scenes(3), "raw")
     early = (-7).to_bytes(4, "little", signed=True)
     other = rewritten(path, message=lambda number, data: data[:4] + early + data[8:] if number == 1 else data)
-    read, errors = [], []
-    with open_source(other) as source:
-        while True:
-            try:
-                read.append(source.read())
-            except FrameFormatError as err:
-                errors.append(str(err))
-            except EndOfRecordingError:
-                break
+    read, errors = frames_and_errors(other)
     assert len(read) == 2
     (error,) = errors
     # Seven seconds before, and the nanoseconds of the second frame.

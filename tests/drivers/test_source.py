@@ -1,35 +1,20 @@
 """What a source is by itself, and a replay at the recorded pace."""
 
 import pytest
+from fake_clock import FakeClock
 from scripted_source import ScriptedSource, small_frame
 
 from nurbseg.drivers import DriverError, EndOfRecordingError, FrameFormatError, FrameTimeoutError, Paced
 
 
-class Clock:
-    """Time that passes only where somebody sleeps."""
-
-    def __init__(self) -> None:
-        self.now_s = 100.0
-        self.slept_s: list[float] = []
-
-    def __call__(self) -> float:
-        return self.now_s
-
-    def sleep(self, seconds: float) -> None:
-        assert seconds > 0
-        self.slept_s.append(seconds)
-        self.now_s += seconds
-
-
-def paced(stamps_s: list[float], clock: Clock, speed: float = 1.0) -> Paced:
+def paced(stamps_s: list[float], clock: FakeClock, speed: float = 1.0) -> Paced:
     source = ScriptedSource([small_frame(n, stamp_s) for n, stamp_s in enumerate(stamps_s)])
     return Paced(source, speed, clock=clock, sleep=clock.sleep)
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0, 4.0])
 def test_frames_come_at_their_recorded_moments(speed: float) -> None:
-    clock = Clock()
+    clock = FakeClock()
     with paced([5.0, 5.1, 5.4, 5.45], clock, speed) as source:
         moments = []
         for _ in source:
@@ -38,7 +23,7 @@ def test_frames_come_at_their_recorded_moments(speed: float) -> None:
 
 
 def test_a_late_reader_gets_what_it_missed_at_once_and_delays_do_not_add_up() -> None:
-    clock = Clock()
+    clock = FakeClock()
     with paced([0.0, 0.1, 0.2, 0.3, 0.4], clock) as source:
         source.read()
         clock.now_s += 0.25
@@ -52,7 +37,7 @@ def test_a_late_reader_gets_what_it_missed_at_once_and_delays_do_not_add_up() ->
 
 
 def test_a_frame_that_is_not_due_in_time_is_kept_for_the_next_read() -> None:
-    clock = Clock()
+    clock = FakeClock()
     with paced([0.0, 2.5, 3.0, 9.0], clock) as source:
         source.read(timeout_s=1.0)
         for _ in range(2):
@@ -71,7 +56,7 @@ def test_a_frame_that_is_not_due_in_time_is_kept_for_the_next_read() -> None:
 
 @pytest.mark.parametrize("speed", [1.0, 4.0])
 def test_a_gap_of_hours_is_said_and_waited_for_ten_seconds_at_most(speed: float, caplog) -> None:
-    clock = Clock()
+    clock = FakeClock()
     with paced([0.0, 0.5, 7200.0, 7200.5, 0.25, 0.75], clock, speed) as source:
         moments = []
         while True:
@@ -90,7 +75,7 @@ def test_a_gap_of_hours_is_said_and_waited_for_ten_seconds_at_most(speed: float,
 
 
 def test_skipped_frames_are_not_waited_for() -> None:
-    clock = Clock()
+    clock = FakeClock()
     with paced([0.0, 10.0, 20.0, 20.5], clock) as source:
         assert source.skip(2) == 2
         assert source.read().index == 2

@@ -1,7 +1,4 @@
-import os
-import subprocess
-import sys
-
+from child_python import run_python
 from threadpoolctl import threadpool_info
 
 from nurbseg.segmentation.blas import one_blas_thread
@@ -25,16 +22,8 @@ print(digest.hexdigest())
 def test_products_are_the_same_to_the_bit_on_any_number_of_threads():
     digests = set()
     for threads in ("1", "2", "3", "4"):
-        environment = {**os.environ, "OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads}
-        run = subprocess.run(
-            [sys.executable, "-c", _CHILD],
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=True,
-        )
-        digests.add(run.stdout)
+        environment = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), threads)
+        digests.add(run_python(_CHILD, environment=environment).stdout)
     assert len(digests) == 1
 
 

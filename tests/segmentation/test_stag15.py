@@ -1,10 +1,8 @@
-import os
-import subprocess
-import sys
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from child_python import run_python
 from numpy.testing import assert_allclose
 
 from nurbseg.segmentation.config import SegmentationConfig, Stag15Config
@@ -186,19 +184,9 @@ def test_any_number_of_threads_gives_the_same_tree(cloud_of, tmp_path):
     np.savez(scene, points=points, color=color)
     outputs = set()
     for threads in ("1", "2", "4"):
-        environment = {
-            **os.environ,
-            **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), threads),
-        }
-        run = subprocess.run(
-            [sys.executable, "-c", _CHILD, str(scene)],
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=120,
-            check=True,
-        )
-        outputs.add(run.stdout)
+        variables = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+        environment = dict.fromkeys(variables, threads)
+        outputs.add(run_python(_CHILD, str(scene), environment=environment).stdout)
     assert len(outputs) == 1
     assert len(next(iter(outputs)).splitlines()) == 6
 

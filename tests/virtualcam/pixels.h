@@ -59,57 +59,57 @@ struct View {
     long frame;
 };
 
+// Calls paint(r, c) for each pixel of the sensor that the view shows, in the view's order.
+template <typename Paint>
+void for_each_pixel(const View& view, int rows, int cols, Paint paint) {
+    const int row0 = view.crop.enabled ? view.crop.originY : 0;
+    const int col0 = view.crop.enabled ? view.crop.originX : 0;
+    for (int row = row0; row < row0 + rows; ++row) {
+        for (int col = col0; col < col0 + cols; ++col) {
+            paint(row, view.mirrored ? view.mode.resolutionX - 1 - col : col);
+        }
+    }
+}
+
 inline void paint_depth(const View& view, const RawImages& raw, uint16_t* out, int rows, int cols) {
     const int width = view.mode.resolutionX;
     const auto* image = reinterpret_cast<const uint16_t*>(
         raw.at(view.frame, size_t(width) * view.mode.resolutionY * sizeof(uint16_t)));
     const bool fine = view.mode.pixelFormat == ONI_PIXEL_FORMAT_DEPTH_100_UM;
-    const int row0 = view.crop.enabled ? view.crop.originY : 0;
-    const int col0 = view.crop.enabled ? view.crop.originX : 0;
-    for (int row = 0; row < rows; ++row) {
-        for (int col = 0; col < cols; ++col) {
-            const int r = row + row0;
-            const int c = view.mirrored ? width - 1 - (col + col0) : col + col0;
-            const uint16_t depth_mm = image ? image[r * width + c]
-                                            : depth_at(view.frame, r, c + (view.registered ? kRegistrationShift : 0));
-            // In steps of 0.1 mm the last digit tells the column, so that rounding shows.
-            *out++ = static_cast<uint16_t>(fine ? depth_mm * 10 + c % 10 : depth_mm);
-        }
-    }
+    for_each_pixel(view, rows, cols, [&](int r, int c) {
+        const uint16_t depth_mm = image ? image[r * width + c]
+                                        : depth_at(view.frame, r, c + (view.registered ? kRegistrationShift : 0));
+        // In steps of 0.1 mm the last digit tells the column, so that rounding shows.
+        *out++ = static_cast<uint16_t>(fine ? depth_mm * 10 + c % 10 : depth_mm);
+    });
 }
 
 inline void paint_color(const View& view, const RawImages& raw, uint8_t* out, int rows, int cols) {
     const int width = view.mode.resolutionX;
     const uint8_t* image = raw.at(view.frame, size_t(width) * view.mode.resolutionY * 3);
-    const int row0 = view.crop.enabled ? view.crop.originY : 0;
-    const int col0 = view.crop.enabled ? view.crop.originX : 0;
-    for (int row = 0; row < rows; ++row) {
-        for (int col = 0; col < cols; ++col) {
-            const int r = row + row0;
-            const int c = view.mirrored ? width - 1 - (col + col0) : col + col0;
-            uint8_t rgb[3];
-            if (image) {
-                std::copy_n(image + (size_t(r) * width + c) * 3, 3, rgb);
-            } else {
-                color_at(view.frame, r, c, rgb);
-            }
-            switch (view.mode.pixelFormat) {
-                case ONI_PIXEL_FORMAT_GRAY8:
-                    *out++ = rgb[0];
-                    break;
-                case ONI_PIXEL_FORMAT_YUV422:  // U Y V Y: gray, with the red channel as luminance
-                    *out++ = 128;
-                    *out++ = rgb[0];
-                    break;
-                case ONI_PIXEL_FORMAT_YUYV:
-                    *out++ = rgb[0];
-                    *out++ = 128;
-                    break;
-                default:
-                    out = std::copy_n(rgb, 3, out);
-            }
+    for_each_pixel(view, rows, cols, [&](int r, int c) {
+        uint8_t rgb[3];
+        if (image) {
+            std::copy_n(image + (size_t(r) * width + c) * 3, 3, rgb);
+        } else {
+            color_at(view.frame, r, c, rgb);
         }
-    }
+        switch (view.mode.pixelFormat) {
+            case ONI_PIXEL_FORMAT_GRAY8:
+                *out++ = rgb[0];
+                break;
+            case ONI_PIXEL_FORMAT_YUV422:  // U Y V Y: gray, with the red channel as luminance
+                *out++ = 128;
+                *out++ = rgb[0];
+                break;
+            case ONI_PIXEL_FORMAT_YUYV:
+                *out++ = rgb[0];
+                *out++ = 128;
+                break;
+            default:
+                out = std::copy_n(rgb, 3, out);
+        }
+    });
 }
 
 }  // namespace virtualcam

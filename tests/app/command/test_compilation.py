@@ -2,11 +2,10 @@ from __future__ import annotations
 
 import importlib.util
 import logging
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from child_python import run_python
 
 from nurbseg.app.command.compilation import logged_compilation
 
@@ -48,17 +47,7 @@ def test_what_is_found_on_disk_is_not_told(tmp_path: Path) -> None:
         "with logged_compilation():\n"
         "    print(loops.total(5))\n"
     )
-    runs = [
-        subprocess.run(
-            [sys.executable, "-c", script],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            timeout=120,
-            check=True,
-        )
-        for _ in range(2)
-    ]
+    runs = [run_python(script, cwd=tmp_path) for _ in range(2)]
     assert [run.stdout.strip() for run in runs] == ["10", "10"]
     assert "compiling" in runs[0].stderr
     assert "compiling" not in runs[1].stderr

@@ -1,6 +1,7 @@
 import itertools
 
 import pytest
+from fake_clock import FakeClock
 from scripted_source import ScriptedSource, small_frame
 
 from nurbseg.app.live.replay import Limited, Looped
@@ -10,19 +11,6 @@ from nurbseg.drivers.source import Paced
 
 def recording(frames: int) -> ScriptedSource:
     return ScriptedSource([small_frame(index) for index in range(frames)])
-
-
-class FakeClock:
-    def __init__(self) -> None:
-        self.now_s = 100.0
-        self.slept_s: list[float] = []
-
-    def __call__(self) -> float:
-        return self.now_s
-
-    def sleep(self, seconds: float) -> None:
-        self.slept_s.append(seconds)
-        self.now_s += seconds
 
 
 def test_a_looped_recording_goes_on_with_rising_numbers_and_stamps() -> None:

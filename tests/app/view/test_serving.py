@@ -12,6 +12,7 @@ import textwrap
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -184,8 +185,7 @@ def test_a_server_that_ends_is_started_again(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(serving, "_LASTING_S", 0.0)
-    server = WebServer(ANY_PORTS)
-    try:
+    with closing(WebServer(ANY_PORTS)) as server:
         port = urlsplit(server.url).port
         assert port is not None
         wait_until(lambda: listens(LOCAL, port), "the server listens")
@@ -198,8 +198,6 @@ def test_a_server_that_ends_is_started_again(
         wait_until(lambda: b"re_viewer.js" in fetched(server.page_url)[0], "the page is served again")
         server.restart_if_ended()
         assert len(caplog.records) == 1
-    finally:
-        server.close()
     assert own_children() == []
 
 
@@ -207,8 +205,7 @@ def test_a_server_that_ends_at_once_is_given_up(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(serving, "_LASTING_S", 1e9)
-    server = WebServer(ANY_PORTS)
-    try:
+    with closing(WebServer(ANY_PORTS)) as server:
         (process,) = own_children()
         process.kill()
         wait_until(lambda: not server.is_starting(), "the server has ended")
@@ -218,8 +215,6 @@ def test_a_server_that_ends_at_once_is_given_up(
             "the web server ended by signal 9 soon after its start and is not started again"
         ]
         assert own_children() == []
-    finally:
-        server.close()
 
 
 def test_a_view_whose_server_was_killed_shows_again(view: View, caplog: pytest.LogCaptureFixture) -> None:

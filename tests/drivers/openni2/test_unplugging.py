@@ -50,6 +50,16 @@ def open_camera(request):
     return request.param
 
 
+@pytest.fixture
+def stalled(virtual_cameras, open_camera):
+    """A camera that has given its first frame and then no more, and its source."""
+    camera = virtual_cameras.add()
+    with open_camera() as source:
+        source.read()
+        camera.set(stalled=1)
+        yield camera, source
+
+
 def test_unplugging_is_reported_within_a_second_and_again(virtual_cameras, open_camera):
     camera = virtual_cameras.add()
     with open_camera() as source:
@@ -60,30 +70,24 @@ def test_unplugging_is_reported_within_a_second_and_again(virtual_cameras, open_
             source.read()
 
 
-def test_unplugging_ends_a_read_that_waits(virtual_cameras, open_camera):
-    camera = virtual_cameras.add()
-    with open_camera() as source:
-        source.read()
-        camera.set(stalled=1)
-        unplugger = threading.Timer(0.3, camera.unplug)
-        unplugger.start()
-        with FairClock() as clock, pytest.raises(DeviceLostError):
-            while True:
-                source.read(timeout_s=30)
-        assert clock.elapsed_s < 1.3
-        unplugger.join()
+def test_unplugging_ends_a_read_that_waits(stalled):
+    camera, source = stalled
+    unplugger = threading.Timer(0.3, camera.unplug)
+    unplugger.start()
+    with FairClock() as clock, pytest.raises(DeviceLostError):
+        while True:
+            source.read(timeout_s=30)
+    assert clock.elapsed_s < 1.3
+    unplugger.join()
 
 
-def test_a_stalled_camera_times_out_and_then_goes_on(virtual_cameras, open_camera):
-    camera = virtual_cameras.add()
-    with open_camera() as source:
-        source.read()
-        camera.set(stalled=1)
-        with pytest.raises(FrameTimeoutError, match=r"no depth and color within 0.3 s"):
-            for _ in range(5):  # one or two frames may be on their way
-                source.read(timeout_s=0.3)
-        camera.set(stalled=0)
-        frame = source.read()
+def test_a_stalled_camera_times_out_and_then_goes_on(stalled):
+    camera, source = stalled
+    with pytest.raises(FrameTimeoutError, match=r"no depth and color within 0.3 s"):
+        for _ in range(5):  # one or two frames may be on their way
+            source.read(timeout_s=0.3)
+    camera.set(stalled=0)
+    frame = source.read()
     np.testing.assert_array_equal(frame.depth_mm, depth_image(frame_number(frame)))
 
 

@@ -91,22 +91,26 @@ def test_rays_meet_the_cushion_on_its_surface():
     np.testing.assert_allclose(z, cushion_height(x, y), atol=5e-5)
 
 
-@pytest.mark.parametrize("shape", SHAPES, ids=IDS)
-def test_normals_are_units_and_stand_across_the_surface(shape):
-    origin, direction = rays(seed=3)
+def what_is_met(shape, seed):
+    """Return points and faces that rays meet, and these rays' origins and directions."""
+    origin, direction = rays(seed=seed)
     t, face = shape.hit(origin, direction)
     met = np.isfinite(t)
-    point = points(origin[met], t[met], direction[met])
-    face = face[met]
+    return points(origin[met], t[met], direction[met]), face[met], origin[met], direction[met]
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=IDS)
+def test_normals_are_units_and_stand_across_the_surface(shape):
+    point, face, origin, direction = what_is_met(shape, seed=3)
     # One by one, as the loops of the renderer do.
     found = np.array([surface(shape.kind, shape.sizes, *p, f) for p, f in zip(point, face, strict=True)])
     normal, places = found[:, :3], found[:, 3:]
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1, atol=1e-4)
     assert places.min() >= -1e-3 and places.max() <= 1 + 1e-3
     # A neighbouring ray meets the same face at a point that lies in the tangent plane.
-    nudged = direction[met] + np.array([1e-3, 2e-3, -1e-3], dtype=np.float32)
-    t, other = shape.hit(origin[met], nudged)
-    beside = points(origin[met], np.where(np.isfinite(t), t, 0), nudged)
+    nudged = direction + np.array([1e-3, 2e-3, -1e-3], dtype=np.float32)
+    t, other = shape.hit(origin, nudged)
+    beside = points(origin, np.where(np.isfinite(t), t, 0), nudged)
     same = np.isfinite(t) & (other == face)
     step = (beside - point)[same]
     slope = np.abs((step * normal[same]).sum(axis=1)) / np.linalg.norm(step, axis=1)
@@ -115,9 +119,6 @@ def test_normals_are_units_and_stand_across_the_surface(shape):
 
 @pytest.mark.parametrize("shape", SHAPES, ids=IDS)
 def test_nothing_reaches_out_of_the_stated_box(shape):
-    origin, direction = rays(seed=5)
-    t, _ = shape.hit(origin, direction)
-    met = np.isfinite(t)
-    point = points(origin[met], t[met], direction[met])
+    point = what_is_met(shape, seed=5)[0]
     low, high = shape.corners_m.min(axis=0), shape.corners_m.max(axis=0)
     assert (low - 1e-5 <= point).all() and (high + 1e-5 >= point).all()
