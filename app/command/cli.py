@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
+from dataclasses import replace
 from typing import TYPE_CHECKING, NoReturn
 
 from nurbseg.app.command.arguments import Arguments, parse_arguments
@@ -70,11 +71,16 @@ def main(words: Sequence[str] | None = None) -> int:
 
 def _run(arguments: Arguments, interruption: Interruption) -> int:
     # Late, so that --help need not wait for numpy and OpenCV; what shows imports Rerun in the meantime.
-    from nurbseg.app.view.opening import begin_view
+    from nurbseg.app.view.opening import begin_view, chosen_view
     from nurbseg.app.view.viewer import ViewError
 
+    config = arguments.config
+    # Somebody at a terminal, for whom nothing is written either, waits for something to look at.
+    somebody_waits = sys.stderr.isatty() and config.view.save is None and config.export.directory is None
+    config = replace(config, view=chosen_view(config.view, somebody_waits=somebody_waits))
+    arguments = replace(arguments, config=config)
     try:
-        process = begin_view(arguments.config.shown)
+        process = begin_view(config.shown)
     except ViewError as err:
         _log.error("%s", err, exc_info=arguments.verbosity > 0)
         return NOT_STARTED
@@ -101,7 +107,7 @@ def _run_with(arguments: Arguments, interruption: Interruption, process: ChildPr
         _log.error("%s", err, exc_info=arguments.verbosity > 0)
         interruption.check()
         return FAILED
-    _log.info("done: %d frames segmented, %.2f frames/s", report.segmented, report.frames_per_s)
+    _log.info("done: %s", report.summary())
     for what, where in (
         ("results", config.export.directory),
         ("recording to look at", config.view.save),

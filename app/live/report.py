@@ -101,6 +101,23 @@ class RunReport:
             return 0.0
         return (self.segmented - 1) / max(self._last_s - self._first_s, 1e-9)
 
+    def summary(self) -> str:
+        """Return in one line what was done, and what became of the other frames."""
+        if self.recorded_only and not self.segmented:
+            return f"{self.recorded_only} frames recorded"
+        text = f"{self.segmented} frames segmented, {self.frames_per_s:.2f} frames/s"
+        capture = self.capture
+        if capture is None:
+            return text
+        others = (
+            (capture.frames.dropped, "overwritten by newer ones"),
+            (capture.withheld, "only recorded"),
+            (capture.damaged, "damaged"),
+            (self.late, "too late to be shown"),
+        )
+        told = ", ".join(f"{count} {what}" for count, what in others if count)
+        return f"{text}; {told}" if told else text
+
     def document(self, ended: str) -> dict[str, Any]:
         """Return all the figures, with the reason why the run ended."""
         capture = self.capture

@@ -11,6 +11,7 @@ from nurbseg.drivers.settings import Settings, setting
 
 ViewMode = Literal["auto", "spawn", "connect", "serve", "none"]
 SaveIndex = Literal["auto", "on", "off"]
+Layout = Literal["full", "compact"]
 
 #: Rerun's usual ports, for its viewers and for its web page.
 DEFAULT_PORT, DEFAULT_WEB_PORT = 9876, 9090
@@ -47,6 +48,9 @@ class ViewConfig(Settings):
     web_port: int = setting(DEFAULT_WEB_PORT, "port of the web page, 0 for any free one", least=0, most=65535)
     memory_limit: str = setting(
         "2GB", "memory after which a spawned viewer or the server forgets the oldest frames", unit="SIZE"
+    )
+    layout: Layout = setting(
+        "full", "how much is seen at once: full, or compact for a small screen", choices=get_args(Layout)
     )
     jpeg_quality: int = setting(85, "quality of the color images shown and saved", least=1, most=100)
     points_max: int = setting(20_000, "colored points shown for a frame", least=0)

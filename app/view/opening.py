@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.view import View
-from nurbseg.app.view.viewer import ViewError, chosen_mode
+from nurbseg.app.view.viewer import ViewError, chosen_mode, is_taken
 from nurbseg.drivers.process.child import ChildProcess
 
 if TYPE_CHECKING:
@@ -21,6 +22,17 @@ _NO_DISPLAY = (
     "serve a web page (--view serve), connect to a viewer elsewhere (--connect HOST), "
     "or save a recording (--save FILE.rrd) and open it with 'rerun FILE.rrd'"
 )
+
+
+def chosen_view(config: ViewConfig, *, somebody_waits: bool) -> ViewConfig:
+    """Return the settings with a served page for "auto", where no window can be opened and somebody waits.
+
+    Its ports are any free ones where the usual ones are taken.
+    """
+    if config.mode != "auto" or chosen_mode(config, somebody_waits=somebody_waits) != "serve":
+        return config
+    port, web_port = (0 if is_taken(config.bind, each) else each for each in (config.port, config.web_port))
+    return replace(config, mode="serve", port=port, web_port=web_port)
 
 
 def begin_view(config: ViewConfig) -> ChildProcess | None:

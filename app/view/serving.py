@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import socket
 import time
+from ipaddress import ip_address
 from urllib.parse import quote
 
 from nurbseg.app.view.config import ViewConfig, bracketed
@@ -63,6 +65,9 @@ class WebServer:
         warn_beyond_loopback(config.bind, self._port, web_port, self._rerun_port)
         self.url = f"rerun+http://{bracketed(host)}:{self._port}/proxy"
         self.page_url = f"http://{bracketed(host)}:{web_port}/?url={quote(self.url, safe='')}"
+        if ip_address(host).is_loopback:
+            ports = " ".join(f"-L {each}:{host}:{each}" for each in (web_port, self._port))
+            logger.info("from another computer, first: ssh %s %s", ports, socket.gethostname())
 
     def _start(self) -> None:
         self._process = start_web_server(self._config, self._port, self._rerun_port)

@@ -10,7 +10,7 @@ import rerun as rr
 
 from nurbseg.app.view.drawing.blueprint import blueprint
 from nurbseg.app.view.drawing.entities import LOG, FrameEntities, camera_entities, stage_entities
-from nurbseg.app.view.drawing.frame import Moment
+from nurbseg.app.view.drawing.frame import Moment, ViewFrame
 from nurbseg.app.view.drawing.tree import Entities
 from nurbseg.drivers.frame import Calibration
 
@@ -87,6 +87,12 @@ def set_time(stream: rr.RecordingStream, moment: Moment) -> None:
         stream.set_time("device_time", duration=np.timedelta64(moment.device_ns, "ns"))
 
 
+def _distance_m(frame: ViewFrame) -> float:
+    """Return how far away a frame's scene is, metres."""
+    depth_mm = frame.depth_mm[frame.depth_mm > 0]
+    return float(np.median(depth_mm)) / 1000.0 if depth_mm.size else 1.0
+
+
 class Writer:
     """Writes items to one stream; first the layout for their kind, and the cameras when they change."""
 
@@ -107,6 +113,9 @@ class Writer:
                     registered=item.frame.unregistered_color is None,
                     ground_truth=item.frame.truth is not None,
                     objects=item.frame.objects is not None,
+                    layout=item.view.layout,
+                    distance_m=_distance_m(item.frame),
+                    residual_max_m=item.view.residual_max_m,
                 )
             )
         if item.calibration is not self._calibration:

@@ -34,11 +34,13 @@ def has_display() -> bool:
     return any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
 
 
-def chosen_mode(config: ViewConfig) -> ViewMode:
-    """Return where to show, which "auto" leaves to what there is."""
+def chosen_mode(config: ViewConfig, *, somebody_waits: bool = False) -> ViewMode:
+    """Return where to show, which "auto" leaves to what there is, and to whether somebody waits to look."""
     if config.mode != "auto":
         return config.mode
-    return "connect" if config.connect is not None else "spawn" if has_display() else "none"
+    if config.connect is not None:
+        return "connect"
+    return "spawn" if has_display() else "serve" if somebody_waits else "none"
 
 
 def viewer_executable() -> Path:

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import rerun as rr
 import rerun.blueprint as rrb
+from rerun.blueprint.encodings import VisualizerComponentMapping
 
-from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.view.config import Layout, ViewConfig
 from nurbseg.app.view.drawing import entities as entity
-from nurbseg.app.view.drawing import tree as view_tree
+from nurbseg.app.view.drawing import tree as tree_drawing
 from nurbseg.app.view.drawing.palette import STOP_COLORS
 from nurbseg.segmentation.config import SegmentationConfig
+
+#: Where the eye is and what it looks at, in the depth camera's frame, as shares of the scene's distance.
+_EYE, _TARGET = (-0.3, -0.4, -0.2), (0.0, 0.04, 1.0)
 
 _STOP_TEXTS = {
     "criterion": "red: a split was tried and did not fit better",
@@ -26,8 +33,16 @@ _STOP_TEXTS = {
 }
 
 
-def blueprint(*, registered: bool = True, ground_truth: bool = False, objects: bool = False) -> rrb.Blueprint:
-    """Return the layout: space above, pictures beside it, tree and figures below.
+def blueprint(
+    *,
+    registered: bool = True,
+    ground_truth: bool = False,
+    objects: bool = False,
+    layout: Layout = "full",
+    distance_m: float = 1.0,
+    residual_max_m: float = 0.02,
+) -> rrb.Blueprint:
+    """Return the layout: space above, pictures beside it, tree, tables and figures below.
 
     Parameters
     ----------
@@ -37,67 +52,100 @@ def blueprint(*, registered: bool = True, ground_truth: bool = False, objects: b
         Whether frames have one, which is then shown beside the segments.
     objects : bool
         Whether surfaces are merged into objects; both are then shown, the objects in front.
+    layout : {"full", "compact"}
+        Everything side by side, or less of it, with the rest in tabs.
+    distance_m : float
+        How far away the scene is, metres.
+    residual_max_m : float
+        The largest residual that has a color of its own, metres.
     """
-    images = (entity.COLOR, entity.DEPTH, entity.LABELS, entity.OBJECTS, entity.GROUND_TRUTH)
-    flat = [f"- {path}" for path in images]
-    space = [f"+ {entity.WORLD}/**", *flat, f"- {entity.UNREGISTERED_COLOR}"]
-    views = [
-        rrb.Spatial3DView(
-            name=name,
-            origin=entity.WORLD,
-            contents=[*space, f"- {hidden}"],
-            eye_controls=rrb.EyeControls3D(
-                position=(-0.4, -0.45, -0.15), look_target=(0.0, 0.05, 1.1), eye_up=(0.0, -1.0, 0.0)
-            ),
-            line_grid=False,
-        )
-        for name, hidden in (
-            ("Surfaces, colored by residual", entity.POINTS),
-            ("Points, colored by segment", entity.SURFACES),
-        )
-    ]
+    surfaces, points, residuals = _spaces("object" if objects else "segment", distance_m, residual_max_m)
     color: rrb.View | rrb.Tabs = _picture("Color", entity.COLOR)
     if not registered:
         own = rrb.Spatial2DView(
             name="Color camera", origin=entity.COLOR_CAMERA, contents=[entity.UNREGISTERED_COLOR]
         )
         color = rrb.Tabs(_picture("Color, as seen by the depth camera", entity.COLOR), own)
-    last = (
-        _picture("Ground truth", entity.GROUND_TRUTH) if ground_truth else _picture("Segments", entity.LABELS)
-    )
-    overlay: rrb.View | rrb.Tabs = _on_color("Segments on color", entity.LABELS)
+    depth = _picture("Depth", entity.DEPTH)
     if objects:
-        surfaces = _on_color("Surfaces on color", entity.LABELS)
-        overlay = rrb.Tabs(_on_color("Objects on color", entity.OBJECTS), surfaces)
-    pictures = rrb.Grid(color, _picture("Depth", entity.DEPTH), overlay, last, grid_columns=2)
-    tree = rrb.GraphView(
-        name="Tree",
-        origin=view_tree.TREE,
-        visual_bounds=rrb.VisualBounds2D(
-            x_range=(0.0, view_tree.TREE_WIDTH), y_range=(0.0, view_tree.TREE_HEIGHT)
-        ),
-    )
-    texts = rrb.Tabs(
-        rrb.TextDocumentView(name="Segments", origin=view_tree.TREE_TABLE),
+        found, parts = _on_color("Objects on color", entity.OBJECTS), _picture("Surfaces", entity.SHADED)
+    else:
+        found, parts = _on_color("Segments on color", entity.LABELS), _picture("Segments", entity.LABELS)
+    rest = [_picture("Ground truth", entity.GROUND_TRUTH), parts] if ground_truth else [parts]
+    tree = _graph("Tree", tree_drawing.TREE)
+    trees = rrb.Tabs(_graph("Tree by object", tree_drawing.OBJECT_TREE), tree) if objects else tree
+    texts = (
+        rrb.TextDocumentView(name="Objects" if objects else "Segments", origin=entity.OBJECT_TABLE),
+        rrb.TextDocumentView(name="Splits", origin=entity.TREE_TABLE),
         rrb.TextDocumentView(name="Legend", origin=entity.LEGEND),
         rrb.TextLogView(name="Log", origin=entity.LOG),
     )
-    plots = rrb.Grid(
-        _plot("Rate (1/s)", entity.RATE, legend=True),
-        _plot("Latency (ms)", entity.LATENCY, legend=True),
-        _plot("Segments", entity.SEGMENT_COUNT, legend=False),
-        _plot("Metric", entity.METRIC, legend=True),
-        grid_columns=2,
-    )
+    speed = _plot("Rate (1/s), latency (ms)", "plots", [entity.RATE, f"{entity.LATENCY}/**"])
+    counts = _plot("Segments, events", entity.SEGMENT_COUNT)
+    mean = _plot("Mean metric", f"{entity.METRIC}/mean", legend=False)
+    worst = _plot("Worst metric", f"{entity.METRIC}/worst", legend=False)
+    if layout == "compact":
+        above = rrb.Horizontal(
+            rrb.Tabs(surfaces, points, residuals),
+            rrb.Vertical(rrb.Tabs(color, depth), rrb.Tabs(found, *rest)),
+            column_shares=[3, 2],
+        )
+        below = rrb.Horizontal(trees, rrb.Tabs(*texts, speed, counts, mean, worst))
+    else:
+        pictures = rrb.Grid(color, depth, found, rrb.Tabs(*rest), grid_columns=2)
+        above = rrb.Horizontal(rrb.Tabs(surfaces, residuals), points, pictures, column_shares=[3, 3, 4])
+        figures = rrb.Vertical(speed, rrb.Horizontal(counts, mean, worst), row_shares=[5, 4])
+        below = rrb.Horizontal(trees, rrb.Tabs(*texts), figures, column_shares=[3, 3, 4])
     return rrb.Blueprint(
-        rrb.Vertical(
-            rrb.Horizontal(*views, pictures, column_shares=[3, 3, 4]),
-            rrb.Horizontal(tree, texts, plots, column_shares=[4, 3, 3]),
-            row_shares=[5, 4],
-        ),
+        rrb.Vertical(above, below, row_shares=[5, 4]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline="frame", play_state="following"),
+    )
+
+
+def _spaces(
+    colored_by: str, distance_m: float, residual_max_m: float
+) -> tuple[rrb.View, rrb.View, rrb.Container]:
+    """Return the views of surfaces, points and residuals, from beside and above the camera."""
+    by_residual = rr.Mesh3D.from_fields().visualizer(
+        mappings=[
+            VisualizerComponentMapping(
+                "Mesh3D:vertex_colors", "SourceComponent", source_component=entity.RESIDUAL_COLORS
+            )
+        ]
+    )
+    shown: tuple[tuple[str, str, dict[Any, Any]], ...] = (
+        (f"Surfaces, colored by {colored_by}", entity.SURFACES, {}),
+        (f"Points, colored by {colored_by}", entity.POINTS, {}),
+        ("Surfaces, colored by residual", entity.SURFACES, {entity.SURFACES: by_residual}),
+    )
+    surfaces, points, residuals = (
+        rrb.Spatial3DView(
+            name=name,
+            origin=entity.WORLD,
+            contents=[path],
+            eye_controls=rrb.EyeControls3D(
+                position=tuple(distance_m * each for each in _EYE),
+                look_target=tuple(distance_m * each for each in _TARGET),
+                eye_up=(0.0, -1.0, 0.0),
+            ),
+            line_grid=False,
+            overrides=overrides,
+        )
+        for name, path, overrides in shown
+    )
+    scale = rrb.Spatial2DView(name=f"0 to {1e3 * residual_max_m:g} mm and more", origin=entity.RESIDUAL_SCALE)
+    return surfaces, points, rrb.Vertical(residuals, scale, row_shares=[8, 1], name="Residuals")
+
+
+def _graph(name: str, path: str) -> rrb.GraphView:
+    return rrb.GraphView(
+        name=name,
+        origin=path,
+        visual_bounds=rrb.VisualBounds2D(
+            x_range=(0.0, tree_drawing.TREE_WIDTH), y_range=(0.0, tree_drawing.TREE_HEIGHT)
+        ),
     )
 
 
@@ -114,10 +162,13 @@ def _on_color(name: str, path: str) -> rrb.Spatial2DView:
     )
 
 
-def _plot(name: str, path: str, *, legend: bool) -> rrb.TimeSeriesView:
+def _plot(
+    name: str, path: str, contents: Sequence[str] = ("$origin/**",), *, legend: bool = True
+) -> rrb.TimeSeriesView:
     return rrb.TimeSeriesView(
         name=name,
         origin=path,
+        contents=contents,
         plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend),
         time_ranges=[
             rrb.VisibleTimeRange(
@@ -135,15 +186,18 @@ def legend(view: ViewConfig, segmentation: SegmentationConfig) -> str:
     largest_mm = 1e3 * view.residual_max_m
     return f"""# What the colors mean
 
-**Surfaces** are the NURBS surfaces fitted to the segments, drawn where the segment has pixels. Their color
-is the distance between surface and data: blue 0 mm, cyan {largest_mm / 4:g} mm, green {largest_mm / 2:g} mm,
-yellow {largest_mm * 3 / 4:g} mm, red {largest_mm:g} mm and more.
+**Objects** have one color each, in all pictures, in space and in the tree, and keep it from frame to frame.
+Their **surfaces**, the NURBS surfaces fitted to the segments, are shades of it. A region of the ground truth
+has the color of what overlaps it most; gray regions were not found.
 
-**Labels** keep their color from frame to frame. The small dots below the tree's leaves have the colors of
-their labels in the pictures and on the points.
+**Residuals** are the distances between surface and data: blue 0 mm, cyan {largest_mm / 4:g} mm,
+green {largest_mm / 2:g} mm, yellow {largest_mm * 3 / 4:g} mm, red {largest_mm:g} mm and more.
 
-**Tree**: a segment that was cut is gray, one whose parts are not connected or came into view darker; a final
-one has the color of the reason why it was not split further:
+**Tree by object**: a part of the tree that lies within one object is drawn as one node in its color.
+
+**Tree**: the dots below the leaves have the colors of their surfaces. A segment that was cut is gray, one
+whose parts are not connected or came into view darker; a final one has the color of the reason why it was
+not split further:
 
 {stops}
 

@@ -51,11 +51,8 @@ def drawn(
     labels = tree.labels("surfaces")
     surfaces = apply_lookup_table(result.surface_of_leaf, labels)
     objects = apply_lookup_table(result.object_of_leaf, labels) if tree.objects else None
-    points_m, point_labels = _some_points(
-        result.cloud.points_m,
-        surfaces if objects is None or tree.level == "surfaces" else objects,
-        view.points_max,
-    )
+    things = surfaces if objects is None else objects
+    points_m, point_labels = _some_points(result.cloud.points_m, things, view.points_max)
     mesh = surface_mesh(tree, labels, view.mesh_step_px * np.sqrt(labels.size / (640 * 480)))
     registered = frame.calibration.is_registered
     return ViewFrame(
@@ -68,12 +65,14 @@ def drawn(
         surfaces=surfaces,
         objects=objects,
         truth=frame.labels,
+        truth_match=None if frame.labels is None else _best_overlaps(frame.labels, things),
         points_m=points_m,
         point_labels=point_labels,
         vertices_m=mesh.vertices_m,
         normals=mesh.normals,
         triangles=mesh.triangles,
         residuals_m=mesh.residuals_m,
+        vertex_surfaces=result.surface_of_leaf[mesh.labels],
         tree=_nodes(result, metric),
         elapsed_ms=dict(elapsed_ms),
         rate_hz=rate_hz,
@@ -85,11 +84,13 @@ def drawn(
 
 def _nodes(result: FrameResult, metric: Metric) -> tuple[TreeNode, ...]:
     label = iter(result.surface_labels)
+    thing = iter(result.object_of_leaf[1:].tolist())
     return tuple(
         TreeNode(
             name=each.name,
             children=each.children,
             label=next(label) if each.is_leaf else None,
+            thing=(next(thing) or None) if each.is_leaf and result.tree.objects else None,
             pixels=each.pixels.size,
             value=each.fit.values.get(metric),
             ratio=each.ratio,
@@ -101,6 +102,17 @@ def _nodes(result: FrameResult, metric: Metric) -> tuple[TreeNode, ...]:
         )
         for each in result.tree.segments
     )
+
+
+def _best_overlaps(truth: NDArray[np.uint16], labels: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """Return each region of the ground truth with the label that overlaps it most, by every fourth pixel."""
+    regions, things = truth[::2, ::2].ravel().astype(np.intp), labels[::2, ::2].ravel()
+    count = int(things.max(initial=0)) + 1
+    overlaps = np.bincount(regions * count + things, minlength=(int(regions.max(initial=0)) + 1) * count)
+    overlaps = overlaps.reshape(-1, count)
+    present = np.flatnonzero(overlaps.any(axis=1))
+    overlaps[:, 0] = 0
+    return np.stack([present, overlaps[present].argmax(axis=1)], axis=1).astype(np.uint16)
 
 
 def _some_points(

@@ -3,24 +3,31 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame
 from nurbseg.app.view.drawing.palette import (
     LABEL_COLORS,
+    NOTHING_COLOR,
     SERIES_COLORS,
-    label_colors,
+    SHADES,
+    label_color,
     residual_colors,
+    shaded,
+    shades_of_surfaces,
 )
+from nurbseg.app.view.drawing.tables import object_table, tree_table
 from nurbseg.app.view.drawing.tree import Entities, tree_entities
 from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.segmentation.config import Metric
+from nurbseg.segmentation.labels.lookup import apply_lookup_table
 
 WORLD = "world"
 CAMERA = f"{WORLD}/camera"
@@ -28,12 +35,22 @@ COLOR, DEPTH, LABELS, OBJECTS = (f"{CAMERA}/image/{name}" for name in ("color", 
 GROUND_TRUTH = f"{CAMERA}/ground_truth"
 COLOR_CAMERA = f"{WORLD}/color_camera"
 UNREGISTERED_COLOR = f"{COLOR_CAMERA}/image"
+SHADED = f"{CAMERA}/image/surfaces"
 POINTS, SURFACES = f"{WORLD}/points", f"{WORLD}/surfaces"
-LEGEND = "legend"
+#: The second color of each vertex of the surfaces.
+RESIDUAL_COLORS = "Residuals:colors"
+RESIDUAL_SCALE = "residual_scale"
+OBJECT_TABLE, TREE_TABLE, LEGEND = "objects", "splits", "legend"
 RATE, LATENCY, SEGMENT_COUNT, METRIC = "plots/rate", "plots/latency", "plots/segments", "plots/metric"
 EVENTS = f"{SEGMENT_COUNT}/events"
 GRID_STEP = f"{RATE}/grid_step"
 LOG = "log"
+
+
+#: Class of what was not found in a frame.
+_NOTHING = 65535
+#: Objects whose surfaces have shades of their own; further ones share them.
+_SHADED_LABELS = 255
 
 
 @dataclass(slots=True, eq=False)
@@ -76,7 +93,9 @@ class FrameEntities:
                 self._built = [
                     *_images(self.frame, self.view),
                     *_space(self.frame, self.view),
-                    *tree_entities(self.frame, self.metric),
+                    *tree_entities(self.frame),
+                    (OBJECT_TABLE, _markdown(object_table(self.frame))),
+                    (TREE_TABLE, _markdown(tree_table(self.frame, self.metric))),
                     *_scalars(self.frame),
                     *_log_lines(self.frame),
                 ]
@@ -102,25 +121,42 @@ def camera_entities(calibration: Calibration) -> Entities:
 def opening_entities() -> Entities:
     """Return what holds for the whole recording; logged static."""
     yield WORLD, rr.ViewCoordinates.RDF
-    colors = label_colors()
+    things = range(1, LABEL_COLORS + 1)
+    nothing = (_NOTHING, "not found", NOTHING_COLOR)
+    yield WORLD, _colored([*((label, str(label), label_color(label)) for label in things), nothing])
     yield (
-        WORLD,
-        rr.AnnotationContext(
-            [
-                rr.AnnotationInfo(id=0, label="none", color=(0, 0, 0, 0)),
-                *(
-                    rr.AnnotationInfo(id=label, label=str(label), color=tuple(map(int, color)))
-                    for label, color in zip(range(1, LABEL_COLORS + 1), colors, strict=True)
-                ),
-            ]
+        SHADED,
+        _colored(
+            (_shaded_class(label, shade), f"surface of {label}", shaded(label, shade))
+            for label in range(1, _SHADED_LABELS + 1)
+            for shade in range(SHADES)
         ),
     )
-    yield RATE, _line("frames per second", 2)
+    scale = residual_colors(np.linspace(0.0, 1.0, 256, dtype=np.float32), 1.0)
+    yield RESIDUAL_SCALE, rr.Image(np.tile(scale, (8, 1, 1)))
+    yield RATE, _line("frames per second", 6)
     yield SEGMENT_COUNT, _line("segments", 0)
     yield EVENTS, _line("events", 3)
     yield GRID_STEP, _line("pixel step of the grid", 7)
     yield f"{METRIC}/worst", _line("worst segment", 3)
     yield f"{METRIC}/mean", _line("mean of all points", 1)
+
+
+def _shaded_class(label: int, shade: int) -> int:
+    """Return the class of a shade of an object's color; an annotation's colors hold for all frames."""
+    return (label - 1) % _SHADED_LABELS * SHADES + shade + 1
+
+
+def _colored(classes: Iterable[tuple[int, str, tuple[int, int, int]]]) -> rr.AnnotationContext:
+    """Return the names and colors of labels; 0 is transparent."""
+    nothing = rr.AnnotationInfo(id=0, label="none", color=(0, 0, 0, 0))
+    return rr.AnnotationContext(
+        [nothing, *(rr.AnnotationInfo(id=label, label=name, color=color) for label, name, color in classes)]
+    )
+
+
+def _markdown(text: str) -> rr.TextDocument:
+    return rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
 
 
 def stage_entities(stages: Iterable[str]) -> Entities:
@@ -152,26 +188,47 @@ def _images(frame: ViewFrame, view: ViewConfig) -> Entities:
     yield DEPTH, rr.DepthImage(frame.depth_mm, meter=1000.0, colormap="turbo")
     yield LABELS, rr.SegmentationImage(frame.surfaces, opacity=1.0)
     if frame.objects is not None:
+        of, shades = frame.object_of_surface, shades_of_surfaces(frame.object_of_surface)
+        classes = _table({each: _shaded_class(of[each], shade) for each, shade in shades.items()})
+        yield SHADED, rr.SegmentationImage(apply_lookup_table(classes, frame.surfaces), opacity=1.0)
         yield OBJECTS, rr.SegmentationImage(frame.objects, opacity=1.0)
-    if frame.truth is not None:
-        yield GROUND_TRUTH, rr.SegmentationImage(frame.truth, opacity=1.0)
+    if frame.truth is not None and frame.truth_match is not None:
+        matches = _table(
+            {region: match or _NOTHING for region, match in frame.truth_match.tolist() if region}
+        )
+        yield GROUND_TRUTH, rr.SegmentationImage(apply_lookup_table(matches, frame.truth), opacity=1.0)
+
+
+def _table(of_label: Mapping[int, int]) -> NDArray[np.uint16]:
+    """Return a lookup table of labels, 0 for all that are not named."""
+    table = np.zeros(max(of_label, default=0) + 1, dtype=np.uint16)
+    table[[*of_label]] = [*of_label.values()]
+    return table
 
 
 def _space(frame: ViewFrame, view: ViewConfig) -> Entities:
     if view.points_max:
         yield (
             POINTS,
-            rr.Points3D(frame.points_m, class_ids=frame.point_labels, radii=rr.Radius.ui_points(1.8)),
+            rr.Points3D(frame.points_m, class_ids=frame.point_labels, radii=rr.Radius.ui_points(1.3)),
         )
+    of, shades = frame.object_of_surface, shades_of_surfaces(frame.object_of_surface)
+    colors = np.full((max(of, default=0) + 1, 3), NOTHING_COLOR, dtype=np.uint8)
+    for surface, shade in shades.items():
+        colors[surface] = shaded(of[surface], shade)
     yield (
         SURFACES,
         rr.Mesh3D(
             vertex_positions=frame.vertices_m,
-            vertex_normals=frame.normals,
+            # Rounded, as that takes a third off a saved frame, and cannot be seen.
+            vertex_normals=np.rint(frame.normals * 64.0) / 64.0,
             triangle_indices=frame.triangles,
-            vertex_colors=residual_colors(frame.residuals_m, view.residual_max_m),
+            vertex_colors=colors[frame.vertex_surfaces],
         ),
     )
+    residuals = rr.components.ColorBatch(residual_colors(frame.residuals_m, view.residual_max_m))
+    archetype, component = RESIDUAL_COLORS.split(":")
+    yield SURFACES, rr.DynamicArchetype(archetype, components={component: residuals})
 
 
 def _scalars(frame: ViewFrame) -> Entities:

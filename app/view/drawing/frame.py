@@ -39,6 +39,8 @@ class TreeNode:
     children: tuple[str, ...]
     #: Label of a leaf; None where it was split.
     label: int | None
+    #: Label of the object that a leaf belongs to; None where surfaces are not merged into objects.
+    thing: int | None
     pixels: int
     #: The deciding metric; None where it was not measured.
     value: float | None
@@ -75,16 +77,20 @@ class ViewFrame:
         Object of each pixel, where surfaces were merged into objects.
     truth : (H, W) uint16 or None
         Ground truth.
+    truth_match : (R, 2) uint16 or None
+        Regions of the ground truth, and the object or segment that overlaps each most; 0 for none.
     points_m : (N, 3) float32
         Some of the points, metres.
     point_labels : (N,) uint16
-        Label of each.
+        Object of each, or surface where there are no objects.
     vertices_m, normals : (V, 3) float32
         Mesh of the surfaces, metres and unit vectors.
     triangles : (T, 3) uint32
         Rows of the vertices.
     residuals_m : (V,) float32
         Mean distance of the data around each vertex to the surface, metres.
+    vertex_surfaces : (V,) uint16
+        Surface of each vertex.
     tree : tuple of TreeNode
         Depth first, the root first.
     elapsed_ms : mapping of str to float
@@ -108,15 +114,22 @@ class ViewFrame:
     surfaces: NDArray[np.uint16]
     objects: NDArray[np.uint16] | None
     truth: NDArray[np.uint16] | None
+    truth_match: NDArray[np.uint16] | None
     points_m: NDArray[np.float32]
     point_labels: NDArray[np.uint16]
     vertices_m: NDArray[np.float32]
     normals: NDArray[np.float32]
     triangles: NDArray[np.uint32]
     residuals_m: NDArray[np.float32]
+    vertex_surfaces: NDArray[np.uint16]
     tree: tuple[TreeNode, ...]
     elapsed_ms: Mapping[str, float]
     rate_hz: float
     events: tuple[str, ...]
     grid_step: int | None
     reset_reason: str
+
+    @property
+    def object_of_surface(self) -> dict[int, int]:
+        """Label of the object of each surface; of the surface itself where there are no objects."""
+        return {each.label: each.thing or each.label for each in self.tree if each.label}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
@@ -45,6 +46,36 @@ SERIES_COLORS = (
     (200, 200, 200),
 )
 
+#: Color of a region of the ground truth that nothing overlaps.
+NOTHING_COLOR = (128, 128, 128)
+
+#: Shades of an object's color for its surfaces: the share of white in it or, below 0, of black.
+_SHADES = (0.0, 0.45, -0.35, 0.22, -0.18, 0.65, -0.5)
+SHADES = len(_SHADES)
+
+#: What people call colors, to find an object's row in a table that has no room for swatches.
+_COLOR_NAMES = {
+    "red": (230, 25, 25),
+    "orange": (245, 130, 30),
+    "brown": (160, 105, 45),
+    "gold": (215, 165, 20),
+    "yellow": (245, 230, 60),
+    "olive": (140, 145, 30),
+    "lime": (140, 240, 20),
+    "green": (20, 150, 40),
+    "sea green": (60, 160, 130),
+    "turquoise": (50, 215, 205),
+    "light blue": (150, 205, 250),
+    "blue": (30, 115, 225),
+    "violet": (140, 95, 225),
+    "lilac": (200, 160, 235),
+    "magenta": (240, 30, 230),
+    "pink": (250, 170, 205),
+    "rose": (225, 90, 140),
+    "sand": (225, 205, 150),
+    "gray": (150, 150, 150),
+}
+
 #: Residuals from 0 to the largest drawn: blue, cyan, green, yellow, red.
 _RESIDUAL_STOPS = ((38, 70, 200), (30, 165, 200), (70, 185, 85), (245, 215, 60), (214, 32, 32))
 
@@ -76,6 +107,46 @@ def label_colors() -> NDArray[np.uint8]:
     colors: NDArray[np.uint8] = rgb[chosen]
     colors.flags.writeable = False
     return colors
+
+
+def shades_of_surfaces(object_of_surface: Mapping[int, int]) -> dict[int, int]:
+    """Return which shade of its object's color each surface has, 0 to `SHADES` - 1, by label.
+
+    Parameters
+    ----------
+    object_of_surface : mapping of int to int
+        Label of the object of each surface. The surface of lowest label has shade 0, the object's own color.
+    """
+    shades: dict[int, int] = {}
+    surfaces_of: dict[int, int] = {}
+    for surface, thing in sorted(object_of_surface.items()):
+        surfaces_of[thing] = surfaces_of.get(thing, -1) + 1
+        shades[surface] = surfaces_of[thing] % SHADES
+    return shades
+
+
+def shaded(label: int, shade: int) -> tuple[int, int, int]:
+    """Return a shade of a label's color, RGB of the same hue."""
+    share = _SHADES[shade]
+    red, green, blue = (
+        round(each + share * (255 - each) if share > 0 else (1.0 + share) * each)
+        for each in label_color(label)
+    )
+    return red, green, blue
+
+
+def label_color(label: int) -> tuple[int, int, int]:
+    """Return the RGB color of a label from 1 on; the first `LABEL_COLORS` differ."""
+    red, green, blue = label_colors()[(label - 1) % LABEL_COLORS].tolist()
+    return red, green, blue
+
+
+@lru_cache(maxsize=LABEL_COLORS)
+def color_name(label: int) -> str:
+    """Return what a label's color is called."""
+    named = _oklab(np.array([*_COLOR_NAMES.values()], dtype=np.uint8))
+    distances = np.linalg.norm(named - _oklab(np.array([label_color(label)], dtype=np.uint8)), axis=1)
+    return [*_COLOR_NAMES][int(np.argmin(distances))]
 
 
 def residual_colors(residuals_m: NDArray[np.floating], residual_max_m: float) -> NDArray[np.uint8]:

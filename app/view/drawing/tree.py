@@ -1,40 +1,36 @@
-"""What the tree of a frame looks like to Rerun: a tidy drawing and a table."""
+"""What the tree of a frame looks like to Rerun: every segment, and folded by object."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import rerun as rr
 
 from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame
-from nurbseg.app.view.drawing.palette import DIVISION_COLORS, LABEL_COLORS, STOP_COLORS, label_colors
-from nurbseg.app.view.drawing.tree_layout import fitted, tidy_positions
-from nurbseg.segmentation.config import Metric
-from nurbseg.segmentation.segments import TRIED, Division
+from nurbseg.app.view.drawing.palette import (
+    DIVISION_COLORS,
+    STOP_COLORS,
+    label_color,
+    shaded,
+    shades_of_surfaces,
+)
+from nurbseg.app.view.drawing.tree_layout import fitted, tree_positions
+from nurbseg.segmentation.segments import Division
 
 #: Paths and what is logged there.
 Entities = Iterable[tuple[str, Any]]
 
-TREE, TREE_TABLE = "tree", "tree_table"
+TREE, OBJECT_TREE = "tree", "tree_by_object"
 
 #: The box in which the tree is drawn, whatever its size.
 TREE_WIDTH, TREE_HEIGHT = 1000.0, 540.0
 #: Distance of neighbouring nodes and of levels in a small tree, and a node's largest radius.
 _SPACING, _LEVEL, _RADIUS = 70.0, 90.0, 17.0
-
-_METRIC_UNITS: dict[Metric, str] = {
-    "mse": "m²",
-    "mae": "m",
-    "ve": "m²",
-    "nle": "points",
-    "vmxc": "1/m²",
-    "vmec": "1/m²",
-    "vgc": "1/m⁴",
-    "mmxc": "1/m",
-    "nlc": "points",
-}
+#: Radius of the smallest nodes, as a share of the largest.
+_LEAST_RADIUS = 0.45
 
 
 def display_name(name: str) -> str:
@@ -42,83 +38,86 @@ def display_name(name: str) -> str:
     return f"P{name}"
 
 
-def tree_entities(frame: ViewFrame, metric: Metric) -> Entities:
-    """Return the drawing of a frame's tree and its table."""
-    nodes = frame.tree
-    positions = tidy_positions({each.name: each.children for each in nodes}, nodes[0].name)
+def tree_entities(frame: ViewFrame) -> Entities:
+    """Return the drawing of a frame's tree, and of what it is by object where there are objects."""
+    if frame.objects is not None:
+        folded = folded_by_object(frame.tree)
+        names = {each.name: _object_name(each) for each in folded}
+        fills = [label_color(each.thing) if each.thing else _node_color(each) for each in folded]
+        yield from _drawing(OBJECT_TREE, folded, names, fills, {})
+    names = {each.name: display_name(each.name) for each in frame.tree}
+    of, shades = frame.object_of_surface, shades_of_surfaces(frame.object_of_surface)
+    dots = {
+        each.name: (f"label {each.label}", shaded(of[each.label], shades[each.label]))
+        for each in frame.tree
+        if each.label
+    }
+    yield from _drawing(TREE, frame.tree, names, [_node_color(each) for each in frame.tree], dots)
+
+
+def folded_by_object(nodes: Sequence[TreeNode]) -> list[TreeNode]:
+    """Return a tree in which each part that lies within one object is a single leaf, depth first."""
+    by_name = {each.name: each for each in nodes}
+    things: dict[str, set[int | None]] = {}
+    for each in reversed(nodes):
+        things[each.name] = {each.thing}.union(*(things[child] for child in each.children))
+        if each.children:
+            things[each.name].discard(None)
+    folded: list[TreeNode] = []
+    waiting = [nodes[0].name]
+    while waiting:
+        node = by_name[waiting.pop()]
+        if len(things[node.name]) > 1:
+            waiting += reversed(node.children)
+        elif node.children:
+            (thing,) = things[node.name]
+            node = replace(node, children=(), thing=thing)
+        folded.append(node)
+    return folded
+
+
+def _drawing(
+    path: str,
+    nodes: Sequence[TreeNode],
+    names: Mapping[str, str],
+    fills: Sequence[tuple[int, int, int]],
+    dots: Mapping[str, tuple[str, tuple[int, int, int]]],
+) -> Entities:
+    """Return a tree as a graph; below each node a dot, where it has one, with its own name and color.
+
+    Dots are in the same graph, because the viewer frames each graph for itself.
+    """
+    positions = tree_positions({each.name: each.children for each in nodes}, nodes[0].name)
     places, spacing = fitted(
         [positions[each.name] for each in nodes], TREE_WIDTH, TREE_HEIGHT - _RADIUS, _SPACING, _LEVEL
     )
-    radius = min(_RADIUS, 0.42 * spacing)
-    names = [display_name(each.name) for each in nodes]
-    edges = [(display_name(each.name), display_name(child)) for each in nodes for child in each.children]
-    # Below each leaf a dot in the color of its label; in the same graph, because the viewer frames each.
-    at_leaf = [row for row, each in enumerate(nodes) if each.label is not None]
-    numbers = [each.label for each in nodes if each.label is not None]
-    dots = places[at_leaf] + np.array([0.0, 1.9 * radius], dtype=np.float32)
-    fills = np.array([_node_color(each) for each in nodes], dtype=np.uint8).reshape(-1, 3)
-    dot_fills = label_colors()[(np.array(numbers, dtype=np.intp) - 1) % LABEL_COLORS]
-    texts = names + [f"label {number}" for number in numbers]
+    radius = min(_RADIUS, 0.45 * spacing)
+    shares = np.array([each.pixels for each in nodes]) / max(nodes[0].pixels, 1)
+    radii = radius * np.clip(shares**0.25, _LEAST_RADIUS, 1.0)
+    rows = [row for row, each in enumerate(nodes) if each.name in dots]
+    below = places[rows] + np.stack([np.zeros(len(rows)), radii[rows] + 0.7 * radius], axis=-1)
+    texts = [*names.values(), *(text for text, _ in dots.values())]
     yield (
-        TREE,
+        path,
         rr.GraphNodes(
             texts,
-            positions=np.concatenate([places, dots]),
-            colors=np.concatenate([fills, dot_fills]),
+            positions=np.concatenate([places, below.astype(np.float32)]),
+            colors=[*fills, *(color for _, color in dots.values())],
             labels=texts,
             show_labels=False,
-            radii=np.repeat(np.array([radius, 0.5 * radius], dtype=np.float32), [len(names), len(numbers)]),
+            radii=np.concatenate([radii, np.full(len(rows), 0.5 * radius)]),
         ),
     )
-    yield TREE, rr.GraphEdges(edges, graph_type="directed")
-    yield (
-        TREE_TABLE,
-        rr.TextDocument(
-            _headline(frame) + tree_table(nodes, metric, frame.moment.frame), media_type=rr.MediaType.MARKDOWN
-        ),
-    )
+    edges = [(names[each.name], names[child]) for each in nodes for child in each.children]
+    yield path, rr.GraphEdges(edges, graph_type="directed")
+
+
+def _object_name(node: TreeNode) -> str:
+    name = display_name(node.name)
+    return f"object {node.thing}: {name}" if node.thing else name
 
 
 def _node_color(node: TreeNode) -> tuple[int, int, int]:
     if node.stop is not None:
         return STOP_COLORS[node.stop]
     return DIVISION_COLORS[node.division or Division.CUT]
-
-
-def _headline(frame: ViewFrame) -> str:
-    name = frame.name or f"frame {frame.moment.frame}"
-    leaves = sum(each.label is not None for each in frame.tree)
-    return f"**{name}**: {leaves} final segments of {len(frame.tree)}\n\n"
-
-
-def _mark(found: int | None, frame: int) -> str:
-    return "" if found in (None, frame) else f" @{found}"
-
-
-def _reason(node: TreeNode, frame: int) -> str:
-    """Return how a node is divided or why it is a leaf, with the frame of the trial that decided it."""
-    by_present_values = node.stop is not None and node.stop not in TRIED
-    return str(node.stop or node.division) + ("" if by_present_values else _mark(node.judged, frame))
-
-
-def tree_table(nodes: Iterable[TreeNode], metric: Metric, frame: int) -> str:
-    """Return the tree of a frame as a Markdown table, one line for each segment; leaves have labels.
-
-    What was found in an earlier frame bears its number: ``0.87 @12``.
-    """
-    value = f"{metric.upper()} ({_METRIC_UNITS[metric]})"
-    lines = [
-        f"| segment | label | pixels | {value} | ratio | parted or stopped by |",
-        "|---|---:|---:|---:|---:|---|",
-    ]
-    for each in nodes:
-        cells = (
-            display_name(each.name),
-            "" if each.label is None else str(each.label),
-            f"{each.pixels:,}",
-            "" if each.value is None else f"{each.value:.3g}" + _mark(each.measured, frame),
-            "" if each.ratio is None else f"{each.ratio:.3f}" + _mark(each.judged, frame),
-            _reason(each, frame),
-        )
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""Where the nodes of a tree are drawn: tidy, narrow, parents over the middle of their children."""
+"""Where the nodes of a tree are drawn: leaves side by side, parents over the middle of their children."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def tidy_positions(children: Mapping[str, Sequence[str]], root: str) -> dict[str, tuple[float, int]]:
-    """Lay a tree out so that no two nodes of a level are nearer than 1 and each subtree looks alike anywhere.
+def tree_positions(children: Mapping[str, Sequence[str]], root: str) -> dict[str, tuple[float, int]]:
+    """Lay a tree out: each leaf has a column of its own, so that no two subtrees stand over each other.
 
     Parameters
     ----------
@@ -21,46 +21,21 @@ def tidy_positions(children: Mapping[str, Sequence[str]], root: str) -> dict[str
     Returns
     -------
     dict of name to (x, level)
-        The leftmost x is 0; levels count from 0 at the root.
-
-    References
-    ----------
-    .. [1] E. Reingold and J. Tilford, "Tidier drawings of trees", IEEE TSE 7(2), 1981.
+        Depth first. Leaves are at x = 0, 1, ...; levels count from 0 at the root.
     """
-    order = [root]
-    for name in order:
-        order.extend(children.get(name, ()))
-
-    # From the leaves up: push each subtree right until its left outline clears what stands beside it.
-    offset: dict[str, float] = {}
-    outlines: dict[str, tuple[list[float], list[float]]] = {}
+    level = {root: 0}
+    order, waiting = [], [root]
+    while waiting:
+        name = waiting.pop()
+        order.append(name)
+        for child in reversed(children.get(name, ())):
+            level[child] = level[name] + 1
+            waiting.append(child)
+    x = {name: float(column) for column, name in enumerate(each for each in order if not children.get(each))}
     for name in reversed(order):
-        left: list[float] = []
-        right: list[float] = []
-        places = []
-        for child in children.get(name, ()):
-            child_left, child_right = outlines.pop(child)
-            shift = max((r - c + 1.0 for r, c in zip(right, child_left, strict=False)), default=0.0)
-            places.append(shift)
-            moved_left = [each + shift for each in child_left]
-            moved_right = [each + shift for each in child_right]
-            left += moved_left[len(left) :]
-            right = moved_right + right[len(moved_right) :]
-        middle = (places[0] + places[-1]) / 2.0 if places else 0.0
-        for child, place in zip(children.get(name, ()), places, strict=True):
-            offset[child] = place - middle
-        outlines[name] = (
-            [0.0, *(each - middle for each in left)],
-            [0.0, *(each - middle for each in right)],
-        )
-
-    positions: dict[str, tuple[float, int]] = {root: (0.0, 0)}
-    for name in order:
-        x, level = positions[name]
-        for child in children.get(name, ()):
-            positions[child] = (x + offset[child], level + 1)
-    first = min(x for x, _ in positions.values())
-    return {name: (x - first, level) for name, (x, level) in positions.items()}
+        if parts := children.get(name, ()):
+            x[name] = (x[parts[0]] + x[parts[-1]]) / 2.0
+    return {name: (x[name], level[name]) for name in order}
 
 
 def fitted(

@@ -27,6 +27,12 @@ def test_every_frame_is_accounted_for() -> None:
         "without_a_partner": 3,
     }
     assert frames["damaged_frames"] == ["b: bad"]
+    report.late = 2
+    assert report.summary() == (
+        "1 frames segmented, 0.00 frames/s; 3 overwritten by newer ones, 1 damaged, 2 too late to be shown"
+    )
+    report.segmented, report.recorded_only = 0, 4
+    assert report.summary() == "4 frames recorded"
 
 
 def test_latencies_are_told_as_percentiles() -> None:

@@ -73,7 +73,8 @@ def saved(results: list[FrameResult], tmp_path_factory: pytest.TempPathFactory) 
         "world/points",
         "world/surfaces",
         "tree",
-        "tree_table",
+        "objects",
+        "splits",
         "plots/segments",
         "plots/metric/worst",
         "plots/metric/mean",
@@ -104,12 +105,9 @@ def test_images_come_back_as_they_were(saved: SavedView, results: list[FrameResu
         assert color.shape == result.frame.color.shape
         assert np.abs(color.astype(int) - result.frame.color).mean() < 4.0
 
-        for path, labels in (
-            ("world/camera/image/labels", result.tree.labels("surfaces")),
-            ("world/camera/ground_truth", result.frame.labels),
-        ):
-            values = saved.by_frame[path]["SegmentationImage:buffer"][index][0]
-            assert (np.frombuffer(bytes(values), np.uint16).reshape(HEIGHT, WIDTH) == labels).all()
+        values = saved.by_frame["world/camera/image/labels"]["SegmentationImage:buffer"][index][0]
+        labels = np.frombuffer(bytes(values), np.uint16).reshape(HEIGHT, WIDTH)
+        assert (labels == result.tree.labels("surfaces")).all()
 
 
 def test_points_are_colored_by_label(saved: SavedView, results: list[FrameResult]) -> None:
@@ -149,7 +147,7 @@ def test_the_trees_nodes_are_filled_by_stop_reason(saved: SavedView, results: li
 
 
 def test_the_table_tells_of_every_segment(saved: SavedView, results: list[FrameResult]) -> None:
-    text = saved.by_frame["tree_table"]["TextDocument:text"][0][0]
+    text = saved.by_frame["splits"]["TextDocument:text"][0][0]
     tree = results[0].tree
     assert f"**small0**: {len(tree.leaves())} final segments of {len(tree.segments)}" in text
     label = 0
@@ -171,8 +169,8 @@ def test_what_holds_for_the_recording_is_static(saved: SavedView) -> None:
     assert pinhole["Pinhole:resolution"] == [[WIDTH, HEIGHT]]
     assert np.reshape(pinhole["Pinhole:image_from_camera"], (3, 3)).T[0] == pytest.approx([131.0, 0.0, 79.5])
     context = saved.static["world"]["AnnotationContext:context"][0]
-    assert len(context) == 1024
-    assert "distance between surface and data" in saved.static["legend"]["TextDocument:text"][0]
+    assert len(context) == 1 + 1023 + 1
+    assert "distances between surface and data" in saved.static["legend"]["TextDocument:text"][0]
 
 
 def test_device_settings_and_versions_are_kept_with_the_recording(saved: SavedView) -> None:

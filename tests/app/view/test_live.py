@@ -368,9 +368,8 @@ def test_the_real_viewer_shows_every_part_without_complaint(
     finally:
         close_in_time(view)
     names = {each.name for each in state.views}
-    assert {"Tree", "Color", "Depth", "Ground truth", "Latency (ms)", "Log"} <= names
-    overlays = {"Objects on color", "Surfaces on color"} if result.tree.objects else {"Segments on color"}
-    assert overlays <= names
+    assert {"Tree", "Color", "Depth", "Ground truth", "Rate (1/s), latency (ms)", "Log", "Splits"} <= names
+    assert {"Objects on color", "Surfaces", "Tree by object", "Surfaces, colored by residual"} <= names
     assert [(each.name, each.reports) for each in state.views if each.reports] == []
 
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import socket
+
 import pytest
 
-from nurbseg.app.view.viewer import warn_beyond_loopback
+from nurbseg.app.view.config import ViewConfig, ViewMode
+from nurbseg.app.view.opening import chosen_view
+from nurbseg.app.view.viewer import free_port, warn_beyond_loopback
 
 
 @pytest.mark.parametrize("bind", ["127.0.0.1", "127.8.8.8", "::1"])
@@ -25,3 +29,31 @@ def test_who_lets_others_see_the_stream_is_warned_and_hears_the_ports(
     assert bind in record.getMessage()
     assert "9876 and 9090" in record.getMessage()
     assert "neither password nor encryption" in record.getMessage()
+
+
+@pytest.mark.parametrize(
+    ("mode", "display", "somebody_waits", "expected"),
+    [
+        ("auto", "", True, "serve"),
+        ("auto", "", False, "auto"),
+        ("auto", ":0", True, "auto"),
+        ("none", "", True, "none"),
+    ],
+)
+def test_somebody_who_waits_without_a_display_is_served_a_page(
+    monkeypatch: pytest.MonkeyPatch, mode: ViewMode, display: str, somebody_waits: bool, expected: str
+) -> None:
+    monkeypatch.setenv("DISPLAY", display)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    view = chosen_view(ViewConfig(mode=mode), somebody_waits=somebody_waits)
+    assert view.mode == expected
+    assert view.bind == "127.0.0.1"
+
+
+def test_a_page_that_nobody_asked_for_takes_no_port_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        view = chosen_view(ViewConfig(port=port, web_port=free_port("127.0.0.1")), somebody_waits=True)
+    assert (view.port, view.web_port == 0) == (0, False)

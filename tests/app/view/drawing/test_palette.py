@@ -1,8 +1,21 @@
 from __future__ import annotations
 
-import numpy as np
+import colorsys
 
-from nurbseg.app.view.drawing.palette import LABEL_COLORS, STOP_COLORS, label_colors, residual_colors
+import numpy as np
+import pytest
+
+from nurbseg.app.view.drawing.palette import (
+    LABEL_COLORS,
+    SHADES,
+    STOP_COLORS,
+    color_name,
+    label_color,
+    label_colors,
+    residual_colors,
+    shaded,
+    shades_of_surfaces,
+)
 from nurbseg.segmentation.segments import StopReason
 
 
@@ -20,6 +33,28 @@ def test_the_first_colors_differ_clearly() -> None:
 
 def test_no_label_is_as_dark_as_the_background() -> None:
     assert label_colors().max(axis=1).min() > 100
+
+
+@pytest.mark.parametrize("label", [1, 2, 17, 1024])
+def test_shades_have_the_hue_of_their_object_and_differ(label: int) -> None:
+    colors = [shaded(label, shade) for shade in range(SHADES)]
+    assert colors[0] == label_color(label)
+    hues = [colorsys.rgb_to_hsv(*(each / 255 for each in color))[0] for color in colors]
+    # Rounding to whole numbers turns the hue of a pale shade by little.
+    assert all(min(abs(each - hues[0]), 1 - abs(each - hues[0])) < 0.02 for each in hues)
+    luma = sorted(0.299 * red + 0.587 * green + 0.114 * blue for red, green, blue in colors)
+    assert np.diff(luma).min() > 8
+
+
+def test_an_objects_first_surface_has_its_color_and_the_others_further_shades() -> None:
+    of = {5: 1, 2: 1, 3: 2, 9: 1, **dict.fromkeys(range(20, 30), 3)}
+    shades = shades_of_surfaces(of)
+    assert {each: shades[each] for each in (2, 3, 5, 9)} == {2: 0, 3: 0, 5: 1, 9: 2}
+    assert [shades[each] for each in range(20, 30)] == [each % SHADES for each in range(10)]
+
+
+def test_colors_have_the_names_that_people_would_give_them() -> None:
+    assert [color_name(each) for each in (1, 2, 3, 6)] == ["blue", "lime", "red", "magenta"]
 
 
 def test_every_stop_reason_has_a_color_and_the_papers_are_as_in_figure_3() -> None:

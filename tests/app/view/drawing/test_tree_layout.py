@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nurbseg.app.view.drawing.tree_layout import fitted, tidy_positions
+from nurbseg.app.view.drawing.tree_layout import fitted, tree_positions
 
 
 @st.composite
@@ -22,16 +22,28 @@ def trees(draw: st.DrawFn) -> dict[str, tuple[str, ...]]:
 
 
 def test_a_single_node_is_at_the_origin() -> None:
-    assert tidy_positions({}, "") == {"": (0.0, 0)}
+    assert tree_positions({}, "") == {"": (0.0, 0)}
 
 
 def test_a_parent_stands_over_the_middle_of_its_children() -> None:
-    assert tidy_positions({"": ("0", "1")}, "") == {"": (0.5, 0), "0": (0.0, 1), "1": (1.0, 1)}
+    assert tree_positions({"": ("0", "1")}, "") == {"": (0.5, 0), "0": (0.0, 1), "1": (1.0, 1)}
+
+
+@given(trees())
+def test_leaves_stand_side_by_side_and_no_subtree_over_another(children: dict[str, tuple[str, ...]]) -> None:
+    positions = tree_positions(children, "")
+    assert set(positions) == {""} | {child for pair in children.values() for child in pair}
+    leaves = sorted(name for name in positions if name not in children)
+    assert [positions[name][0] for name in leaves] == list(range(len(leaves)))
+    for first, second in children.values():
+        left = [x for name, (x, _) in positions.items() if name.startswith(first)]
+        right = [x for name, (x, _) in positions.items() if name.startswith(second)]
+        assert max(left) < min(right)
 
 
 @given(trees())
 def test_no_two_nodes_of_a_level_are_nearer_than_one(children: dict[str, tuple[str, ...]]) -> None:
-    positions = tidy_positions(children, "")
+    positions = tree_positions(children, "")
     assert set(positions) == {""} | {child for pair in children.values() for child in pair}
     for level in {level for _, level in positions.values()}:
         row = [(name, x) for name, (x, at) in positions.items() if at == level]
@@ -43,7 +55,7 @@ def test_no_two_nodes_of_a_level_are_nearer_than_one(children: dict[str, tuple[s
 
 @given(trees())
 def test_children_are_centred_below_their_parent(children: dict[str, tuple[str, ...]]) -> None:
-    positions = tidy_positions(children, "")
+    positions = tree_positions(children, "")
     assert min(x for x, _ in positions.values()) == 0.0
     for parent, (first, second) in children.items():
         assert positions[parent][0] == pytest.approx((positions[first][0] + positions[second][0]) / 2)
@@ -56,7 +68,7 @@ def test_a_subtree_is_drawn_alike_wherever_it_hangs() -> None:
     for name, (first, second) in part.items():
         for side in "01":
             whole[side + name] = (side + first, side + second)
-    positions = tidy_positions(whole, "")
+    positions = tree_positions(whole, "")
     for name in ("0", "1", "10", "11"):
         offsets = [positions[side + name][0] - positions[side][0] for side in "01"]
         assert offsets[0] == pytest.approx(offsets[1])
@@ -64,7 +76,7 @@ def test_a_subtree_is_drawn_alike_wherever_it_hangs() -> None:
 
 @given(trees())
 def test_the_drawing_fits_its_box(children: dict[str, tuple[str, ...]]) -> None:
-    positions = list(tidy_positions(children, "").values())
+    positions = list(tree_positions(children, "").values())
     places, spacing = fitted(positions, 1000.0, 500.0, 70.0, 90.0)
     assert 0.0 < spacing <= 70.0
     assert (places >= 0).all()

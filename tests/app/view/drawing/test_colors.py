@@ -1,0 +1,171 @@
+"""One object has one color wherever it is seen."""
+
+from __future__ import annotations
+
+import colorsys
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from nurbseg.app.live.opening import demo_uri
+from nurbseg.app.live.tracking import process_frame
+from nurbseg.app.result import FrameResult
+from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.view.drawing.drawing import drawn
+from nurbseg.app.view.drawing.frame import Moment, TreeNode
+from nurbseg.app.view.drawing.tables import object_table
+from nurbseg.app.view.drawing.tree import folded_by_object
+from nurbseg.app.view.opening import open_view
+from nurbseg.drivers.registry import open_source
+from nurbseg.segmentation.config import SegmentationConfig
+from tests.fakes.saved_view import SavedView, read_saved_view
+
+Color = tuple[int, int, int]
+
+
+@pytest.fixture(scope="module")
+def result() -> FrameResult:
+    with open_source(demo_uri()) as source:
+        frame = source.read()
+    # A third region of the ground truth, in which nothing is found.
+    labels = np.zeros(frame.depth_mm.shape, dtype=np.uint16)
+    labels[frame.depth_mm > 0] = 7
+    labels[frame.depth_mm == 0] = 9
+    result = process_frame(frame, SegmentationConfig())
+    box = result.object_labels[int(np.argmax([len(each.leaves) for each in result.tree.objects]))]
+    labels[result.labels("objects") == box] = 8
+    return replace(result, frame=replace(frame, labels=labels))
+
+
+@pytest.fixture(scope="module")
+def saved(result: FrameResult, tmp_path_factory: pytest.TempPathFactory) -> SavedView:
+    path: Path = tmp_path_factory.mktemp("colors") / "a.rrd"
+    with open_view(ViewConfig(mode="none", save=str(path)), SegmentationConfig()) as view:
+        view.show(result)
+    return read_saved_view(path)
+
+
+def component(saved: SavedView, path: str, name: str) -> object:
+    (value,) = saved.by_frame[path][name].values()
+    return value
+
+
+def class_colors(saved: SavedView, path: str) -> dict[int, Color]:
+    """Return the colors of the nearest annotation, at the path or above."""
+    annotated = [each for each in saved.static if "AnnotationContext:context" in saved.static[each]]
+    nearest = max((each for each in annotated if path.startswith(each)), key=len)
+    rows = saved.static[nearest]["AnnotationContext:context"][0]
+    return {each["class_id"]: unpacked(each["class_description"]["info"]["color"]) for each in rows}
+
+
+def unpacked(rgba: int) -> Color:
+    return rgba >> 24, rgba >> 16 & 255, rgba >> 8 & 255
+
+
+def hue(color: Color) -> float:
+    return colorsys.rgb_to_hsv(*(each / 255 for each in color))[0]
+
+
+def picture_colors(saved: SavedView, path: str, mask: NDArray[np.bool_]) -> set[Color]:
+    buffer = component(saved, path, "SegmentationImage:buffer")[0]  # type: ignore[index]
+    labels = np.frombuffer(bytes(buffer), np.uint16).reshape(mask.shape)
+    colors = class_colors(saved, path)
+    return {colors[each] for each in np.unique(labels[mask]).tolist()}
+
+
+def test_pictures_surfaces_points_and_tree_agree(result: FrameResult, saved: SavedView) -> None:
+    objects, surfaces = result.labels("objects"), result.labels("surfaces")
+    assert max(len(each.leaves) for each in result.tree.objects) > 2
+    colors = class_colors(saved, "world/camera/image/objects")
+    names = component(saved, "tree", "GraphNodes:labels")
+    fills = component(saved, "tree", "GraphNodes:colors")
+    dots = dict(zip(names, map(unpacked, fills), strict=True))  # type: ignore[call-overload]
+    vertices = np.array(component(saved, "world/surfaces", "Mesh3D:vertex_positions"))
+    camera = result.frame.calibration.depth
+    u = np.rint(camera.fx * vertices[:, 0] / vertices[:, 2] + camera.cx).astype(int)
+    v = np.rint(camera.fy * vertices[:, 1] / vertices[:, 2] + camera.cy).astype(int)
+    height, width = objects.shape
+    at = v.clip(0, height - 1), u.clip(0, width - 1)
+    tints = [unpacked(each) for each in component(saved, "world/surfaces", "Mesh3D:vertex_colors")]  # type: ignore[attr-defined]
+    points = component(saved, "world/points", "Points3D:class_ids")
+    assert {class_colors(saved, "world/points")[each] for each in set(points)} <= set(colors.values())  # type: ignore[call-overload]
+    for label in result.object_labels:
+        mask = objects == label
+        assert picture_colors(saved, "world/camera/image/objects", mask) == {colors[label]}
+        own = np.unique(surfaces[mask]).tolist()
+        shades = picture_colors(saved, "world/camera/image/surfaces", mask)
+        assert colors[label] in shades
+        assert len(shades) == min(len(own), 7)
+        assert {dots[f"label {each}"] for each in own} == shades
+        # Not at its border, where a vertex may lie in a pixel of the neighbour.
+        inside = cv2.erode(mask.astype(np.uint8), np.ones((9, 9), np.uint8))[at] > 0
+        assert {tints[each] for each in np.flatnonzero(inside)} <= shades
+        assert all(abs(hue(each) - hue(colors[label])) < 0.02 for each in shades)
+
+
+def test_ground_truth_has_the_color_of_what_overlaps_it_most(result: FrameResult, saved: SavedView) -> None:
+    truth = result.frame.labels
+    assert truth is not None
+    objects = result.labels("objects")
+    path = "world/camera/ground_truth"
+    colors = class_colors(saved, "world/camera/image/objects")
+    for region in (7, 8):
+        labels, counts = np.unique(objects[(truth == region) & (objects > 0)], return_counts=True)
+        assert picture_colors(saved, path, truth == region) == {colors[int(labels[counts.argmax()])]}
+    assert picture_colors(saved, path, truth == 9) == {(128, 128, 128)}
+
+
+def node(name: str, thing: int | None = None, *, children: tuple[str, ...] = ()) -> TreeNode:
+    label = None if children else 1
+    return TreeNode(name, children, label, thing, 10, None, None, None, None, True, None, None)
+
+
+def test_a_part_of_the_tree_within_one_object_is_one_node() -> None:
+    nodes = [
+        node("", children=("0", "1")),
+        node("0", children=("00", "01")),
+        node("00", 4),
+        node("01", children=("010", "011")),
+        node("010", 4),
+        node("011", 4),
+        node("1", children=("10", "11")),
+        node("10", 4),
+        node("11", 5),
+    ]
+    folded = folded_by_object(nodes)
+    assert [(each.name, each.children, each.thing) for each in folded] == [
+        ("", ("0", "1"), None),
+        ("0", (), 4),
+        ("1", ("10", "11"), None),
+        ("10", (), 4),
+        ("11", (), 5),
+    ]
+
+
+def test_the_largest_object_is_listed_first(result: FrameResult) -> None:
+    moment = Moment(0, None, False)
+    frame = drawn(result, ViewConfig(), "mse", moment=moment, elapsed_ms={}, rate_hz=0.0, known=None)
+    last = result.object_labels[-1]
+    tree = [replace(each, pixels=10**7) if each.thing == last else each for each in frame.tree]
+    rows = object_table(replace(frame, tree=tuple(tree))).splitlines()[4:]
+    assert rows[0].startswith(f"| {last} |")
+
+
+def test_objects_are_listed_by_size_with_place_and_error(result: FrameResult, saved: SavedView) -> None:
+    text = component(saved, "objects", "TextDocument:text")[0]  # type: ignore[index]
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()[4:]]
+    measured = {each.label: each for each in result.objects}
+    assert {int(row[0]) for row in rows} == set(measured)
+    pixels = [int(row[2].replace(",", "")) for row in rows]
+    assert pixels == sorted(pixels, reverse=True)
+    for row in rows:
+        each = measured[int(row[0])]
+        assert int(row[2].replace(",", "")) == pytest.approx(each.pixels.size, rel=0.05)
+        assert int(row[6]) == len(each.leaves)
+        if row[3]:
+            # Of the points that are shown, some of all.
+            assert float(row[3]) == pytest.approx(np.linalg.norm(each.centroid_m), abs=0.02)
