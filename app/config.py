@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import Field, dataclass, field
 from typing import Any, Literal
+from urllib.parse import urlencode
 
 from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.live.config import LiveConfig
@@ -33,6 +34,18 @@ class SourceConfig(Settings):
         None, "camera to open: xtion, kinect, orbbec, any, an OpenNI2 URI or a serial number", unit="NAME"
     )
     replay: str | None = setting(None, "recording or folder of images to replay", unit="PATH")
+    color_images: str | None = setting(
+        None,
+        "color images to replay, of any names: a pattern in quotes; with depth_images",
+        unit="GLOB",
+        flag="color",
+    )
+    depth_images: str | None = setting(
+        None,
+        "their depth images: paired by what stands in the place of the wildcards",
+        unit="GLOB",
+        flag="depth",
+    )
     synthetic: bool = setting(False, "the rendered scene, which needs neither camera nor file")
     fallback: str | None = setting(None, "what to replay where no camera is found", unit="PATH")
     speed: float = setting(
@@ -65,6 +78,9 @@ class SourceConfig(Settings):
         Settings.__post_init__(self)
         if len(self.named) > 1:
             raise ValueError(f"{', '.join(self.named)}: name one source, not {len(self.named)}")
+        if (self.color_images is None) != (self.depth_images is None):
+            missing = "depth_images" if self.depth_images is None else "color_images"
+            raise ValueError(f"{missing}: expected a pattern, since color and depth images go together")
         if self.intrinsics is not None:
             if not all(math.isfinite(value) for value in self.intrinsics):
                 raise ValueError(f"intrinsics: expected finite numbers, got {self.intrinsics}")
@@ -73,12 +89,20 @@ class SourceConfig(Settings):
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Which of the three kinds of source the user named."""
+        """Which of the kinds of source the user named."""
         return tuple(name for name in SOURCE_KINDS if getattr(self, name))
+
+    @property
+    def replayed(self) -> str | None:
+        """What is to be replayed; None where it is a camera."""
+        if self.color_images is not None and self.depth_images is not None:
+            patterns = {"color": self.color_images, "depth": self.depth_images}
+            return f"images:?{urlencode(patterns, safe='*?/[]')}"
+        return "synthetic:" if self.synthetic else self.replay
 
 
 #: The fields of `SourceConfig` of which one at most is given; the last one given wins.
-SOURCE_KINDS = ("device", "replay", "synthetic")
+SOURCE_KINDS = ("device", "replay", "color_images", "synthetic")
 
 
 @dataclass(frozen=True, slots=True)

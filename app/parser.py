@@ -3,14 +3,42 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 from pathlib import Path
+from typing import NoReturn
+
+
+class _Parser(argparse.ArgumentParser):
+    """Answers a flag that there is not with the nearest ones."""
+
+    def error(self, message: str) -> NoReturn:
+        """End with a message, the usage before it."""
+        what, found, words = message.partition("unrecognized arguments: ")
+        known = sorted(_all_flags(self))
+        for word in words.split() if found and not what else ():
+            near = difflib.get_close_matches(word.partition("=")[0], known, n=2) if word[:2] == "--" else []
+            message += f"; {word} is near {' and '.join(near)}" if near else ""
+        if found and any(Path(word).is_file() for word in words.split()):
+            message += "; put patterns in quotes, or the shell turns them into names of files"
+        super().error(message)
+
+
+def _all_flags(parser: argparse.ArgumentParser) -> set[str]:
+    """Return the flags of a parser and of its commands."""
+    found = set()
+    for action in parser._actions:
+        if action.help != argparse.SUPPRESS:
+            found |= {flag for flag in action.option_strings if flag.startswith("--")}
+        if isinstance(action, argparse._SubParsersAction):
+            found |= {flag for each in action.choices.values() for flag in _all_flags(each)}
+    return found
 
 
 def command_parser(
     prog: str, description: str, epilog: str, usage: str | None = None
 ) -> argparse.ArgumentParser:
     """Return a parser that keeps the lines of its texts, and takes flags at full length only."""
-    return argparse.ArgumentParser(
+    return _Parser(
         prog=prog,
         usage=usage,
         description=description,

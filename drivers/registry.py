@@ -18,12 +18,16 @@ if TYPE_CHECKING:
     from nurbseg.drivers.source import FrameSource
 
 #: URI schemes and what opens them, called with the rest of the URI and the options.
-SCHEMES = {"openni2": "openni2:open_uri", "synthetic": "synthetic.source:open_uri"}
+SCHEMES = {
+    "openni2": "openni2:open_uri",
+    "synthetic": "synthetic.source:open_uri",
+    "images": "datasets.folders:open_patterns",
+}
 
 _HEAD_BYTES = 1024
 
 _FORMATS = "an MCAP recording, an OpenNI2 recording (.oni), an organised PCD cloud, or NYU Depth v2 (.mat)"
-_FOLDERS = "pairs of color and depth images, rgb.txt and depth.txt (TUM), PCD clouds, or one recording"
+_FOLDERS = "rgb.txt and depth.txt (TUM), PCD clouds, one recording, or pairs of images"
 
 
 def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameSource:
@@ -32,8 +36,8 @@ def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameS
     Parameters
     ----------
     uri : str or Path
-        ``openni2:`` or ``synthetic:`` with what these understand, or the path of a file or folder,
-        which is recognised by its content.
+        ``openni2:`` or ``synthetic:`` with what these understand, ``images:?color=GLOB&depth=GLOB``, or the
+        path of a file or folder, which is recognised by its content.
     options : SourceOptions, optional
         What the recording does not say itself.
 
@@ -87,7 +91,7 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
 
 def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
     from nurbseg.drivers.datasets.folders import FolderSource
-    from nurbseg.drivers.datasets.pairs import find_pairs
+    from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, find_pairs
     from nurbseg.drivers.datasets.scenes import ScenesSource, scene_folders
     from nurbseg.drivers.datasets.tum import TumSource, is_tum
 
@@ -112,7 +116,7 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
     if recordings:
         raise RecordingFormatError(f"{path}: holds {len(recordings)} recordings; name one of them")
     found = "is empty" if not any(path.iterdir()) else "holds nothing that can be replayed"
-    raise RecordingFormatError(f"{path}: the folder {found}; expected {_FOLDERS}")
+    raise RecordingFormatError(f"{path}: the folder {found}; expected {_FOLDERS}: {NAMES_EXPECTED}")
 
 
 def _is_pcd(head: bytes) -> bool:

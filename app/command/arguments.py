@@ -171,7 +171,8 @@ def _overridden(config: AppConfig, given: dict[str, Any]) -> AppConfig:
     """Return the configuration with the flags that were given."""
     if any(f"source.{kind}" in given for kind in SOURCE_KINDS):
         # A source named by a flag takes the place of another that the file names.
-        given = {"source.device": None, "source.replay": None, "source.synthetic": False} | given
+        unnamed = {f"source.{kind}": None for kind in (*SOURCE_KINDS, "depth_images")}
+        given = unnamed | {"source.synthetic": False} | given
     for name, section in sections().items():
         values = {key: value for key, value in given.items() if key.rpartition(".")[0] == name}
         try:

@@ -84,10 +84,8 @@ def open_chosen(app_config: AppConfig) -> OpenedSource:
 
 
 def _named_uri(config: SourceConfig) -> str:
-    if config.replay is not None:
-        return config.replay
-    if config.synthetic:
-        return SYNTHETIC
+    if config.replayed is not None:
+        return config.replayed
     device = config.device or "any"
     return device if device.startswith(CAMERA) else f"{CAMERA}{device}"
 

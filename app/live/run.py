@@ -165,7 +165,7 @@ def _reported(report: RunReport, interruption: Interruption) -> Iterator[None]:
 def _begin_warm_up(config: AppConfig) -> WarmUp | None:
     """Begin to load what a run needs; None where nothing is segmented, or no frame waits for it in vain."""
     source = config.source
-    if config.record.only or (source.speed == 0 and (source.replay is not None or source.synthetic)):
+    if config.record.only or (source.speed == 0 and source.replayed is not None):
         return None
     return WarmUp(config.segmentation, temporal=config.live.follows(every_frame=False))
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import parse_qsl
 
 from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.calibration.file import read_camera_file
 from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_labels
-from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, ImagePair, find_pairs
+from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, ImagePair, find_pairs, match_patterns
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource
 from nurbseg.drivers.errors import CalibrationError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.files import read_file
@@ -180,12 +182,52 @@ class FolderSource(PairSource):
         if not pairs:
             alone = f" ({len(single)} images lack their partner)" if single else ""
             raise RecordingFormatError(f"{folder}: no image pairs{alone}; expected {NAMES_EXPECTED}")
-        camera = folder_camera(folder, options)
-        moments = [_moment_ns(pair.name) for pair in pairs]
-        if any(moment is None for moment in moments):
-            moments = [index * FRAME_INTERVAL_NS for index in range(len(pairs))]
-        shots = [Shot(pair, camera, moment or 0) for pair, moment in zip(pairs, moments, strict=True)]
+        shots = _shots(pairs, folder_camera(folder, options))
         super().__init__(folder, shots, "folder of image pairs", dropped=len(single))
+
+
+class PatternSource(PairSource):
+    """Replays the images that match two patterns; a calibration is looked for in the folder that holds all.
+
+    Parameters
+    ----------
+    color, depth : str
+        As for `nurbseg.drivers.datasets.pairs.match_patterns`.
+    options : SourceOptions
+        As for a `FolderSource`.
+
+    Raises
+    ------
+    RecordingFormatError, CalibrationError
+        As `match_patterns` and a `FolderSource` do.
+    """
+
+    def __init__(self, color: str, depth: str, options: SourceOptions) -> None:
+        pairs, dropped = match_patterns(color, depth)
+        files = [file.absolute() for pair in pairs for file in (pair.color, pair.depth)]
+        folder = Path(os.path.commonpath([file.parent for file in files]))
+        super().__init__(folder, _shots(pairs, folder_camera(folder, options)), "image pairs", dropped)
+
+
+def open_patterns(rest: str, options: SourceOptions) -> PatternSource:
+    """Open what follows ``images:``, ``?color=GLOB&depth=GLOB``.
+
+    Raises
+    ------
+    RecordingFormatError
+        If a pattern is missing, or as a `PatternSource` does.
+    """
+    patterns = dict(parse_qsl(rest.removeprefix("?")))
+    if patterns.keys() != {"color", "depth"}:
+        raise RecordingFormatError(f"images:{rest}: expected images:?color=GLOB&depth=GLOB")
+    return PatternSource(patterns["color"], patterns["depth"], options)
+
+
+def _shots(pairs: list[ImagePair], camera: FolderCamera) -> list[Shot]:
+    moments = [_moment_ns(pair.name) for pair in pairs]
+    if any(moment is None for moment in moments):
+        moments = [index * FRAME_INTERVAL_NS for index in range(len(pairs))]
+    return [Shot(pair, camera, moment or 0) for pair, moment in zip(pairs, moments, strict=True)]
 
 
 def _content(path: Path) -> bytes:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import glob
+import logging
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,8 +11,12 @@ from pathlib import Path
 from nurbseg.drivers.datasets.sequence import natural_key
 from nurbseg.drivers.errors import RecordingFormatError
 
+_log = logging.getLogger(__name__)
+
 _ROLES = {"color": "color", "rgb": "color", "depth": "depth", "label": "labels", "labels": "labels"}
-_WORDS = "|".join(sorted(_ROLES, key=len, reverse=True))
+#: Words that count where no better one names an image of the same frame.
+_WEAK_ROLES = {"d": "depth", "image": "color", "images": "color"}
+_WORDS = "|".join(sorted({**_ROLES, **_WEAK_ROLES}, key=len, reverse=True))
 _EXTENSIONS = {
     "color": ("png", "jpg", "jpeg", "ppm", "tif", "tiff", "bmp"),
     "depth": ("png", "pgm", "tif", "tiff"),
@@ -22,8 +28,9 @@ _ROLE_LAST = re.compile(rf"(?P<key>.+)[_.-](?P<role>{_WORDS})", re.IGNORECASE)
 _ROLE_FIRST = re.compile(rf"(?P<role>{_WORDS})(?:[_.-](?P<key>.+))?", re.IGNORECASE)
 
 NAMES_EXPECTED = (
-    "NAME_color.png|jpg with NAME_depth.png, frame-000001.color.jpg with frame-000001.depth.png, "
-    "rgb_0.png with depth_0.png, or the folders color (or rgb) and depth"
+    "NAME_color.png|jpg (or _rgb, _image) with NAME_depth.png (or _d), frame-000001.color.jpg with "
+    "frame-000001.depth.png, rgb_0.png with depth_0.png, or the folders color (or rgb, image) and depth; "
+    "images of any other names by two patterns, --color 'GLOB' --depth 'GLOB'"
 )
 
 
@@ -53,8 +60,8 @@ def find_pairs(folder: Path) -> tuple[list[ImagePair], list[Path]]:
     Parameters
     ----------
     folder : Path
-        Holds the images themselves, or the folders ``color`` (or ``rgb``), ``depth`` and ``label``, whose
-        images are paired by name.
+        Holds the images themselves, or the folders ``color`` (or ``rgb``, ``image``), ``depth`` and
+        ``label``, whose images are paired by name.
 
     Returns
     -------
@@ -68,18 +75,20 @@ def find_pairs(folder: Path) -> tuple[list[ImagePair], list[Path]]:
     RecordingFormatError
         If two files claim the same place.
     """
-    found: dict[str, dict[str, Path]] = {}
+    named: list[tuple[bool, Path, str, str]] = []
     for path in sorted(folder.iterdir()):
         if path.is_dir():
-            role = _ROLES.get(path.name.casefold())
-            if role is None:
-                continue
-            for image in sorted(path.iterdir()):
-                _enter(found, image.stem, role, image)
-        else:
-            key, role = key_and_role(path.stem)
+            word = path.name.casefold()
+            role = {**_ROLES, **_WEAK_ROLES}.get(word)
             if role is not None:
-                _enter(found, key, role, path)
+                named += [(word in _WEAK_ROLES, image, image.stem, role) for image in path.iterdir()]
+        else:
+            key, role, weak = _named(path.stem)
+            if role is not None:
+                named.append((weak, path, key, role))
+    found: dict[str, dict[str, Path]] = {}
+    for weak, path, key, role in sorted(named):
+        _enter(found, key, role, path, weak=weak)
     pairs, single = [], []
     for key in sorted(found, key=natural_key):
         files = found[key]
@@ -92,16 +101,76 @@ def find_pairs(folder: Path) -> tuple[list[ImagePair], list[Path]]:
 
 def key_and_role(stem: str) -> tuple[str, str | None]:
     """Return what a pair's names have in common and which image this is: color, depth, labels or None."""
+    return _named(stem)[:2]
+
+
+def match_patterns(color: str, depth: str) -> tuple[list[ImagePair], int]:
+    """Pair the files that match two patterns, by what stands in the place of the wildcards.
+
+    Parameters
+    ----------
+    color, depth : str
+        Patterns of the shell: ``*``, ``?``, ``[0-9]``, ``**`` for any folders.
+
+    Returns
+    -------
+    pairs : list of ImagePair
+        In natural order, each named as its color image. Where no two names have the same in the place of the
+        wildcards, and there are as many color images as depth images, they are paired in natural order.
+    dropped : int
+        Images that lack their partner.
+
+    Raises
+    ------
+    RecordingFormatError
+        If a pattern matches nothing, two files of one are alike, or the files cannot be paired.
+    """
+    colors, depths = _by_wildcards(color), _by_wildcards(depth)
+    keys = sorted(colors.keys() & depths.keys())
+    matched = [(colors[key], depths[key]) for key in keys]
+    if not matched:
+        if len(colors) != len(depths):
+            raise RecordingFormatError(
+                f"{color}, {depth}: {len(colors)} color and {len(depths)} depth images, whose names have "
+                "nothing in common in the place of the wildcards: they cannot be paired"
+            )
+        _log.warning("%s, %s: names have nothing in common; paired in their order", color, depth)
+        matched = [(colors[a], depths[b]) for a, b in zip(sorted(colors), sorted(depths), strict=True)]
+    pairs = [ImagePair(each.stem, each, partner) for each, partner in matched]
+    return pairs, len(colors) + len(depths) - 2 * len(pairs)
+
+
+def _by_wildcards(pattern: str) -> dict[tuple[tuple[int, str], ...], Path]:
+    """Return the files that match a pattern by what stands in the place of its wildcards."""
+    found: dict[tuple[tuple[int, str], ...], Path] = {}
+    fixed = re.split(r"[*?]|\[[^]]*\]", pattern)
+    for name in sorted(glob.glob(pattern, recursive=True)):  # noqa: PTH207 (patterns may be absolute)
+        if not Path(name).is_file():
+            continue
+        key = natural_key(name[len(fixed[0]) : len(name) - len(fixed[-1])] if len(fixed) > 1 else "")
+        if key in found:
+            raise RecordingFormatError(f"{name}: is the same as {found[key]} in the place of the wildcards")
+        found[key] = Path(name)
+    if not found:
+        raise RecordingFormatError(f"{pattern}: no file matches this pattern")
+    return found
+
+
+def _named(stem: str) -> tuple[str, str | None, bool]:
+    """Return what `key_and_role` does, and whether the word counts only where no better one is there."""
     match = _ROLE_LAST.fullmatch(stem) or _ROLE_FIRST.fullmatch(stem)
     if match is None:
-        return "", None
-    return match["key"] or "", _ROLES[match["role"].casefold()]
+        return "", None, False
+    word = match["role"].casefold()
+    return match["key"] or "", {**_ROLES, **_WEAK_ROLES}[word], word in _WEAK_ROLES
 
 
-def _enter(found: dict[str, dict[str, Path]], key: str, role: str, path: Path) -> None:
+def _enter(found: dict[str, dict[str, Path]], key: str, role: str, path: Path, *, weak: bool) -> None:
     if path.suffix.lower().lstrip(".") not in _EXTENSIONS[role] or path.name.startswith("."):
         return
     files = found.setdefault(key, {})
     if role in files:
+        if weak:
+            return
         raise RecordingFormatError(f"{path}: {files[role].name} is the {role} image of {key!r} already")
     files[role] = path

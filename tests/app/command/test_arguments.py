@@ -69,6 +69,7 @@ def test_flags_override_the_file_and_the_file_the_defaults(tmp_path: Path) -> No
         (["--replay", "b"], ("replay",)),
         (["--synthetic"], ("synthetic",)),
         (["--device", "xtion"], ("device",)),
+        (["--color", "*.jpg", "--depth", "*.png"], ("color_images",)),
         ([], ("replay",)),
     ],
 )
@@ -78,6 +79,17 @@ def test_a_source_on_the_command_line_takes_the_place_of_the_files(
     path = tmp_path / "run.toml"
     path.write_text("[source]\nreplay = 'a'\n")
     assert parse_arguments(["--config", str(path), *words]).config.source.named == named
+
+
+def test_a_pattern_that_the_shell_has_replaced_is_told_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = [str(tmp_path / f"{number}.png") for number in range(3)]
+    for name in names:
+        Path(name).touch()
+    with pytest.raises(SystemExit):
+        parse_arguments(["--color", *names, "--depth", "x"])
+    assert "put patterns in quotes" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -94,6 +106,10 @@ def test_a_source_on_the_command_line_takes_the_place_of_the_files(
         (["--metric", "foo"], "argument --metric: invalid choice: 'foo'"),
         (["--replay", "a", "--synthetic"], "not allowed with argument --replay"),
         (["--export-surfaces"], "--export-surfaces: expected a folder too"),
+        (["--temporel", "on"], "unrecognized arguments: --temporel on; --temporel is near --temporal"),
+        (["--exports=out"], "--exports=out is near --export"),
+        (["--color", "*.jpg"], "argument --depth: expected a pattern, since color and depth"),
+        (["--color", "*.jpg", "--depth", "*.png", "--replay", "x"], "not allowed with argument"),
         (["--export-mesh", "glb"], "--export-mesh: expected a folder too"),
         (["--export-cloud", "xyz", "--export", "out"], "invalid choice: 'xyz'"),
         (["--config", "no-such.toml"], "no-such.toml: cannot be read"),

@@ -1,6 +1,7 @@
 """Folders of image pairs: names, calibration, ground truth, and what can be wrong with them."""
 
 from pathlib import Path
+from urllib.parse import urlencode
 
 import cv2
 import numpy as np
@@ -32,6 +33,9 @@ GIVEN = SourceOptions(intrinsics=(52.5, 52.5, 31.5, 23.5))
         ("A_RGB.PNG", "A_Depth.PNG", "A"),
         ("color/7.png", "depth/7.png", "7"),
         ("rgb/s-1.jpg", "depth/s-1.png", "s-1"),
+        ("Image/7.png", "Depth/7.png", "7"),
+        ("a_rgb.png", "a_d.png", "a"),
+        ("image_3.png", "depth_3.png", "3"),
     ],
 )
 def test_pairs_are_found_by_the_names_people_give_them(
@@ -48,6 +52,76 @@ def test_pairs_are_found_by_the_names_people_give_them(
     assert read.labels is None
     if not color.endswith("jpg"):
         np.testing.assert_array_equal(read.color, frame.color)
+
+
+def test_a_word_of_little_meaning_counts_only_where_there_is_no_better_one(tmp_path: Path) -> None:
+    write_image(tmp_path / "a_color.png", scene(0).color)
+    write_image(tmp_path / "a_image.png", scene(1).color)
+    write_image(tmp_path / "a_d.png", scene(1).depth_mm)
+    write_image(tmp_path / "a_depth.png", scene(0).depth_mm)
+    with open_source(tmp_path, GIVEN) as source:
+        (frame,) = list(source)
+    np.testing.assert_array_equal(frame.depth_mm, scene(0).depth_mm)
+    np.testing.assert_array_equal(frame.color, scene(0).color)
+
+
+def patterns(folder: Path, color: str, depth: str) -> str:
+    return f"images:?{urlencode({'color': str(folder / color), 'depth': str(folder / depth)})}"
+
+
+@pytest.mark.parametrize(
+    ("colors", "depths", "color", "depth"),
+    [
+        (["cam/IMG_7.png", "cam/IMG_10.png"], ["z/D-007.png", "z/D-010.png"], "cam/IMG_*.png", "z/D-*.png"),
+        (["one/c.png", "two/c.png"], ["one/z.png", "two/z.png"], "*/c.png", "*/z.png"),
+        (["a1.png", "a2.png"], ["b1.png", "b2.png"], "a[0-9].png", "b?.png"),
+        # Nothing in common, as many of both: in order.
+        (["c 1.5.png", "c 2.5.png"], ["z 1.4.png", "z 2.6.png"], "c *.png", "z *.png"),
+    ],
+)
+def test_images_of_any_names_are_paired_by_two_patterns(
+    tmp_path: Path, colors: list[str], depths: list[str], color: str, depth: str
+) -> None:
+    for number, (of_color, of_depth) in enumerate(zip(colors, depths, strict=True)):
+        write_image(tmp_path / of_color, scene(number).color)
+        write_image(tmp_path / of_depth, scene(number).depth_mm)
+    with open_source(patterns(tmp_path, color, depth), GIVEN) as source:
+        frames = list(source)
+    assert [frame.name for frame in frames] == [Path(each).stem for each in colors]
+    for number, frame in enumerate(frames):
+        np.testing.assert_array_equal(frame.color, scene(number).color)
+        np.testing.assert_array_equal(frame.depth_mm, scene(number).depth_mm)
+
+
+def test_patterns_that_pair_nothing_are_refused(tmp_path: Path) -> None:
+    for name in ("a1.png", "a2.png", "a02.png", "b3.png"):
+        write_image(tmp_path / name, scene(0).depth_mm)
+    for color, depth, message in (
+        ("c*.png", "b*.png", r"c\*\.png: no file matches this pattern"),
+        ("a[12].png", "b*.png", r"2 color and 1 depth images, whose names have nothing in common"),
+        ("a*.png", "b*.png", r"a2\.png: is the same as .*a02\.png in the place of the wildcards"),
+    ):
+        with pytest.raises(RecordingFormatError, match=message):
+            open_source(patterns(tmp_path, color, depth), GIVEN)
+    with pytest.raises(RecordingFormatError, match="expected images:"):
+        open_source("images:?color=a", GIVEN)
+
+
+def test_images_without_a_partner_among_the_patterns_are_counted(tmp_path: Path) -> None:
+    for number in range(3):
+        write_image(tmp_path / f"c{number}.png", scene(0).color)
+        write_image(tmp_path / f"z{number + 1}.png", scene(0).depth_mm)
+    (tmp_path / "camera.toml").write_text("registered = true\n[color]\nfx = 52\nfy = 52\ncx = 31\ncy = 23\n")
+    with open_source(patterns(tmp_path, "c*.png", "z*.png"), SourceOptions()) as source:
+        assert source.metadata["dropped"] == "2"
+        assert source.calibration.depth.fx == 52
+        assert [frame.name for frame in source] == ["c1", "c2"]
+
+
+def test_a_folder_of_other_names_is_told_the_names_and_the_patterns(tmp_path: Path) -> None:
+    write_image(tmp_path / "left.png", scene(0).color)
+    with pytest.raises(RecordingFormatError, match=r"NAME_color\.png.*--color 'GLOB' --depth 'GLOB'"):
+        open_source(tmp_path, GIVEN)
 
 
 @pytest.mark.parametrize("stem", ["colorful", "depths", "my-deep", "label7x", "camera", "coloring_1", ""])
