@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.parts import at_noise_floor, fit_segment, judge_split
+from nurbseg.segmentation.growth import stop_without_cut
 from nurbseg.segmentation.live.leaf import LiveLeaf
 from nurbseg.segmentation.segments import Division, Node, StopReason, depth_first
 
@@ -141,17 +142,13 @@ def give_reasons(
         node.trial = None
         if attempt is not None and attempt.trial is not None:
             node.trial, node.judged = attempt.trial, attempt.frame
-        if node.places.size == 0:
-            node.stop = StopReason.NO_POINTS
-        elif node.fit.surface is None:
+        # What was tried is a leaf by that, however many cuts there are by now.
+        node.stop = stop_without_cut(node, cuts if attempt is None else 0, places_min, config)
+        if node.places.size and node.fit.surface is None:
             node.stop = StopReason.NO_FIT
-        elif at_noise_floor(node.fit, config):
+        elif node.places.size and at_noise_floor(node.fit, config):
             node.stop = StopReason.NOISE
-        elif node.places.size <= 2.0 * places_min:
-            node.stop = StopReason.TOO_SMALL
-        elif node.cuts_above >= config.depth_max:
-            node.stop = StopReason.DEPTH
-        elif attempt is not None:
+        elif node.stop is None and attempt is not None:
             node.stop, node.judged = attempt.stop, attempt.frame
-        else:
-            node.stop = StopReason.SPLITS if cuts >= config.splits_max else StopReason.UNTRIED
+        elif node.stop is None:
+            node.stop = StopReason.UNTRIED
