@@ -97,17 +97,17 @@ def border_statistics(
     v = np.stack([row - inset * (down > 0), row + (down + inset) * (down > 0)])
     label = np.concatenate([before, after])
     slopes = (evaluate or SurfaceTable(surfaces).slopes)(label, u.ravel(), v.ravel())
-    per_m, slope_u, slope_v, x, y = (
+    inverse_depth, slope_u, slope_v, x, y = (
         each.reshape(u.shape) for each in (*slopes, *rays.at(u.ravel(), v.ravel()))
     )
 
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         # The tangent planes at the middle of what is between the surfaces.
         middle_u, middle_v = column + 0.5 * across, row + 0.5 * down
-        planes = per_m + slope_u * (middle_u - u) + slope_v * (middle_v - v)
+        planes = inverse_depth + slope_u * (middle_u - u) + slope_v * (middle_v - v)
         touching = np.abs(planes[0] - planes[1]) < gap_per_m
-        points = np.stack([x / per_m, y / per_m, 1.0 / per_m])
-        normals = np.stack([slope_u * rays.focal_px[0], slope_v * rays.focal_px[1], per_m])
+        points = np.stack([x / inverse_depth, y / inverse_depth, 1.0 / inverse_depth])
+        normals = np.stack([slope_u * rays.focal_px[0], slope_v * rays.focal_px[1], inverse_depth])
         normals[2] -= normals[0] * x
         normals[2] -= normals[1] * y
         normals *= -1.0 / np.maximum(np.sqrt(np.square(normals).sum(axis=0)), 1e-12)

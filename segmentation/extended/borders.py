@@ -34,7 +34,7 @@ _DISTANCES = np.hypot(*np.mgrid[-_REACH : _REACH + 1, -_REACH : _REACH + 1]).rav
 
 def refine_borders(
     labels: NDArray[np.int32],
-    per_m: NDArray[np.float32],
+    inverse_depth: NDArray[np.float32],
     surfaces: Sequence[NurbsSurface | None],
     config: SegmentationConfig,
 ) -> NDArray[np.int32]:
@@ -49,7 +49,7 @@ def refine_borders(
     ----------
     labels : (H, W) int32
         1 to the number of surfaces; 0 where there is no point.
-    per_m : (H, W) float32
+    inverse_depth : (H, W) float32
         Inverse depth, 1/m.
     surfaces : sequence of NurbsSurface or None
         That of each label; a label without one explains nothing.
@@ -69,10 +69,10 @@ def refine_borders(
     present = _present(labels, len(surfaces))
     if len(surfaces) < 2 or not present.any():
         return labels
-    refined = _cheapest(labels, per_m, surfaces, config)
-    severed = _severed(refined, per_m, config)
+    refined = _cheapest(labels, inverse_depth, surfaces, config)
+    severed = _severed(refined, inverse_depth, config)
     if severed.size:
-        spread_in_place(refined, severed, per_m, config.extended.inverse_depth_gap)
+        spread_in_place(refined, severed, inverse_depth, config.extended.inverse_depth_gap)
     lost = present & ~_present(refined, len(surfaces))
     if lost.any():
         kept = lost[labels]
@@ -82,7 +82,7 @@ def refine_borders(
 
 def _cheapest(
     labels: NDArray[np.int32],
-    per_m: NDArray[np.float32],
+    inverse_depth: NDArray[np.float32],
     surfaces: Sequence[NurbsSurface | None],
     config: SegmentationConfig,
 ) -> NDArray[np.int32]:
@@ -91,7 +91,7 @@ def _cheapest(
     Pixels are numbered in an image with a margin as wide as the reach, so that all have all neighbours.
     """
     table = SurfaceTable(surfaces)
-    padded, depths = np.pad(labels, _REACH), np.pad(per_m, _REACH).ravel()
+    padded, depths = np.pad(labels, _REACH), np.pad(inverse_depth, _REACH).ravel()
     flat, width = padded.reshape(-1), padded.shape[1]
     gaps = (config.extended.inverse_depth_gap * np.sqrt(_DISTANCES)).astype(np.float32)
     # A pixel has no vote on itself.
@@ -152,7 +152,7 @@ def _room_for(pixels: int) -> _Candidates:
 @compiled
 def _find_candidates(
     labels: I32,
-    per_m: F32,
+    inverse_depth: F32,
     pixels: Intp,
     width: int,
     gaps_per_m: F32,
@@ -171,7 +171,7 @@ def _find_candidates(
             start = pixel + (down - _REACH) * width - _REACH
             for across in range(_SIDE):
                 near[down * _SIDE + across] = labels[start + across]
-                steps_per_m[down * _SIDE + across] = per_m[start + across] - per_m[pixel]
+                steps_per_m[down * _SIDE + across] = inverse_depth[start + across] - inverse_depth[pixel]
         for k in range(_AROUND):
             near_votes[k] = votes_across[k] if abs(steps_per_m[k]) >= gaps_per_m[k] else votes[k]
         # The pixel's own label first, then the others, the largest first.
@@ -195,7 +195,7 @@ def _find_candidates(
 @compiled
 def _choose(
     labels: I32,
-    per_m: F32,
+    inverse_depth: F32,
     pixels: Intp,
     candidates: _Candidates,
     explained_per_m: F32,
@@ -209,7 +209,7 @@ def _choose(
         best[n] = labels[pixels[n]]
         least = np.float32(np.inf)
         for at in range(first, candidates.ends[n]):
-            residual = (explained_per_m[at] - per_m[pixels[n]]) * per_deviation
+            residual = (explained_per_m[at] - inverse_depth[pixels[n]]) * per_deviation
             cost = np.float32(square_most)
             # False for what has no surface.
             if residual * residual < cost:
@@ -265,11 +265,11 @@ def _mark(labels: I32, present: Bool) -> None:
 
 
 def _severed(
-    labels: NDArray[np.int32], per_m: NDArray[np.float32], config: SegmentationConfig
+    labels: NDArray[np.int32], inverse_depth: NDArray[np.float32], config: SegmentationConfig
 ) -> NDArray[np.intp]:
     """Find the flat pixels of small pieces that are not the largest of their label."""
     found = connected_components(
-        labels, pixel_adjacency(per_m, labels > 0, config.extended.inverse_depth_gap)
+        labels, pixel_adjacency(inverse_depth, labels > 0, config.extended.inverse_depth_gap)
     )
     unit = labels.size / (640.0 * 480.0)
     small = ~found.large(config.extended.piece_pixels_min * unit, int(labels.max()))

@@ -45,7 +45,7 @@ def grid_features(cloud: PointMap, config: SegmentationConfig) -> GridFeatures:
     normals = _normals(grid, 0, 0, *grid.points.shape, config)
     points_m = grid.points.coordinates_m.reshape(3, -1).T
     raw = np.concatenate([color, points_m, normals.reshape(-1, 3)], axis=1)
-    adjacency = pixel_adjacency(grid.per_m, grid.valid, config.extended.inverse_depth_gap)
+    adjacency = pixel_adjacency(grid.inverse_depth, grid.valid, config.extended.inverse_depth_gap)
     return GridFeatures(grid, adjacency, raw)
 
 
@@ -60,7 +60,7 @@ def _normals(
     """Return the normals of a window of the grid."""
     column, row = grid.rays.center
     return facet_normals(
-        np.ascontiguousarray(grid.per_m[top:bottom, left:right]),
+        np.ascontiguousarray(grid.inverse_depth[top:bottom, left:right]),
         np.ascontiguousarray(grid.valid[top:bottom, left:right]),
         replace(grid.rays, center=(column - left * grid.step, row - top * grid.step)),
         step=grid.step,

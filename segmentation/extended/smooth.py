@@ -76,10 +76,10 @@ def _is_smooth(
 ) -> bool:
     width_px = _STRIP_PX * grid.unit_px
     window, strip = strips.strip(border.first, border.second, _reach(width_px, grid))
-    per_m = grid.per_m[window[0] : window[2], window[1] : window[3]][strip > 0]
-    if per_m.size == 0:
+    inverse_depth = grid.inverse_depth[window[0] : window[2], window[1] : window[3]][strip > 0]
+    if inverse_depth.size == 0:
         return False
-    wider_px = _STRIP_PX_PER_M * _median(1.0 / per_m) * grid.unit_px
+    wider_px = _STRIP_PX_PER_M * _median(1.0 / inverse_depth) * grid.unit_px
     if wider_px > width_px:
         window, strip = strips.strip(border.first, border.second, _reach(wider_px, grid))
     points = np.count_nonzero(strip)

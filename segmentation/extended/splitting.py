@@ -59,13 +59,17 @@ def segment_nurbseg(
     on_grid = np.zeros(features.grid.valid.size, dtype=np.int32)
     for label, leaf in enumerate(leaves, start=1):
         on_grid[leaf.places] = label
-    per_m = inverse_depth_image(cloud)
+    inverse_depth = inverse_depth_image(cloud)
     labels = upsample_by_depth(
-        on_grid.reshape(features.grid.valid.shape), features.grid.per_m, per_m, cloud.valid, config
+        on_grid.reshape(features.grid.valid.shape),
+        features.grid.inverse_depth,
+        inverse_depth,
+        cloud.valid,
+        config,
     )
     surfaces = [leaf.fit.surface for leaf in leaves]
     if config.extended.refine_borders:
-        labels = refine_borders(labels, per_m, surfaces, config)
+        labels = refine_borders(labels, inverse_depth, surfaces, config)
 
     image = labels.astype(np.uint16)
     segments = finished_segments(nodes, leaves, image)
@@ -217,7 +221,7 @@ def _pieces(
         places,
         labels,
         features.adjacency,
-        features.grid.per_m,
+        features.grid.inverse_depth,
         gap_per_m=config.extended.inverse_depth_gap,
         places_min=features.places_min(config),
     )

@@ -91,16 +91,18 @@ def pixel_adjacency(
 
 
 @compiled
-def _connect_neighbors(per_m: F32, valid: Bool, gap_per_m: np.float32, right: Bool, down: Bool) -> None:
+def _connect_neighbors(
+    inverse_depth: F32, valid: Bool, gap_per_m: np.float32, right: Bool, down: Bool
+) -> None:
     height, width = valid.shape
     for row in range(height):
         for column in range(width - 1):
-            step = abs(per_m[row, column + 1] - per_m[row, column])
+            step = abs(inverse_depth[row, column + 1] - inverse_depth[row, column])
             right[row, column] = (step < gap_per_m) & valid[row, column] & valid[row, column + 1]
         right[row, width - 1] = False
     for row in range(height - 1):
         for column in range(width):
-            step = abs(per_m[row + 1, column] - per_m[row, column])
+            step = abs(inverse_depth[row + 1, column] - inverse_depth[row, column])
             down[row, column] = (step < gap_per_m) & valid[row, column] & valid[row + 1, column]
     down[height - 1] = False
 

@@ -69,7 +69,7 @@ def spread_in_place(
 
 
 @compiled
-def _spread(labels: I32, per_m: F32, places: Intp, gap_per_m: np.float32) -> int:
+def _spread(labels: I32, inverse_depth: F32, places: Intp, gap_per_m: np.float32) -> int:
     """Label open places in rounds; return how many stay open, which are then the first of `places`."""
     height, width = labels.shape
     flat = labels.reshape(-1)
@@ -86,7 +86,7 @@ def _spread(labels: I32, per_m: F32, places: Intp, gap_per_m: np.float32) -> int
             for down, across in _NEIGHBORS:
                 r, c = row + down, column + across
                 if 0 <= r < height and 0 <= c < width and labels[r, c] > 0:
-                    step = abs(per_m[r, c] - per_m[row, column])
+                    step = abs(inverse_depth[r, c] - inverse_depth[row, column])
                     if step < least:
                         least, nearest = step, labels[r, c]
             flat[front[n]] = _OPEN

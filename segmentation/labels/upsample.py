@@ -149,8 +149,8 @@ def _decide(
 
 def upsample_by_depth(
     on_grid: NDArray[np.int32],
-    grid_per_m: NDArray[np.float32],
-    per_m: NDArray[np.float32],
+    grid_inverse_depth: NDArray[np.float32],
+    inverse_depth: NDArray[np.float32],
     valid: NDArray[np.bool_],
     config: SegmentationConfig,
 ) -> NDArray[np.int32]:
@@ -160,9 +160,9 @@ def upsample_by_depth(
     ----------
     on_grid : (h, w) int32
         Labels on the grid, 0 for none.
-    grid_per_m : (h, w) float32
+    grid_inverse_depth : (h, w) float32
         Inverse depth on the grid, 1/m.
-    per_m, valid : (H, W) float32 and bool
+    inverse_depth, valid : (H, W) float32 and bool
         Inverse depth of every pixel, 1/m, and where there is a point.
     config : SegmentationConfig
         The grid's step and the gap in depth.
@@ -177,22 +177,22 @@ def upsample_by_depth(
     open_pixels = np.empty(valid.shape, dtype=np.bool_)
     _take_over(
         np.ascontiguousarray(on_grid),
-        np.ascontiguousarray(grid_per_m),
-        np.ascontiguousarray(per_m),
+        np.ascontiguousarray(grid_inverse_depth),
+        np.ascontiguousarray(inverse_depth),
         np.ascontiguousarray(valid),
         config.decimation,
         np.float32(config.extended.inverse_depth_gap),
         labels,
         open_pixels,
     )
-    return spread_labels(labels, open_pixels, per_m, config.extended.inverse_depth_gap)
+    return spread_labels(labels, open_pixels, inverse_depth, config.extended.inverse_depth_gap)
 
 
 @compiled
 def _take_over(
     on_grid: I32,
-    grid_per_m: F32,
-    per_m: F32,
+    grid_inverse_depth: F32,
+    inverse_depth: F32,
     valid: Bool,
     step: int,
     gap_per_m: np.float32,
@@ -201,14 +201,14 @@ def _take_over(
 ) -> None:
     """Give pixels the label of their place of the grid, where no gap is in between; open the others."""
     height, width = valid.shape
-    row_labels, row_per_m = np.empty(width, dtype=np.int32), np.empty(width, dtype=np.float32)
+    row_labels, row_inverse_depth = np.empty(width, dtype=np.int32), np.empty(width, dtype=np.float32)
     for row in range(height):
         if row % step == 0:
             for column in range(width):
                 row_labels[column] = on_grid[row // step, column // step]
-                row_per_m[column] = grid_per_m[row // step, column // step]
+                row_inverse_depth[column] = grid_inverse_depth[row // step, column // step]
         for column in range(width):
-            near = abs(row_per_m[column] - per_m[row, column]) < gap_per_m
+            near = abs(row_inverse_depth[column] - inverse_depth[row, column]) < gap_per_m
             label = row_labels[column] if near & valid[row, column] else np.int32(0)
             labels[row, column] = label
             open_pixels[row, column] = valid[row, column] & (label == 0)

@@ -15,7 +15,7 @@ _VOTE, _DIAGONAL_VOTE = 1.4, 1.4 / 2**0.5
 
 
 def spread_to_pixels(
-    before: NDArray[np.uint16], on_grid: NDArray[np.int32], per_m: NDArray[np.float32], step: int
+    before: NDArray[np.uint16], on_grid: NDArray[np.int32], inverse_depth: NDArray[np.float32], step: int
 ) -> NDArray[np.uint16]:
     """Take over what was decided on the grid; where nothing was, a pixel keeps its label.
 
@@ -25,7 +25,7 @@ def spread_to_pixels(
         Label that each pixel had.
     on_grid : (h, w) int32
         Labels on every `step`-th row and column.
-    per_m : (H, W) float32
+    inverse_depth : (H, W) float32
         Inverse depth, 1/m; 0 where there is no point, and so no label.
 
     Returns
@@ -34,13 +34,13 @@ def spread_to_pixels(
         The labels.
     """
     labels = np.empty_like(before)
-    _spread(before, on_grid, per_m, step, labels)
+    _spread(before, on_grid, inverse_depth, step, labels)
     return labels
 
 
 def relax_borders(
     labels: NDArray[np.uint16],
-    per_m: NDArray[np.float32],
+    inverse_depth: NDArray[np.float32],
     lattice: SurfaceLattice,
     *,
     noise_per_m: float,
@@ -55,7 +55,7 @@ def relax_borders(
     ----------
     labels : (H, W) uint16
         Labels of all pixels that have a point, or 0 where that is not known yet.
-    per_m : (H, W) float32
+    inverse_depth : (H, W) float32
         Inverse depth, 1/m; 0 where there is no point.
     lattice : SurfaceLattice
         Of the labels' surfaces.
@@ -68,12 +68,12 @@ def relax_borders(
         The new labels.
     """
     relaxed = labels.copy()
-    _relax(labels, per_m, lattice.samples, lattice.step, 1.0 / noise_per_m, gap_per_m, relaxed)
+    _relax(labels, inverse_depth, lattice.samples, lattice.step, 1.0 / noise_per_m, gap_per_m, relaxed)
     return relaxed
 
 
 @compiled
-def _spread(before: U16, on_grid: I32, per_m: F32, step: int, labels: U16) -> None:
+def _spread(before: U16, on_grid: I32, inverse_depth: F32, step: int, labels: U16) -> None:
     """Give the pixels of a place its label where it is another one than before."""
     height, width = before.shape
     # What the pixels of a row of places take, -1 where they keep what they have.
@@ -85,12 +85,18 @@ def _spread(before: U16, on_grid: I32, per_m: F32, step: int, labels: U16) -> No
                 taken[c] = -1 if decided == before[r, c // step * step] else decided
         for c in range(width):
             label = before[r, c] if taken[c] < 0 else taken[c]
-            labels[r, c] = label if per_m[r, c] > 0 else 0
+            labels[r, c] = label if inverse_depth[r, c] > 0 else 0
 
 
 @compiled
 def _relax(
-    labels: U16, per_m: F32, samples: Samples, step: int, per_deviation: float, gap: float, relaxed: U16
+    labels: U16,
+    inverse_depth: F32,
+    samples: Samples,
+    step: int,
+    per_deviation: float,
+    gap: float,
+    relaxed: U16,
 ) -> None:
     """Write down the cheapest label of pixels at borders."""
     height, width = labels.shape
@@ -106,7 +112,7 @@ def _relax(
             beside[c] = (labels[r, c - 1] != labels[r, c]) | turns[c - 1] | turns[c]
         beside[0] = turns[0]
         for c in range(width):
-            own = per_m[r, c]
+            own = inverse_depth[r, c]
             if not (beside[c] or beside[min(c + 1, width - 1)]) or not own > 0:
                 continue
             left, right = max(c - 1, 0), min(c + 2, width)
@@ -122,7 +128,7 @@ def _relax(
             for y in range(above, below):
                 for x in range(left, right):
                     near, vote = labels[y, x], votes[(y != r) + (x != c)]
-                    vote *= 1.0 if abs(per_m[y, x] - own) < gap else ACROSS_GAP
+                    vote *= 1.0 if abs(inverse_depth[y, x] - own) < gap else ACROSS_GAP
                     for_before += vote if near == before else 0.0
                     for_most += vote if near == most else 0.0
                     for_least += vote if near == least else 0.0

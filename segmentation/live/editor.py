@@ -80,20 +80,20 @@ class TreeUpdate:
     report: UpdateReport = field(default_factory=UpdateReport)
 
     def relabelled(
-        self, labels: NDArray[np.uint16], per_m: NDArray[np.float32], step: int
+        self, labels: NDArray[np.uint16], inverse_depth: NDArray[np.float32], step: int
     ) -> NDArray[np.uint16]:
         """Return a label image (H, W) as it is after the update, given each pixel's inverse depth, 1/m.
 
         Where that is 0 there is no point, and so no label; `step` is that of the grid, pixels.
         """
         relabelled = np.empty_like(labels)
-        _relabel(labels, per_m, self.before, self.on_grid, self.final, step, relabelled)
+        _relabel(labels, inverse_depth, self.before, self.on_grid, self.final, step, relabelled)
         return relabelled
 
 
 @compiled
 def _relabel(
-    labels: U16, per_m: F32, before: I32, on_grid: I32, final: U16, step: int, relabelled: U16
+    labels: U16, inverse_depth: F32, before: I32, on_grid: I32, final: U16, step: int, relabelled: U16
 ) -> None:
     """Look up labels from now on; pixels that have the label of their place change with it."""
     height, width = labels.shape
@@ -106,7 +106,7 @@ def _relabel(
             # Neighbours across a border keep what they have; what had no label takes this one.
             label = np.int32(labels[r, c])
             now = final[number[c] if label == known[c] else label]
-            relabelled[r, c] = now if per_m[r, c] > 0 else 0
+            relabelled[r, c] = now if inverse_depth[r, c] > 0 else 0
 
 
 class TreeEditor:

@@ -28,7 +28,7 @@ def moved_surfaces(
     surfaces: Sequence[NurbsSurface | None],
     lattice: SurfaceLattice,
     labels: NDArray[np.int32],
-    per_m: NDArray[np.float32],
+    inverse_depth: NDArray[np.float32],
     noise_per_m: float,
 ) -> list[NurbsSurface | None]:
     """Move every surface by the linear change of inverse depth that its points show.
@@ -45,7 +45,7 @@ def moved_surfaces(
         Of these surfaces.
     labels : (h, w) int32
         Labels on the grid.
-    per_m : (h, w) float32
+    inverse_depth : (h, w) float32
         Inverse depth of this frame on the grid, 1/m.
     noise_per_m : float
         Standard deviation of inverse depth, 1/m.
@@ -59,7 +59,7 @@ def moved_surfaces(
     count = len(surfaces) + 1
     change = lattice.image(labels)
     sums = np.zeros((count, 3))
-    _tell_changes(labels, inner_places(labels), per_m, change, sums)
+    _tell_changes(labels, inner_places(labels), inverse_depth, change, sums)
     mean, square = np.ascontiguousarray(sums[:, 1:].T) / np.maximum(sums[:, 0], 1.0)
     spread = np.sqrt(np.maximum(square - np.square(mean), 0.0))
     limit = np.maximum(6.0 * noise_per_m, 2.0 * spread)
@@ -89,7 +89,7 @@ def _moved(surface: NurbsSurface, change: NDArray[np.float64], step: int) -> Nur
 
 def kept_labels(
     labels: NDArray[np.int32],
-    per_m: NDArray[np.float32],
+    inverse_depth: NDArray[np.float32],
     lattice: SurfaceLattice,
     limits_per_m: NDArray[np.float32],
 ) -> NDArray[np.int32]:
@@ -99,7 +99,7 @@ def kept_labels(
     ----------
     labels : (h, w) int32
         Labels on the grid; 0 is none.
-    per_m : (h, w) float32
+    inverse_depth : (h, w) float32
         Inverse depth, 1/m.
     lattice : SurfaceLattice
         Of the labels' surfaces.
@@ -111,13 +111,13 @@ def kept_labels(
     (h, w) int32
         The labels, 0 where they are not kept.
     """
-    is_own = np.abs(lattice.image(labels) - per_m) < limits_per_m.take(labels)
+    is_own = np.abs(lattice.image(labels) - inverse_depth) < limits_per_m.take(labels)
     return np.where(is_own, labels, 0)
 
 
 def grown_labels(
     labels: NDArray[np.int32],
-    per_m: NDArray[np.float32],
+    inverse_depth: NDArray[np.float32],
     lattice: SurfaceLattice,
     limits_per_m: NDArray[np.float32],
 ) -> NDArray[np.int32]:
@@ -127,7 +127,7 @@ def grown_labels(
     neighbour's surface explains stay 0.
     """
     grown = labels.copy()
-    _grow(grown, per_m, lattice.samples, limits_per_m, _GROWTH)
+    _grow(grown, inverse_depth, lattice.samples, limits_per_m, _GROWTH)
     return grown
 
 
@@ -163,7 +163,7 @@ def split_off_new(
     cleaned = labels_of[found.numbers]
     unlabelled = (cleaned == 0) & grid.valid
     if unlabelled.any():
-        cleaned = spread_labels(cleaned, unlabelled, grid.per_m, config.extended.inverse_depth_gap)
+        cleaned = spread_labels(cleaned, unlabelled, grid.inverse_depth, config.extended.inverse_depth_gap)
     is_new = cleaned >= open_label
     numbers = np.where(is_new, cleaned - np.int32(count), 0)
     cleaned[is_new] = 0
@@ -194,7 +194,7 @@ def _find_inner(labels: I32, inner: Bool) -> None:
 
 
 @compiled
-def _tell_changes(labels: I32, inner: Bool, per_m: F32, change: F32, sums: F64) -> None:
+def _tell_changes(labels: I32, inner: Bool, inverse_depth: F32, change: F32, sums: F64) -> None:
     """Turn surfaces' inverse depths into changes, NaN where a place does not count; sum 1, c, cc by label."""
     height, width = labels.shape
     for r in range(height):
@@ -204,7 +204,7 @@ def _tell_changes(labels: I32, inner: Bool, per_m: F32, change: F32, sums: F64) 
             label = labels[r, c]
             n, total, squares = 0, 0.0, 0.0
             while c < width and labels[r, c] == label:
-                moved = np.float64(per_m[r, c] - change[r, c])
+                moved = np.float64(inverse_depth[r, c] - change[r, c])
                 if inner[r, c] and abs(moved) < _MOTION_MOST_PER_M:
                     n, total, squares = n + 1, total + moved, squares + moved * moved
                     change[r, c] = moved
@@ -252,13 +252,13 @@ def _moved_net(
 
 
 @compiled
-def _grow(labels: I32, per_m: F32, samples: Samples, limits: F32, passes: int) -> None:
+def _grow(labels: I32, inverse_depth: F32, samples: Samples, limits: F32, passes: int) -> None:
     """Give open places the label beside them that explains them best, all those of a pass at once."""
     values, windows = samples
     height, width = labels.shape
     places, found = np.empty(labels.size, dtype=np.int64), np.empty(labels.size, dtype=np.int32)
     flat = labels.reshape(-1)
-    depths = per_m.reshape(-1)
+    depths = inverse_depth.reshape(-1)
     waiting = 0
     for place in range(flat.size):
         if flat[place] == 0 and depths[place] > 0:

@@ -127,7 +127,7 @@ def misfit(
     # Of the rim and of the inner places: how many, not reached, and sum of squares.
     sums = np.zeros((size, 2, 3))
     explained, inner = lattice.image(labels), inner_places(labels)
-    _sum_misfits(labels, grid.per_m, 1.0 / noise_per_m, SQUARE_MOST**0.5, explained, inner, sums)
+    _sum_misfits(labels, grid.inverse_depth, 1.0 / noise_per_m, SQUARE_MOST**0.5, explained, inner, sums)
     every = sums.sum(axis=1)
     thin = sums[:, 1, 0] < _INNER_SHARE * every[:, 0]
     judged = np.where(thin[:, np.newaxis], every, sums[:, 1])
@@ -138,7 +138,7 @@ def misfit(
 
 @compiled
 def _sum_misfits(
-    labels: I32, per_m: F32, per_deviation: float, most: float, explained: F32, inner: Bool, sums: F64
+    labels: I32, inverse_depth: F32, per_deviation: float, most: float, explained: F32, inner: Bool, sums: F64
 ) -> None:
     """Sum by label over places at the rim and inner ones: 1, those not reached, limited squared residuals."""
     height, width = labels.shape
@@ -150,7 +150,7 @@ def _sum_misfits(
             own = sums[label, np.int64(inner[r, c])]
             own[0] += 1.0
             own[1] += not explained[r, c] < np.inf
-            deviation = min(per_deviation * abs(explained[r, c] - per_m[r, c]), most)
+            deviation = min(per_deviation * abs(explained[r, c] - inverse_depth[r, c]), most)
             own[2] += deviation * deviation
 
 
@@ -190,7 +190,7 @@ def update_residuals(
         order,
         labels.reshape(-1),
         lattice.image(labels).reshape(-1),
-        grid.per_m.reshape(-1),
+        grid.inverse_depth.reshape(-1),
         grid.distances_m.reshape(-1),
         # What is far off is not the leaf's own, and does not make room for more of its kind.
         SQUARE_MOST**0.5 * config.extended.inverse_depth_noise,
@@ -234,7 +234,7 @@ def _measure(
     order: Intp,
     labels: I32,
     explained: F32,
-    per_m: F32,
+    inverse_depth: F32,
     distances_m: F32,
     most_per_m: float,
     large_m: float,
@@ -256,7 +256,7 @@ def _measure(
         if not explained[place] < np.inf:
             own[4] += 1.0
             continue
-        beyond_per_m = abs(np.float64(explained[place]) - per_m[place])
+        beyond_per_m = abs(np.float64(explained[place]) - inverse_depth[place])
         # The point and its surface point lie on one ray.
         residual_m = distances_m[place] * beyond_per_m / explained[place]
         residuals_m[n] = residual_m

@@ -97,8 +97,8 @@ class ObjectMemory:
         def evaluate(
             label: NDArray[np.int32], u: NDArray[np.float64], v: NDArray[np.float64]
         ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-            per_m, along_u, along_v = lattice.slopes_at(label, u * step, v * step)
-            return per_m, along_u * step, along_v * step
+            inverse_depth, along_u, along_v = lattice.slopes_at(label, u * step, v * step)
+            return inverse_depth, along_u * step, along_v * step
 
         found = border_statistics(
             on_grid, (), rays, gap_per_m=config.extended.inverse_depth_gap, evaluate=evaluate

@@ -189,8 +189,8 @@ class LiveTree:
     ) -> SegmentationTree | None:
         """Let the tree live on into a frame; None where the frame is not explained."""
         step = config.decimation
-        per_m = inverse_depth_image(cloud)
-        on_every = np.ascontiguousarray(per_m[::step, ::step])
+        inverse_depth = inverse_depth_image(cloud)
+        on_every = np.ascontiguousarray(inverse_depth[::step, ::step])
         grid = DepthGrid(decimated_grid(cloud, step), on_every, self._rays_of(cloud))
         gray = brightness(cloud.color, step)
         before = warped(self._labels, flow_back(gray, resized(self._gray, gray.shape)))
@@ -201,12 +201,12 @@ class LiveTree:
         if self._lattice.step != step:
             self._lattice = SurfaceLattice(surfaces, step)
         surfaces = moved_surfaces(
-            surfaces, self._lattice, on_grid, grid.per_m, config.extended.inverse_depth_noise
+            surfaces, self._lattice, on_grid, grid.inverse_depth, config.extended.inverse_depth_noise
         )
         lattice = SurfaceLattice(surfaces, step)
         limits = self._limits_per_m()
         points, known = int(np.count_nonzero(grid.valid)), int(np.count_nonzero(on_grid))
-        on_grid = kept_labels(on_grid, grid.per_m, lattice, limits)
+        on_grid = kept_labels(on_grid, grid.inverse_depth, lattice, limits)
         unexplained = 1.0 - int(np.count_nonzero(on_grid)) / max(1, known)
         if unexplained > _CHANGED_SHARE or known < (1.0 - _CHANGED_SHARE) * points:
             self.report = UpdateReport(reset="another scene", unexplained=unexplained)
@@ -220,17 +220,17 @@ class LiveTree:
             node.age += 1
 
         # Labels grow into what is open; what stays open is new, or too small to be anything.
-        on_grid = grown_labels(on_grid, grid.per_m, lattice, limits)
-        adjacency = pixel_adjacency(grid.per_m, grid.valid, config.extended.inverse_depth_gap)
+        on_grid = grown_labels(on_grid, grid.inverse_depth, lattice, limits)
+        adjacency = pixel_adjacency(grid.inverse_depth, grid.valid, config.extended.inverse_depth_gap)
         features = GridFeatures(grid, adjacency, np.zeros((0, 0), dtype=np.float32))
         on_grid, appeared = split_off_new(on_grid, features, len(self._leaves), config)
 
         # Borders on every pixel.
-        labels = spread_to_pixels(before, on_grid, per_m, step)
+        labels = spread_to_pixels(before, on_grid, inverse_depth, step)
         if config.extended.refine_borders:
             labels = relax_borders(
                 labels,
-                per_m,
+                inverse_depth,
                 lattice,
                 noise_per_m=config.extended.inverse_depth_noise,
                 gap_per_m=config.extended.inverse_depth_gap,
@@ -254,11 +254,11 @@ class LiveTree:
             config,
         )
         self._leaves = done.leaves
-        labels = done.relabelled(labels, per_m, step)
-        missed = (labels == 0) & (per_m > 0)
+        labels = done.relabelled(labels, inverse_depth, step)
+        missed = (labels == 0) & (inverse_depth > 0)
         if missed.any():
             labels = spread_labels(
-                labels.astype(np.int32), missed, per_m, config.extended.inverse_depth_gap
+                labels.astype(np.int32), missed, inverse_depth, config.extended.inverse_depth_gap
             ).astype(np.uint16)
         self.labels_before = before
         self._gray = gray

@@ -21,7 +21,7 @@ class DepthGrid:
     ----------
     points : PixelGrid
         The points.
-    per_m : (h, w) float32
+    inverse_depth : (h, w) float32
         Inverse depth, 1/m; 0 where there is no point.
     rays : Rays
         Of the camera.
@@ -33,7 +33,7 @@ class DepthGrid:
     """
 
     points: PixelGrid
-    per_m: NDArray[np.float32]
+    inverse_depth: NDArray[np.float32]
     rays: Rays
     distances_m: NDArray[np.float32] = field(init=False)
 
@@ -85,12 +85,12 @@ def inverse_depth_image(cloud: PointMap) -> NDArray[np.float32]:
 def _inverse_depths(depth_m: F32, valid: Bool) -> F32:
     """One over depth where there is a point in front of the camera, else 0."""
     height, width = valid.shape
-    per_m = np.empty((height, width), dtype=np.float32)
+    inverse_depth = np.empty((height, width), dtype=np.float32)
     for y in range(height):
         for x in range(width):
             usable = valid[y, x] and depth_m[y, x] > 0
-            per_m[y, x] = np.float32(1.0) / depth_m[y, x] if usable else np.float32(0.0)
-    return per_m
+            inverse_depth[y, x] = np.float32(1.0) / depth_m[y, x] if usable else np.float32(0.0)
+    return inverse_depth
 
 
 __all__ = ["DepthGrid", "depth_grid", "inverse_depth_image"]

@@ -120,7 +120,7 @@ class _Spline:
         self, grid: DepthGrid, window: Window, mask: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the residuals of inverse depth, 1/m, and in space, metres, at the marked places."""
-        images = (grid.per_m, grid.distances_m)
+        images = (grid.inverse_depth, grid.distances_m)
         return _residuals(images, mask, window[:2], self.control_per_m, self.rows, self.columns)
 
 
@@ -142,7 +142,7 @@ def _fitted_spline(
     for margin, stiffer in ((wide, 1.0), (1, 1.0), *((1, each) for each in _STIFFER)):
         rows, knots_v = lattice_basis(top, bottom, margin, spacing)
         columns, knots_u = lattice_basis(left, right, margin, spacing)
-        images, stiffness = grid.per_m[np.newaxis], stiffer * smoothness
+        images, stiffness = grid.inverse_depth[np.newaxis], stiffer * smoothness
         (control,), held = fit_splines(images, mask, (top, left), rows, columns, stiffness)
         if control.min() > _LEAST_PER_M or (control[held > _HELD] > _LEAST_PER_M).all():
             break
@@ -159,7 +159,7 @@ def _residuals(
     columns: SpanBasis,
 ) -> tuple[F64, F64]:
     """Compare a spline at the marked places with images of inverse depth and of distances."""
-    (per_m, distances_m), (top, left), (height, width) = images, corner, mask.shape
+    (inverse_depth, distances_m), (top, left), (height, width) = images, corner, mask.shape
     count = 0
     for y in range(height):
         for x in range(width):
@@ -179,7 +179,7 @@ def _residuals(
                 fitted = 0.0
                 for j in range(4):
                     fitted += columns.values[x, j] * along[start + j]
-                residual = fitted - per_m[top + y, left + x]
+                residual = fitted - inverse_depth[top + y, left + x]
                 residuals_per_m[n] = residual
                 # The point and its surface point lie on one ray: their distance is in proportion to the
                 # point's own.

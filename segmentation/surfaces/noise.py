@@ -92,7 +92,7 @@ def _floors(
         return np.array([_curvature_floor(deviation_per_m, int(n), grid, config) for n in counts])
     sums = np.zeros((size, 4))
     limit_m = config.large_error_m if config.metric == "nle" else 0.0
-    _noise_sums(grid.per_m, grid.distances_m, labels, *first, deviation_per_m, limit_m, sums)
+    _noise_sums(grid.inverse_depth, grid.distances_m, labels, *first, deviation_per_m, limit_m, sums)
     _, total, squares, _ = sums.T / np.maximum(sums[:, 0], 1.0)
     # The absolute value of a normal variable: its mean, and its variance, in units of the deviation.
     mean, variance = np.sqrt(2.0 / np.pi), 1.0 - 2.0 / np.pi
@@ -102,7 +102,7 @@ def _floors(
 
 @compiled
 def _noise_sums(
-    per_m: F32,
+    inverse_depth: F32,
     distances_m: F32,
     labels: NDArray[np.integer],
     top: int,
@@ -125,7 +125,9 @@ def _noise_sums(
             total, squares, large = 0.0, 0.0, 0.0
             while x < width and labels[y, x] == label:
                 if label > 0:
-                    noise_m = deviation_per_m * distances_m[top + y, left + x] / per_m[top + y, left + x]
+                    noise_m = (
+                        deviation_per_m * distances_m[top + y, left + x] / inverse_depth[top + y, left + x]
+                    )
                     ends = x == begin or x + 1 == width or labels[y, x + 1] != label
                     if ends or not (three[x - 1] and three[x] and three[x + 1]):
                         noise_m *= _RIM_FACTOR
@@ -276,9 +278,9 @@ def measure_noise(clouds: Iterable[PointMap], *, seed: int = 0) -> NoiseEstimate
             frames += 1
     if not frames:
         raise ValueError("clouds: expected a frame with a plane that holds a tenth of its points, got none")
-    residual, per_m = np.concatenate(residuals), np.concatenate(inverse_depths)
-    lower, upper = np.quantile(per_m, (1 / 3, 2 / 3))
-    near, far = per_m >= upper, per_m <= lower
+    residual, inverse_depth = np.concatenate(residuals), np.concatenate(inverse_depths)
+    lower, upper = np.quantile(inverse_depth, (1 / 3, 2 / 3))
+    near, far = inverse_depth >= upper, inverse_depth <= lower
 
     def size(values: NDArray[np.float64]) -> float:
         return float(np.sqrt(np.mean(np.square(values))))
@@ -287,8 +289,8 @@ def measure_noise(clouds: Iterable[PointMap], *, seed: int = 0) -> NoiseEstimate
         inverse_depth_noise=size(residual),
         nearest_per_m=size(residual[near]),
         farthest_per_m=size(residual[far]),
-        nearest_m=float(1.0 / per_m[near].mean()),
-        farthest_m=float(1.0 / per_m[far].mean()),
+        nearest_m=float(1.0 / inverse_depth[near].mean()),
+        farthest_m=float(1.0 / inverse_depth[far].mean()),
         points=residual.size,
         frames=frames,
     )
@@ -298,12 +300,14 @@ def _largest_plane(
     cloud: PointMap, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Return residuals and inverse depths of the points of a frame's largest plane."""
-    per_m = inverse_depth_image(cloud)
-    rows, columns = np.nonzero(per_m > 0)
+    inverse_depth = inverse_depth_image(cloud)
+    rows, columns = np.nonzero(inverse_depth > 0)
     if rows.size < 3:
         return None
-    d = per_m[rows, columns].astype(np.float64)
-    terms = np.stack([np.ones(d.size), columns / per_m.shape[1], rows / per_m.shape[0]], axis=1)
+    d = inverse_depth[rows, columns].astype(np.float64)
+    terms = np.stack(
+        [np.ones(d.size), columns / inverse_depth.shape[1], rows / inverse_depth.shape[0]], axis=1
+    )
     sample = rng.choice(d.size, size=min(_POINTS, d.size), replace=False)
     best, plane = 0, np.zeros(3)
     for corners in rng.integers(0, sample.size, (_TRIALS, 3)):

@@ -72,9 +72,9 @@ class SurfaceTable:
         (N,) float32
             In 1/m; NaN where a label has no surface.
         """
-        per_m = np.empty(labels.size, dtype=np.float32)
-        _evaluate(self._splines, labels, rows, columns, per_m)
-        return per_m
+        inverse_depth = np.empty(labels.size, dtype=np.float32)
+        _evaluate(self._splines, labels, rows, columns, inverse_depth)
+        return inverse_depth
 
     def slopes(
         self, labels: NDArray[np.int32], u: NDArray[np.float64], v: NDArray[np.float64]
@@ -90,7 +90,7 @@ class SurfaceTable:
 
         Returns
         -------
-        per_m, slope_u, slope_v : (N,) float64
+        inverse_depth, slope_u, slope_v : (N,) float64
             Inverse depth in 1/m and its change by one pixel along u and v; NaN where a label has no surface.
         """
         found = np.empty((3, labels.size))
@@ -139,7 +139,7 @@ def _dot(B: Four, values: F64, first: int, step: int) -> float:
 
 
 @compiled
-def _evaluate(splines: _Splines, labels: I32, rows: I32, columns: I32, per_m: F32) -> None:
+def _evaluate(splines: _Splines, labels: I32, rows: I32, columns: I32, inverse_depth: F32) -> None:
     u, v, weights, starts = splines
     # Places come row by row: a surface along its last row is kept, a curve over the columns.
     last_row = np.full(u.counts.size, np.iinfo(np.int32).min, dtype=np.int32)
@@ -151,7 +151,7 @@ def _evaluate(splines: _Splines, labels: I32, rows: I32, columns: I32, per_m: F3
         label = labels[n]
         length = u.counts[label]
         if length == 0:
-            per_m[n] = np.nan
+            inverse_depth[n] = np.nan
             continue
         if last_row[label] != rows[n]:
             last_row[label] = rows[n]
@@ -160,7 +160,7 @@ def _evaluate(splines: _Splines, labels: I32, rows: I32, columns: I32, per_m: F3
             for k in range(length):
                 curves[label, k] = _dot(Bv, weights, first + k, length)
         column, Bu, _ = _functions(u, label, float(columns[n]))
-        per_m[n] = _dot(Bu, curves[label], column, 1)
+        inverse_depth[n] = _dot(Bu, curves[label], column, 1)
 
 
 @inlined

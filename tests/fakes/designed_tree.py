@@ -96,18 +96,18 @@ def designed_tree(
     boxes : sequence of Box
         Plates of another color, 0.02 / m nearer than what they stand on, pixels.
     """
-    per_m = np.full(SHAPE, WALL_PER_M)
+    inverse_depth = np.full(SHAPE, WALL_PER_M)
     labels = np.zeros(GRID, np.int32)
     left = 0
     for label, band in enumerate(bands, start=1):
         labels[: band.rows, left : left + band.columns] = label
-        per_m[: 2 * band.rows, 2 * left : 2 * (left + band.columns)] += band.nearer_per_m
+        inverse_depth[: 2 * band.rows, 2 * left : 2 * (left + band.columns)] += band.nearer_per_m
         left += band.columns
     color = np.full((*SHAPE, 3), 120.0)
     for box in boxes:
-        per_m[inside_of(box)] += 0.02
+        inverse_depth[inside_of(box)] += 0.02
         color[inside_of(box)] = 200, 60, 40
-    cloud = cloud_of(per_m, color)
+    cloud = cloud_of(inverse_depth, color)
     features = grid_features(cloud, config)
 
     nodes: dict[str, Node] = {}

@@ -23,7 +23,7 @@ def inverse_depth_lattice(
 
     Returns
     -------
-    per_m, slope_u, slope_v : (H, W) float64
+    inverse_depth, slope_u, slope_v : (H, W) float64
         Inverse depth in 1/m and its change by one pixel along u and v.
     """
     Bu, Du = (basis_matrix(surface.knots_u, surface.degree[0], u, order).T for order in (0, 1))
@@ -35,5 +35,5 @@ def inverse_depth_lattice(
         # The rational surfaces of this module: the ray's z is 1.
         return w[0] / depths[0, 0], w[1] / depths[0, 0], w[2] / depths[0, 0]
     z = Bv @ depths @ Bu, Bv @ depths @ Du, Dv @ depths @ Bu
-    per_m = w[0] / z[0]
-    return per_m, (w[1] - per_m * z[1]) / z[0], (w[2] - per_m * z[2]) / z[0]
+    inverse_depth = w[0] / z[0]
+    return inverse_depth, (w[1] - inverse_depth * z[1]) / z[0], (w[2] - inverse_depth * z[2]) / z[0]

@@ -19,23 +19,23 @@ PLATES: tuple[Box, ...] = ((12, 14, 40, 36), (100, 16, 44, 40), (20, 70, 44, 38)
 def plates(*shown: Box, frame: int = 0, thing: Box | None = None) -> PointMap:
     """The wall with some plates in colors of their own, and a thing far before it; noise by the frame."""
     rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
-    per_m = np.full(SHAPE, WALL_PER_M)
+    inverse_depth = np.full(SHAPE, WALL_PER_M)
     pattern = 110 + 40 * np.sin(columns / 5.0) * np.cos(rows / 4.0)
     color = np.repeat(pattern[..., np.newaxis], 3, axis=2)
     for number, box in enumerate(shown):
         inside = inside_of(box)
-        per_m[inside] += PLATE_PER_M
+        inverse_depth[inside] += PLATE_PER_M
         color[inside] = (200, 50 + 40 * number, 40)
     if thing is not None:
-        per_m[inside_of(thing)] = 1.2
+        inverse_depth[inside_of(thing)] = 1.2
         color[inside_of(thing)] = (30, 60, 220)
-    return cloud_of(per_m, color, frame)
+    return cloud_of(inverse_depth, color, frame)
 
 
-def cloud_of(per_m: NDArray[np.float64], color: NDArray[np.float64], frame: int = 0) -> PointMap:
+def cloud_of(inverse_depth: NDArray[np.float64], color: NDArray[np.float64], frame: int = 0) -> PointMap:
     """A frame of inverse depths, 1/m, with the noise of its number; every pixel has a point."""
     rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
-    depth = 1 / (per_m + 5e-4 * np.random.default_rng(frame).standard_normal(SHAPE))
+    depth = 1 / (inverse_depth + 5e-4 * np.random.default_rng(frame).standard_normal(SHAPE))
     points = np.dstack([(columns - 79.5) / FOCAL * depth, (rows - 59.5) / FOCAL * depth, depth])
     return PointMap(
         points.astype(np.float32), color.clip(0, 255).astype(np.uint8), np.ones(SHAPE, dtype=np.bool_)

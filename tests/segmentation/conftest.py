@@ -68,8 +68,8 @@ def _box_on_table(
             inside &= (point[..., 2] >= 0) & (sign * world[..., axis] < 0)
             hit(distance, inside, label)
     rng = np.random.default_rng(seed)
-    per_m = 1 / depth + noise_per_m * rng.normal(size=size)
-    return 1 / per_m, truth
+    inverse_depth = 1 / depth + noise_per_m * rng.normal(size=size)
+    return 1 / inverse_depth, truth
 
 
 @pytest.fixture

@@ -26,8 +26,10 @@ CONFIG = SegmentationConfig(
 def roof(cloud_of) -> GridFeatures:
     """Two slopes that meet in a ridge down the middle, with some noise."""
     columns = np.mgrid[: SIZE[0], : SIZE[1]][1]
-    per_m = 0.9 - 0.01 * np.abs(columns - 31.5) + 1e-4 * np.random.default_rng(0).standard_normal(SIZE)
-    return grid_features(cloud_of(1.0 / per_m), CONFIG)
+    inverse_depth = (
+        0.9 - 0.01 * np.abs(columns - 31.5) + 1e-4 * np.random.default_rng(0).standard_normal(SIZE)
+    )
+    return grid_features(cloud_of(1.0 / inverse_depth), CONFIG)
 
 
 ROWS, COLUMNS = np.mgrid[: SIZE[0], : SIZE[1]]

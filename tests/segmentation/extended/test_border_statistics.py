@@ -31,8 +31,10 @@ class Planes:
 
     def __call__(self, label, u, v):
         n = self.normals[label - 1]
-        per_m = np.array([each @ ray(*at) for each, at in zip(n, zip(u, v, strict=True), strict=True)])
-        return per_m, n[:, 0] / FOCAL[0], n[:, 1] / FOCAL[1]
+        inverse_depth = np.array(
+            [each @ ray(*at) for each, at in zip(n, zip(u, v, strict=True), strict=True)]
+        )
+        return inverse_depth, n[:, 0] / FOCAL[0], n[:, 1] / FOCAL[1]
 
 
 def crossings(labels: np.ndarray, reach: int):

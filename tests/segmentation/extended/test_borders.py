@@ -39,7 +39,7 @@ def test_ragged_borders_return_to_where_the_surfaces_meet(cloud_of, box_on_table
     assert ((refined > 0) == (truth > 0)).all()
 
 
-def swept(labels, per_m, explained, config, sweeps=6):
+def swept(labels, inverse_depth, explained, config, sweeps=6):
     """Labels moved to the cheapest around them, one pixel after the other, as plainly as can be."""
     labels, (height, width) = labels.copy(), labels.shape
 
@@ -55,15 +55,16 @@ def swept(labels, per_m, explained, config, sweeps=6):
             cost = {}
             for label in {labels[other] for other in around(r, c)}:
                 cost[label] = min(
-                    ((explained[label - 1][r, c] - per_m[r, c]) / config.extended.inverse_depth_noise) ** 2,
+                    ((explained[label - 1][r, c] - inverse_depth[r, c]) / config.extended.inverse_depth_noise)
+                    ** 2,
                     16,
                 )
             for other in around(r, c):
                 apart = np.hypot(other[0] - r, other[1] - c)
                 if apart > 0:
-                    is_gap = abs(per_m[other] - per_m[r, c]) >= config.extended.inverse_depth_gap * np.sqrt(
-                        apart
-                    )
+                    is_gap = abs(
+                        inverse_depth[other] - inverse_depth[r, c]
+                    ) >= config.extended.inverse_depth_gap * np.sqrt(apart)
                     cost[labels[other]] -= (0.25 if is_gap else 1.0) * 0.7 / apart
             cheapest = min(cost, key=lambda label: (cost[label], label))
             if cheapest != labels[r, c]:
@@ -77,7 +78,7 @@ def swept(labels, per_m, explained, config, sweeps=6):
 def test_sweeps_are_those_over_one_pixel_after_the_other(cloud_of, box_on_table):
     depth, truth = box_on_table(noise_per_m=2e-3)
     surfaces = fitted(cloud_of(depth), truth)
-    per_m = inverse_depth_image(cloud_of(depth))
+    inverse_depth = inverse_depth_image(cloud_of(depth))
     rows, columns = np.mgrid[: truth.shape[0], : truth.shape[1]]
     explained = [inverse_depth_lattice(each, columns[0] * 1.0, rows[:, 0] * 1.0)[0] for each in surfaces]
     shift = np.random.default_rng(1).integers(-2, 3, (2, *truth.shape))
@@ -90,8 +91,8 @@ def test_sweeps_are_those_over_one_pixel_after_the_other(cloud_of, box_on_table)
         window = slice(top, top + 60), slice(left, left + 80)
         labels = np.zeros_like(ragged)
         labels[window] = ragged[window]
-        refined = refine_borders(labels, per_m, surfaces, config)
-        expected = swept(labels[window], per_m[window], [each[window] for each in explained], config)
+        refined = refine_borders(labels, inverse_depth, surfaces, config)
+        expected = swept(labels[window], inverse_depth[window], [each[window] for each in explained], config)
         assert (refined[window] == expected).all()
         assert (refined != labels).any()
 
@@ -122,11 +123,11 @@ def test_a_single_surface_is_left_alone():
 def test_every_pixel_with_a_point_gets_the_label_of_its_surface(step):
     rng = np.random.default_rng(step)
     truth = np.where(np.arange(61) < 30, 1, 2)[np.newaxis].repeat(47, axis=0).astype(np.int32)
-    per_m = np.where(truth == 1, np.float32(1.0), np.float32(1.3))
+    inverse_depth = np.where(truth == 1, np.float32(1.0), np.float32(1.3))
     valid = rng.random(truth.shape) < 0.9
-    per_m[~valid] = 0.0
+    inverse_depth[~valid] = 0.0
     on_grid = np.where(valid, truth, 0)[::step, ::step].astype(np.int32)
     labels = upsample_by_depth(
-        on_grid, per_m[::step, ::step], per_m, valid, SegmentationConfig(decimation=step)
+        on_grid, inverse_depth[::step, ::step], inverse_depth, valid, SegmentationConfig(decimation=step)
     )
     assert (labels == np.where(valid, truth, 0)).all()

@@ -27,8 +27,8 @@ SIZE = (120, 160)
 def roof(turn: float, noise_per_m: float = 2.5e-3, seed: int = 0) -> NDArray[np.float64]:
     """Depth of two planes that meet in the middle; their slopes differ by so much, 1/m per pixel."""
     rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
-    per_m = 1.6 + 0.0005 * rows - 0.5 * turn * np.abs(columns - 79.5)
-    return 1 / (per_m + noise_per_m * np.random.default_rng(seed).normal(size=SIZE))
+    inverse_depth = 1.6 + 0.0005 * rows - 0.5 * turn * np.abs(columns - 79.5)
+    return 1 / (inverse_depth + noise_per_m * np.random.default_rng(seed).normal(size=SIZE))
 
 
 def weight(fit: Fit, cloud: PointMap, noise_per_m: float) -> float:

@@ -131,10 +131,10 @@ def test_a_crease_far_away_is_seen_in_spite_of_noise_that_hides_it_from_one_fit(
     directions = rays_of_size(size)
     # Two walls that meet at a right angle, 3.5 m away, in a line down the image.
     walls = np.array([[0.5, 0.0, 0.5], [-0.5, 0.0, 0.5]]) / (3.5 * 0.5)
-    per_m = np.einsum("hwc,kc->khw", directions, walls)
-    labels = (1 + np.argmax(per_m, axis=0)).astype(np.int32)
+    inverse_depth = np.einsum("hwc,kc->khw", directions, walls)
+    labels = (1 + np.argmax(inverse_depth, axis=0)).astype(np.int32)
     noise = 1e-4 * np.random.default_rng(0).normal(size=size)
-    grid, surfaces = fitted(cloud_of(1 / (per_m.max(axis=0) + noise)), labels, 2)
+    grid, surfaces = fitted(cloud_of(1 / (inverse_depth.max(axis=0) + noise)), labels, 2)
     objects, contacts = merge_surfaces(labels, grid, NAMES[:2], surfaces, CONFIG)
     assert contacts[0].concavity > 1.0
     assert not contacts[0].smooth

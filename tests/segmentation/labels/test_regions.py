@@ -6,7 +6,7 @@ import pytest
 from nurbseg.segmentation.labels.regions import connected_components, large_components, pixel_adjacency
 
 
-def flooded(labels, per_m, gap):
+def flooded(labels, inverse_depth, gap):
     """Components by a flood from every place, as plainly as can be."""
     height, width = labels.shape
     pieces = np.zeros(labels.shape, dtype=int)
@@ -25,7 +25,7 @@ def flooded(labels, per_m, gap):
                     and 0 <= other[1] < width
                     and not pieces[other]
                     and labels[other] == labels[r, c]
-                    and abs(per_m[other] - per_m[r, c]) < gap
+                    and abs(inverse_depth[other] - inverse_depth[r, c]) < gap
                 ):
                     pieces[other] = count
                     queue.append(other)
@@ -36,9 +36,9 @@ def flooded(labels, per_m, gap):
 def test_pieces_are_those_of_a_flood(seed):
     rng = np.random.default_rng(seed)
     labels = rng.integers(0, 3, (17, 23)).astype(np.int32)
-    per_m = np.cumsum(rng.normal(0, 0.02, (17, 23)), axis=1).astype(np.float32)
-    found = connected_components(labels, pixel_adjacency(per_m, np.ones((17, 23), bool), 0.02))
-    count, expected = flooded(labels, per_m, np.float32(0.02))
+    inverse_depth = np.cumsum(rng.normal(0, 0.02, (17, 23)), axis=1).astype(np.float32)
+    found = connected_components(labels, pixel_adjacency(inverse_depth, np.ones((17, 23), bool), 0.02))
+    count, expected = flooded(labels, inverse_depth, np.float32(0.02))
     assert (found.numbers == expected).all()
     assert (found.sizes[1:] == np.bincount(expected.ravel())[1:]).all()
     assert all((labels[expected == n] == found.labels_of[n]).all() for n in range(count + 1))
@@ -62,25 +62,29 @@ def test_the_largest_piece_of_a_label_is_kept_however_small():
 
 
 def test_a_gap_in_depth_parts_what_touches_in_the_image():
-    per_m = np.ones((10, 12), np.float32)
-    per_m[:, 6:] = 1.1
+    inverse_depth = np.ones((10, 12), np.float32)
+    inverse_depth[:, 6:] = 1.1
     labels = np.ones((10, 12), np.int32)
     valid = np.ones((10, 12), bool)
-    assert connected_components(labels, pixel_adjacency(per_m, valid, 0.02)).sizes.tolist() == [0, 60, 60]
-    assert connected_components(labels, pixel_adjacency(per_m, valid, 0.2)).sizes.tolist() == [0, 120]
+    assert connected_components(labels, pixel_adjacency(inverse_depth, valid, 0.02)).sizes.tolist() == [
+        0,
+        60,
+        60,
+    ]
+    assert connected_components(labels, pixel_adjacency(inverse_depth, valid, 0.2)).sizes.tolist() == [0, 120]
 
 
 def test_a_slope_is_no_gap():
-    per_m = np.broadcast_to(0.015 * np.arange(40, dtype=np.float32), (10, 40))
+    inverse_depth = np.broadcast_to(0.015 * np.arange(40, dtype=np.float32), (10, 40))
     found = connected_components(
-        np.ones((10, 40), np.int32), pixel_adjacency(per_m, np.ones((10, 40), bool), 0.02)
+        np.ones((10, 40), np.int32), pixel_adjacency(inverse_depth, np.ones((10, 40), bool), 0.02)
     )
     assert found.sizes.tolist() == [0, 400]
 
 
 def test_small_pieces_go_to_the_neighbour_nearest_in_depth():
-    per_m = np.ones((12, 20), np.float32)
-    per_m[:, 10:] = 1.5
+    inverse_depth = np.ones((12, 20), np.float32)
+    inverse_depth[:, 10:] = 1.5
     labels = np.where(np.arange(20) < 10, 1, 2)[np.newaxis].repeat(12, axis=0).astype(np.int32)
     labels[4:6, 10:12] = 1  # a speck of label 1 on the other side of the gap
     # The first row and the last column are not looked at.
@@ -88,8 +92,8 @@ def test_small_pieces_go_to_the_neighbour_nearest_in_depth():
     pieces, label_of = large_components(
         places,
         labels.ravel()[places],
-        pixel_adjacency(per_m, np.ones((12, 20), bool), 0.02),
-        per_m,
+        pixel_adjacency(inverse_depth, np.ones((12, 20), bool), 0.02),
+        inverse_depth,
         gap_per_m=0.02,
         places_min=10,
     )
@@ -99,8 +103,11 @@ def test_small_pieces_go_to_the_neighbour_nearest_in_depth():
 
 
 def test_nothing_is_found_where_no_piece_is_large_enough():
-    per_m = np.ones((4, 4), np.float32)
-    adjacency = pixel_adjacency(per_m, np.ones((4, 4), bool), 0.02)
+    inverse_depth = np.ones((4, 4), np.float32)
+    adjacency = pixel_adjacency(inverse_depth, np.ones((4, 4), bool), 0.02)
     places = np.arange(16)
     labels = np.ones(16, np.int32)
-    assert large_components(places, labels, adjacency, per_m, gap_per_m=0.02, places_min=100) == ([], [])
+    assert large_components(places, labels, adjacency, inverse_depth, gap_per_m=0.02, places_min=100) == (
+        [],
+        [],
+    )

@@ -4,7 +4,7 @@ import pytest
 from nurbseg.segmentation.labels.spreading import spread_labels
 
 
-def in_rounds(labels, wanted, per_m, gap):
+def in_rounds(labels, wanted, inverse_depth, gap):
     """Labels spread round by round over the whole image, as plainly as can be."""
     labels, height, width = labels.copy(), *labels.shape
     open_places = set(zip(*np.nonzero(wanted), strict=True))
@@ -13,7 +13,7 @@ def in_rounds(labels, wanted, per_m, gap):
         found = {}
         for r, c in open_places:
             around = [
-                (abs(per_m[other] - per_m[r, c]), labels[other])
+                (abs(inverse_depth[other] - inverse_depth[r, c]), labels[other])
                 for other in ((r, c + 1), (r + 1, c), (r, c - 1), (r - 1, c))
                 if 0 <= other[0] < height and 0 <= other[1] < width and labels[other] > 0
             ]
@@ -34,9 +34,9 @@ def test_labels_spread_as_in_rounds_over_the_whole_image(seed):
     shape = 19, 31
     state = rng.choice(3, size=shape, p=[(0.1, 0.5, 0.05)[seed % 3], 0.1, (0.8, 0.4, 0.85)[seed % 3]])
     labels = np.where(state == 1, rng.integers(1, 5, shape), 0).astype(np.int32)
-    per_m = rng.choice(np.linspace(1.0, 1.06, 7), size=shape).astype(np.float32)
-    spread = spread_labels(labels, state == 2, per_m, 0.02)
-    expected, islands = in_rounds(labels, state == 2, per_m, np.float32(0.02))
+    inverse_depth = rng.choice(np.linspace(1.0, 1.06, 7), size=shape).astype(np.float32)
+    spread = spread_labels(labels, state == 2, inverse_depth, 0.02)
+    expected, islands = in_rounds(labels, state == 2, inverse_depth, np.float32(0.02))
     rows, columns = np.nonzero(expected > 0)
     for r, c in islands:
         squares = (rows - r) ** 2 + (columns - c) ** 2

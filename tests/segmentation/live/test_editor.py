@@ -23,15 +23,15 @@ def test_pixels_with_the_label_of_their_place_change_with_it(step):
     before = rng.integers(0, 4, (-(-h // step), -(-w // step))).astype(np.int32)
     after = rng.integers(0, 6, before.shape).astype(np.int32)
     labels = rng.integers(0, 4, (h, w)).astype(np.uint16)
-    per_m = rng.choice([0.0, 0.8], (h, w)).astype(np.float32)
-    labels[per_m == 0] = 0
+    inverse_depth = rng.choice([0.0, 0.8], (h, w)).astype(np.float32)
+    labels[inverse_depth == 0] = 0
     final = np.array([0, 3, 1, 2, 5, 4], dtype=np.uint16)
-    found = TreeUpdate([], before, after, final).relabelled(labels, per_m, step)
+    found = TreeUpdate([], before, after, final).relabelled(labels, inverse_depth, step)
     for r, c in np.ndindex(h, w):
         place = r // step, c // step
         number = after[place] if labels[r, c] == before[place] else labels[r, c]
         # What has no point gets no label, whatever becomes of the place that it is beside.
-        assert found[r, c] == (final[number] if per_m[r, c] > 0 else 0)
+        assert found[r, c] == (final[number] if inverse_depth[r, c] > 0 else 0)
 
 
 def test_places_are_counted_by_number():

@@ -20,10 +20,10 @@ STEP = 2
 CONFIG = SegmentationConfig(decimation=STEP)
 
 
-def cloud_of(per_m: np.ndarray) -> PointMap:
+def cloud_of(inverse_depth: np.ndarray) -> PointMap:
     """A frame of a pinhole camera from its inverse depth."""
     rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]]
-    depth = 1.0 / per_m
+    depth = 1.0 / inverse_depth
     points = np.dstack([(columns - 63.5) / 110 * depth, (rows - 47.5) / 110 * depth, depth])
     return PointMap(points.astype(np.float32), np.zeros((*SHAPE, 3), np.uint8), np.ones(SHAPE, np.bool_))
 
@@ -34,9 +34,9 @@ def wavy() -> np.ndarray:
     return 0.8 + 0.001 * columns + 0.05 * np.sin(rows / 30.0)
 
 
-def fitted(per_m: np.ndarray) -> NurbsSurface:
+def fitted(inverse_depth: np.ndarray) -> NurbsSurface:
     """The surface of a whole frame."""
-    grid = depth_grid(cloud_of(per_m), STEP)
+    grid = depth_grid(cloud_of(inverse_depth), STEP)
     fit, _ = fit_window(grid, (0, 0, *grid.valid.shape), grid.valid, CONFIG)
     assert fit.surface is not None
     return fit.surface
@@ -80,11 +80,11 @@ def test_between_places_it_is_linear(surface: NurbsSurface) -> None:
             strict=True,
         )
     )
-    per_m, along_u, along_v = lattice.slopes_at(np.ones(4, np.int32), columns, rows)
-    assert per_m[:3] == pytest.approx(exact, abs=2e-4)
+    inverse_depth, along_u, along_v = lattice.slopes_at(np.ones(4, np.int32), columns, rows)
+    assert inverse_depth[:3] == pytest.approx(exact, abs=2e-4)
     assert along_u[:3] == pytest.approx(slope_u, abs=1e-4)
     assert along_v[:3] == pytest.approx(slope_v, abs=1e-4)
-    assert np.isnan([per_m[3], along_u[3], along_v[3]]).all()
+    assert np.isnan([inverse_depth[3], along_u[3], along_v[3]]).all()
 
 
 def test_a_surface_follows_a_linear_change(surface: NurbsSurface) -> None:
@@ -126,22 +126,22 @@ def test_labels_stay_and_grow_only_where_their_surface_explains() -> None:
     limits = np.array([0, 0.025], np.float32)
     labels = np.ones((48, 64), np.int32)
     labels[10:18, 10:30] = 0
-    per_m = np.full(labels.shape, 0.8, np.float32)
-    per_m[15:25, 15:25] = 1.1
+    inverse_depth = np.full(labels.shape, 0.8, np.float32)
+    inverse_depth[15:25, 15:25] = 1.1
     # Without a point there is no label.
-    per_m[12, 12] = 0.0
-    kept = kept_labels(labels, per_m, lattice, limits)
-    assert np.array_equal(kept, labels * (per_m == np.float32(0.8)))
-    grown = grown_labels(kept, per_m, lattice, limits)
-    assert np.array_equal(grown, per_m == np.float32(0.8))
+    inverse_depth[12, 12] = 0.0
+    kept = kept_labels(labels, inverse_depth, lattice, limits)
+    assert np.array_equal(kept, labels * (inverse_depth == np.float32(0.8)))
+    grown = grown_labels(kept, inverse_depth, lattice, limits)
+    assert np.array_equal(grown, inverse_depth == np.float32(0.8))
 
 
 def test_pixels_follow_their_place_of_the_grid_where_it_was_decided_anew() -> None:
     before = np.array([[1, 1, 2, 2, 2], [1, 2, 2, 2, 2], [1, 1, 1, 1, 2]], np.uint16)
     on_grid = np.array([[1, 3, 2], [1, 1, 0]], np.int32)
-    per_m = np.ones(before.shape, np.float32)
-    per_m[1, 3] = 0.0
-    found = spread_to_pixels(before, on_grid, per_m, 2)
+    inverse_depth = np.ones(before.shape, np.float32)
+    inverse_depth[1, 3] = 0.0
+    found = spread_to_pixels(before, on_grid, inverse_depth, 2)
     assert found.tolist() == [[1, 1, 3, 3, 2], [1, 2, 3, 0, 2], [1, 1, 1, 1, 0]]
 
 
@@ -149,11 +149,11 @@ def test_borders_go_to_the_surface_that_explains_the_pixels() -> None:
     near, far = fitted(np.full(SHAPE, 1.0)), fitted(np.full(SHAPE, 0.8))
     columns = np.arange(SHAPE[1])
     truth = np.broadcast_to(np.where(columns < 64, 1, 2), SHAPE).astype(np.uint16)
-    per_m = np.where(truth == 1, 1.0, 0.8).astype(np.float32)
+    inverse_depth = np.where(truth == 1, 1.0, 0.8).astype(np.float32)
     labels = np.broadcast_to(np.where(columns < 61, 1, 2), SHAPE).astype(np.uint16)
     lattice = SurfaceLattice([near, far], STEP)
     for _ in range(3):
-        settled = relax_borders(labels, per_m, lattice, noise_per_m=2.5e-3, gap_per_m=0.025)
+        settled = relax_borders(labels, inverse_depth, lattice, noise_per_m=2.5e-3, gap_per_m=0.025)
         # One column in a pass, the one beside the border.
         assert (settled != labels).sum() == SHAPE[0]
         labels = settled
@@ -165,9 +165,9 @@ def test_one_pass_takes_the_cheapest_of_three_labels() -> None:
     lattice = SurfaceLattice([fitted(np.full(SHAPE, value)) for value in (1.0, 1.003, 0.9)], STEP)
     labels = rng.integers(0, 4, SHAPE).astype(np.uint16)
     labels[:, 64:] = 2
-    per_m = (1.0 + 0.004 * rng.standard_normal(SHAPE)).astype(np.float32)
-    per_m[rng.random(SHAPE) < 0.05] = 0.0
-    settled = relax_borders(labels, per_m, lattice, noise_per_m=2.5e-3, gap_per_m=0.006)
+    inverse_depth = (1.0 + 0.004 * rng.standard_normal(SHAPE)).astype(np.float32)
+    inverse_depth[rng.random(SHAPE) < 0.05] = 0.0
+    settled = relax_borders(labels, inverse_depth, lattice, noise_per_m=2.5e-3, gap_per_m=0.006)
     for r, c in zip(*(rng.integers(0, extent, 300) for extent in SHAPE), strict=True):
         near = [
             (y, x)
@@ -176,15 +176,17 @@ def test_one_pass_takes_the_cheapest_of_three_labels() -> None:
         ]
         around = {int(labels[at]) for at in near} - {0}
         expected = int(labels[r, c])
-        if per_m[r, c] > 0 and len(around) > 1:
+        if inverse_depth[r, c] > 0 and len(around) > 1:
             cost = {}
             for label in dict.fromkeys(each for each in (expected, max(around), min(around)) if each):
-                residual = ((1.0, 1.003, 0.9)[label - 1] - per_m[r, c]) / 2.5e-3
+                residual = ((1.0, 1.003, 0.9)[label - 1] - inverse_depth[r, c]) / 2.5e-3
                 cost[label] = min(residual**2, 16.0)
                 for at in near:
                     if at != (r, c) and labels[at] == label:
                         vote = 1.4 / np.hypot(at[0] - r, at[1] - c)
-                        cost[label] -= vote if abs(per_m[at] - per_m[r, c]) < 0.006 else 0.25 * vote
+                        cost[label] -= (
+                            vote if abs(inverse_depth[at] - inverse_depth[r, c]) < 0.006 else 0.25 * vote
+                        )
             expected = min(cost, key=lambda each: cost[each])
         assert settled[r, c] == expected
 

@@ -28,10 +28,10 @@ def grid() -> DepthGrid:
     """A noisy slope with some points far off, and some missing."""
     rng = np.random.default_rng(0)
     rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]]
-    per_m = 0.8 + 1e-3 * columns + NOISE * rng.standard_normal(SHAPE)
-    per_m[rng.random(SHAPE) < 0.1] += 0.05
-    per_m[50:54, 20:30] = np.nan
-    depth = 1.0 / per_m
+    inverse_depth = 0.8 + 1e-3 * columns + NOISE * rng.standard_normal(SHAPE)
+    inverse_depth[rng.random(SHAPE) < 0.1] += 0.05
+    inverse_depth[50:54, 20:30] = np.nan
+    depth = 1.0 / inverse_depth
     points = np.dstack([(columns - 39.5) / 70 * depth, (rows - 29.5) / 70 * depth, depth])
     return depth_grid(
         PointMap(points.astype(np.float32), np.zeros((*SHAPE, 3), np.uint8), np.ones(SHAPE, np.bool_)), 2
@@ -69,7 +69,7 @@ def test_misfits_are_means_over_the_inner_places_or_all_where_there_are_few(
     for down in range(3):
         for across in range(3):
             inner &= padded[down : down + 30, across : across + 40] == labels
-    residual = np.where(labels > 0, np.abs(lattice.image(labels) - grid.per_m), 0) / NOISE
+    residual = np.where(labels > 0, np.abs(lattice.image(labels) - grid.inverse_depth), 0) / NOISE
     for label in (1, 2, 3):
         own = labels == label
         assert found.places[label] == own.sum()
@@ -96,9 +96,11 @@ def test_leaves_are_measured_along_the_rays(grid: DepthGrid, labels: np.ndarray)
         assert leaf.surface is not None
         on_surface = evaluate(leaf.surface, fit.pixels % 80, fit.pixels // 80)
         expected = np.linalg.norm(on_surface - points[places], axis=1)
-        per_m = np.abs(1 / on_surface[:, 2] - grid.per_m.ravel()[places])
+        inverse_depth = np.abs(1 / on_surface[:, 2] - grid.inverse_depth.ravel()[places])
         assert fit.residuals_m == pytest.approx(expected, abs=1e-6)
-        assert leaf.rms_per_m == pytest.approx(np.sqrt(np.mean(np.minimum(per_m, 4 * NOISE) ** 2)), rel=1e-4)
+        assert leaf.rms_per_m == pytest.approx(
+            np.sqrt(np.mean(np.minimum(inverse_depth, 4 * NOISE) ** 2)), rel=1e-4
+        )
         assert fit.values["mae"] == pytest.approx(expected.mean(), rel=1e-4)
         assert fit.values["mse"] == pytest.approx(np.mean(expected**2), rel=1e-4)
         assert fit.values["ve"] == pytest.approx(expected.var(), rel=1e-3)
@@ -108,11 +110,11 @@ def test_leaves_are_measured_along_the_rays(grid: DepthGrid, labels: np.ndarray)
 class Constant:
     """Surfaces that are all at one inverse depth, 1/m."""
 
-    def __init__(self, per_m: float) -> None:
-        self.per_m = per_m
+    def __init__(self, inverse_depth: float) -> None:
+        self.inverse_depth = inverse_depth
 
     def image(self, labels: np.ndarray) -> np.ndarray:
-        return np.full(labels.shape, self.per_m, dtype=np.float32)
+        return np.full(labels.shape, self.inverse_depth, dtype=np.float32)
 
 
 @pytest.mark.parametrize(
@@ -123,12 +125,12 @@ def test_the_rim_is_left_out_where_three_tenths_are_inside(
 ) -> None:
     labels = np.ones(grid.valid.shape, dtype=np.int32)
     labels[3 : 3 + rows, 3 : 3 + columns] = 2
-    per_m = np.full(labels.shape, 0.5, dtype=np.float32)
+    inverse_depth = np.full(labels.shape, 0.5, dtype=np.float32)
     inside = np.zeros(labels.shape, dtype=bool)
     inside[4 : 2 + rows, 4 : 2 + columns] = True
     # Two deviations at the rim and one inside.
-    per_m[labels == 2] += np.where(inside[labels == 2], 1.0, 2.0).astype(np.float32) * NOISE
-    found = misfit(labels, Constant(0.5), replace(grid, per_m=per_m), NOISE, 2)
+    inverse_depth[labels == 2] += np.where(inside[labels == 2], 1.0, 2.0).astype(np.float32) * NOISE
+    found = misfit(labels, Constant(0.5), replace(grid, inverse_depth=inverse_depth), NOISE, 2)
     expected = 1.0 if judged == "inside" else np.mean(np.where(inside[labels == 2], 1.0, 4.0))
     assert found.mean_squared[2] == pytest.approx(expected, rel=1e-3)
     assert found.places.tolist() == [0, labels.size - rows * columns, rows * columns]

@@ -181,8 +181,8 @@ def test_the_tree_stays_one_whatever_comes_and_goes(turn: int) -> None:
 def doors(apart_per_m: float, noise: int) -> PointMap:
     """Two halves of a wall, the right one nearer by so much inverse depth, 1/m."""
     rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
-    per_m = 0.65 + 4e-4 * columns + apart_per_m * (columns >= 80)
-    depth = 1 / (per_m + 1e-3 * np.random.default_rng(noise).standard_normal(SHAPE))
+    inverse_depth = 0.65 + 4e-4 * columns + apart_per_m * (columns >= 80)
+    depth = 1 / (inverse_depth + 1e-3 * np.random.default_rng(noise).standard_normal(SHAPE))
     color = np.repeat((110 + 50 * np.sin(columns / 5) * np.cos(rows / 4))[..., np.newaxis], 3, axis=2)
     points = np.dstack([(columns - 79.5) / FOCAL * depth, (rows - 59.5) / FOCAL * depth, depth])
     return PointMap(points.astype(np.float32), color.astype(np.uint8), np.ones(SHAPE, dtype=np.bool_))

@@ -18,7 +18,9 @@ def seen(planes: np.ndarray) -> np.ndarray:
 
 def normals_of(cloud, step=1, noise=3e-3, window=9):
     grid = depth_grid(cloud, step)
-    return facet_normals(grid.per_m, grid.valid, grid.rays, step=step, window=window, noise_per_m=noise)
+    return facet_normals(
+        grid.inverse_depth, grid.valid, grid.rays, step=step, window=window, noise_per_m=noise
+    )
 
 
 @pytest.mark.parametrize("step", [1, 2])
@@ -32,8 +34,8 @@ def test_normals_keep_to_their_side_of_an_edge(cloud_of):
     left, right = np.array([0.5, 0.1, 0.8]), np.array([-0.9, 0.0, 0.9])
     planes = np.where(np.arange(120)[np.newaxis, :, np.newaxis] < 60, left, right)
     rng = np.random.default_rng(0)
-    per_m = 1 / seen(np.broadcast_to(planes, (*SIZE, 3))) + 1e-3 * rng.normal(size=SIZE)
-    found = normals_of(cloud_of(1 / per_m), noise=1e-3)
+    inverse_depth = 1 / seen(np.broadcast_to(planes, (*SIZE, 3))) + 1e-3 * rng.normal(size=SIZE)
+    found = normals_of(cloud_of(1 / inverse_depth), noise=1e-3)
     expected = -planes / np.linalg.norm(planes, axis=-1, keepdims=True)
     angles = np.degrees(np.arccos(np.clip(np.sum(found * expected, axis=-1), -1, 1)))
     assert np.median(angles) < 2.0
@@ -69,10 +71,10 @@ def test_normals_point_to_the_camera_and_are_nothing_where_there_is_no_point(clo
 
 
 def test_single_points_and_none_are_no_trouble():
-    per_m, valid = np.zeros(SIZE, np.float32), np.zeros(SIZE, bool)
-    assert not facet_slopes(per_m, valid, window=9, noise_per_m=3e-3)[0].any()
-    per_m[40, 50], valid[40, 50] = 1.0, True
-    for image in facet_slopes(per_m, valid, window=9, noise_per_m=3e-3):
+    inverse_depth, valid = np.zeros(SIZE, np.float32), np.zeros(SIZE, bool)
+    assert not facet_slopes(inverse_depth, valid, window=9, noise_per_m=3e-3)[0].any()
+    inverse_depth[40, 50], valid[40, 50] = 1.0, True
+    for image in facet_slopes(inverse_depth, valid, window=9, noise_per_m=3e-3):
         assert np.isfinite(image).all()
 
 
@@ -82,5 +84,5 @@ def test_an_image_one_pixel_wide_has_normals_too(cloud_of, shape):
     depth.flat[5:9] = np.nan
     cloud = cloud_of(depth)
     grid = depth_grid(cloud, 1)
-    found = facet_normals(grid.per_m, grid.valid, grid.rays, step=1, window=9, noise_per_m=3e-3)
+    found = facet_normals(grid.inverse_depth, grid.valid, grid.rays, step=1, window=9, noise_per_m=3e-3)
     assert_allclose(np.linalg.norm(found, axis=-1), cloud.valid, atol=1e-6)

@@ -63,8 +63,8 @@ def test_slopes_are_those_of_finite_differences(cloud_of):
     polynomial = fit_surface(cloud, np.flatnonzero(cloud.valid), CONFIG).surface
     u, v = np.linspace(5, 70, 9), np.linspace(4, 50, 9)
     for surface in (rational, polynomial):
-        per_m, slope_u, slope_v = inverse_depth_lattice(surface, u, v)
-        assert_allclose(per_m, 1.0 / evaluate_lattice(surface, u, v)[..., 2], rtol=1e-12)
+        inverse_depth, slope_u, slope_v = inverse_depth_lattice(surface, u, v)
+        assert_allclose(inverse_depth, 1.0 / evaluate_lattice(surface, u, v)[..., 2], rtol=1e-12)
         h = 1e-4
         for slope, du, dv in ((slope_u, h, 0.0), (slope_v, 0.0, h)):
             after, before = (inverse_depth_lattice(surface, u + s * du, v + s * dv)[0] for s in (1, -1))
@@ -90,8 +90,8 @@ def test_residuals_are_distances_to_the_surface_that_is_returned(cloud_of, step)
 
 def test_a_surface_never_passes_through_infinity_where_nothing_holds_it(cloud_of):
     rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
-    per_m = np.where(columns < 12, 1.6 - 0.13 * columns, 0.05)
-    cloud = cloud_of(1 / per_m)
+    inverse_depth = np.where(columns < 12, 1.6 - 0.13 * columns, 0.05)
+    cloud = cloud_of(1 / inverse_depth)
     mask = (columns < 12) | ((rows < 3) & (columns > 70))
     fit, _ = fit_window(depth_grid(cloud, 1), WHOLE, mask, CONFIG)
     assert (fit.surface.weights > 0).all()

@@ -18,9 +18,9 @@ AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
 def wall(noise: float, seed: int, flying: float = 0.0) -> np.ndarray:
     rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
     rng = np.random.default_rng(seed)
-    per_m = 0.9 - 0.0012 * columns + 0.0005 * rows + noise * rng.normal(size=SIZE)
-    per_m[rng.random(SIZE) < flying] = 2.0
-    return 1 / per_m
+    inverse_depth = 0.9 - 0.0012 * columns + 0.0005 * rows + noise * rng.normal(size=SIZE)
+    inverse_depth[rng.random(SIZE) < flying] = 2.0
+    return 1 / inverse_depth
 
 
 @pytest.mark.parametrize("noise", [5e-4, 3e-3, 6e-3])
@@ -53,7 +53,7 @@ def test_frames_without_a_plane_are_told(cloud_of):
         measure_noise([clutter, empty])
 
 
-def moved_by_noise(rays, per_m, deviation_per_m, mask, draws=400):
+def moved_by_noise(rays, inverse_depth, deviation_per_m, mask, draws=400):
     """Distances, metres, by which noise moves the marked points; three times the noise at the mask's rim."""
     rng = np.random.default_rng(0)
     held = np.pad(mask, 1)
@@ -61,18 +61,18 @@ def moved_by_noise(rays, per_m, deviation_per_m, mask, draws=400):
         [held[1 + i : held.shape[0] - 1 + i, 1 + j : held.shape[1] - 1 + j] for i, j in AROUND], axis=0
     )
     noise = deviation_per_m * np.where(inner, 1.0, 3.0) * rng.normal(size=(draws, *mask.shape))
-    apart = rays / (per_m + noise)[..., np.newaxis] - rays / per_m[..., np.newaxis]
+    apart = rays / (inverse_depth + noise)[..., np.newaxis] - rays / inverse_depth[..., np.newaxis]
     return np.linalg.norm(apart, axis=-1)[:, mask]
 
 
 @pytest.mark.parametrize("depth_m", [0.6, 1.2, 2.5])
 def test_the_floor_is_what_noise_does_to_points_at_their_depth(cloud_of, rays_of_size, depth_m):
     rows, columns = np.mgrid[:60, :80]
-    per_m = 1 / depth_m + 0.001 * (columns - 40) - 0.0005 * (rows - 30)
-    grid = depth_grid(cloud_of(1 / per_m), 1)
+    inverse_depth = 1 / depth_m + 0.001 * (columns - 40) - 0.0005 * (rows - 30)
+    grid = depth_grid(cloud_of(1 / inverse_depth), 1)
     mask = (rows - 30) ** 2 + (columns - 40) ** 2 < 600
     for deviation_per_m, factor in ((1e-3, 1.0), (1e-3, 2.0), (3e-3, 0.5)):
-        moved = moved_by_noise(rays_of_size((60, 80)), per_m, factor * deviation_per_m, mask)
+        moved = moved_by_noise(rays_of_size((60, 80)), inverse_depth, factor * deviation_per_m, mask)
         expected = {
             "mse": np.mean(moved**2),
             "mae": np.mean(moved),
@@ -88,13 +88,13 @@ def test_the_floor_is_what_noise_does_to_points_at_their_depth(cloud_of, rays_of
 
 
 def test_the_floor_of_large_errors_is_how_many_noise_makes(cloud_of, rays_of_size):
-    per_m = np.full((60, 80), 1 / 4.0)
+    inverse_depth = np.full((60, 80), 1 / 4.0)
     mask = np.ones((60, 80), dtype=np.bool_)
-    moved = moved_by_noise(rays_of_size((60, 80)), per_m, 2.5e-3, mask)
+    moved = moved_by_noise(rays_of_size((60, 80)), inverse_depth, 2.5e-3, mask)
     config = SegmentationConfig(metric="nle", large_error_m=0.08)
     expected = np.mean(np.count_nonzero(moved > 0.08, axis=1))
     assert 100 < expected < 1000
-    floor = noise_floor(depth_grid(cloud_of(1 / per_m), 1), (0, 0, 60, 80), mask, config)
+    floor = noise_floor(depth_grid(cloud_of(1 / inverse_depth), 1), (0, 0, 60, 80), mask, config)
     assert floor == pytest.approx(expected, rel=0.03)
     near = depth_grid(cloud_of(np.full((60, 80), 0.8)), 1)
     assert noise_floor(near, (0, 0, 60, 80), mask, config) < 1e-6

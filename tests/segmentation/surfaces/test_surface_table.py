@@ -23,15 +23,15 @@ def test_places_of_many_surfaces_are_those_of_each():
     # Beyond the knots too.
     rows, columns = rng.integers(-3, 58, (2, 400)).astype(np.int32)
     between = rows + rng.random(400), columns + rng.random(400)
-    per_m = table.inverse_depths(labels, rows, columns)
+    inverse_depth = table.inverse_depths(labels, rows, columns)
     slopes = np.stack(table.slopes(labels, between[1], between[0]))
     for n, label in enumerate(labels):
         if label == 2:
-            assert np.isnan([per_m[n], *slopes[:, n]]).all()
+            assert np.isnan([inverse_depth[n], *slopes[:, n]]).all()
             continue
         own = known[max(0, label - 2)]
         at = inverse_depth_lattice(own, columns[n : n + 1].astype(float), rows[n : n + 1].astype(float))[0]
-        assert per_m[n] == pytest.approx(at.item(), rel=1e-5, abs=1e-6)
+        assert inverse_depth[n] == pytest.approx(at.item(), rel=1e-5, abs=1e-6)
         expected = [
             each.item() for each in inverse_depth_lattice(own, between[1][n : n + 1], between[0][n : n + 1])
         ]
