@@ -5,18 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dsyevr
+from scipy.linalg.lapack import ssyevr
 
 from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.config import SplittingPoint
+from nurbseg.segmentation.cut.affinity import affinity
 from nurbseg.segmentation.cut.landmarks import independent_samples
 
-#: Affinities are at least exp(-40), 4e-18: nothing beside 1, and far from subnormal numbers, also when
-#: multiplied, each of which costs some processors a hundred cycles.
-_LEAST_EXPONENT = np.float32(-40.0)
 #: A second eigenvalue at rounding level belongs to points that nothing tells apart.
 _LEAST_EIGENVALUE = 1e-6
 #: Thresholds that are tried where the cut is made at the least Ncut.
@@ -68,63 +65,9 @@ class Cut:
         block = max(256, (1 << 18) // max(1, self.landmarks.shape[0]))
         for start in range(0, rows.size, block):
             part = slice(start, start + block)
-            kernel = _affinity(vectors, rows[part], self.landmarks, self.affinity_scale)
+            kernel = affinity(vectors, self.landmarks, self.affinity_scale, rows[part])
             np.greater(kernel @ self.coefficients, 0, out=sides[part])
         return sides
-
-
-def affinity(
-    vectors: NDArray[np.float32], landmarks: NDArray[np.float32], scale: float
-) -> NDArray[np.float32]:
-    """Compute the Gaussian affinities of points to landmarks, exp(-|f - s|^2 / (2 scale^2)).
-
-    Parameters
-    ----------
-    vectors : (N, D) float32
-        Points f.
-    landmarks : (M, D) float32
-        Landmarks s.
-    scale : float
-        Sigma of the Gaussian, in the unit of the vectors.
-
-    Returns
-    -------
-    (N, M) float32
-        In [0, 1], to rounding.
-    """
-    return _affinity(vectors, np.arange(vectors.shape[0]), landmarks, scale)
-
-
-def _affinity(
-    vectors: NDArray[np.float32], rows: NDArray[np.intp], landmarks: NDArray[np.float32], scale: float
-) -> NDArray[np.float32]:
-    """Compute the affinities of some rows of the vectors."""
-    if rows.size == 0 or landmarks.shape[0] == 0:
-        return np.zeros((rows.size, landmarks.shape[0]), dtype=np.float32)
-    # One matrix product gives the exponent: [f, |f|^2, 1] . [s, -1/2, -|s|^2/2] / scale^2.
-    left = _with_squares(vectors, rows)
-    right = _with_squares(landmarks, np.arange(landmarks.shape[0]))
-    right[:, -2], right[:, -1] = -0.5, -0.5 * right[:, -2]
-    right *= np.float32(1.0 / scale**2)
-    exponent = left @ right.T
-    np.maximum(exponent, _LEAST_EXPONENT, out=exponent)
-    return np.asarray(cv2.exp(exponent, dst=exponent), dtype=np.float32)
-
-
-@compiled
-def _with_squares(vectors: NDArray[np.float32], rows: NDArray[np.intp]) -> NDArray[np.float32]:
-    """Take some rows of the vectors, and add to each its squared length and a 1."""
-    dimensions = vectors.shape[1]
-    taken = np.empty((rows.size, dimensions + 2), dtype=np.float32)
-    for n in range(rows.size):
-        vector, target = vectors[rows[n]], taken[n]
-        square = np.float32(0.0)
-        for k in range(dimensions):
-            target[k] = vector[k]
-            square += vector[k] * vector[k]
-        target[dimensions] = square
-        target[dimensions + 1] = np.float32(1.0)
-    return taken
 
 
 def normalized_cut(
@@ -237,22 +180,19 @@ def normalized_cuts(
     # A = L L^T of the rest, W = Q Q^T where Q = K L^-T, which is not needed itself.
     independent, inverse = independent_samples(landmarks, affinity_scale)
     landmarks = landmarks[independent]
-    K = _affinity(vectors, chosen, landmarks, affinity_scale)
+    K = affinity(vectors, landmarks, affinity_scale, chosen)
     total = inverse @ (np.ones(size, dtype=np.float32) @ K).astype(np.float64)
     b = total @ inverse
-    # A degree holds at least the affinity of 1 to the point itself; the approximation may fall below.
-    degrees = np.maximum(K @ b.astype(np.float32), np.float32(1.0))
 
     # S and D^-1/2 W D^-1/2 share their eigenvalues. The first eigenvector, of the constant, is known: taking
     # it out leaves the second on top also where the affinities fall apart into components.
-    by_root = np.float32(1.0) / np.sqrt(degrees)
-    K *= by_root[:, np.newaxis]
+    by_root = _divide_by_roots(K, b.astype(np.float32))
     S = inverse @ (K.T @ K).astype(np.float64) @ inverse.T
     _take_out(S, total / np.linalg.norm(total))
     last = S.shape[0]
     # Where many eigenvalues are equal fewer are known than there is room for.
-    eigenvalues, eigenvectors, known, _, failed = dsyevr(
-        S.T, range="I", il=max(1, last - count + 1), iu=last, lower=1, overwrite_a=1
+    eigenvalues, eigenvectors, known, _, failed = ssyevr(
+        S.T.astype(np.float32), range="I", il=max(1, last - count + 1), iu=last, lower=1, overwrite_a=1
     )
     found = np.flatnonzero(eigenvalues[:known] > _LEAST_EIGENVALUE)[::-1]
     if failed or found.size == 0:
@@ -261,14 +201,15 @@ def normalized_cuts(
     for each in found:
         # D^-1/2 times the eigenvector is the relaxed indicator, (K a) / (K b) at any point.
         a = eigenvectors[:, each] @ inverse
-        indicator = (K @ a.astype(np.float32)) * by_root
-        orientation = _orientation(indicator[sample])
-        a, indicator = orientation * a, np.float32(orientation) * indicator
-        threshold = _threshold(splitting_point, indicator, K, inverse, degrees)
-        coefficients = (a - threshold * b).astype(np.float32)
+        sums = K @ a.astype(np.float32)
+        if _is_turned(sums, by_root, sample):
+            a, sums = -a, -sums
+        if splitting_point != "zero":
+            a -= _threshold(splitting_point, sums * by_root, K, inverse, by_root) * b
+            sums = K @ a.astype(np.float32)
         side = np.empty(n, dtype=np.bool_)
-        cut = Cut(side, landmarks, coefficients, affinity_scale)
-        side[chosen] = K @ coefficients > 0
+        cut = Cut(side, landmarks, a.astype(np.float32), affinity_scale)
+        side[chosen] = sums > 0
         if size < n:
             others = np.delete(np.arange(n), chosen)
             side[others] = cut._classify(vectors, others)
@@ -299,11 +240,31 @@ def _no_cut(vectors: NDArray[np.float32], scale: float, reason: str) -> Cut:
     return Cut(side, vectors[:1], np.zeros(min(1, len(vectors)), dtype=np.float32), scale, reason)
 
 
-def _orientation(indicator: NDArray[np.float32]) -> float:
-    """Give the eigenvector, known up to its sign, the one that makes the first clear sample positive."""
-    size = np.abs(indicator)
-    clear = int(np.argmax(size >= 0.5 * size.max()))
-    return 1.0 if indicator[clear] >= 0 else -1.0
+@compiled
+def _divide_by_roots(K: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Divide each point's affinities by the root of its degree, their sum times b; return 1 over roots."""
+    by_root = np.empty(K.shape[0], dtype=np.float32)
+    for n in range(K.shape[0]):
+        row, degree = K[n], np.float32(0.0)
+        for k in range(row.size):
+            degree += row[k] * b[k]
+        # It holds at least the affinity of 1 to the point itself; the approximation may fall below.
+        by_root[n] = np.float32(1.0) / np.sqrt(max(degree, np.float32(1.0)))
+        for k in range(row.size):
+            row[k] *= by_root[n]
+    return by_root
+
+
+@compiled
+def _is_turned(sums: NDArray[np.float32], by_root: NDArray[np.float32], sample: NDArray[np.intp]) -> bool:
+    """Say whether an indicator, known up to its sign, is negative at the first sample that is clear."""
+    largest = np.float32(0.0)
+    for place in sample:
+        largest = max(largest, abs(sums[place] * by_root[place]))
+    for place in sample:
+        if abs(sums[place] * by_root[place]) >= np.float32(0.5) * largest:
+            return bool(sums[place] < 0)
+    return False
 
 
 def _threshold(
@@ -311,11 +272,9 @@ def _threshold(
     indicator: NDArray[np.float32],
     K: NDArray[np.float32],
     inverse: NDArray[np.float64],
-    degrees: NDArray[np.float32],
+    by_root: NDArray[np.float32],
 ) -> float:
-    """Find where the relaxed indicator is cut."""
-    if splitting_point == "zero":
-        return 0.0
+    """Find where the relaxed indicator is cut: by 2-means, or at the least Ncut."""
     order = np.argsort(indicator, kind="stable")
     ascending = indicator[order].astype(np.float64)
     if splitting_point == "kmeans":
@@ -334,7 +293,7 @@ def _threshold(
     if edges.size == 0:
         return 0.0
     starts = np.concatenate([[0], edges])
-    weights = degrees[order].astype(np.float64)
+    weights = by_root[order].astype(np.float64) ** -2
     sums = np.add.reduceat(np.sqrt(weights)[:, np.newaxis] * K[order], starts, axis=0)
     below = np.cumsum(sums @ inverse.T, axis=0)
     volume = np.cumsum(np.add.reduceat(weights, starts))
@@ -346,4 +305,4 @@ def _threshold(
     return float(0.5 * (ascending[best - 1] + ascending[best]))
 
 
-__all__ = ["Cut", "affinity", "normalized_cut", "normalized_cuts"]
+__all__ = ["Cut", "normalized_cut", "normalized_cuts"]

@@ -24,8 +24,8 @@ from nurbseg.segmentation.segments import Division, Node, StopReason, Trial, dep
 _WORSE_FACTOR, _WORSE_BY = 1.5, 0.5
 #: Places of the grid along which two leaves that may be merged meet.
 _MEETING_LEAST = 4
-#: Places cut in one frame, unless one leaf has more; leaves with as many are cut at a quarter of them.
-_CUT_PLACES, _MANY_PLACES = 2000, 3000
+#: Places cut in one frame, unless one leaf has more.
+_CUT_PLACES = 2000
 #: A leaf with fewer places than this share of the smallest has vanished.
 _VANISHED_SHARE = 0.25
 #: Things that appear in one frame, at most; the others wait.
@@ -318,7 +318,7 @@ class _Update:
         if whole.stop is not None or node.fit.surface is None or not node.value(self._config) > 0:
             return False
         features = with_features_at(self._cloud, self._features, node.places, self._config)
-        sides, cut = best_split(features, node, self._config, thin_from=_MANY_PLACES)
+        sides, cut = best_split(features, node, self._config)
         if cut is None:
             leaf.attempt = Attempt(node.stop or StopReason.NO_CUT, node.trial, self._frame)
             return True

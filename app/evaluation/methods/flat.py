@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
 
 from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.cut.affinity import affinity
 from nurbseg.segmentation.cut.features import features
-from nurbseg.segmentation.cut.ncut import affinity
 from nurbseg.segmentation.points.registration import PointMap
 
 #: Weights of geometry against color that are tried, from color alone mattering to geometry alone.

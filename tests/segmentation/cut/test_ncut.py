@@ -8,7 +8,8 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from nurbseg.segmentation.cut.ncut import _take_out, affinity, normalized_cut, normalized_cuts
+from nurbseg.segmentation.cut.affinity import affinity
+from nurbseg.segmentation.cut.ncut import _take_out, normalized_cut, normalized_cuts
 
 
 def dense_affinity(vectors: NDArray[np.float32], scale: float = 1.0) -> NDArray[np.float64]:

@@ -7,6 +7,7 @@ from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut import ncut
+from nurbseg.segmentation.cut.affinity import affinity
 from nurbseg.segmentation.extended.splitting import segment_nurbseg
 from nurbseg.segmentation.points.registration import register
 
@@ -20,14 +21,13 @@ def subnormals(values) -> int:
 def kernels_of(frames, monkeypatch) -> list[np.ndarray]:
     """The affinities of all cuts of some frames, as they are, weighted by degrees, and multiplied."""
     made = []
-    affinity = ncut._affinity
 
     def watched(*arguments):
         found = affinity(*arguments)
         made.append(found.copy())
         return found
 
-    monkeypatch.setattr(ncut, "_affinity", watched)
+    monkeypatch.setattr(ncut, "affinity", watched)
     for frame in frames:
         segment_nurbseg(register(frame), SegmentationConfig())
     return made
@@ -48,6 +48,6 @@ def test_real_frames_have_no_subnormal_affinities(real_data, monkeypatch):
 @pytest.mark.parametrize("distance", [5.0, 9.3, 50.0, 1e4])
 def test_affinities_of_far_points_are_small_and_no_smaller(distance):
     far = np.array([[distance, 0, 0]], dtype=np.float32)
-    (value,) = ncut.affinity(far, np.zeros((1, 3), dtype=np.float32), 0.7).ravel()
+    (value,) = affinity(far, np.zeros((1, 3), dtype=np.float32), 0.7).ravel()
     assert value == pytest.approx(max(np.exp(-(distance**2) / 0.98), np.exp(-40.0)), rel=1e-4)
     assert subnormals(value) == 0

@@ -1,0 +1,87 @@
+"""Gaussian affinities of points to landmarks."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.compiled import compiled
+
+#: Affinities are at least exp(-40), 4e-18: nothing beside 1, and far from subnormal numbers, also when
+#: multiplied, each of which costs some processors a hundred cycles.
+_LEAST_EXPONENT = np.float32(-40.0 / math.log(2.0))
+#: Coefficients of 2^f, ln(2)^k / k!; for f in [-1/2, 1/2] those that are left out add up to 1.2e-7.
+_C1, _C2, _C3, _C4, _C5, _C6 = (np.float32(math.log(2.0) ** k / math.factorial(k)) for k in range(1, 7))
+#: Bits of the fraction of a single-precision number; those of the exponent come above them.
+_FRACTION_BITS = 23
+
+
+def affinity(
+    vectors: NDArray[np.float32],
+    landmarks: NDArray[np.float32],
+    scale: float,
+    rows: NDArray[np.intp] | None = None,
+) -> NDArray[np.float32]:
+    """Compute the Gaussian affinities of points to landmarks, exp(-|f - s|^2 / (2 scale^2)).
+
+    Parameters
+    ----------
+    vectors : (N, D) float32
+        Points f.
+    landmarks : (M, D) float32
+        Landmarks s.
+    scale : float
+        Sigma of the Gaussian, in the unit of the vectors.
+    rows : (n,) intp, optional
+        The points that are asked for; all if None.
+
+    Returns
+    -------
+    (n, M) float32
+        In [exp(-40), 1], to rounding.
+    """
+    rows = np.arange(vectors.shape[0]) if rows is None else rows
+    if rows.size == 0 or landmarks.shape[0] == 0:
+        return np.zeros((rows.size, landmarks.shape[0]), dtype=np.float32)
+    # One matrix product gives the exponent: [f, |f|^2, 1] . [s, -1/2, -|s|^2/2] / scale^2, of base 2.
+    left = _with_squares(vectors, rows)
+    right = _with_squares(landmarks, np.arange(landmarks.shape[0]))
+    right[:, -2], right[:, -1] = -0.5, -0.5 * right[:, -2]
+    right *= np.float32(1.0 / (scale**2 * math.log(2.0)))
+    exponents = left @ right.T
+    _raise_two(exponents.reshape(-1))
+    return exponents
+
+
+@compiled
+def _with_squares(vectors: NDArray[np.float32], rows: NDArray[np.intp]) -> NDArray[np.float32]:
+    """Take some rows of the vectors, and add to each its squared length and a 1."""
+    dimensions = vectors.shape[1]
+    taken = np.empty((rows.size, dimensions + 2), dtype=np.float32)
+    for n in range(rows.size):
+        vector, target = vectors[rows[n]], taken[n]
+        square = np.float32(0.0)
+        for k in range(dimensions):
+            target[k] = vector[k]
+            square += vector[k] * vector[k]
+        target[dimensions] = square
+        target[dimensions + 1] = np.float32(1.0)
+    return taken
+
+
+@compiled
+def _raise_two(exponents: NDArray[np.float32]) -> None:
+    """Raise 2 to each exponent, in place; four times as fast as OpenCV's exponential, and as exact."""
+    bits = exponents.view(np.int32)
+    for n in range(exponents.size):
+        exponent = max(exponents[n], _LEAST_EXPONENT)
+        whole = np.floor(exponent + np.float32(0.5))
+        f = exponent - whole
+        power = f * (_C1 + f * (_C2 + f * (_C3 + f * (_C4 + f * (_C5 + f * _C6)))))
+        exponents[n] = np.float32(1.0) + power
+        bits[n] += np.int32(whole) << _FRACTION_BITS
+
+
+__all__ = ["affinity"]
