@@ -185,13 +185,10 @@ def _cleaned(
     grid: PixelGrid, places: NDArray[np.intp], side: NDArray[np.bool_], points_min: float
 ) -> NDArray[np.bool_]:
     """Give small components of either side to the other, on the window of the segment."""
-    rows, columns, (top, left, bottom, right) = grid.locate(places)
-    at = rows - top, columns - left
-    mask = np.zeros((bottom - top, right - left), dtype=np.bool_)
-    mask[at] = True
+    _, mask = grid.window_mask(places)
     image = np.zeros_like(mask)
-    image[at] = side
-    cleaned: NDArray[np.bool_] = remove_small_components(mask, image, points_min)[at]
+    image[mask] = side
+    cleaned: NDArray[np.bool_] = remove_small_components(mask, image, points_min)[mask]
     return cleaned
 
 

@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.compiled import compiled
+
 _CONNECTIVITY = 8
 
 
@@ -33,27 +35,41 @@ def remove_small_components(
         The new side, False outside of `mask`.
     """
     side = side & mask
-    side &= ~_small_pieces(side, mask & ~side, pixels_min)
-    side |= _small_pieces(mask & ~side, side, pixels_min)
+    for value in (False, True):
+        given = mask & ~side if value else side
+        _, pieces, stats, _ = cv2.connectedComponentsWithStats(
+            given.view(np.uint8), connectivity=_CONNECTIVITY, ltype=cv2.CV_32S
+        )
+        small = stats[:, cv2.CC_STAT_AREA] < pixels_min
+        small[0] = False
+        if small.any():
+            _give(np.asarray(pieces, dtype=np.int32), small, mask, side, value)
     return side
 
 
-def _small_pieces(
-    region: NDArray[np.bool_], other: NDArray[np.bool_], pixels_min: float
-) -> NDArray[np.bool_]:
-    """Find the pieces of `region` with fewer than `pixels_min` pixels that touch `other`."""
-    count, pieces, stats, _ = cv2.connectedComponentsWithStats(
-        region.view(np.uint8), connectivity=_CONNECTIVITY, ltype=cv2.CV_32S
-    )
-    small = stats[:, cv2.CC_STAT_AREA] < pixels_min
-    small[0] = False
-    if not small.any():
-        return np.zeros(region.shape, dtype=np.bool_)
-    near = cv2.dilate(other.view(np.uint8), np.ones((3, 3), dtype=np.uint8))
-    touching = np.zeros(count, dtype=np.bool_)
-    touching[pieces[near.view(np.bool_)]] = True
-    found: NDArray[np.bool_] = (small & touching)[pieces]
-    return found
+@compiled
+def _give(
+    pieces: NDArray[np.int32],
+    small: NDArray[np.bool_],
+    mask: NDArray[np.bool_],
+    side: NDArray[np.bool_],
+    value: bool,
+) -> None:
+    """Give small pieces, which are not of the side `value`, to it where they touch it."""
+    height, width = mask.shape
+    touching = np.zeros(small.size, dtype=np.bool_)
+    for row in range(height):
+        for column in range(width):
+            piece = pieces[row, column]
+            if not small[piece] or touching[piece]:
+                continue
+            for r in range(max(row - 1, 0), min(row + 2, height)):
+                for c in range(max(column - 1, 0), min(column + 2, width)):
+                    touching[piece] |= mask[r, c] & (side[r, c] == value)
+    for row in range(height):
+        for column in range(width):
+            if touching[pieces[row, column]]:
+                side[row, column] = value
 
 
 __all__ = ["remove_small_components"]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import I64, U16, Intp, compiled
+from nurbseg.segmentation.points.grid import Window
 from nurbseg.segmentation.segments import Node, Segment
 from nurbseg.segmentation.surfaces.fit import Fit
 
@@ -79,7 +80,7 @@ def finished_segments(
     _bounding_boxes(labels, boxes)
     # Leaves come depth first, so those below a node stand side by side in the order of labels.
     reach: dict[str, tuple[int, int]] = {}
-    box: dict[str, NDArray[np.int64]] = {}
+    box: dict[str, Window] = {}
     for node in reversed(nodes):
         if node.children:
             first, second = (child.name for child in node.children)
@@ -88,7 +89,8 @@ def finished_segments(
         else:
             number = label[node.name]
             reach[node.name] = bounds[number], bounds[number + 1]
-            box[node.name] = boxes[number]
+            top, left, bottom, right = boxes[number].tolist()
+            box[node.name] = top, left, bottom, right
     return tuple(
         Segment(
             name=node.name,
@@ -122,16 +124,17 @@ def _bounding_boxes(labels: U16, boxes: I64) -> None:
             box[3] = max(box[3], column + 1)
 
 
-def _union(first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.int64]:
+def _union(first: Window, second: Window) -> Window:
     """Return the box around two boxes; one without pixels is all limits, and changes nothing."""
-    return np.concatenate([np.minimum(first[:2], second[:2]), np.maximum(first[2:], second[2:])])
+    (top, left, bottom, right), (other_top, other_left, other_bottom, other_right) = first, second
+    return min(top, other_top), min(left, other_left), max(bottom, other_bottom), max(right, other_right)
 
 
-def _reaching(fit: Fit, box: NDArray[np.int64]) -> Fit:
+def _reaching(fit: Fit, box: Window) -> Fit:
     """Return a fit whose surface's window holds a box of pixels: borders move after surfaces are fitted."""
     if fit.surface is None or box[2] == 0:
         return fit
-    top, left, bottom, right = (int(each) for each in _union(np.array(fit.surface.window), box))
-    if (top, left, bottom, right) == fit.surface.window:
+    window = _union(fit.surface.window, box)
+    if window == fit.surface.window:
         return fit
-    return replace(fit, surface=replace(fit.surface, window=(top, left, bottom, right)))
+    return replace(fit, surface=replace(fit.surface, window=window))
