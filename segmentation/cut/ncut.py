@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import ssyevr
+from scipy.linalg.lapack import dsyevr
 
 from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.config import SplittingPoint
@@ -191,8 +191,8 @@ def normalized_cuts(
     _take_out(S, total / np.linalg.norm(total))
     last = S.shape[0]
     # Where many eigenvalues are equal fewer are known than there is room for.
-    eigenvalues, eigenvectors, known, _, failed = ssyevr(
-        S.T.astype(np.float32), range="I", il=max(1, last - count + 1), iu=last, lower=1, overwrite_a=1
+    eigenvalues, eigenvectors, known, _, failed = dsyevr(
+        S.T, range="I", il=max(1, last - count + 1), iu=last, lower=1, overwrite_a=1
     )
     found = np.flatnonzero(eigenvalues[:known] > _LEAST_EIGENVALUE)[::-1]
     if failed or found.size == 0:
