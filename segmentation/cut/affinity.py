@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, Intp, compiled
 
 #: Affinities are at least exp(-40), 4e-18: nothing beside 1, and far from subnormal numbers, also when
 #: multiplied, each of which costs some processors a hundred cycles.
@@ -56,7 +56,7 @@ def affinity(
 
 
 @compiled
-def _with_squares(vectors: NDArray[np.float32], rows: NDArray[np.intp]) -> NDArray[np.float32]:
+def _with_squares(vectors: F32, rows: Intp) -> F32:
     """Take some rows of the vectors, and add to each its squared length and a 1."""
     dimensions = vectors.shape[1]
     taken = np.empty((rows.size, dimensions + 2), dtype=np.float32)
@@ -72,7 +72,7 @@ def _with_squares(vectors: NDArray[np.float32], rows: NDArray[np.intp]) -> NDArr
 
 
 @compiled
-def _raise_two(exponents: NDArray[np.float32]) -> None:
+def _raise_two(exponents: F32) -> None:
     """Raise 2 to each exponent, in place; four times as fast as OpenCV's exponential, and as exact."""
     bits = exponents.view(np.int32)
     for n in range(exponents.size):

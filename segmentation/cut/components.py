@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import I32, Bool, compiled
 
 _CONNECTIVITY = 8
 
@@ -49,10 +49,10 @@ def remove_small_components(
 
 @compiled
 def _give(
-    pieces: NDArray[np.int32],
-    small: NDArray[np.bool_],
-    mask: NDArray[np.bool_],
-    side: NDArray[np.bool_],
+    pieces: I32,
+    small: Bool,
+    mask: Bool,
+    side: Bool,
     value: bool,
 ) -> None:
     """Give small pieces, which are not of the side `value`, to it where they touch it."""

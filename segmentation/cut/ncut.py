@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dsyevr
 
-from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.compiled import F32, F64, Intp, compiled
 from nurbseg.segmentation.config import SplittingPoint
 from nurbseg.segmentation.cut.affinity import affinity
 from nurbseg.segmentation.cut.landmarks import independent_samples
@@ -220,7 +220,7 @@ def normalized_cuts(
 
 
 @compiled
-def _take_out(S: NDArray[np.float64], first: NDArray[np.float64]) -> None:
+def _take_out(S: F64, first: F64) -> None:
     """Take a unit vector out of a symmetric matrix: (1 - f f^T) S (1 - f f^T), in place."""
     size = first.size
     Sf = np.zeros(size)
@@ -241,7 +241,7 @@ def _no_cut(vectors: NDArray[np.float32], scale: float, reason: str) -> Cut:
 
 
 @compiled
-def _divide_by_roots(K: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:
+def _divide_by_roots(K: F32, b: F32) -> F32:
     """Divide each point's affinities by the root of its degree, their sum times b; return 1 over roots."""
     by_root = np.empty(K.shape[0], dtype=np.float32)
     for n in range(K.shape[0]):
@@ -256,7 +256,7 @@ def _divide_by_roots(K: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[
 
 
 @compiled
-def _is_turned(sums: NDArray[np.float32], by_root: NDArray[np.float32], sample: NDArray[np.intp]) -> bool:
+def _is_turned(sums: F32, by_root: F32, sample: Intp) -> bool:
     """Say whether an indicator, known up to its sign, is negative at the first sample that is clear."""
     largest = np.float32(0.0)
     for place in sample:

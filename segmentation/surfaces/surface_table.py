@@ -111,7 +111,7 @@ def _net(surface: NurbsSurface) -> NDArray[np.float64]:
 
 
 @compiled
-def _are_even(knots: NDArray[np.float64]) -> bool:
+def _are_even(knots: F64) -> bool:
     """Say whether knots ascend by the same spacing."""
     spacing = knots[1] - knots[0]
     most = least = spacing
@@ -121,7 +121,7 @@ def _are_even(knots: NDArray[np.float64]) -> bool:
 
 
 @compiled
-def _common_depth(points_m: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+def _common_depth(points_m: F64, weights: F64) -> float:
     """Return the depth times the weight of all control points; 0 where they differ."""
     depth = points_m[0, 0, 2] * weights[0, 0]
     most = least = depth
