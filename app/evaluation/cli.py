@@ -61,6 +61,14 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument(
         "--time-frames", type=int, default=3, help="frames on which each variant is timed alone (%(default)s)"
     )
+    run.add_argument(
+        "--pieces",
+        type=int,
+        default=1,
+        metavar="N",
+        help="ground truth labels pieces: label // N is the object, 0 the background (10 for OSD and MOSD); "
+        "1 where labels are objects, and the largest is the background (%(default)s)",
+    )
     tune = commands.add_parser("tune", help="search the settings that score best")
     tune.add_argument("--budget", type=int, default=50, help="settings to try (%(default)s)")
     tune.add_argument("--folds", type=int, default=5, help="parts of the cross-validation (%(default)s)")

@@ -52,7 +52,8 @@ class Progress:
 
 def study_of(given: argparse.Namespace) -> Study:
     """Return the study that the arguments describe, without its variants."""
-    for name, least in (("frames", 1), ("start", 0), ("jobs", 1), ("seed", 0), ("pictures", 0)):
+    leasts = {"frames": 1, "start": 0, "jobs": 1, "seed": 0, "pictures": 0, "pieces": 1}
+    for name, least in leasts.items():
         value = getattr(given, name, None)
         if value is not None and value < least:
             raise ValueError(f"--{name}: expected at least {least}, got {value}")
@@ -63,6 +64,7 @@ def study_of(given: argparse.Namespace) -> Study:
         seed=given.seed or 0,
         frames=given.frames,
         start=given.start,
+        pieces=getattr(given, "pieces", 1),
     )
 
 

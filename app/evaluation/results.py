@@ -66,7 +66,7 @@ class StudyResults:
         variant : Variant
             One of the study's.
         score : str
-            A field of `FrameScores`.
+            A field of `FrameScores` or `ObjectScores`.
         category : str, optional
             Takes the frames of one category only.
         """

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.scoring.boundaries import boundary_scores
+from nurbseg.segmentation.scoring.objects import object_scores, without_background
 from nurbseg.segmentation.scoring.scores import Contingency
 
 
@@ -45,6 +46,40 @@ class FrameScores:
     def as_record(self) -> dict[str, float | int | None]:
         """Return the scores by name, None in place of NaN, which JSON does not know."""
         return {name: None if value != value else value for name, value in asdict(self).items()}
+
+
+def score_objects(
+    labels: NDArray[np.integer],
+    truth: NDArray[np.integer],
+    points_m: NDArray[np.float32],
+    pieces: int = 1,
+) -> dict[str, float | None]:
+    """Score the objects of a segmentation, over pixels that have depth and ground truth.
+
+    Parameters
+    ----------
+    labels : (H, W) integer
+        Segments; 0 is none. The largest, and what lies in one plane with it, is the background.
+    truth : (H, W) integer
+        Ground truth; 0 is none.
+    points_m : (H, W, 3) float32
+        Points, metres; NaN where there is none.
+    pieces : int
+        An object of the ground truth is its label over this, rounded down, 0 being the background. With 1
+        labels are those of objects, and the largest region is the background.
+
+    Returns
+    -------
+    dict
+        Of `ObjectScores`, by name; None in place of NaN.
+    """
+    counted = np.isfinite(points_m[..., 2]) & (truth > 0)
+    known = np.where(counted, truth.astype(np.int64), 0)
+    if pieces == 1:
+        known[known == np.bincount(known[counted]).argmax()] = 0
+    judged = np.where(counted, labels.astype(np.int64), 0)
+    scores = object_scores(without_background(judged, points_m), known // pieces)
+    return {name: None if value != value else value for name, value in scores._asdict().items()}
 
 
 #: For each score of the tables: its heading and whether greater is better.

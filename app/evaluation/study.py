@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from nurbseg.app.evaluation.answers import Answers
 from nurbseg.app.evaluation.categories import category_of
 from nurbseg.app.evaluation.computer import computer
-from nurbseg.app.evaluation.scoring import score_frame
+from nurbseg.app.evaluation.scoring import score_frame, score_objects
 from nurbseg.app.evaluation.store import StudyStore
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, Variant
 from nurbseg.app.frames import places
@@ -58,6 +58,8 @@ class Study:
         Frames of each source at the most; None for all.
     start : int
         First frame of each source.
+    pieces : int
+        Of the ground truth, as that of `nurbseg.app.evaluation.scoring.score_objects`.
     """
 
     sources: tuple[str, ...]
@@ -66,6 +68,7 @@ class Study:
     seed: int = 0
     frames: int | None = None
     start: int = 0
+    pieces: int = 1
 
     def description(self) -> dict[str, Any]:
         """Return what kept results depend on, besides the variants, which have keys of their own."""
@@ -77,6 +80,7 @@ class Study:
                 "association_limit_s": self.options.association_limit_s,
             },
             "seed": self.seed,
+            "pieces": self.pieces,
             # Results of another version are not mixed with its own.
             "nurbseg": versions().get("nurbseg", "not installed"),
         }
@@ -151,7 +155,7 @@ def run_study(
             todo.append((ref, missing))
     done = len(refs) - len(todo)
     report(done, len(refs))
-    evaluate = partial(evaluate_frame, options=study.options, seed=study.seed)
+    evaluate = partial(evaluate_frame, options=study.options, seed=study.seed, pieces=study.pieces)
     with open_workers(jobs, scheduler) as workers:
         for (ref, _), future in in_order(workers, evaluate, todo):
             try:
@@ -189,7 +193,7 @@ def read_frame(ref: FrameRef, options: SourceOptions) -> RGBDFrame:
 
 
 def evaluate_frame(
-    task: tuple[FrameRef, Sequence[Variant]], *, options: SourceOptions, seed: int
+    task: tuple[FrameRef, Sequence[Variant]], *, options: SourceOptions, seed: int, pieces: int = 1
 ) -> FrameOutcome:
     """Segment one frame with several variants and score each.
 
@@ -204,6 +208,8 @@ def evaluate_frame(
         Of its source.
     seed : int
         With the frame's number, the state of the random generator of each variant.
+    pieces : int
+        Of the ground truth, as that of a study.
 
     Returns
     -------
@@ -234,7 +240,10 @@ def evaluate_frame(
     answers = Answers(cloud, frame.name, ref.index, seed)
     for variant in variants:
         labels, tree = answers.of(variant)
-        results[variant.key] = score_frame(labels, frame.labels, cloud.valid).as_record()
+        results[variant.key] = {
+            **score_frame(labels, frame.labels, cloud.valid).as_record(),
+            **score_objects(labels, frame.labels, cloud.points_m, pieces),
+        }
         files[label_path(ref.key, variant)] = label_png(labels)
         if tree is not None:
             files[tree_path(ref.key, variant)] = outline(tree, variant)

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from nurbseg.app.evaluation.results import StudyResults
 from nurbseg.app.evaluation.scoring import SCORES
 from nurbseg.app.evaluation.statistics import Estimate
+from nurbseg.segmentation.scoring.objects import ObjectScores
 
 
 def score_rows(results: StudyResults, score: str) -> list[list[str]]:
@@ -61,6 +62,14 @@ def detail_rows(results: StudyResults, seconds: Mapping[str, float]) -> list[lis
     return rows
 
 
+def object_rows(results: StudyResults) -> list[list[str]]:
+    """Lay out the scores of objects: overlap and boundaries (precision, recall, F) and the share found."""
+    rows = [["variant", *(f"{what} {score}" for what in ("overlap", "boundary") for score in "PRF"), "found"]]
+    for variant in results.variants:
+        rows.append([variant.name, *(digits(results.mean(variant, score)) for score in ObjectScores._fields)])
+    return rows
+
+
 def as_text(rows: Sequence[Sequence[str]]) -> str:
     """Align a table for a terminal; names to the left, figures to the right."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
@@ -92,6 +101,10 @@ def all_tables(results: StudyResults, seconds: Mapping[str, float]) -> list[tupl
     for score, (heading, greater) in SCORES.items():
         direction = "greater" if greater else "smaller"
         tables.append((f"{heading}: mean over frames, {direction} is better", score_rows(results, score)))
+    caption = (
+        "Objects one to one, without the background: overlap, boundaries, share with an F of .75 or more"
+    )
+    tables.append((caption, object_rows(results)))
     caption = "Segments found and regions there are, errors (bits), boundaries at 2 px, time"
     return [*tables, (caption, detail_rows(results, seconds))]
 
