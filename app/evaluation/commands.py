@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from importlib import import_module
 
 from nurbseg.app.atomic_file import write_atomically
 from nurbseg.app.command.config_file import format_config, read_config
@@ -17,7 +18,7 @@ from nurbseg.app.evaluation.arguments import base_config, source_options
 from nurbseg.app.evaluation.check.check import FolderCheck
 from nurbseg.app.evaluation.computer import versions_line
 from nurbseg.app.evaluation.methods.methods import check_method
-from nurbseg.app.evaluation.report.findings import findings, means_of
+from nurbseg.app.evaluation.report.findings import findings, means_of, verdict
 from nurbseg.app.evaluation.report.report import write_report
 from nurbseg.app.evaluation.report.tables import all_tables, as_markdown, as_text
 from nurbseg.app.evaluation.results import StudyResults, write_rows
@@ -30,6 +31,8 @@ from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.segmentation.points.registration import PointMap, register
 from nurbseg.segmentation.surfaces.noise import measure_noise
 
+#: Lines of the summary at the end, the verdict first.
+_SUMMARY_LINES = 10
 _METRICS = "mse,mae,ve,nle,vmxc,vmec,vgc,mmxc,nlc"
 
 
@@ -87,6 +90,7 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
             base=base_config(given),
         ),
     )
+    _check_before(study, report=not given.no_report)
     store = StudyStore(given.out, study.description())
     refs = run_study(study, store, jobs=given.jobs, scheduler=given.scheduler, report=Progress("frames"))
     results = StudyResults.load(store, study.variants, {ref.key for ref in refs})
@@ -97,7 +101,7 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
     files = list(write_rows(results, given.out))
     tables = all_tables(results, seconds)
     about = f"{len(results.frames)} frames. {versions_line()}. Computed on {'; '.join(results.computers())}."
-    sentences = findings(means_of(results))
+    sentences = [verdict(results), *findings(means_of(results))]
     for caption, rows in tables:
         print(f"\n{caption}\n{as_text(rows)}")
     print(f"\n{about}")
@@ -122,6 +126,30 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
     for frame in results.skipped:
         print(f"skipped {frame['key']}: {frame['skipped']}", file=sys.stderr)
     print("\nwritten: " + ", ".join(map(str, files)))
+    print("\n" + "\n".join(sentences[:_SUMMARY_LINES]))
+
+
+def _check_before(study: Study, *, report: bool) -> None:
+    """Raise what would end a study later, before anything is written or computed.
+
+    Raises
+    ------
+    nurbseg.drivers.errors.DriverError
+        If a source cannot be opened.
+    ModuleNotFoundError
+        If a library is missing that tables and reports are written with.
+    ValueError
+        If no frame has ground truth.
+    """
+    for name in ("pyarrow", *(("jinja2", "matplotlib") if report else ())):
+        import_module(name)
+    for ref in frame_refs(study):
+        try:
+            if read_frame(ref, study.options).labels is not None:
+                return
+        except FrameFormatError:
+            continue
+    raise ValueError(f"{', '.join(study.sources)}: no frame has ground truth")
 
 
 def search(given: argparse.Namespace, study: Study) -> None:

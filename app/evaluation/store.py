@@ -40,9 +40,14 @@ class StudyStore:
         if path.exists():
             found = read_json(path)
             if found != json.loads(json.dumps(wanted)):
-                differing = sorted(key for key in {*wanted, *found} if wanted.get(key) != found.get(key))
+                was, now = _flat(found), _flat(json.loads(json.dumps(wanted)))
+                differing = [
+                    f"{key} is {was.get(key)} there and {now.get(key)} now"
+                    for key in sorted({*was, *now})
+                    if was.get(key) != now.get(key)
+                ]
                 raise ValueError(
-                    f"{path}: holds a study that differs in {', '.join(differing)}: "
+                    f"{path}: holds another study: {'; '.join(differing)}: "
                     "give another folder with --out, or remove this one"
                 )
         else:
@@ -75,6 +80,14 @@ class StudyStore:
             path.parent.mkdir(parents=True, exist_ok=True)
             write_atomically(path, content)
         write_json(self.folder / "frames" / f"{key}.json", frame)
+
+
+def _flat(description: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a description with what it holds of several values side by side."""
+    flat: dict[str, Any] = {}
+    for key, value in description.items():
+        flat |= value if isinstance(value, Mapping) else {key: value}
+    return flat
 
 
 def read_json(path: Path) -> dict[str, Any]:

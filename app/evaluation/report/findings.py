@@ -6,14 +6,43 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from nurbseg.app.evaluation.report.tables import digits
+from nurbseg.app.evaluation.report.tables import digits, interval
 from nurbseg.app.evaluation.results import StudyResults
 from nurbseg.app.evaluation.scoring import SCORES
+from nurbseg.app.evaluation.statistics import bootstrap_gain
+from nurbseg.app.evaluation.variants import Variant
 
 
 def means_of(results: StudyResults) -> dict[str, dict[str, float]]:
     """Return for each score the mean of each variant over all frames, by name, in the order of the tables."""
     return {score: {each.name: results.mean(each, score) for each in results.variants} for score in SCORES}
+
+
+def verdict(results: StudyResults) -> str:
+    """Say in a sentence which method is ahead, of how many frames, and whether that is sure.
+
+    Parameters
+    ----------
+    results : StudyResults
+        Of at least one frame. The setting of each method is the one with the best mean GTRC.
+    """
+    best: dict[str, Variant] = {}
+    for each in results.variants:
+        known = best.get(each.method)
+        if known is None or results.mean(each, "gtrc") > results.mean(known, "gtrc"):
+            best[each.method] = each
+    ranked = sorted(best.values(), key=lambda each: -results.mean(each, "gtrc"))
+    first = f"{ranked[0].name} (GTRC {digits(results.mean(ranked[0], 'gtrc'))})"
+    if len(ranked) == 1:
+        return f"Verdict: {first} is the best setting that was tried, on {len(results.frames)} frames."
+    ours, theirs = (results.values(each, "gtrc") for each in ranked[:2])
+    gain = bootstrap_gain(ours, theirs)
+    sure = "is ahead of" if gain.low > 0 else "cannot be told apart from"
+    return (
+        f"Verdict: {first} {sure} {ranked[1].name} ({digits(results.mean(ranked[1], 'gtrc'))}): better on "
+        f"{np.count_nonzero(ours > theirs)} of {gain.frames} frames, by {digits(gain.mean)} in the mean "
+        f"(95 %: {interval(gain)})."
+    )
 
 
 def findings(means: Mapping[str, Mapping[str, float]]) -> list[str]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from nurbseg.app.evaluation.answers import Answers
 from nurbseg.app.evaluation.computer import versions_line
 from nurbseg.app.evaluation.report import pictures
-from nurbseg.app.evaluation.report.findings import findings, means_of
+from nurbseg.app.evaluation.report.findings import findings, means_of, verdict
 from nurbseg.app.evaluation.report.tables import all_tables
 from nurbseg.app.evaluation.results import StudyResults
 from nurbseg.app.evaluation.store import StudyStore
@@ -93,7 +93,7 @@ def write_report(
         date=date,
         versions=versions_line(),
         computers=results.computers(),
-        findings=findings(means_of(results)),
+        findings=[verdict(results), *findings(means_of(results))],
         frames=len(results.frames),
         variants=len(results.variants),
         skipped=len(results.skipped),

@@ -1,6 +1,7 @@
 """Running a study: the same table whoever computes it, however often it is cut short."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -134,7 +135,7 @@ def test_the_noise_of_planes_is_measured_past_damaged_frames(
 
 def test_another_study_s_folder_is_refused(frames: Path, tmp_path: Path) -> None:
     StudyStore(tmp_path / "out", {"sources": ["elsewhere"], "seed": 0})
-    with pytest.raises(ValueError, match=r"study\.json: holds a study that differs in sources"):
+    with pytest.raises(ValueError, match=r"study\.json: holds another study: sources is .* there and .* now"):
         StudyStore(tmp_path / "out", {"sources": [str(frames)], "seed": 0})
 
 
@@ -204,3 +205,23 @@ def test_wrong_arguments_end_with_2_and_name_themselves(
 ) -> None:
     assert main(["run", str(frames), "--out", str(tmp_path / "out"), *words]) == 2
     assert capsys.readouterr().err.startswith("nurbseg-eval: ")
+
+
+def test_nothing_is_written_before_data_and_options_are_checked(
+    frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bare = tmp_path / "bare"
+    bare.mkdir()
+    for path in frames.glob("*.png"):
+        (bare / path.name).write_bytes(path.read_bytes())
+    words = ["run", str(bare), "--methods", "fh04", "--time-frames", "0", "--no-report", "--out"]
+    out = tmp_path / "out"
+    assert main([*words, str(out)]) == 2
+    assert "--intrinsics" in capsys.readouterr().err
+    assert not out.exists()
+    assert main([*words, str(out), "--intrinsics", "60,60,31.5,23.5"]) == 0
+    told = capsys.readouterr().out
+    assert told.splitlines()[-5].startswith("Verdict: fh04 (GTRC ")
+    # The refusal names the option that differs.
+    assert main([*words, str(out), "--intrinsics", "61,60,31.5,23.5"]) == 2
+    assert re.search(r"intrinsics is \[60.* there and \[61.* now", capsys.readouterr().err)

@@ -5,7 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from nurbseg.app.evaluation.report.findings import findings
+from nurbseg.app.evaluation.report.findings import findings, verdict
+from nurbseg.app.evaluation.results import StudyResults
+from nurbseg.app.evaluation.variants import variants_of
+from nurbseg.segmentation.config import SegmentationConfig
 
 DOCS = Path(__file__).parents[4] / "docs"
 
@@ -45,3 +48,24 @@ def test_what_a_published_page_says_of_its_tables_is_made_from_them(name: str):
     page = (DOCS / name).read_text(encoding="utf-8")
     expected = "\n".join(f"- {each}" for each in findings(means_of_page(page)))
     assert f"\n\n{expected}\n\n" in page
+
+
+def results_of(scores: dict[str, list[float]]) -> StudyResults:
+    """Results of methods by their GTRC on each frame."""
+    base = SegmentationConfig()
+    variants = variants_of(list(scores), metrics=["mse"], thresholds=[1.0], grid={}, base=base)
+    frames = [
+        {"results": {each.key: {"gtrc": scores[each.method][frame]} for each in variants}}
+        for frame in range(len(next(iter(scores.values()))))
+    ]
+    return StudyResults(tuple(variants), tuple(frames), ())
+
+
+def test_the_verdict_says_who_is_ahead_and_whether_that_is_sure():
+    unsure = verdict(results_of({"fh04": [0.8, 0.7, 0.9, 0.8], "kmeans": [0.6, 0.7, 0.8, 1.0]}))
+    assert unsure.startswith("Verdict: fh04 (GTRC 0.800) cannot be told apart from kmeans (0.775): ")
+    assert "better on 2 of 4 frames, by 0.025 in the mean" in unsure
+    sure = verdict(results_of({"kmeans": [0.5, 0.4, 0.5, 0.6], "fh04": [0.8, 0.7, 0.9, 0.8]}))
+    assert sure.startswith("Verdict: fh04 (GTRC 0.800) is ahead of kmeans (0.500): better on 4 of 4 frames")
+    alone = verdict(results_of({"fh04": [0.5, 0.75]}))
+    assert alone == "Verdict: fh04 (GTRC 0.625) is the best setting that was tried, on 2 frames."
