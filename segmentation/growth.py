@@ -73,9 +73,9 @@ def stop_without_cut(
     points_min, config
         As for `grow`.
     """
-    if node.places.size == 0:
+    if node.grid_pixels.size == 0:
         return StopReason.NO_POINTS
-    if node.places.size <= 2.0 * points_min:  # eq. 6: |P| <= 2 T_p
+    if node.grid_pixels.size <= 2.0 * points_min:  # eq. 6: |P| <= 2 T_p
         return StopReason.TOO_SMALL
     if node.cuts_above >= config.depth_max:  # eq. 6: T_d
         return StopReason.DEPTH

@@ -233,7 +233,7 @@ class Node:
     """
 
     name: str
-    places: NDArray[np.intp]
+    grid_pixels: NDArray[np.intp]
     fit: Fit
     children: tuple[Node, Node] | tuple[()] = ()
     division: Division | None = None

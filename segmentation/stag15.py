@@ -36,9 +36,9 @@ from nurbseg.segmentation.surfaces.curvature import all_metrics
 from nurbseg.segmentation.surfaces.fit import Fit, fit_on_grid
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, acceptance_ratio
 
-#: Cuts a segment in two, given the grid, its node, the vectors of all places of the grid and the settings.
+#: Cuts a segment in two, given the grid, its node, the vectors of all grid pixels and the settings.
 Cutter = Callable[[PixelGrid, Node, NDArray[np.float32], SegmentationConfig], tuple[Cut, NDArray[np.bool_]]]
-#: Fits a surface to some places of the grid.
+#: Fits a surface to some grid pixels.
 Fitter = Callable[[PixelGrid, NDArray[np.intp], SegmentationConfig], Fit]
 
 
@@ -54,7 +54,7 @@ def cut_in_two(
     node : Node
         The segment; its name and the seed are all that its random sample depends on.
     vectors : (h * w, 6) float32
-        Vector of each place of the grid (eq. 3).
+        Vector of each grid pixel (eq. 3).
     config : SegmentationConfig
         How it is cut, and T_p.
 
@@ -63,22 +63,24 @@ def cut_in_two(
     cut : Cut
         With a reason where there is none.
     side : (N,) bool
-        Which of the two parts each of the segment's places belongs to.
+        Which of the two parts each of the segment's grid pixels belongs to.
     """
     cut = normalized_cut(
-        vectors[node.places],
+        vectors[node.grid_pixels],
         samples=config.samples,
         rng=np.random.default_rng([config.seed, int(f"1{node.name}", 2)]),
         affinity_scale=config.affinity_scale,
         splitting_point=config.splitting_point,
         points=config.cut_points,
     )
-    return cut, cut.side if cut.reason else _cleaned(grid, node.places, cut.side, _points_min(grid, config))
+    return cut, cut.side if cut.reason else _cleaned(
+        grid, node.grid_pixels, cut.side, _points_min(grid, config)
+    )
 
 
-def fit_segment(grid: PixelGrid, places: NDArray[np.intp], config: SegmentationConfig) -> Fit:
+def fit_segment(grid: PixelGrid, grid_pixels: NDArray[np.intp], config: SegmentationConfig) -> Fit:
     """Fit a surface to a segment (section 3.2), with the metric that decides among its values (section 4)."""
-    fit = fit_on_grid(grid, places, config)  # eq. 4; eq. 7, 9, 11 and NLE
+    fit = fit_on_grid(grid, grid_pixels, config)  # eq. 4; eq. 7, 9, 11 and NLE
     if config.metric in CURVATURE_METRICS:
         fit = replace(fit, values=all_metrics(fit, grid.image_shape[1], config))  # eq. 14-19 and NLC
     return fit
@@ -111,16 +113,16 @@ def segment_stag15(
     step = step_with_points(cloud.valid, config.decimation)
     config = replace(config, method="stag15", decimation=step)
     grid = decimated_grid(cloud, step)
-    places = np.flatnonzero(grid.valid)
+    grid_pixels = np.flatnonzero(grid.valid)
 
     # Color and position of every point, made comparable (section 3.1).
-    raw = raw_vectors(cloud, grid.pixels(places))  # eq. 1, 2
+    raw = raw_vectors(cloud, grid.pixels(grid_pixels))  # eq. 1, 2
     scale = normalization(raw, config.geometry_weight)  # the sigmas and lambda of eq. 3
     vectors = np.zeros((grid.valid.size, raw.shape[1]), dtype=np.float32)
-    vectors[places] = normalized(raw, scale)  # eq. 3
+    vectors[grid_pixels] = normalized(raw, scale)  # eq. 3
 
     # The tree (section 3.3).
-    root = Node("", places, fit(grid, places, config))
+    root = Node("", grid_pixels, fit(grid, grid_pixels, config))
     grow(
         root,
         lambda node: _split(node, grid, vectors, config, cut, fit),
@@ -129,13 +131,13 @@ def segment_stag15(
         time_is_over,
     )
 
-    # A label for every pixel between the places of the grid.
+    # A label for every pixel between the grid pixels.
     nodes = depth_first(root)
     leaves = [node for node in nodes if not node.children]
     labels = upsample_labels(
         cloud,
         grid,
-        [leaf.places for leaf in leaves],
+        [leaf.grid_pixels for leaf in leaves],
         _kept_splits(nodes, leaves),
         lambda pixels: normalized(raw_vectors(cloud, pixels), scale),
     )
@@ -156,7 +158,7 @@ def _split(
     if found.reason:
         node.stop = StopReason.NO_CUT
         return False
-    parts = node.places[~side], node.places[side]
+    parts = node.grid_pixels[~side], node.grid_pixels[side]
     if min(part.size for part in parts) < _points_min(grid, config):
         node.stop = StopReason.CHILD_TOO_SMALL
         return False
@@ -165,7 +167,7 @@ def _split(
         Node(f"{node.name}{digit}", part, fit(grid, part, config), cuts_above=node.cuts_above + 1)
         for digit, part in enumerate(parts)
     )
-    whole, *halves = ((each.value(config), each.places.size) for each in (node, first, second))
+    whole, *halves = ((each.value(config), each.grid_pixels.size) for each in (node, first, second))
     ratio = acceptance_ratio(config.metric, whole, *halves)
     kept = ratio < config.ratio_max or node.name == ""  # eq. 5, "except for the first iteration"
     node.trial = Trial(config.metric, *whole, tuple(halves), kept)
@@ -182,10 +184,10 @@ def _points_min(grid: PixelGrid, config: SegmentationConfig) -> float:
 
 
 def _cleaned(
-    grid: PixelGrid, places: NDArray[np.intp], side: NDArray[np.bool_], points_min: float
+    grid: PixelGrid, grid_pixels: NDArray[np.intp], side: NDArray[np.bool_], points_min: float
 ) -> NDArray[np.bool_]:
     """Give small components of either side to the other, on the window of the segment."""
-    _, mask = grid.window_mask(places)
+    _, mask = grid.window_mask(grid_pixels)
     image = np.zeros_like(mask)
     image[mask] = side
     cleaned: NDArray[np.bool_] = remove_small_components(mask, image, points_min)[mask]

@@ -40,7 +40,7 @@ class SharedWork:
         self, grid: PixelGrid, node: Node, vectors: NDArray[np.float32], config: SegmentationConfig
     ) -> tuple[Cut, NDArray[np.bool_]]:
         """Do as `cut_in_two`."""
-        key = (node.name, _digest(node.places), _judged_alike(config, "mse"))
+        key = (node.name, _digest(node.grid_pixels), _judged_alike(config, "mse"))
         if key not in self._made:
             self._made[key] = cut_in_two(grid, node, vectors, config)
         found: tuple[Cut, NDArray[np.bool_]] = self._made[key]

@@ -35,7 +35,7 @@ class BorderStatistics:
     first, second : int
         Labels, the smaller one first.
     samples : int
-        Places along the border where a row or column crosses it.
+        Grid pixels along the border where a row or column crosses it.
     touching : int
         Samples where the tangent planes of both surfaces, extrapolated to the border, agree.
     concavity_sum : float

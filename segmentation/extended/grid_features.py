@@ -26,15 +26,15 @@ class GridFeatures:
     adjacency : PixelAdjacency
         Neighbours without a gap between them.
     raw : (h * w, 9) float32
-        Lab color, position and normal of every place that has a point.
+        Lab color, position and normal of every grid pixel that has a point.
     """
 
     grid: DepthGrid
     adjacency: PixelAdjacency
     raw: NDArray[np.float32]
 
-    def places_min(self, config: SegmentationConfig) -> float:
-        """Return the fewest places of a segment."""
+    def grid_pixels_min(self, config: SegmentationConfig) -> float:
+        """Return the fewest grid pixels of a segment."""
         return config.extended.piece_pixels_min * self.grid.points.pixel_share
 
 
@@ -50,7 +50,7 @@ def grid_features(cloud: PointMap, config: SegmentationConfig) -> GridFeatures:
 
 
 def _half_window(grid: DepthGrid, config: SegmentationConfig) -> int:
-    """Return how far the windows for normals reach, places of the grid."""
+    """Return how far the windows for normals reach, grid pixels."""
     return max(1, round(0.5 * config.extended.normal_window_px * grid.unit_px / grid.step - 0.5))
 
 
@@ -70,7 +70,7 @@ def _normals(
 
 
 def segment_normalization(
-    raw: NDArray[np.float32], places: NDArray[np.intp], config: SegmentationConfig
+    raw: NDArray[np.float32], grid_pixels: NDArray[np.intp], config: SegmentationConfig
 ) -> Normalization:
     """Measure what makes the vectors of a segment comparable, with the weights that are set.
 
@@ -78,7 +78,7 @@ def segment_normalization(
     ----------
     raw : (N, 9) float32
         As `GridFeatures.raw`.
-    places : (M,) intp
+    grid_pixels : (M,) intp
         Of the segment.
     config : SegmentationConfig
         The weights.
@@ -86,37 +86,37 @@ def segment_normalization(
     Returns
     -------
     Normalization
-        Of the vectors at these places.
+        Of the vectors at these grid pixels.
     """
     return normalization(
         raw,
         config.geometry_weight,
         color_weight=config.extended.color_weight,
         normal_weight=config.extended.normal_weight,
-        rows=places,
+        rows=grid_pixels,
     )
 
 
 def with_features_at(
-    cloud: PointMap, features: GridFeatures, places: NDArray[np.intp], config: SegmentationConfig
+    cloud: PointMap, features: GridFeatures, grid_pixels: NDArray[np.intp], config: SegmentationConfig
 ) -> GridFeatures:
-    """Return features whose raw vectors are known at some places only, those that are to be split.
+    """Return features whose raw vectors are known at some grid pixels only, those that are to be split.
 
     Parameters
     ----------
     cloud, features : PointMap, GridFeatures
         The frame.
-    places : (N,) intp
-        Flat places of the grid, ascending.
+    grid_pixels : (N,) intp
+        Flat indices of grid pixels, ascending.
     config : SegmentationConfig
         Windows and weights.
     """
     grid, half = features.grid, _half_window(features.grid, config)
     raw = np.zeros((grid.valid.size, 9), dtype=np.float32)
-    raw[places, :6] = raw_vectors(cloud, grid.points.pixels(places))
-    rows, columns, (top, left, bottom, right) = grid.points.locate(places)
+    raw[grid_pixels, :6] = raw_vectors(cloud, grid.points.pixels(grid_pixels))
+    rows, columns, (top, left, bottom, right) = grid.points.locate(grid_pixels)
     # Windows for normals look at what is around the segment too.
     top, left = max(0, top - 2 * half), max(0, left - 2 * half)
     normals = _normals(grid, top, left, bottom + 2 * half, right + 2 * half, config)
-    raw[places, 6:] = normals[rows - top, columns - left]
+    raw[grid_pixels, 6:] = normals[rows - top, columns - left]
     return replace(features, raw=raw)

@@ -43,7 +43,7 @@ class Contact:
     reason : str
         Why, or why not.
     samples, touching : int
-        Places along the border, and those of them where the surfaces agree.
+        Grid pixels along the border, and those of them where the surfaces agree.
     concavity : float
         Mean turn of the normals towards each other where they touch, about radians, negative for a convex
         crease; NaN where they touch nowhere.

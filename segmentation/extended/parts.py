@@ -20,15 +20,15 @@ from nurbseg.segmentation.surfaces.noise import noise_floor
 
 
 class Part(NamedTuple):
-    """A part of a split: its flat places on the grid, its fit, and why it is not to be split, if so."""
+    """A part of a split: its flat indices of grid pixels, its fit, and why it is not to be split, if so."""
 
-    places: NDArray[np.intp]
+    grid_pixels: NDArray[np.intp]
     fit: Fit
     stop: StopReason | None
 
     def weighed(self, config: SegmentationConfig) -> tuple[float, int]:
         """Return what its metric counts for in the ratio, and its number of points."""
-        return metric_value(self.fit.values, config.metric, self.fit.floor), self.places.size
+        return metric_value(self.fit.values, config.metric, self.fit.floor), self.grid_pixels.size
 
 
 def judge_split(
@@ -39,10 +39,10 @@ def judge_split(
     return Trial(config.metric, *whole, tuple(parts), kept)
 
 
-def fit_segment(features: GridFeatures, places: NDArray[np.intp], config: SegmentationConfig) -> Part:
+def fit_segment(features: GridFeatures, grid_pixels: NDArray[np.intp], config: SegmentationConfig) -> Part:
     """Fit a surface, with the metric that decides among its values, and what noise leaves of that metric.
 
-    The places are flat indices into the grid, (N,) intp, ascending.
+    The grid pixels are flat indices into the grid, (N,) intp, ascending.
 
     Returns
     -------
@@ -50,18 +50,20 @@ def fit_segment(features: GridFeatures, places: NDArray[np.intp], config: Segmen
         Its stop is `NOISE` where the metric is so near its floor that the ratio (eq. 5) of any split would be
         T or more.
     """
-    if places.size == 0:
-        return Part(places, Fit(None, np.zeros(0), {}, "0 points, 1 needed", places), StopReason.NO_POINTS)
-    window, mask = features.grid.points.window_mask(places)
+    if grid_pixels.size == 0:
+        return Part(
+            grid_pixels, Fit(None, np.zeros(0), {}, "0 points, 1 needed", grid_pixels), StopReason.NO_POINTS
+        )
+    window, mask = features.grid.points.window_mask(grid_pixels)
     fit, _ = fit_window(features.grid, window, mask, config)
     if fit.surface is None:
-        return Part(places, fit, None)
+        return Part(grid_pixels, fit, None)
     if config.metric in CURVATURE_METRICS:
         fit = replace(fit, values=all_metrics(fit, features.grid.points.image_shape[1], config))
     if config.extended.noise_floor == 0:
-        return Part(places, fit, None)
+        return Part(grid_pixels, fit, None)
     fit = replace(fit, floor=noise_floor(features.grid, window, mask, config))
-    return Part(places, fit, StopReason.NOISE if at_noise_floor(fit, config) else None)
+    return Part(grid_pixels, fit, StopReason.NOISE if at_noise_floor(fit, config) else None)
 
 
 def at_noise_floor(fit: Fit, config: SegmentationConfig) -> bool:
@@ -89,7 +91,7 @@ def children_of(node: Node, sides: tuple[list[Part], list[Part]]) -> tuple[Node,
     first, second = sides
     if not (first and second):
         parts = first or second
-        largest = max(range(len(parts)), key=lambda n: parts[n].places.size)
+        largest = max(range(len(parts)), key=lambda n: parts[n].grid_pixels.size)
         first, second = [parts[largest]], parts[:largest] + parts[largest + 1 :]
     depth = node.cuts_above + 1
     return chain_components(f"{node.name}0", first, depth), chain_components(f"{node.name}1", second, depth)
@@ -97,18 +99,18 @@ def children_of(node: Node, sides: tuple[list[Part], list[Part]]) -> tuple[Node,
 
 def chain_components(name: str, parts: list[Part], cuts_above: int) -> Node:
     """Chain parts that are not connected: a node of the largest and of a node of the others, and so on."""
-    parts = sorted(parts, key=lambda part: -part.places.size)
-    places, fit, stop = parts[-1]
-    node = Node(f"{name}{'1' * (len(parts) - 1)}", places, fit, stop=stop, cuts_above=cuts_above)
+    parts = sorted(parts, key=lambda part: -part.grid_pixels.size)
+    grid_pixels, fit, stop = parts[-1]
+    node = Node(f"{name}{'1' * (len(parts) - 1)}", grid_pixels, fit, stop=stop, cuts_above=cuts_above)
     for largest in range(len(parts) - 2, -1, -1):
         inner, together = f"{name}{'1' * largest}", parts[largest:]
         # Each part ascends: the stable sort merges them.
-        places = np.sort(np.concatenate([part.places for part in together]), kind="stable")
+        grid_pixels = np.sort(np.concatenate([part.grid_pixels for part in together]), kind="stable")
         pixels = np.sort(np.concatenate([part.fit.pixels for part in together]), kind="stable")
         fit = Fit(None, np.zeros(0), {}, f"{len(together)} pieces that are not connected", pixels)
-        own_places, own_fit, stop = parts[largest]
-        own = Node(f"{inner}0", own_places, own_fit, stop=stop, cuts_above=cuts_above)
+        own_pixels, own_fit, stop = parts[largest]
+        own = Node(f"{inner}0", own_pixels, own_fit, stop=stop, cuts_above=cuts_above)
         rest = node
-        node = Node(inner, places, fit, cuts_above=cuts_above)
+        node = Node(inner, grid_pixels, fit, cuts_above=cuts_above)
         node.children, node.division = (own, rest), Division.GAP
     return node

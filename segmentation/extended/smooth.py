@@ -43,7 +43,7 @@ def smooth_borders(
     found : sequence of BorderStatistics
         Each of two labels.
     on_grid : (h, w) int32
-        Labels of the grid's places; 0 where there is no point.
+        Labels of the grid pixels; 0 where there is no point.
     grid : DepthGrid
         The points.
     config : SegmentationConfig
@@ -107,7 +107,7 @@ def _median(values: NDArray[np.float32]) -> float:
 def _squares(
     window: Window, marked: NDArray[np.bool_], grid: DepthGrid, config: SegmentationConfig
 ) -> tuple[float, bool]:
-    """Fit marked places; return the sum of squared residuals, 1/m^2, and whether noise explains them."""
+    """Fit marked grid pixels; return the sum of squared residuals, 1/m^2, and whether noise explains them."""
     left, top, width, height = cv2.boundingRect(marked.view(np.uint8))
     if width == 0:
         return 0.0, True

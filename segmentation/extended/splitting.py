@@ -26,8 +26,8 @@ from nurbseg.segmentation.points.grid import step_with_points
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Division, Node, SegmentationTree, StopReason, depth_first
 
-#: From so many places on, a segment is cut at every second place of both directions.
-_MANY_PLACES = 2_000
+#: From so many grid pixels on, a segment is cut at every second grid pixel of both directions.
+_MANY_PIXELS = 2_000
 
 
 def segment_nurbseg(
@@ -58,7 +58,7 @@ def segment_nurbseg(
 
     on_grid = np.zeros(features.grid.valid.size, dtype=np.int32)
     for label, leaf in enumerate(leaves, start=1):
-        on_grid[leaf.places] = label
+        on_grid[leaf.grid_pixels] = label
     inverse_depth = inverse_depth_image(cloud)
     labels = upsample_by_depth(
         on_grid.reshape(features.grid.valid.shape),
@@ -106,28 +106,30 @@ def grown_tree(features: GridFeatures, config: SegmentationConfig, time_is_over:
         node.division, node.cut = Division.CUT, cut if all(sides) else None
         return True
 
-    places = np.flatnonzero(features.grid.valid)
-    parts = _pieces(features, places, np.ones(places.size, dtype=np.int32), config)[0] or [places]
+    grid_pixels = np.flatnonzero(features.grid.valid)
+    parts = _pieces(features, grid_pixels, np.ones(grid_pixels.size, dtype=np.int32), config)[0] or [
+        grid_pixels
+    ]
     root = chain_components("", [fit_segment(features, part, config) for part in parts], 0)
-    grow(root, split, features.places_min(config), config, time_is_over)
+    grow(root, split, features.grid_pixels_min(config), config, time_is_over)
     return root
 
 
 def best_split(
-    features: GridFeatures, node: Node, config: SegmentationConfig, *, thin_from: int = _MANY_PLACES
+    features: GridFeatures, node: Node, config: SegmentationConfig, *, thin_from: int = _MANY_PIXELS
 ) -> tuple[tuple[list[Part], list[Part]], Cut | None]:
     """Try the cuts of a node in turn; if none is kept the node gets the reason and there is no cut.
 
     Parameters
     ----------
     features : GridFeatures
-        The frame; its vectors are read at the node's places.
+        The frame; its vectors are read at the node's grid pixels.
     node : Node
         Gets the trial of the split that is kept or else of the best one and, where none is, the reason.
     config : SegmentationConfig
         Thresholds and choices.
     thin_from : int
-        From so many places on a segment is cut at every second place of both directions.
+        From so many grid pixels on a segment is cut at every second grid pixel of both directions.
 
     Returns
     -------
@@ -136,9 +138,9 @@ def best_split(
     cut : Cut or None
         None where no split is kept.
     """
-    # Of a large segment, the places between those that are cut follow them.
+    # Of a large segment, the grid pixels between those that are cut follow them.
     points = features.grid.points
-    drawn = points.every_second(node.places) if node.places.size >= thin_from else node.places
+    drawn = points.every_second(node.grid_pixels) if node.grid_pixels.size >= thin_from else node.grid_pixels
     scale = segment_normalization(features.raw, drawn, config)
     rng = np.random.default_rng([config.seed, int(f"1{node.name}", 2)])
     node.stop, node.trial = StopReason.NO_CUT, None
@@ -153,13 +155,15 @@ def best_split(
     ):
         if cut.reason:
             continue
-        sides_of_places = cut.side if drawn is node.places else _continued(features, node, drawn, cut, scale)
-        pieces, side_of = _pieces(features, node.places, 1 + sides_of_places.astype(np.int32), config)
+        sides_of_pixels = (
+            cut.side if drawn is node.grid_pixels else _continued(features, node, drawn, cut, scale)
+        )
+        pieces, side_of = _pieces(features, node.grid_pixels, 1 + sides_of_pixels.astype(np.int32), config)
         if len(pieces) < 2:
             node.stop = StopReason.CHILD_TOO_SMALL
             continue
         parts = [fit_segment(features, piece, config) for piece in pieces]
-        whole = node.value(config), node.places.size
+        whole = node.value(config), node.grid_pixels.size
         trial = judge_split(whole, [part.weighed(config) for part in parts], config)
         if trial.kept or node.trial is None or trial.ratio < node.trial.ratio:
             node.trial = trial
@@ -179,27 +183,27 @@ def best_split(
 def _continued(
     features: GridFeatures, node: Node, drawn: NDArray[np.intp], cut: Cut, scale: Normalization
 ) -> NDArray[np.bool_]:
-    """Continue a cut of every second place to all: where those around agree, and else by its extension."""
-    sides, asked = _neighbors_side(cut.side, drawn, node.places, *features.grid.points.shape)
-    sides[asked] = cut.classify(normalized(features.raw, scale, node.places[asked]))
+    """Continue a cut of every second grid pixel to all: where those around agree, else by its extension."""
+    sides, asked = _neighbors_side(cut.side, drawn, node.grid_pixels, *features.grid.points.shape)
+    sides[asked] = cut.classify(normalized(features.raw, scale, node.grid_pixels[asked]))
     return sides
 
 
 @compiled
 def _neighbors_side(
-    drawn_side: Bool, drawn: Intp, places: Intp, height: int, width: int
+    drawn_side: Bool, drawn: Intp, grid_pixels: Intp, height: int, width: int
 ) -> tuple[Bool, Intp]:
-    """Give places the side of the drawn ones around them; also return which are those with none, or both."""
+    """Give grid pixels the side of the drawn ones around them; also return which have none, or both."""
     # Bit 0 for the False side and bit 1 for the True one, at every second row and column.
     corners = np.zeros(((height + 1) // 2 + 1, (width + 1) // 2 + 1), dtype=np.uint8)
     for n in range(drawn.size):
         row = drawn[n] // width
         corners[row >> 1, (drawn[n] - row * width) >> 1] = 2 if drawn_side[n] else 1
-    sides, asked = np.empty(places.size, dtype=np.bool_), np.empty(places.size, dtype=np.intp)
+    sides, asked = np.empty(grid_pixels.size, dtype=np.bool_), np.empty(grid_pixels.size, dtype=np.intp)
     count = 0
-    for n in range(places.size):
-        row = places[n] // width
-        column = places[n] - row * width
+    for n in range(grid_pixels.size):
+        row = grid_pixels[n] // width
+        column = grid_pixels[n] - row * width
         a, b = row >> 1, column >> 1
         around = corners[a, b] | corners[a + 1, b] | corners[a, b + 1] | corners[a + 1, b + 1]
         sides[n] = around == 2
@@ -209,19 +213,22 @@ def _neighbors_side(
 
 
 def _pieces(
-    features: GridFeatures, places: NDArray[np.intp], labels: NDArray[np.int32], config: SegmentationConfig
+    features: GridFeatures,
+    grid_pixels: NDArray[np.intp],
+    labels: NDArray[np.int32],
+    config: SegmentationConfig,
 ) -> tuple[list[NDArray[np.intp]], list[int]]:
-    """Split places by label and into connected pieces; small ones go to their neighbours.
+    """Split grid pixels by label and into connected pieces; small ones go to their neighbours.
 
-    Returns the places of each piece and the label it had, none where no component is large enough.
+    Returns the grid pixels of each piece and the label it had, none where no component is large enough.
     """
-    if places.size == 0:
+    if grid_pixels.size == 0:
         return [], []
     return large_components(
-        places,
+        grid_pixels,
         labels,
         features.adjacency,
         features.grid.inverse_depth,
         gap_per_m=config.extended.inverse_depth_gap,
-        places_min=features.places_min(config),
+        grid_pixels_min=features.grid_pixels_min(config),
     )

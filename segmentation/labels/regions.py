@@ -18,7 +18,7 @@ class PixelAdjacency:
     Parameters
     ----------
     right : (h, w) bool
-        Whether a place is connected to the one to its right; False in the last column.
+        Whether a grid pixel is connected to the one to its right; False in the last column.
     down : (h, w) bool
         Whether it is connected to the one below; False in the last row.
     """
@@ -29,28 +29,28 @@ class PixelAdjacency:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Components:
-    """Connected components of equal label, numbered from 1 in the order of their first places.
+    """Connected components of equal label, numbered from 1 in the order of their first grid pixels.
 
     Parameters
     ----------
     numbers : (h, w) int32
-        Number of each place's component; 0 where the label is 0.
+        Number of each grid pixel's component; 0 where the label is 0.
     labels_of : (count + 1,) int32
         Label of each component; 0 for number 0.
     sizes : (count + 1,) intp
-        Places of each component; 0 for number 0.
+        Grid pixels of each component; 0 for number 0.
     """
 
     numbers: NDArray[np.int32]
     labels_of: NDArray[np.int32]
     sizes: NDArray[np.intp]
 
-    def large(self, places_min: float, keep: int) -> NDArray[np.bool_]:
-        """Say which components have enough places, or are the largest of a label from 1 to `keep`.
+    def large(self, grid_pixels_min: float, keep: int) -> NDArray[np.bool_]:
+        """Say which components have enough grid pixels, or are the largest of a label from 1 to `keep`.
 
         Returns (count + 1,) bool, False for number 0.
         """
-        kept = self.sizes >= places_min
+        kept = self.sizes >= grid_pixels_min
         # In ascending order of size, so that the largest component of each label is written last.
         order = np.argsort(self.sizes, kind="stable")
         largest = np.zeros(max(keep, int(self.labels_of.max())) + 1, dtype=np.intp)
@@ -108,7 +108,7 @@ def _connect_neighbors(
 
 
 def connected_components(labels: NDArray[np.int32], adjacency: PixelAdjacency) -> Components:
-    """Find the components of equal label that are connected through adjacent places.
+    """Find the components of equal label that are connected through adjacent grid pixels.
 
     Parameters
     ----------
@@ -122,15 +122,22 @@ def connected_components(labels: NDArray[np.int32], adjacency: PixelAdjacency) -
     Components
         All of them, however small.
     """
-    places = np.flatnonzero(labels > 0)
-    return _connected(places, labels.reshape(-1).take(places).astype(np.int32, copy=False), adjacency)
+    grid_pixels = np.flatnonzero(labels > 0)
+    return _connected(
+        grid_pixels, labels.reshape(-1).take(grid_pixels).astype(np.int32, copy=False), adjacency
+    )
 
 
-def _connected(places: NDArray[np.intp], labels: NDArray[np.int32], adjacency: PixelAdjacency) -> Components:
-    """Find the components of some flat places, ascending, that have a label."""
+def _connected(
+    grid_pixels: NDArray[np.intp], labels: NDArray[np.int32], adjacency: PixelAdjacency
+) -> Components:
+    """Find the components of some flat grid pixels, ascending, that have a label."""
     numbers = np.zeros(adjacency.right.shape, dtype=np.int32)
-    labels_of, sizes = np.empty(places.size + 1, dtype=np.int32), np.empty(places.size + 1, dtype=np.intp)
-    count = _connect(places, labels, adjacency.right, adjacency.down, numbers, labels_of, sizes)
+    labels_of, sizes = (
+        np.empty(grid_pixels.size + 1, dtype=np.int32),
+        np.empty(grid_pixels.size + 1, dtype=np.intp),
+    )
+    count = _connect(grid_pixels, labels, adjacency.right, adjacency.down, numbers, labels_of, sizes)
     return Components(numbers, labels_of[: count + 1].copy(), sizes[: count + 1].copy())
 
 
@@ -144,28 +151,31 @@ def _root(parents: I32, number: int) -> int:
 
 @compiled
 def _connect(
-    places: Intp, labels: I32, right: Bool, down: Bool, numbers: I32, labels_of: I32, sizes: Intp
+    grid_pixels: Intp, labels: I32, right: Bool, down: Bool, numbers: I32, labels_of: I32, sizes: Intp
 ) -> int:
-    """Give each place the number of its component; return how many there are.
+    """Give each grid pixel the number of its component; return how many there are.
 
-    A place takes the number of a neighbour before it, and two numbers that meet become one: the larger has
+    A grid pixel takes the number of a neighbour before it, and two that meet become one: the larger has
     the smaller for its parent.
     """
     width = right.shape[1]
     number_of, linked_right, linked_down = numbers.reshape(-1), right.reshape(-1), down.reshape(-1)
-    parents = np.empty(places.size + 1, dtype=np.int32)
+    parents = np.empty(grid_pixels.size + 1, dtype=np.int32)
     parents[0] = labels_of[0] = sizes[0] = 0
     count = 0
     number, size = 0, 0
-    for n in range(places.size):
-        place, label, before = places[n], labels[n], number
+    for n in range(grid_pixels.size):
+        pixel, label, before = grid_pixels[n], labels[n], number
         # Nothing is connected across the ends of rows; number 0 is of no label.
         if not (
-            place > 0 and linked_right[place - 1] and places[n - 1] == place - 1 and labels[n - 1] == label
+            pixel > 0
+            and linked_right[pixel - 1]
+            and grid_pixels[n - 1] == pixel - 1
+            and labels[n - 1] == label
         ):
             number = 0
-        if place >= width and linked_down[place - width]:
-            above = number_of[place - width]
+        if pixel >= width and linked_down[pixel - width]:
+            above = number_of[pixel - width]
             if above != number and labels_of[above] == label:
                 if number == 0:
                     number = above
@@ -177,7 +187,7 @@ def _connect(
             count += 1
             number = count
             parents[number], labels_of[number], sizes[number] = number, label, 0
-        number_of[place] = number
+        number_of[pixel] = number
         if number != before:
             sizes[before] += size
             size = 0
@@ -194,48 +204,48 @@ def _connect(
         else:
             parents[number] = parents[parents[number]]
             sizes[parents[number]] += sizes[number]
-    for place in places:
-        number_of[place] = parents[number_of[place]]
+    for pixel in grid_pixels:
+        number_of[pixel] = parents[number_of[pixel]]
     return last
 
 
 def large_components(
-    places: NDArray[np.intp],
+    grid_pixels: NDArray[np.intp],
     labels: NDArray[np.int32],
     adjacency: PixelAdjacency,
     inverse_depth: NDArray[np.float32],
     *,
     gap_per_m: float,
-    places_min: float,
+    grid_pixels_min: float,
 ) -> tuple[list[NDArray[np.intp]], list[int]]:
     """Find the connected components that are large enough, and give them what the small ones hold.
 
     Parameters
     ----------
-    places : (N,) intp
-        Flat places of a grid, ascending; at least one.
+    grid_pixels : (N,) intp
+        Flat indices of grid pixels, ascending; at least one.
     labels : (N,) int32
         Label of each, more than 0.
     adjacency, inverse_depth : PixelAdjacency, (h, w) float32
         Of the whole grid.
     gap_per_m : float
         Gap in depth, 1/m.
-    places_min : float
-        Smallest number of places of a component.
+    grid_pixels_min : float
+        Smallest number of grid pixels of a component.
 
     Returns
     -------
     components : list of (n,) intp
-        Places of each component kept, ascending; none where no component is large enough.
+        Grid pixels of each component kept, ascending; none where no component is large enough.
     labels_of : list of int
         Label that each component had.
     """
-    # Only the rows that hold places are looked at.
+    # Only the rows that hold grid pixels are looked at.
     width = adjacency.right.shape[1]
-    rows = slice(int(places[0]) // width, int(places[-1]) // width + 1)
-    at = places - rows.start * width
+    rows = slice(int(grid_pixels[0]) // width, int(grid_pixels[-1]) // width + 1)
+    at = grid_pixels - rows.start * width
     found = _connected(at, labels, PixelAdjacency(adjacency.right[rows], adjacency.down[rows]))
-    kept = np.flatnonzero(found.sizes[1:] >= places_min) + 1
+    kept = np.flatnonzero(found.sizes[1:] >= grid_pixels_min) + 1
     if not kept.size:
         return [], []
     if kept.size + 1 < found.sizes.size:
@@ -245,36 +255,36 @@ def large_components(
         count = _keep(at, number, found.numbers, homeless)
         spread_in_place(found.numbers, homeless[:count], inverse_depth[rows], gap_per_m)
     if kept.size == 1:
-        return [places], found.labels_of[kept].tolist()
-    grouped, ends = np.empty_like(places), np.zeros(kept.size + 2, dtype=np.intp)
-    _group(places, at, found.numbers, grouped, ends)
+        return [grid_pixels], found.labels_of[kept].tolist()
+    grouped, ends = np.empty_like(grid_pixels), np.zeros(kept.size + 2, dtype=np.intp)
+    _group(grid_pixels, at, found.numbers, grouped, ends)
     pieces = [grouped[ends[n - 1] : ends[n]] for n in range(1, kept.size + 1)]
     return pieces, found.labels_of[kept].tolist()
 
 
 @compiled
-def _keep(places: Intp, number: I32, numbers: I32, homeless: Intp) -> int:
-    """Give places the new number of their component; list those that it has none for, and return how many."""
+def _keep(grid_pixels: Intp, number: I32, numbers: I32, homeless: Intp) -> int:
+    """Give grid pixels the new number of their component; list those without one, and return how many."""
     number_of = numbers.reshape(-1)
     count = 0
-    for place in places:
-        number_of[place] = number[number_of[place]]
-        if number_of[place] == 0:
-            homeless[count] = place
+    for pixel in grid_pixels:
+        number_of[pixel] = number[number_of[pixel]]
+        if number_of[pixel] == 0:
+            homeless[count] = pixel
             count += 1
     return count
 
 
 @compiled
-def _group(places: Intp, at: Intp, numbers: I32, grouped: Intp, ends: Intp) -> None:
-    """Sort places by the number at each, from 1 on; `ends`, 0 at first, tells where each number ends."""
+def _group(grid_pixels: Intp, at: Intp, numbers: I32, grouped: Intp, ends: Intp) -> None:
+    """Sort grid pixels by the number at each, from 1 on; `ends`, 0 at first, tells where each number ends."""
     number_of = numbers.reshape(-1)
-    for n in range(places.size):
+    for n in range(grid_pixels.size):
         ends[number_of[at[n]] + 1] += 1
     for n in range(1, ends.size):
         ends[n] += ends[n - 1]
     # What is the end of the number before grows to that of its own.
-    for n in range(places.size):
+    for n in range(grid_pixels.size):
         number = number_of[at[n]]
-        grouped[ends[number]] = places[n]
+        grouped[ends[number]] = grid_pixels[n]
         ends[number] += 1

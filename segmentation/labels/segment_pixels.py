@@ -14,7 +14,7 @@ from nurbseg.segmentation.surfaces.fit import Fit
 
 
 def by_label(labels: NDArray[np.integer], count: int) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-    """Sort the places of an image by label.
+    """Sort the pixels of an image by label.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def by_label(labels: NDArray[np.integer], count: int) -> tuple[NDArray[np.intp],
     Returns
     -------
     order : (N,) intp
-        The places of label 0, of label 1, and so on, ascending within each.
+        The grid pixels of label 0, of label 1, and so on, ascending within each.
     bounds : (count + 1,) int64
         Where those of each label begin in `order`, and its length.
     """
@@ -37,11 +37,11 @@ def by_label(labels: NDArray[np.integer], count: int) -> tuple[NDArray[np.intp],
 
 @compiled
 def _sort_by_label(labels: NDArray[np.integer], order: Intp, bounds: I64) -> None:
-    """Count labels, and put each place where those of its label are, run by run of equal labels."""
+    """Count labels, and put each pixel where those of its label are, run by run of equal labels."""
     starts, runs = np.empty(labels.size + 1, dtype=np.int64), 0
-    for place in range(labels.size):
-        if place == 0 or labels[place] != labels[place - 1]:
-            starts[runs] = place
+    for pixel in range(labels.size):
+        if pixel == 0 or labels[pixel] != labels[pixel - 1]:
+            starts[runs] = pixel
             runs += 1
     starts[runs] = labels.size
     for run in range(runs):
@@ -50,11 +50,11 @@ def _sort_by_label(labels: NDArray[np.integer], order: Intp, bounds: I64) -> Non
         bounds[label] += bounds[label - 1]
     following = bounds.copy()
     for run in range(runs):
-        place, size = starts[run], starts[run + 1] - starts[run]
-        at = following[labels[place]]
+        pixel, size = starts[run], starts[run + 1] - starts[run]
+        at = following[labels[pixel]]
         for n in range(size):
-            order[at + n] = place + n
-        following[labels[place]] += size
+            order[at + n] = pixel + n
+        following[labels[pixel]] += size
 
 
 def finished_segments(

@@ -1,4 +1,4 @@
-"""Labels that spread over unlabelled places, from the rim inwards."""
+"""Labels that spread over unlabelled pixels, from the rim inwards."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, I32, Intp, compiled
 
-#: Marks of places to label, in an image of labels: those that wait, and those that are next.
+#: Marks of grid pixels to label, in an image of labels: those that wait, and those that are next.
 _OPEN, _NEXT = -1, -2
 #: Rows and columns to the neighbours; of equally near ones the first gives its label.
 _NEIGHBORS = ((0, 1), (1, 0), (0, -1), (-1, 0))
@@ -19,15 +19,15 @@ def spread_labels(
     inverse_depth: NDArray[np.float32],
     gap_per_m: float,
 ) -> NDArray[np.int32]:
-    """Give unlabelled places the label of the neighbour nearest in inverse depth, from the rim inwards.
+    """Give unlabelled pixels the label of the neighbour nearest in inverse depth, from the rim inwards.
 
     Parameters
     ----------
     labels : (h, w) int32
         0 is no label.
     wanted : (h, w) bool
-        Places to label, unlabelled so far. Those that no chain of them connects to a label take that of
-        the nearest labelled place.
+        Grid pixels to label, unlabelled so far. Those that no chain of them connects to a label take that of
+        the nearest labelled grid pixel.
     inverse_depth : (h, w) float32
         One over depth, 1/m.
     gap_per_m : float
@@ -36,47 +36,47 @@ def spread_labels(
     Returns
     -------
     (h, w) int32
-        The labels, with those of the wanted places.
+        The labels, with those of the wanted grid pixels.
     """
     spread = np.array(labels, dtype=np.int32, order="C")
-    places = np.flatnonzero(wanted)
-    if places.size:
-        spread_in_place(spread, places, inverse_depth, gap_per_m)
+    grid_pixels = np.flatnonzero(wanted)
+    if grid_pixels.size:
+        spread_in_place(spread, grid_pixels, inverse_depth, gap_per_m)
     return spread
 
 
 def spread_in_place(
     labels: NDArray[np.int32],
-    places: NDArray[np.intp],
+    grid_pixels: NDArray[np.intp],
     inverse_depth: NDArray[np.float32],
     gap_per_m: float,
 ) -> None:
-    """Give unlabelled places labels, writing to the image itself.
+    """Give unlabelled pixels labels, writing to the image itself.
 
     Parameters
     ----------
     labels : (h, w) int32
         As for `spread_labels`; contiguous.
-    places : (N,) intp
-        Flat places to label; their order is not kept.
+    grid_pixels : (N,) intp
+        Flat indices to label; their order is not kept.
     inverse_depth, gap_per_m
         As for `spread_labels`.
     """
-    labels.reshape(-1)[places] = _OPEN
-    islands = _spread(labels, np.ascontiguousarray(inverse_depth), places, np.float32(gap_per_m))
+    labels.reshape(-1)[grid_pixels] = _OPEN
+    islands = _spread(labels, np.ascontiguousarray(inverse_depth), grid_pixels, np.float32(gap_per_m))
     if islands:
-        _take_nearest(labels, places[:islands])
+        _take_nearest(labels, grid_pixels[:islands])
 
 
 @compiled
-def _spread(labels: I32, inverse_depth: F32, places: Intp, gap_per_m: np.float32) -> int:
-    """Label open places in rounds; return how many stay open, which are then the first of `places`."""
+def _spread(labels: I32, inverse_depth: F32, grid_pixels: Intp, gap_per_m: np.float32) -> int:
+    """Label open pixels in rounds; return how many stay open, which are then the first of `grid_pixels`."""
     height, width = labels.shape
     flat = labels.reshape(-1)
     # Only what is next to a label of the round before can take one now, unless gaps have ceased to count.
-    front, reached = places.copy(), np.empty_like(places)
-    taken = np.empty(places.size, dtype=np.int32)
-    waiting, fronts = places.size, places.size
+    front, reached = grid_pixels.copy(), np.empty_like(grid_pixels)
+    taken = np.empty(grid_pixels.size, dtype=np.int32)
+    waiting, fronts = grid_pixels.size, grid_pixels.size
     limit = gap_per_m
     while True:
         count = 0
@@ -96,8 +96,8 @@ def _spread(labels: I32, inverse_depth: F32, places: Intp, gap_per_m: np.float32
         fronts = 0
         if count == 0:
             for n in range(waiting):
-                if flat[places[n]] < 0:
-                    places[fronts] = front[fronts] = places[n]
+                if flat[grid_pixels[n]] < 0:
+                    grid_pixels[fronts] = front[fronts] = grid_pixels[n]
                     fronts += 1
             waiting = fronts
             if waiting == 0 or limit == np.float32(np.inf):
@@ -119,7 +119,7 @@ def _spread(labels: I32, inverse_depth: F32, places: Intp, gap_per_m: np.float32
 
 @compiled
 def _take_nearest(labels: I32, islands: Intp) -> None:
-    """Give open places the label of the nearest labelled place, 0 where there is none."""
+    """Give open pixels the label of the nearest labelled pixel, 0 where there is none."""
     height, width = labels.shape
     # How far the nearest label of the same column is, upwards less than 0; `height` where there is none.
     along = np.empty((height, width), dtype=np.int32)

@@ -1,4 +1,4 @@
-"""Strips along the borders of two labels: the places of either one that are near the other."""
+"""Strips along the borders of two labels: the grid pixels of either one that are near the other."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ class BorderStrips:
         self._boxes = [None, *ndimage.find_objects(labels)]
 
     def strip(self, first: int, second: int, reach: int) -> tuple[Window, NDArray[np.uint8]]:
-        """Find the places of either label with the other one within reach.
+        """Find the grid pixels of either label with the other one within reach.
 
         Parameters
         ----------
         first, second : int
             Labels, more than 0.
         reach : int
-            How far along rows and along columns, places.
+            How far along rows and along columns, grid pixels.
 
         Returns
         -------

@@ -45,8 +45,8 @@ def upsample_labels(
 ) -> NDArray[np.uint16]:
     """Give every pixel that has a point to a leaf.
 
-    A place of the grid keeps its leaf, and a pixel between places that all belong to one leaf belongs there
-    too. Where the four places around a pixel disagree, the pixel's own vector decides, at the split that
+    A grid pixel keeps its leaf, and a pixel between grid pixels that all belong to one leaf belongs there
+    too. Where the four grid pixels around a pixel disagree, the pixel's own vector decides, at the split that
     parted the leaves in question: the extension of that cut says which part it belongs to. The clean-up of
     small pieces is kept, since only leaves around the pixel are in question.
 
@@ -57,7 +57,7 @@ def upsample_labels(
     grid : PixelGrid
         The grid on which the tree was decided.
     leaves : sequence of (N,) intp
-        Flat places of each leaf on the grid, in depth-first order.
+        Flat indices of each leaf's grid pixels, in depth-first order.
     splits : sequence of Split
         The kept splits, a segment before its parts.
     vectors_of : callable
@@ -77,8 +77,8 @@ def upsample_labels(
     if none > _LEAVES_MAX:
         raise ValueError(f"leaves: expected at most {_LEAVES_MAX}, got {none}")
     on_grid = np.full(grid.valid.size, none, dtype=np.uint16)
-    for number, places in enumerate(leaves):
-        on_grid[places] = number
+    for number, grid_pixels in enumerate(leaves):
+        on_grid[grid_pixels] = number
     if grid.step == 1:
         return on_grid
     labels = np.full(grid.image_shape, none, dtype=np.uint16)
@@ -86,15 +86,15 @@ def upsample_labels(
         labels[cloud.valid] = 0
         return labels.reshape(-1)
 
-    # Least and greatest leaf at the corners of every cell, places without a point not counted.
+    # Least and greatest leaf at the corners of every cell, grid pixels without a point not counted.
     corners = _corners(on_grid.reshape(grid.shape))
     greatest = np.where(corners == none, np.int32(-1), corners).max(axis=0)
     agreed = (corners.min(axis=0) == greatest) | ((corners == greatest) | (corners == none)).all(axis=0)
     agreed &= greatest >= 0
     cells = _enlarged(np.where(agreed, greatest, none).astype(np.uint16), grid)
     np.copyto(labels, cells, where=cloud.valid)
-    places = np.flatnonzero(grid.valid)
-    labels.reshape(-1)[grid.pixels(places)] = on_grid[places]
+    grid_pixels = np.flatnonzero(grid.valid)
+    labels.reshape(-1)[grid.pixels(grid_pixels)] = on_grid[grid_pixels]
 
     undecided = np.flatnonzero((labels == none) & cloud.valid)
     rows, columns = np.divmod(undecided, grid.image_shape[1])
@@ -170,7 +170,7 @@ def upsample_by_depth(
     Returns
     -------
     (H, W) int32
-        The label of the place of the grid at or before the pixel, unless a gap in depth is in between:
+        The label of the grid pixel at or before the pixel, unless a gap in depth is in between:
         then that of the neighbour nearest in inverse depth. 0 only where there is no point.
     """
     labels = np.empty(valid.shape, dtype=np.int32)
@@ -199,7 +199,7 @@ def _take_over(
     labels: I32,
     open_pixels: Bool,
 ) -> None:
-    """Give pixels the label of their place of the grid, where no gap is in between; open the others."""
+    """Give pixels the label of their grid pixel, where no gap is in between; open the others."""
     height, width = valid.shape
     row_labels, row_inverse_depth = np.empty(width, dtype=np.int32), np.empty(width, dtype=np.float32)
     for row in range(height):

@@ -74,9 +74,9 @@ def relax_borders(
 
 @compiled
 def _spread(before: U16, on_grid: I32, inverse_depth: F32, step: int, labels: U16) -> None:
-    """Give the pixels of a place its label where it is another one than before."""
+    """Give the pixels of a grid pixel its label where it is another one than before."""
     height, width = before.shape
-    # What the pixels of a row of places take, -1 where they keep what they have.
+    # What the pixels of a row of grid pixels take, -1 where they keep what they have.
     taken = np.empty(width, dtype=np.int32)
     for r in range(height):
         if r % step == 0:
@@ -147,11 +147,11 @@ def _relax(
 
 @compiled
 def _explained(samples: Samples, label: np.int64, at: tuple[int, int, float, float]) -> float:
-    """Return a surface's inverse depth at and beyond a place, linear between places; inf out of its reach."""
+    """Return a surface's inverse depth at and beyond a grid pixel, linear in between; inf where it ends."""
     values, windows = samples
     row, column, down, across = at
     top, left, bottom, right, start = windows[label]
-    # Beside the last place of a row or column no other one is asked.
+    # Beside the last grid pixel of a row or column no other one is asked.
     under, beside = (1 if down > 0 else 0), (1 if across > 0 else 0)
     if not (top <= row < bottom - under and left <= column < right - beside):
         return np.inf

@@ -19,7 +19,18 @@ from nurbseg.segmentation.surfaces.fit import Fit
 #: Why what was divided without a cut has no surface.
 NOT_CUT = "parts that no cut made"
 #: What a node takes over from the one that takes its place.
-_TAKEN_OVER = ("places", "fit", "children", "division", "trial", "stop", "cut", "measured", "judged", "age")
+_TAKEN_OVER = (
+    "grid_pixels",
+    "fit",
+    "children",
+    "division",
+    "trial",
+    "stop",
+    "cut",
+    "measured",
+    "judged",
+    "age",
+)
 
 
 @dataclass(slots=True)
@@ -40,7 +51,7 @@ class UpdateReport:
     waiting : int
         Leaves that are to be tried in later frames.
     step : int
-        Pixels from one place of the grid to the next.
+        Pixels from one grid pixel to the next.
     """
 
     reset: str = ""
@@ -95,7 +106,7 @@ class TreeUpdate:
 def _relabel(
     labels: U16, inverse_depth: F32, before: I32, on_grid: I32, final: U16, step: int, relabelled: U16
 ) -> None:
-    """Look up labels from now on; pixels that have the label of their place change with it."""
+    """Look up labels from now on; pixels that have the label of their grid pixel change with it."""
     height, width = labels.shape
     known, number = np.empty(width, dtype=np.int32), np.empty(width, dtype=np.int32)
     for r in range(height):
@@ -128,7 +139,7 @@ class TreeEditor:
     by_number : dict of int to LiveLeaf
         The leaves.
     labels : (h, w) int32
-        Working number of every place.
+        Working number of every grid pixel.
     done : TreeUpdate
         What was done so far.
     """
@@ -149,13 +160,13 @@ class TreeEditor:
         self._next = len(leaves) + 1
 
     def sizes(self) -> NDArray[np.int64]:
-        """Return the number of places of each working number, that of 0 being 0."""
+        """Return the number of grid pixels of each working number, that of 0 being 0."""
         sizes = np.bincount(self.labels.reshape(-1), minlength=self._next)
         sizes[0] = 0
         return sizes
 
     def neighbors(self, adjacency: PixelAdjacency, least: int) -> list[tuple[int, int]]:
-        """Return pairs of leaves that are adjacent along so many places, the smaller number first."""
+        """Return pairs of leaves that are adjacent along so many grid pixels, the smaller number first."""
         contacts = np.zeros((self._next, self._next), dtype=np.int64)
         _count_contacts(self.labels, adjacency.right, adjacency.down, contacts)
         contacts += contacts.T
@@ -171,14 +182,14 @@ class TreeEditor:
         """Divide a leaf, without a cut, into itself and a part that came into view in a frame."""
         leaf = self.by_number[neighbor]
         node = leaf.node
-        places, fit, _ = part
-        rest = Node(f"{node.name}0", node.places, node.fit, cuts_above=node.cuts_above)
-        new = Node(f"{node.name}1", places, fit, cuts_above=node.cuts_above)
+        grid_pixels, fit, _ = part
+        rest = Node(f"{node.name}0", node.grid_pixels, node.fit, cuts_above=node.cuts_above)
+        new = Node(f"{node.name}1", grid_pixels, fit, cuts_above=node.cuts_above)
         node.children, node.division, node.judged = (rest, new), Division.APPEARED, frame
         node.fit, node.measured = Fit(None, np.zeros(0), {}, NOT_CUT, np.zeros(0, dtype=np.intp)), None
         node.stop = node.trial = node.cut = None
         leaf.node = rest
-        self.labels.ravel()[places] = self.add_leaf(new)
+        self.labels.ravel()[grid_pixels] = self.add_leaf(new)
         self.done.report.appeared += 1
 
     def add_leaf(self, node: Node) -> int:
@@ -214,14 +225,14 @@ class TreeEditor:
         return any(each is node for each in depth_first(self._root))
 
     def merge_leaves(self, gone: int, kept: int) -> None:
-        """Give the places of one leaf to another, and take it out of the tree."""
+        """Give the grid pixels of one leaf to another, and take it out of the tree."""
         leaf = self.by_number.pop(gone)
         self.labels[self.labels == gone] = kept
         self._merged_into[gone] = kept
         self._remove(leaf.node)
 
     def around(self, mask: NDArray[np.bool_]) -> int | None:
-        """Return the leaf that surrounds some places, if there is one."""
+        """Return the leaf that surrounds some grid pixels, if there is one."""
         kernel = np.ones((3, 3), dtype=np.uint8)
         ring = (cv2.dilate(mask.view(np.uint8), kernel) > 0) & ~mask
         labels = self.labels[ring]
@@ -267,7 +278,7 @@ class TreeEditor:
 
 @compiled
 def _count_contacts(labels: I32, right: Bool, down: Bool, contacts: I64) -> None:
-    """Count the adjacent places of two numbers, the first to the left of the second or above it."""
+    """Count the adjacent grid pixels of two numbers, the first to the left of the second or above it."""
     height, width = labels.shape
     for r in range(height):
         for c in range(width):

@@ -20,7 +20,7 @@ from nurbseg.segmentation.surfaces.surface import NurbsSurface
 _MOTION_MOST_PER_M = 0.15
 #: A surface does not go farther away than this, 1/m.
 _LEAST_PER_M = 1e-2
-#: Passes in which labels grow into places that have none.
+#: Passes in which labels grow into grid pixels that have none.
 _GROWTH = 12
 
 
@@ -34,7 +34,7 @@ def moved_surfaces(
     """Move every surface by the linear change of inverse depth that its points show.
 
     A spline holds linear functions exactly, so that the moved surface has the same knots. It follows any
-    motion of a plane, and small motions of the others. Places whose neighbours have another label do
+    motion of a plane, and small motions of the others. Grid pixels whose neighbours have another label do
     not count.
 
     Parameters
@@ -59,7 +59,7 @@ def moved_surfaces(
     count = len(surfaces) + 1
     change = lattice.image(labels)
     sums = np.zeros((count, 3))
-    _tell_changes(labels, inner_places(labels), inverse_depth, change, sums)
+    _tell_changes(labels, inner_pixels(labels), inverse_depth, change, sums)
     mean, square = np.ascontiguousarray(sums[:, 1:].T) / np.maximum(sums[:, 0], 1.0)
     spread = np.sqrt(np.maximum(square - np.square(mean), 0.0))
     limit = np.maximum(6.0 * noise_per_m, 2.0 * spread)
@@ -93,7 +93,7 @@ def kept_labels(
     lattice: SurfaceLattice,
     limits_per_m: NDArray[np.float32],
 ) -> NDArray[np.int32]:
-    """Take labels away from places that their surfaces do not explain.
+    """Take labels away from grid pixels that their surfaces do not explain.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def kept_labels(
     lattice : SurfaceLattice
         Of the labels' surfaces.
     limits_per_m : (labels + 1,) float32
-        Residual from which on a label's surface does not explain a place, 1/m.
+        Residual from which on a label's surface does not explain a grid pixel, 1/m.
 
     Returns
     -------
@@ -121,9 +121,9 @@ def grown_labels(
     lattice: SurfaceLattice,
     limits_per_m: NDArray[np.float32],
 ) -> NDArray[np.int32]:
-    """Let labels grow into unlabelled places that their surfaces explain.
+    """Let labels grow into unlabelled grid pixels that their surfaces explain.
 
-    All is as for `kept_labels`; places without a point, whose inverse depth is 0, and those that no
+    All is as for `kept_labels`; grid pixels without a point, whose inverse depth is 0, and those that no
     neighbour's surface explains stay 0.
     """
     grown = labels.copy()
@@ -156,7 +156,7 @@ def split_off_new(
     grid, open_label = features.grid, count + 1
     marked = np.where(grid.valid & (labels == 0), np.int32(open_label), labels)
     found = connected_components(marked, features.adjacency)
-    kept = found.large(features.places_min(config), count)
+    kept = found.large(features.grid_pixels_min(config), count)
     new = np.flatnonzero(kept & (found.labels_of == open_label))
     labels_of = np.where(kept, found.labels_of, 0).astype(np.int32)
     labels_of[new] = np.arange(open_label, open_label + new.size)
@@ -170,8 +170,8 @@ def split_off_new(
     return cleaned, numbers
 
 
-def inner_places(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Find places with a label whose eight neighbours have the same, (h, w) bool."""
+def inner_pixels(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Find grid pixels with a label whose eight neighbours have the same, (h, w) bool."""
     inner = np.empty(labels.shape, dtype=np.bool_)
     _find_inner(labels, inner)
     return inner
@@ -179,7 +179,7 @@ def inner_places(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
 
 @compiled
 def _find_inner(labels: I32, inner: Bool) -> None:
-    """Mark places in columns of three equal labels, between two such columns of the same label."""
+    """Mark grid pixels in columns of three equal labels, between two such columns of the same label."""
     height, width = labels.shape
     column = np.empty(width, dtype=np.bool_)
     for r in range(height):
@@ -195,12 +195,12 @@ def _find_inner(labels: I32, inner: Bool) -> None:
 
 @compiled
 def _tell_changes(labels: I32, inner: Bool, inverse_depth: F32, change: F32, sums: F64) -> None:
-    """Turn surfaces' inverse depths into changes, NaN where a place does not count; sum 1, c, cc by label."""
+    """Turn surfaces' inverse depths into changes, NaN where one does not count; sum 1, c, cc by label."""
     height, width = labels.shape
     for r in range(height):
         c = 0
         while c < width:
-            # Places in a row with the same label are summed together.
+            # Grid pixels in a row with the same label are summed together.
             label = labels[r, c]
             n, total, squares = 0, 0.0, 0.0
             while c < width and labels[r, c] == label:
@@ -253,21 +253,21 @@ def _moved_net(
 
 @compiled
 def _grow(labels: I32, inverse_depth: F32, samples: Samples, limits: F32, passes: int) -> None:
-    """Give open places the label beside them that explains them best, all those of a pass at once."""
+    """Give open grid pixels the label beside them that explains them best, all those of a pass at once."""
     values, windows = samples
     height, width = labels.shape
-    places, found = np.empty(labels.size, dtype=np.int64), np.empty(labels.size, dtype=np.int32)
+    grid_pixels, found = np.empty(labels.size, dtype=np.int64), np.empty(labels.size, dtype=np.int32)
     flat = labels.reshape(-1)
     depths = inverse_depth.reshape(-1)
     waiting = 0
-    for place in range(flat.size):
-        if flat[place] == 0 and depths[place] > 0:
-            places[waiting] = place
+    for pixel in range(flat.size):
+        if flat[pixel] == 0 and depths[pixel] > 0:
+            grid_pixels[waiting] = pixel
             waiting += 1
     for _ in range(passes):
         grown = 0
         for n in range(waiting):
-            row, column = divmod(places[n], width)
+            row, column = divmod(grid_pixels[n], width)
             least = np.float32(np.inf)
             found[n] = 0
             for down, across in ((-1, 0), (1, 0), (0, -1), (0, 1)):
@@ -281,7 +281,7 @@ def _grow(labels: I32, inverse_depth: F32, samples: Samples, limits: F32, passes
                 if not (top <= row < bottom and left <= column < right):
                     continue
                 at = start + (row - top) * (right - left) + column - left
-                residual = abs(values[at] - depths[places[n]])
+                residual = abs(values[at] - depths[grid_pixels[n]])
                 if residual < limits[label] and residual < least:
                     least = residual
                     found[n] = label
@@ -291,8 +291,8 @@ def _grow(labels: I32, inverse_depth: F32, samples: Samples, limits: F32, passes
         left_over = 0
         for n in range(waiting):
             if found[n] > 0:
-                flat[places[n]] = found[n]
+                flat[grid_pixels[n]] = found[n]
             else:
-                places[left_over] = places[n]
+                grid_pixels[left_over] = grid_pixels[n]
                 left_over += 1
         waiting = left_over

@@ -12,7 +12,7 @@ from nurbseg.drivers.compiled import F32, F64, I32, Bool, Intp, compiled
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.extended.parts import Part
 from nurbseg.segmentation.labels.segment_pixels import by_label
-from nurbseg.segmentation.live.follow import inner_places
+from nurbseg.segmentation.live.follow import inner_pixels
 from nurbseg.segmentation.points.depth_grid import DepthGrid
 from nurbseg.segmentation.segments import Node, StopReason, Trial
 from nurbseg.segmentation.surfaces.curvature import all_metrics
@@ -76,8 +76,8 @@ class LiveLeaf:
         self.surface = self.node.fit.surface
 
     def refit(self, part: Part) -> None:
-        """Give it the places and the fit of this frame."""
-        self.node.places, self.node.fit, _ = part
+        """Give it the grid pixels and the fit of this frame."""
+        self.node.grid_pixels, self.node.fit, _ = part
         self.surface, self.age, self.level = part.fit.surface, 0, float("nan")
 
     @property
@@ -92,15 +92,15 @@ class Misfit:
 
     Parameters
     ----------
-    places : (labels + 1,) int64
-        Places of the grid.
+    counts : (labels + 1,) int64
+        Number of grid pixels.
     mean_squared : (labels + 1,) float64
         Mean of the squared residuals in units of the noise, each limited; 1 is what noise leaves.
     unreached : (labels + 1,) float64
-        Share of places that the surface does not reach.
+        Share of grid pixels that the surface does not reach.
     """
 
-    places: NDArray[np.int64]
+    counts: NDArray[np.int64]
     mean_squared: NDArray[np.float64]
     unreached: NDArray[np.float64]
 
@@ -124,23 +124,23 @@ def misfit(
         Number of labels.
     """
     size = leaves + 1
-    # Of the rim and of the inner places: how many, not reached, and sum of squares.
+    # Of the rim and of the inner pixels: how many, not reached, and sum of squares.
     sums = np.zeros((size, 2, 3))
-    explained, inner = lattice.image(labels), inner_places(labels)
+    explained, inner = lattice.image(labels), inner_pixels(labels)
     _sum_misfits(labels, grid.inverse_depth, 1.0 / noise_per_m, SQUARE_MOST**0.5, explained, inner, sums)
     every = sums.sum(axis=1)
     thin = sums[:, 1, 0] < _INNER_SHARE * every[:, 0]
     judged = np.where(thin[:, np.newaxis], every, sums[:, 1])
     square = judged[:, 2] / np.maximum(judged[:, 0], 1.0)
-    places = every[:, 0].astype(np.int64)
-    return Misfit(places, square, every[:, 1] / np.maximum(places, 1))
+    counts = every[:, 0].astype(np.int64)
+    return Misfit(counts, square, every[:, 1] / np.maximum(counts, 1))
 
 
 @compiled
 def _sum_misfits(
     labels: I32, inverse_depth: F32, per_deviation: float, most: float, explained: F32, inner: Bool, sums: F64
 ) -> None:
-    """Sum by label over places at the rim and inner ones: 1, those not reached, limited squared residuals."""
+    """Sum by label over pixels at the rim and inner ones: 1, those not reached, limited squared residuals."""
     height, width = labels.shape
     for r in range(height):
         for c in range(width):
@@ -161,7 +161,7 @@ def update_residuals(
     grid: DepthGrid,
     config: SegmentationConfig,
 ) -> list[LiveLeaf]:
-    """Give each leaf its places, its moved surface's residuals, and the metrics of these.
+    """Give each leaf its grid pixels, its moved surface's residuals, and the metrics of these.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def update_residuals(
     Returns
     -------
     list of LiveLeaf
-        Leaves whose surface does not reach all of their places. They have their places only, and no fit.
+        Leaves whose surface does not reach all of their grid pixels. They have these only, and no fit.
     """
     size = len(leaves) + 1
     order, bounds = by_label(labels.reshape(-1), size)
@@ -208,10 +208,10 @@ def update_residuals(
         own = slice(bounds[label], bounds[label + 1])
         leaf.rms_per_m = float(rms_per_m[label])
         fitted_now = leaf.age == 0 and leaf.surface is not None and leaf.node.fit.surface is leaf.surface
-        if fitted_now and np.array_equal(leaf.node.places, order[own]):
-            # The fit is of these very places, and more exact.
+        if fitted_now and np.array_equal(leaf.node.grid_pixels, order[own]):
+            # The fit is of these very grid pixels, and more exact.
             continue
-        leaf.node.places = order[own]
+        leaf.node.grid_pixels = order[own]
         if leaf.surface is None or unreached[label] > 0:
             leaf.node.fit = Fit(None, np.zeros(0), {}, leaf.node.fit.reason, pixels[own])
             not_reached.append(leaf)
@@ -246,19 +246,19 @@ def _measure(
     """Give residuals in space and pixels in the order of labels; sum them, count large and missing ones."""
     grid_width, image_width, step = widths
     for n in range(order.size):
-        place = order[n]
-        row = place // grid_width
-        pixels[n] = (row * image_width + place - row * grid_width) * step
-        label = labels[place]
+        pixel = order[n]
+        row = pixel // grid_width
+        pixels[n] = (row * image_width + pixel - row * grid_width) * step
+        label = labels[pixel]
         if label == 0:
             continue
         own = sums[label]
-        if not explained[place] < np.inf:
+        if not explained[pixel] < np.inf:
             own[4] += 1.0
             continue
-        beyond_per_m = abs(np.float64(explained[place]) - inverse_depth[place])
+        beyond_per_m = abs(np.float64(explained[pixel]) - inverse_depth[pixel])
         # The point and its surface point lie on one ray.
-        residual_m = distances_m[place] * beyond_per_m / explained[place]
+        residual_m = distances_m[pixel] * beyond_per_m / explained[pixel]
         residuals_m[n] = residual_m
         own[0] += residual_m
         own[1] += residual_m * residual_m

@@ -71,7 +71,7 @@ class ObjectMemory:
         leaves : sequence of LiveLeaf
             Of the labels 1, 2, ...
         on_grid : (h, w) int32
-            Labels of the grid's places.
+            Labels of the grid pixels.
         lattice : SurfaceLattice
             Of their surfaces.
         grid : DepthGrid

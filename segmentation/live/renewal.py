@@ -17,8 +17,8 @@ from nurbseg.segmentation.segments import Division, Node, StopReason, depth_firs
 
 #: Frames within which every split is judged again, and after which the oldest rejected trial counts no more.
 SPLIT_FRAMES, TRIAL_FRAMES = 60, 300
-#: Places of the grid whose splits are judged again in one frame; one split is in any case.
-_JUDGED_PLACES = 4_000
+#: Grid pixels whose splits are judged again in one frame; one split is in any case.
+_JUDGED_PIXELS = 4_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,18 +87,18 @@ def renew_splits(
             reach[id(node)] = reach[id(first)][0], reach[id(second)][1]
         else:
             reach[id(node)] = label[id(node)], label[id(node)]
-    ends = np.cumsum([0, *(leaf.node.places.size for leaf in leaves)])
+    ends = np.cumsum([0, *(leaf.node.grid_pixels.size for leaf in leaves)])
     for node in nodes:
         if node.division not in (None, Division.CUT):
             # It has no surface, and its pixels are those of its parts.
             node.fit = replace(node.fit, pixels=np.zeros(0, dtype=np.intp))
     rejected: list[Node] = []
     splits = [node for node in nodes if node.division is Division.CUT]
-    judged = places = 0
+    judged = counted = 0
     for node in sorted(splits, key=lambda node: -node.age):
         first_label, last_label = reach[id(node)]
         size = int(ends[last_label] - ends[first_label - 1])
-        turn = judged == 0 or places + size <= _JUDGED_PLACES or node.age >= SPLIT_FRAMES
+        turn = judged == 0 or counted + size <= _JUDGED_PIXELS or node.age >= SPLIT_FRAMES
         if turn or every_surface:
             own = np.flatnonzero((labels >= first_label) & (labels <= last_label))
             node.fit, node.measured = fit_segment(features, own, config).fit, frame
@@ -107,9 +107,9 @@ def renew_splits(
             node.fit = replace(node.fit, surface=None, residuals_m=np.zeros(0), reason=reason)
         if not turn:
             continue
-        judged, places = judged + 1, places + size
-        below = (leaf.node for leaf in leaves[first_label - 1 : last_label] if leaf.node.places.size)
-        parts = [(each.value(config), each.places.size) for each in below]
+        judged, counted = judged + 1, counted + size
+        below = (leaf.node for leaf in leaves[first_label - 1 : last_label] if leaf.node.grid_pixels.size)
+        parts = [(each.value(config), each.grid_pixels.size) for each in below]
         trial = judge_split((node.value(config), size), parts, config)
         if trial.kept:
             node.trial, node.judged, node.age = trial, frame, 0
@@ -119,7 +119,7 @@ def renew_splits(
 
 
 def give_reasons(
-    leaves: Sequence[LiveLeaf], cuts: int, places_min: float, frame: int, config: SegmentationConfig
+    leaves: Sequence[LiveLeaf], cuts: int, grid_pixels_min: float, frame: int, config: SegmentationConfig
 ) -> None:
     """Give every leaf the reason why it is one, by what was measured in this frame and by its last trial.
 
@@ -129,8 +129,8 @@ def give_reasons(
         As measured in this frame.
     cuts : int
         Number of cuts in the tree.
-    places_min : float
-        Fewest places of a segment.
+    grid_pixels_min : float
+        Fewest grid pixels of a segment.
     frame : int
         Number of the frame.
     config : SegmentationConfig
@@ -143,10 +143,10 @@ def give_reasons(
         if attempt is not None and attempt.trial is not None:
             node.trial, node.judged = attempt.trial, attempt.frame
         # What was tried is a leaf by that, however many cuts there are by now.
-        node.stop = stop_without_cut(node, cuts if attempt is None else 0, places_min, config)
-        if node.places.size and node.fit.surface is None:
+        node.stop = stop_without_cut(node, cuts if attempt is None else 0, grid_pixels_min, config)
+        if node.grid_pixels.size and node.fit.surface is None:
             node.stop = StopReason.NO_FIT
-        elif node.places.size and at_noise_floor(node.fit, config):
+        elif node.grid_pixels.size and at_noise_floor(node.fit, config):
             node.stop = StopReason.NOISE
         elif node.stop is None and attempt is not None:
             node.stop, node.judged = attempt.stop, attempt.frame

@@ -35,7 +35,7 @@ from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 _CHANGED_SHARE = 0.4
 #: So many leaves waiting for a trial, over so many frames, are more than updates can do.
 _WAITING_MOST, _WAITING_FRAMES = 6, 15
-#: A leaf's own residuals, in units of their root mean square, beyond which a place is not its own.
+#: A leaf's own residuals, in units of their root mean square, beyond which a grid pixel is not its own.
 _OWN_DEVIATIONS = 4.0
 
 
@@ -278,7 +278,7 @@ class LiveTree:
         return self._rays
 
     def _limits_per_m(self) -> NDArray[np.float32]:
-        """Return from which residual on a place is not a leaf's own, by label."""
+        """Return from which residual on a grid pixel is not a leaf's own, by label."""
         own = [_OWN_DEVIATIONS * leaf.rms_per_m for leaf in self._leaves]
         limits = np.maximum(np.array([0.0, *own]), self._config.extended.inverse_depth_gap)
         return np.asarray(limits, dtype=np.float32)
@@ -298,7 +298,7 @@ class LiveTree:
         self._lattice = SurfaceLattice([leaf.surface for leaf in leaves], grid.step)
         not_reached = update_residuals(leaves, on_grid, self._lattice, grid, config)
         for leaf in not_reached:
-            leaf.refit(fit_segment(features, leaf.node.places, config))
+            leaf.refit(fit_segment(features, leaf.node.grid_pixels, config))
         if not_reached:
             self._lattice = SurfaceLattice([leaf.surface for leaf in leaves], grid.step)
         renewal = renew_splits(
@@ -306,7 +306,7 @@ class LiveTree:
         )
         nodes = depth_first(self._root)
         cuts = sum(node.division is Division.CUT for node in nodes)
-        give_reasons(leaves, cuts, features.places_min(config), self._frame, config)
+        give_reasons(leaves, cuts, features.grid_pixels_min(config), self._frame, config)
         self._rejected = renewal.rejected
         self.report = replace(
             self.report,

@@ -22,11 +22,11 @@ from nurbseg.segmentation.segments import Division, Node, StopReason, Trial, dep
 
 #: A leaf is tried again for a split when its mean square is this much more than at the last trial.
 _WORSE_FACTOR, _WORSE_BY = 1.5, 0.5
-#: Places of the grid along which two leaves that may be merged meet.
+#: Grid pixels along which two leaves that may be merged meet.
 _MEETING_LEAST = 4
-#: Places cut in one frame, unless one leaf has more.
-_CUT_PLACES = 2000
-#: A leaf with fewer places than this share of the smallest has vanished.
+#: Grid pixels cut in one frame, unless one leaf has more.
+_CUT_PIXELS = 2000
+#: A leaf with fewer grid pixels than this share of the smallest has vanished.
 _VANISHED_SHARE = 0.25
 #: Things that appear in one frame, at most; the others wait.
 _APPEARING_MOST = 6
@@ -49,7 +49,7 @@ class Budget:
     merges : int
         Pairs of leaves that are compared with one surface for both.
     decimation : int or None
-        Pixels from one place of the grid to the next; None for what the configuration says.
+        Pixels from one grid pixel to the next; None for what the configuration says.
     """
 
     refits: int = 6
@@ -154,7 +154,7 @@ class _Update:
         self._turn, self._frame = turn, frame
         self._features = features
         self._measures = measures
-        self._places_min = features.places_min(config)
+        self._grid_pixels_min = features.grid_pixels_min(config)
         for number, leaf in editor.by_number.items():
             if np.isnan(leaf.level) and leaf.age <= 1:
                 leaf.level = float(measures.mean_squared[number])
@@ -179,7 +179,7 @@ class _Update:
         """Remove leaves of which next to nothing is left."""
         editor = self._editor
         sizes = editor.sizes()
-        for number in [n for n in editor.by_number if sizes[n] < _VANISHED_SHARE * self._places_min]:
+        for number in [n for n in editor.by_number if sizes[n] < _VANISHED_SHARE * self._grid_pixels_min]:
             if len(editor.by_number) < 2:
                 return
             kept = editor.around(editor.labels == number)
@@ -192,7 +192,7 @@ class _Update:
         m = self._measures
         need = []
         for number, leaf in self._editor.by_number.items():
-            if number >= m.mean_squared.size or m.places[number] == 0:
+            if number >= m.mean_squared.size or m.counts[number] == 0:
                 continue
             level = 1.0 if np.isnan(leaf.level) else leaf.level
             worse = (float(m.mean_squared[number]) - level) / (level + 0.5)
@@ -215,17 +215,17 @@ class _Update:
         for number, leaf in editor.by_number.items():
             square = float(m.mean_squared[number]) if number < m.mean_squared.size else 0.0
             if square > _WORSE_FACTOR * leaf.tried + _WORSE_BY and self._may_be_split(number):
-                waiting.append((square * float(np.sqrt(m.places[number])), number))
+                waiting.append((square * float(np.sqrt(m.counts[number])), number))
         waiting.sort(reverse=True)
         room = self._config.splits_max - editor.cuts
-        cuts = places = 0
+        cuts = counted = 0
         for rank, (_, number) in enumerate(waiting):
-            full = cuts == most or (cuts and places + int(m.places[number]) > _CUT_PLACES)
+            full = cuts == most or (cuts and counted + int(m.counts[number]) > _CUT_PIXELS)
             if full or editor.done.report.splits >= room:
                 editor.done.report.waiting = len(waiting) - rank if full else 0
                 return
             if self._try(number):
-                cuts, places = cuts + 1, places + int(m.places[number])
+                cuts, counted = cuts + 1, counted + int(m.counts[number])
 
     def _forget_oldest(self) -> None:
         """Let the oldest attempt count no more, if it is too old; its leaf is tried again."""
@@ -238,7 +238,7 @@ class _Update:
     def _may_be_split(self, number: int) -> bool:
         """Say whether neither its size nor its depth, nor how near it is to the noise, forbids a split."""
         m, node = self._measures, self._editor.by_number[number].node
-        if m.places[number] <= 2.0 * self._places_min or at_noise_floor(node.fit, self._config):
+        if m.counts[number] <= 2.0 * self._grid_pixels_min or at_noise_floor(node.fit, self._config):
             return False
         return node.cuts_above < self._config.depth_max
 
@@ -249,7 +249,7 @@ class _Update:
             if not (node.children and editor.contains(node)):
                 continue
             own = [np.flatnonzero(editor.labels == number) for number in editor.below(node)]
-            own = [places for places in own if places.size]
+            own = [each for each in own if each.size]
             if not own:
                 continue
             whole, trial = self._compare(own)
@@ -285,16 +285,20 @@ class _Update:
             self._refit_merged(kept, whole, trial)
             return
 
-    def _compare(self, places: Sequence[NDArray[np.intp]], nodes: Sequence[Node] = ()) -> tuple[Part, Trial]:
+    def _compare(
+        self, grid_pixels: Sequence[NDArray[np.intp]], nodes: Sequence[Node] = ()
+    ) -> tuple[Part, Trial]:
         """Compare one surface with nodes as they are and, if these are no better, with fits to each part."""
         config = self._config
-        whole = fit_segment(self._features, np.sort(np.concatenate(places), kind="stable"), config)
+        whole = fit_segment(self._features, np.sort(np.concatenate(grid_pixels), kind="stable"), config)
         if nodes:
-            as_they_are = [(node.value(config), own.size) for node, own in zip(nodes, places, strict=True)]
+            as_they_are = [
+                (node.value(config), own.size) for node, own in zip(nodes, grid_pixels, strict=True)
+            ]
             trial = judge_split(whole.weighed(config), as_they_are, config)
             if trial.kept:
                 return whole, trial
-        parts = [fit_segment(self._features, own, config).weighed(config) for own in places]
+        parts = [fit_segment(self._features, own, config).weighed(config) for own in grid_pixels]
         return whole, judge_split(whole.weighed(config), parts, config)
 
     def _refit_merged(self, number: int, part: Part, trial: Trial) -> None:
@@ -317,7 +321,7 @@ class _Update:
         leaf.attempt = None
         if whole.stop is not None or node.fit.surface is None or not node.value(self._config) > 0:
             return False
-        features = with_features_at(self._cloud, self._features, node.places, self._config)
+        features = with_features_at(self._cloud, self._features, node.grid_pixels, self._config)
         sides, cut = best_split(features, node, self._config)
         if cut is None:
             leaf.attempt = Attempt(node.stop or StopReason.NO_CUT, node.trial, self._frame)
@@ -331,9 +335,9 @@ class _Update:
         for each in below:
             each.judged = self._frame
         first, *others = sorted(
-            (each for each in below if not each.children), key=lambda each: -each.places.size
+            (each for each in below if not each.children), key=lambda each: -each.grid_pixels.size
         )
         leaf.node, leaf.surface, leaf.tried = first, first.fit.surface, 0.0
         for each in others:
-            self._editor.labels.ravel()[each.places] = self._editor.add_leaf(each)
+            self._editor.labels.ravel()[each.grid_pixels] = self._editor.add_leaf(each)
         return True

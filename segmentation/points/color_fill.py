@@ -114,8 +114,8 @@ def _lend_in_lines(color: U8, sources: Bool, wanted: Intp, depth_m: F32, toleran
     left = np.empty(wanted.size, dtype=np.intp)
     count = 0
     for n in range(wanted.size):
-        place = wanted[n]
-        best, cost, near = -1, np.inf, 1.0 / depth_m[place // width, place % width]
+        pixel = wanted[n]
+        best, cost, near = -1, np.inf, 1.0 / depth_m[pixel // width, pixel % width]
         for direction in range(4):
             candidate = nearest[direction, n]
             if candidate < 0:
@@ -123,15 +123,15 @@ def _lend_in_lines(color: U8, sources: Bool, wanted: Intp, depth_m: F32, toleran
             nearer = 1.0 / depth_m[candidate // width, candidate % width] - near
             if nearer > tolerance_per_m:
                 continue
-            price = abs(candidate - place) / (1.0 if direction < 2 else width)
+            price = abs(candidate - pixel) / (1.0 if direction < 2 else width)
             price += _OTHER_SURFACE_PX if nearer < -tolerance_per_m else 0.0
             if price < cost:
                 best, cost = candidate, price
         if best < 0:
-            left[count] = place
+            left[count] = pixel
             count += 1
         else:
             for channel in range(3):
-                flat_color[place, channel] = flat_color[best, channel]
-            source[place] = True
+                flat_color[pixel, channel] = flat_color[best, channel]
+            source[pixel] = True
     return left[:count].copy()

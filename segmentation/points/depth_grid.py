@@ -42,7 +42,7 @@ class DepthGrid:
 
     @property
     def step(self) -> int:
-        """Pixels from one place of the grid to the next."""
+        """Pixels from one grid pixel to the next."""
         return self.points.step
 
     @property

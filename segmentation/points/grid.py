@@ -42,37 +42,37 @@ class PixelGrid:
 
     @property
     def pixel_share(self) -> float:
-        """Places of the grid for each pixel of a 640x480 image, the unit of the paper's thresholds."""
+        """Grid pixels for each pixel of a 640x480 image, the unit of the paper's thresholds."""
         return self.image_shape[0] * self.image_shape[1] / (640 * 480) / self.step**2
 
-    def locate(self, places: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], Window]:
-        """Return rows, columns and the tight window (one past the last) of ascending flat places."""
-        rows, columns = np.divmod(places, self.shape[1])
+    def locate(self, grid_pixels: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], Window]:
+        """Return rows, columns and the tight window (one past the last) of ascending flat grid pixels."""
+        rows, columns = np.divmod(grid_pixels, self.shape[1])
         return (
             rows,
             columns,
             (int(rows[0]), int(columns.min()), int(rows[-1]) + 1, int(columns.max()) + 1),
         )
 
-    def window_mask(self, places: NDArray[np.intp]) -> tuple[Window, NDArray[np.bool_]]:
-        """Return the tight window of flat places and which of its places they are."""
-        *window, mask = _window_mask(places, self.shape[1])
+    def window_mask(self, grid_pixels: NDArray[np.intp]) -> tuple[Window, NDArray[np.bool_]]:
+        """Return the tight window of flat grid pixels and which of its pixels they are."""
+        *window, mask = _window_mask(grid_pixels, self.shape[1])
         top, left, bottom, right = window
         return (top, left, bottom, right), mask
 
-    def pixels(self, places: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return the flat indices into the full image of flat places of the grid."""
+    def pixels(self, grid_pixels: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return the flat indices into the full image of flat indices of grid pixels."""
         if self.step == 1:
-            return places
-        return _on_image(places, self.shape[1], self.image_shape[1], self.step)
+            return grid_pixels
+        return _on_image(grid_pixels, self.shape[1], self.image_shape[1], self.step)
 
     def pixels_of_window(self, window: Window, mask: NDArray[np.bool_]) -> NDArray[np.intp]:
-        """Return the flat indices into the full image of the marked places of a window."""
+        """Return the flat indices into the full image of the marked grid pixels of a window."""
         return _marked(np.ascontiguousarray(mask), window[0], window[1], self.image_shape[1], self.step)
 
-    def every_second(self, places: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return those of some flat places that are on even rows and columns."""
-        return _every_second(places, self.shape[1])
+    def every_second(self, grid_pixels: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return those of some flat grid pixels that are on even rows and columns."""
+        return _every_second(grid_pixels, self.shape[1])
 
     def full_window(self, window: Window) -> Window:
         """Return a window of the grid in pixels of the full image."""
@@ -86,28 +86,28 @@ class PixelGrid:
 
 
 @compiled
-def _window_mask(places: Intp, width: int) -> tuple[int, int, int, int, Bool]:
-    """Tight window of at least one flat place, one past the last, and which of its places they are."""
-    # Successive places are mostly of one row: so few need a division.
-    row = top = bottom = places[0] // width
-    left = right = places[0] - row * width
-    for place in places:
-        if not row * width <= place < (row + 1) * width:
-            row = place // width
+def _window_mask(grid_pixels: Intp, width: int) -> tuple[int, int, int, int, Bool]:
+    """Tight window of at least one grid pixel, one past the last, and which of its pixels they are."""
+    # Successive grid pixels are mostly of one row: so few need a division.
+    row = top = bottom = grid_pixels[0] // width
+    left = right = grid_pixels[0] - row * width
+    for pixel in grid_pixels:
+        if not row * width <= pixel < (row + 1) * width:
+            row = pixel // width
             top, bottom = min(top, row), max(bottom, row)
-        column = place - row * width
+        column = pixel - row * width
         left, right = min(left, column), max(right, column)
     mask = np.zeros((bottom + 1 - top, right + 1 - left), dtype=np.bool_)
-    for place in places:
-        if not row * width <= place < (row + 1) * width:
-            row = place // width
-        mask[row - top, place - row * width - left] = True
+    for pixel in grid_pixels:
+        if not row * width <= pixel < (row + 1) * width:
+            row = pixel // width
+        mask[row - top, pixel - row * width - left] = True
     return top, left, bottom + 1, right + 1, mask
 
 
 @compiled
 def _marked(mask: Bool, top: int, left: int, width: int, step: int) -> Intp:
-    """Flat indices, on an image of some width, of the marked places of a window of every `step`-th pixel."""
+    """Flat indices, on an image of some width, of the marked ones of a window of every `step`-th pixel."""
     marked = np.empty(mask.size, dtype=np.intp)
     count = 0
     for y in range(mask.shape[0]):
@@ -118,24 +118,24 @@ def _marked(mask: Bool, top: int, left: int, width: int, step: int) -> Intp:
 
 
 @compiled
-def _on_image(places: Intp, width: int, image_width: int, step: int) -> Intp:
-    """Flat indices into the image of flat places of the grid."""
-    pixels = np.empty(places.size, dtype=np.intp)
-    for n in range(places.size):
-        row = places[n] // width
-        pixels[n] = (row * image_width + places[n] - row * width) * step
+def _on_image(grid_pixels: Intp, width: int, image_width: int, step: int) -> Intp:
+    """Flat indices into the image of flat indices of grid pixels."""
+    pixels = np.empty(grid_pixels.size, dtype=np.intp)
+    for n in range(grid_pixels.size):
+        row = grid_pixels[n] // width
+        pixels[n] = (row * image_width + grid_pixels[n] - row * width) * step
     return pixels
 
 
 @compiled
-def _every_second(places: Intp, width: int) -> Intp:
-    """Those of some flat places that are on even rows and columns."""
-    found = np.empty(places.size, dtype=np.intp)
+def _every_second(grid_pixels: Intp, width: int) -> Intp:
+    """Those of some flat grid pixels that are on even rows and columns."""
+    found = np.empty(grid_pixels.size, dtype=np.intp)
     count = 0
-    for place in places:
-        row = place // width
-        found[count] = place
-        count += ((row | (place - row * width)) & 1) == 0
+    for pixel in grid_pixels:
+        row = pixel // width
+        found[count] = pixel
+        count += ((row | (pixel - row * width)) & 1) == 0
     return found[:count].copy()
 
 

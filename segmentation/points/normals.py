@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from nurbseg.drivers.compiled import F32, F64, Bool, compiled
 from nurbseg.segmentation.points.rays import Rays
 
-#: A window needs points on this share of its places to have a plane of its own.
+#: A window needs points on this share of its pixels to have a plane of its own.
 _FILLED_SHARE = 0.3
 #: A neighbour's plane is preferred where its variance is below this share of the pixel's own.
 _PREFERENCE = np.float32(1.0 / 1.5)
@@ -26,7 +26,7 @@ def facet_slopes(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Fit a plane of inverse depth around every point, without mixing what lies on both sides of an edge.
 
-    A plane is fitted in the window around each place, from sums over the window. A point then takes, of
+    A plane is fitted in the window around each grid pixel, from sums over the window. A point then takes, of
     nine windows that hold it, the plane with the least residual among those that explain the point: next to
     an edge that is one which does not reach across [1]_.
 
@@ -37,14 +37,14 @@ def facet_slopes(
     valid : (h, w) bool
         Where there is a point.
     window : int
-        Side of the windows, places; odd.
+        Side of the windows, grid pixels; odd.
     noise_per_m : float
         Standard deviation of the inverse depth, 1/m.
 
     Returns
     -------
     slope_u, slope_v : (h, w) float32
-        Change of inverse depth from one place to the next along columns and rows, 1/m.
+        Change of inverse depth from one grid pixel to the next along columns and rows, 1/m.
     smoothed : (h, w) float32
         Inverse depth of the plane at the point, 1/m.
 
@@ -65,7 +65,7 @@ def facet_slopes(
 
 @compiled
 def _window_planes(inverse_depth: F32, valid: Bool, window: int, noise_per_m: float) -> tuple[F32, F32]:
-    """Fit a plane in the window around each place: (3, h, w) value there and slopes; (h, w) what it costs.
+    """Fit a plane in the window around each pixel: (3, h, w) value there and slopes; (h, w) what it costs.
 
     Sums over a window are those over the window before it, with what has entered and without what has left.
     """
@@ -90,10 +90,10 @@ def _window_planes(inverse_depth: F32, valid: Bool, window: int, noise_per_m: fl
             continue
         _add_columns(below, half, sums)
         for x in range(width):
-            # Central moments of place and inverse depth; places are counted from this one.
+            # Central moments of position and inverse depth; positions are counted from this one.
             n = max(sums[0, x], 1.0)
             mean_u, mean_v, mean_d = sums[6, x] / n - x, sums[1, x] / n - y, sums[3, x] / n
-            # A little more variance of place than there is keeps a window of one row or column finite.
+            # A little more variance of position than there is keeps a window of one row or column finite.
             suu = sums[7, x] - n * (mean_u + x) * (mean_u + x) + 1e-2 * n
             svv = sums[2, x] - n * (mean_v + y) * (mean_v + y) + 1e-2 * n
             suv = sums[8, x] - n * (mean_u + x) * (mean_v + y)
@@ -166,7 +166,7 @@ def _add_columns(below: F64, half: int, sums: F64) -> None:
 def _chosen_planes(
     inverse_depth: F32, valid: Bool, planes: F32, cost: F32, reach: int, own_per_m: float
 ) -> F32:
-    """Give each place the best plane of nine windows that hold it: (3, h, w) value there and slopes."""
+    """Give each grid pixel the best plane of nine windows that hold it: (3, h, w) value there and slopes."""
     height, width = valid.shape
     chosen = planes.copy()
     best = np.empty(width, dtype=np.float32)
@@ -219,9 +219,9 @@ def facet_normals(
     rays : Rays
         Of the camera.
     step : int
-        Pixels from one place of the grid to the next.
+        Pixels from one grid pixel to the next.
     window : int
-        Side of the windows, places.
+        Side of the windows, grid pixels.
     noise_per_m : float
         Standard deviation of the inverse depth, 1/m.
 

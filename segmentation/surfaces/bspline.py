@@ -135,7 +135,7 @@ def even_functions(t: NDArray[np.float64], spacing: float, derivative: int = 0) 
     Parameters
     ----------
     t : (M,) float64
-        Places on the span, in units of the spacing from its beginning.
+        Positions on the span, in units of the spacing from its beginning.
     spacing : float
         Distance of the knots.
     derivative : int
@@ -153,7 +153,7 @@ def even_functions(t: NDArray[np.float64], spacing: float, derivative: int = 0) 
 
 @compiled
 def _fill_even(t: F64, per_spacing: float, derivative: int, values: F64) -> None:
-    """Evaluate the functions, or their slopes, at every place."""
+    """Evaluate the functions, or their slopes, at every position."""
     for n in range(t.size):
         four = even_values(t[n]) if derivative == 0 else even_slopes(t[n], per_spacing)
         for k in range(4):
@@ -241,12 +241,12 @@ class SpanBasis(NamedTuple):
 @lru_cache(maxsize=256)
 def pixel_basis(size: int, count: int) -> SpanBasis:
     """Return the `count` functions of a cubic fit at `size` pixels in a row, kept as their `pixel_knots`."""
-    knots, places = pixel_knots(size, count), np.arange(size, dtype=np.float64)
+    knots, parameters = pixel_knots(size, count), np.arange(size, dtype=np.float64)
     domain = knots[CUBIC : count + 1]
     last_span = int(np.searchsorted(domain, domain[-1], side="left")) - 1
-    starts = np.clip(np.searchsorted(domain, places, side="right") - 1, 0, last_span)
+    starts = np.clip(np.searchsorted(domain, parameters, side="right") - 1, 0, last_span)
     functions = starts[:, np.newaxis] + np.arange(CUBIC + 1)
-    values = np.take_along_axis(basis_matrix(knots, CUBIC, places), functions, axis=1)
+    values = np.take_along_axis(basis_matrix(knots, CUBIC, parameters), functions, axis=1)
     starts.flags.writeable = values.flags.writeable = False
     return SpanBasis(starts, values, count)
 

@@ -89,14 +89,14 @@ def fit_surface(cloud: PointMap, pixels: NDArray[np.intp], config: SegmentationC
         return fit_on_grid(full_grid(cloud), ascending, config)
 
 
-def fit_on_grid(grid: PixelGrid, places: NDArray[np.intp], config: SegmentationConfig) -> Fit:
-    """Fit a surface to some places of a grid, whose step may be larger than a pixel.
+def fit_on_grid(grid: PixelGrid, grid_pixels: NDArray[np.intp], config: SegmentationConfig) -> Fit:
+    """Fit a surface to some pixels of a grid, whose step may be larger than a pixel.
 
     Parameters
     ----------
     grid, config : PixelGrid, SegmentationConfig
         The points; and the settings, as for `fit_surface`.
-    places : (N,) intp
+    grid_pixels : (N,) intp
         Flat indices into the grid, ascending.
 
     Returns
@@ -104,9 +104,9 @@ def fit_on_grid(grid: PixelGrid, places: NDArray[np.intp], config: SegmentationC
     Fit
         As of `fit_surface`; parameters and window are pixels of the full image.
     """
-    if places.size == 0:
-        return Fit(None, np.zeros(0), {}, "0 points, 1 needed", places)
-    (top, left, bottom, right), mask = grid.window_mask(places)
+    if grid_pixels.size == 0:
+        return Fit(None, np.zeros(0), {}, "0 points, 1 needed", grid_pixels)
+    (top, left, bottom, right), mask = grid.window_mask(grid_pixels)
     counts = (
         control_point_count(right - left, grid.shape[1], config),
         control_point_count(bottom - top, grid.shape[0], config),
@@ -115,7 +115,7 @@ def fit_on_grid(grid: PixelGrid, places: NDArray[np.intp], config: SegmentationC
         solve = minimum_norm_control_points if has_least_norm(config) else fit_control_points
         control = solve(grid.coordinates_m, mask, (top, left), counts)
     except LinAlgError as error:
-        return Fit(None, np.zeros(0), {}, f"no least-squares solution: {error}", grid.pixels(places))
+        return Fit(None, np.zeros(0), {}, f"no least-squares solution: {error}", grid.pixels(grid_pixels))
     rows, columns = pixel_basis(bottom - top, counts[1]), pixel_basis(right - left, counts[0])
     residuals = spline_distances(control, grid.coordinates_m, mask, (top, left), rows, columns)
     surface = NurbsSurface(
@@ -126,7 +126,7 @@ def fit_on_grid(grid: PixelGrid, places: NDArray[np.intp], config: SegmentationC
         weights=np.ones((counts[1], counts[0])),
         window=grid.full_window((top, left, bottom, right)),
     )
-    return Fit(surface, residuals, residual_metrics(residuals, config), "", grid.pixels(places))
+    return Fit(surface, residuals, residual_metrics(residuals, config), "", grid.pixels(grid_pixels))
 
 
 def has_least_norm(config: SegmentationConfig) -> bool:

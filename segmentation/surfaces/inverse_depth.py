@@ -39,7 +39,7 @@ _STIFFER = (1e2, 1e4)
 def fit_window(
     grid: DepthGrid, window: Window, mask: NDArray[np.bool_], config: SegmentationConfig
 ) -> tuple[Fit, NDArray[np.float64]]:
-    """Fit a surface to the marked places of a window of the grid.
+    """Fit a surface to the marked pixels of a window of the grid.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def fit_window(
     window : (int, int, int, int)
         First row and column of the grid, and one past the last of each.
     mask : (h, w) bool
-        Places of the window to fit, at least one, each of which has a point.
+        Pixels of the window to fit, at least one, each of which has a point.
     config : SegmentationConfig
         Says how far knots are apart and how smooth the surface is.
 
@@ -57,7 +57,7 @@ def fit_window(
     fit : Fit
         The surface, residuals in space and metrics, parameters being pixels of the full image.
     residuals_per_m : (N,) float64
-        Residuals of inverse depth at the marked places, in row order, 1/m.
+        Residuals of inverse depth at the marked grid pixels, in row order, 1/m.
 
     References
     ----------
@@ -119,13 +119,13 @@ class _Spline:
     def residuals(
         self, grid: DepthGrid, window: Window, mask: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the residuals of inverse depth, 1/m, and in space, metres, at the marked places."""
+        """Return the residuals of inverse depth, 1/m, and in space, metres, at the marked grid pixels."""
         images = (grid.inverse_depth, grid.distances_m)
         return _residuals(images, mask, window[:2], self.control_per_m, self.rows, self.columns)
 
 
 def knots_on(grid: DepthGrid, config: SegmentationConfig) -> tuple[float, float]:
-    """Return the distance of the knots, places of the grid, and the weight of second differences there."""
+    """Return the distance of the knots, in grid pixels, and the weight of second differences there."""
     return (
         config.extended.knot_spacing_px * grid.unit_px / grid.step,
         config.extended.smoothness * (2.0 * grid.unit_px / grid.step) ** 2,
@@ -135,7 +135,7 @@ def knots_on(grid: DepthGrid, config: SegmentationConfig) -> tuple[float, float]
 def _fitted_spline(
     grid: DepthGrid, window: Window, mask: NDArray[np.bool_], config: SegmentationConfig
 ) -> _Spline:
-    """Fit positive control values to the marked places of a window."""
+    """Fit positive control values to the marked grid pixels of a window."""
     top, left, bottom, right = window
     spacing, smoothness = knots_on(grid, config)
     wide = int(np.ceil(_MARGIN_PX * grid.unit_px / grid.step))
@@ -158,7 +158,7 @@ def _residuals(
     rows: SpanBasis,
     columns: SpanBasis,
 ) -> tuple[F64, F64]:
-    """Compare a spline at the marked places with images of inverse depth and of distances."""
+    """Compare a spline at the marked grid pixels with images of inverse depth and of distances."""
     (inverse_depth, distances_m), (top, left), (height, width) = images, corner, mask.shape
     count = 0
     for y in range(height):
@@ -277,8 +277,8 @@ def _linear_control_values(
 
 def _interpolator(knots: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the Greville abscissae of a knot vector and what takes values there to control values."""
-    places = np.asarray(knots[1:-3] + knots[2:-2] + knots[3:-1], dtype=np.float64) / 3.0
-    return places, np.asarray(np.linalg.inv(basis_matrix(knots, CUBIC, places)), dtype=np.float64)
+    abscissae = np.asarray(knots[1:-3] + knots[2:-2] + knots[3:-1], dtype=np.float64) / 3.0
+    return abscissae, np.asarray(np.linalg.inv(basis_matrix(knots, CUBIC, abscissae)), dtype=np.float64)
 
 
 __all__ = [

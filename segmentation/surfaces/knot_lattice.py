@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, even_functions
 
-#: Tables are made for whole multiples of so many places.
-_TABLE_PLACES = 160
+#: Tables are made for whole multiples of so many grid pixels.
+_TABLE_PIXELS = 160
 
 
 def lattice_basis(
@@ -21,23 +21,23 @@ def lattice_basis(
     Parameters
     ----------
     start, stop : int
-        First place of the window along the axis, and one past the last.
+        First grid pixel of the window along the axis, and one past the last.
     margin : int
-        How much farther a spline of these functions shall go on in both directions, places.
+        How much farther a spline of these functions shall go on in both directions, grid pixels.
     spacing : float
-        Distance of the knots, places; the knots are its multiples.
+        Distance of the knots, grid pixels; the knots are its multiples.
 
     Returns
     -------
     basis : SpanBasis
-        At the places of the window alone.
+        At the grid pixels of the window alone.
     knots : (count + 4,) float64
-        Knot vector, places.
+        Knot vector, grid pixels.
     """
     # Function number i is not zero between knots i - 3 and i + 1.
     first = int((start - margin) // spacing)
     count = int((stop - 1 + margin) // spacing) - first + CUBIC + 1
-    spans, values = _table(spacing, -(-stop // _TABLE_PLACES))
+    spans, values = _table(spacing, -(-stop // _TABLE_PIXELS))
     knots = spacing * np.arange(first - CUBIC, first + count + 1, dtype=np.float64)
     starts = spans[start:stop] - first
     starts.flags.writeable = False
@@ -46,8 +46,8 @@ def lattice_basis(
 
 @lru_cache(maxsize=16)
 def _table(spacing: float, blocks: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Tabulate span and functions at every place of an image's whole extent."""
-    place = np.arange(blocks * _TABLE_PLACES, dtype=np.float64) / spacing
+    """Tabulate span and functions at every grid pixel of an image's whole extent."""
+    place = np.arange(blocks * _TABLE_PIXELS, dtype=np.float64) / spacing
     span = np.floor(place)
     values = even_functions(place - span, spacing)
     values.flags.writeable = False

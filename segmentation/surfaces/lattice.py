@@ -1,4 +1,4 @@
-"""All surfaces of a frame at once: their inverse depth on and between the places of the grid."""
+"""All surfaces of a frame at once: their inverse depth on and between the grid pixels."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class Samples(NamedTuple):
 class SurfaceLattice:
     """Inverse depths of surfaces, each on the part of a grid that it reaches.
 
-    One call for each of fifty surfaces costs more than the arithmetic does; here a place of any surface is
-    an index into one array.
+    One call for each of fifty surfaces costs more than the arithmetic does; here a grid pixel of any surface
+    is an index into one array.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class SurfaceLattice:
         Of the labels 1, 2, ..., as fits of inverse depth make them: cubic on evenly spaced knots, with
         weights that are control values of inverse depth. A label without one has no inverse depth anywhere.
     step : int
-        Pixels from one place of the grid to the next.
+        Pixels from one grid pixel to the next.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class SurfaceLattice:
             _evaluate(nets, shapes, first, spacing, Samples(self.samples.values, windows[labels]))
 
     def image(self, labels: NDArray[np.int32]) -> NDArray[np.float32]:
-        """Return the inverse depth of each place's own surface, (h, w) float32; inf where there is none."""
+        """Return the inverse depth of each pixel's own surface, (h, w) float32; inf where there is none."""
         found = np.empty(labels.shape, dtype=np.float32)
         _take(self.samples, np.ascontiguousarray(labels), found)
         return found
@@ -147,7 +147,7 @@ def _cubic(place: float, count: int, basis: F32) -> int:
 
 @compiled
 def _take(samples: Samples, labels: I32, found: F32) -> None:
-    """Take the value of each place's label."""
+    """Take the value of each grid pixel's label."""
     values, windows = samples
     height, width = labels.shape
     for r in range(height):
@@ -164,7 +164,7 @@ def _take(samples: Samples, labels: I32, found: F32) -> None:
 
 @compiled
 def _interpolate(samples: Samples, labels: I32, rows: F64, columns: F64, found: F64) -> None:
-    """Interpolate values between four places, and their change by a place along columns and rows."""
+    """Interpolate values between four grid pixels, and their change by one along columns and rows."""
     values, windows = samples
     for n in range(labels.size):
         top, left, bottom, right, start = windows[labels[n]]

@@ -243,7 +243,7 @@ def _add_points(
 
 @compiled
 def _spans(starts: Intp) -> tuple[Intp, int]:
-    """Places at which the functions change, with both ends, and how many spans these bound."""
+    """Positions at which the functions change, with both ends, and how many spans these bound."""
     edges = np.empty(starts.size + 1, dtype=np.intp)
     edges[0] = 0
     spans = 1

@@ -104,7 +104,7 @@ def _triangular_factor(images: F32, mask: Bool, rows: SpanBasis, columns: SpanBa
 
 @compiled
 def _end_of_span(starts: Intp, begin: int) -> int:
-    """Return one past the last place with the functions of the first."""
+    """Return one past the last position with the functions of the first."""
     end = begin + 1
     while end < starts.size and starts[end] == starts[begin]:
         end += 1

@@ -71,7 +71,7 @@ def noise_floors(
     Returns
     -------
     (size,) float64
-        As of `noise_floor`, by label; 0 where a label has no place.
+        As of `noise_floor`, by label; 0 where a label has no grid pixel.
     """
     if config.extended.noise_floor == 0:
         return np.zeros(size)
@@ -111,7 +111,7 @@ def _noise_sums(
     large_m: float,
     sums: F64,
 ) -> None:
-    """Count places by label; sum their noise in metres, its square, and how probably it exceeds a limit."""
+    """Count pixels by label; sum their noise in metres, its square, and how probably it exceeds a limit."""
     height, width = labels.shape
     three = np.zeros(width, dtype=np.bool_)
     for y in range(height):
@@ -120,7 +120,7 @@ def _noise_sums(
             three[x] = within and labels[y - 1, x] == labels[y, x] and labels[y + 1, x] == labels[y, x]
         x = 0
         while x < width:
-            # Places in a row with the same label are summed together.
+            # Grid pixels in a row with the same label are summed together.
             label, begin = labels[y, x], x
             total, squares, large = 0.0, 0.0, 0.0
             while x < width and labels[y, x] == label:
@@ -176,21 +176,21 @@ def _curvature_floor(
 def _mixed_derivative_variance(spacing: float, smoothness: float) -> float:
     """Return the variance of d_uv of a smoothing spline through noise of variance 1, far from any border.
 
-    The normal equations of even knots on every place are a convolution, and diagonal in frequency: with G the
-    products of the basis functions and P the penalty, control values have the covariance G / (G + P)^2.
+    The normal equations of even knots on every grid pixel are a convolution, and diagonal in frequency: with
+    G the products of the basis functions and P the penalty, control values have the covariance G / (G + P)^2.
 
     Parameters
     ----------
     spacing : float
-        Distance of the knots, places.
+        Distance of the knots, grid pixels.
     smoothness : float
         Weight of the squared second differences of the control values.
 
     Returns
     -------
     float
-        One over places to the fourth. The variances of d_uu and d_vv are three times that, and their
-        covariance is it, to a few per cent: the field is all but isotropic.
+        One over grid pixels to the fourth power. The variances of d_uu and d_vv are three times that, and
+        their covariance is it, to a few per cent: the field is all but isotropic.
     """
     cosines = np.cos(np.outer(np.arange(4), 2.0 * np.pi * np.arange(64) / 64))
     # Integrals of products of cubic B-splines, and of their first derivatives, 0 to 3 knots apart.

@@ -35,7 +35,7 @@ class _Splines(NamedTuple):
 
 
 class SurfaceTable:
-    """Surfaces of inverse depth, to be evaluated at many places that belong to different ones.
+    """Surfaces of inverse depth, to be evaluated at many pixels that belong to different ones.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def _dot(B: Four, values: F64, first: int, step: int) -> float:
 @compiled
 def _evaluate(splines: _Splines, labels: I32, rows: I32, columns: I32, inverse_depth: F32) -> None:
     u, v, weights, starts = splines
-    # Places come row by row: a surface along its last row is kept, a curve over the columns.
+    # Pixels come row by row: a surface along its last row is kept, a curve over the columns.
     last_row = np.full(u.counts.size, np.iinfo(np.int32).min, dtype=np.int32)
     longest = 0
     for count in u.counts:

@@ -117,7 +117,7 @@ def designed_tree(
     inner = {band.name[:end] for band in bands for end in range(len(band.name))}
     for name in sorted(inner, key=len, reverse=True):
         children = nodes[f"{name}0"], nodes[f"{name}1"]
-        places = np.sort(np.concatenate([child.places for child in children]))
+        places = np.sort(np.concatenate([child.grid_pixels for child in children]))
         node = nodes[name] = Node(
             name, places, fit_segment(features, places, config)[1], children, Division.CUT
         )

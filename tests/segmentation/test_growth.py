@@ -206,7 +206,7 @@ def two_colors(cloud_of, left: int, right: int, apart: int = 0) -> PointMap:
 
 @both_methods
 @pytest.mark.parametrize(
-    ("left", "right", "places_min", "reasons"),
+    ("left", "right", "grid_pixels_min", "reasons"),
     [
         # A side of exactly the limit is enough, twice the limit is not: |P| <= 2 T_p stops.
         (100, 101, 100, [StopReason.TOO_SMALL, StopReason.TOO_SMALL]),
@@ -216,8 +216,8 @@ def two_colors(cloud_of, left: int, right: int, apart: int = 0) -> PointMap:
         (100, 250, 101, [StopReason.CHILD_TOO_SMALL]),
     ],
 )
-def test_the_smallest_segment_has_exactly_t_p_places(cloud_of, base, left, right, places_min, reasons):
-    pixels_min = places_min * 25
+def test_the_smallest_segment_has_exactly_t_p_places(cloud_of, base, left, right, grid_pixels_min, reasons):
+    pixels_min = grid_pixels_min * 25
     config = updated(
         base,
         **LIMITLESS,
@@ -230,12 +230,12 @@ def test_the_smallest_segment_has_exactly_t_p_places(cloud_of, base, left, right
         assert {leaf.fit.pixels.size for leaf in tree.leaves()} == {left, right}
 
 
-@pytest.mark.parametrize(("places_min", "leaves"), [(100, 2), (101, 1)])
-def test_a_side_apart_from_the_other_is_held_to_t_p_too(cloud_of, places_min, leaves):
+@pytest.mark.parametrize(("grid_pixels_min", "leaves"), [(100, 2), (101, 1)])
+def test_a_side_apart_from_the_other_is_held_to_t_p_too(cloud_of, grid_pixels_min, leaves):
     # It touches nothing that it could be given to.
     tree = segment(
         two_colors(cloud_of, 100, 190, apart=2),
-        updated(PAPER, stag15={"segment_pixels_min": places_min * 25}),
+        updated(PAPER, stag15={"segment_pixels_min": grid_pixels_min * 25}),
     )
     assert len(tree.leaves()) == leaves
     assert (tree.root.stop is StopReason.CHILD_TOO_SMALL) == (leaves == 1)

@@ -106,15 +106,15 @@ def test_pieces_hang_below_one_another_the_largest_first():
     other = part(21, 3, StopReason.NO_POINTS)
     both = children_of(parent, ([small, largest, middle], [other]))
     nodes = {node.name: node for top in both for node in depth_first(top)}
-    sizes = {name: node.places.size for name, node in nodes.items()}
+    sizes = {name: node.grid_pixels.size for name, node in nodes.items()}
     assert sizes == {"10": 21, "100": 9, "101": 12, "1010": 7, "1011": 5, "11": 3}
     assert {node.cuts_above for node in nodes.values()} == {3}
     for name, node in nodes.items():
         apart = name in ("10", "101")
         assert node.division is (Division.GAP if apart else None)
         assert [each.name for each in node.children] == ([f"{name}0", f"{name}1"] if apart else [])
-        assert np.array_equal(node.places * 3, node.fit.pixels)
-        assert (np.diff(node.places) > 0).all()
+        assert np.array_equal(node.grid_pixels * 3, node.fit.pixels)
+        assert (np.diff(node.grid_pixels) > 0).all()
     assert nodes["1010"].stop is StopReason.NOISE
     assert nodes["11"].stop is StopReason.NO_POINTS
     assert "3 pieces" in nodes["10"].fit.reason
@@ -126,8 +126,8 @@ def test_pieces_of_the_one_side_that_is_left_are_the_largest_and_the_rest(empty)
     parent = Node("", np.arange(21), part(0, 21)[1])
     left = [part(0, 5), part(5, 9), part(14, 7)]
     first, second = children_of(parent, ([], left) if empty == 0 else (left, []))
-    assert (first.name, first.places.size, first.cuts_above) == ("0", 9, 1)
-    assert [(each.name, each.places.size) for each in second.children] == [("10", 7), ("11", 5)]
+    assert (first.name, first.grid_pixels.size, first.cuts_above) == ("0", 9, 1)
+    assert [(each.name, each.grid_pixels.size) for each in second.children] == [("10", 7), ("11", 5)]
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -169,7 +169,7 @@ def test_what_is_not_tried_for_its_noise_would_be_rejected(cloud_of, box_on_tabl
 
 def test_what_a_later_cut_comes_to_does_not_undo_a_rejection(cloud_of, monkeypatch):
     features, root = root_of(cloud_of(roof(0.0)), CONFIG)
-    rows, columns = np.divmod(root.places, SIZE[1])
+    rows, columns = np.divmod(root.grid_pixels, SIZE[1])
     speck = (rows < 2) & (columns < 2)
     halves = [columns < 80, rows < 20, columns < 110]
 
@@ -183,7 +183,7 @@ def test_what_a_later_cut_comes_to_does_not_undo_a_rejection(cloud_of, monkeypat
     cloud = cloud_of(roof(0.0))
 
     def after(side: NDArray[np.bool_]) -> float:
-        parts = (fit_segment(features, root.places[each], CONFIG)[1] for each in (side, ~side))
+        parts = (fit_segment(features, root.grid_pixels[each], CONFIG)[1] for each in (side, ~side))
         return sum(weight(part, cloud, CONFIG.extended.inverse_depth_noise) for part in parts)
 
     whole = weight(root.fit, cloud, CONFIG.extended.inverse_depth_noise)

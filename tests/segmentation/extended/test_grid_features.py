@@ -43,7 +43,7 @@ def test_places_without_a_point_are_joined_to_nothing(cloud):
 
 def test_the_smallest_segment_is_the_same_share_of_the_image_on_every_grid(cloud):
     every, second = (grid_features(cloud, replace(CONFIG, decimation=step)) for step in (1, 2))
-    assert every.places_min(CONFIG) == pytest.approx(4 * second.places_min(CONFIG))
+    assert every.grid_pixels_min(CONFIG) == pytest.approx(4 * second.grid_pixels_min(CONFIG))
 
 
 def test_a_frame_without_points_is_laid_out_too(cloud_of):

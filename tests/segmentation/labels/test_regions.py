@@ -95,7 +95,7 @@ def test_small_pieces_go_to_the_neighbour_nearest_in_depth():
         pixel_adjacency(inverse_depth, np.ones((12, 20), bool), 0.02),
         inverse_depth,
         gap_per_m=0.02,
-        places_min=10,
+        grid_pixels_min=10,
     )
     assert label_of == [1, 2]
     assert (pieces[0] == places[places % 20 < 10]).all()
@@ -107,7 +107,9 @@ def test_nothing_is_found_where_no_piece_is_large_enough():
     adjacency = pixel_adjacency(inverse_depth, np.ones((4, 4), bool), 0.02)
     places = np.arange(16)
     labels = np.ones(16, np.int32)
-    assert large_components(places, labels, adjacency, inverse_depth, gap_per_m=0.02, places_min=100) == (
+    assert large_components(
+        places, labels, adjacency, inverse_depth, gap_per_m=0.02, grid_pixels_min=100
+    ) == (
         [],
         [],
     )

@@ -82,7 +82,7 @@ class Grown:
             node = self.nodes[name]
             node.children = self.nodes[f"{name}0"], self.nodes[f"{name}1"]
             node.division = Division.CUT
-            node.trial = Trial("mse", 2.0, node.places.size, ((1.0, node.places.size),), True)
+            node.trial = Trial("mse", 2.0, node.grid_pixels.size, ((1.0, node.grid_pixels.size),), True)
         for name in ("00", "010", "011", "1"):
             self.nodes[name].stop = StopReason.CRITERION
         self.leaves = [LiveLeaf(self.nodes[name], 10 * n) for n, name in enumerate(("00", "010", "011", "1"))]
@@ -111,7 +111,7 @@ def fit_of(places):
 )
 def test_a_leaf_that_goes_leaves_its_place_to_the_other_part(absorbed, names, by_final, final):
     grown = Grown()
-    kept_before = {leaf.number: leaf.node.places for leaf in grown.leaves}
+    kept_before = {leaf.number: leaf.node.grid_pixels for leaf in grown.leaves}
     for gone, kept in absorbed:
         grown.editor.merge_leaves(gone, kept)
     assert grown.names() == names
@@ -119,7 +119,7 @@ def test_a_leaf_that_goes_leaves_its_place_to_the_other_part(absorbed, names, by
     assert [leaf.number for leaf in done.leaves] == [10 * n for n in by_final]
     assert done.final.tolist() == final
     for leaf in done.leaves:
-        assert leaf.node.places is kept_before[leaf.number]
+        assert leaf.node.grid_pixels is kept_before[leaf.number]
         assert leaf.node.stop is StopReason.CRITERION
         assert not leaf.node.children
         assert leaf.node.division is None

@@ -72,7 +72,7 @@ def test_misfits_are_means_over_the_inner_places_or_all_where_there_are_few(
     residual = np.where(labels > 0, np.abs(lattice.image(labels) - grid.inverse_depth), 0) / NOISE
     for label in (1, 2, 3):
         own = labels == label
-        assert found.places[label] == own.sum()
+        assert found.counts[label] == own.sum()
         judged = np.minimum(residual[own & inner if label < 3 else own], 4.0)
         assert found.mean_squared[label] == pytest.approx(np.mean(judged**2), rel=1e-3)
         assert found.unreached[label] == pytest.approx(np.mean(np.isinf(residual[own])))
@@ -87,7 +87,7 @@ def test_leaves_are_measured_along_the_rays(grid: DepthGrid, labels: np.ndarray)
     points = grid.points.coordinates_m.reshape(3, -1).T
     for leaf in leaves:
         places = np.flatnonzero(labels == leaf.number)
-        assert np.array_equal(leaf.node.places, places)
+        assert np.array_equal(leaf.node.grid_pixels, places)
         fit = leaf.node.fit
         assert np.array_equal(fit.pixels, (places // 40 * 80 + places % 40) * 2)
         if leaf.number == 3:
@@ -133,7 +133,7 @@ def test_the_rim_is_left_out_where_three_tenths_are_inside(
     found = misfit(labels, Constant(0.5), replace(grid, inverse_depth=inverse_depth), NOISE, 2)
     expected = 1.0 if judged == "inside" else np.mean(np.where(inside[labels == 2], 1.0, 4.0))
     assert found.mean_squared[2] == pytest.approx(expected, rel=1e-3)
-    assert found.places.tolist() == [0, labels.size - rows * columns, rows * columns]
+    assert found.counts.tolist() == [0, labels.size - rows * columns, rows * columns]
     assert found.mean_squared[0] == 0.0
 
 
@@ -147,7 +147,7 @@ def test_a_leaf_of_one_place_has_the_values_of_that_place(grid: DepthGrid, label
     assert residual_m > 0
     assert leaves[1].node.fit.values["mae"] == pytest.approx(residual_m)
     assert leaves[1].node.fit.values["mse"] == pytest.approx(residual_m**2)
-    assert leaves[1].node.places.tolist() == [place]
+    assert leaves[1].node.grid_pixels.tolist() == [place]
 
 
 def test_a_fit_of_this_frame_is_kept_where_it_is_of_all_places_and_of_this_surface(
@@ -159,7 +159,7 @@ def test_a_fit_of_this_frame_is_kept_where_it_is_of_all_places_and_of_this_surfa
         leaves = leaves_of(grid, shown)[:2]
         for leaf in leaves:
             # As fitted now, to all of its places but for the first few.
-            leaf.node.places = np.flatnonzero(shown == leaf.number)[places:]
+            leaf.node.grid_pixels = np.flatnonzero(shown == leaf.number)[places:]
             leaf.age = age
             if moved:
                 assert leaf.surface is not None
@@ -167,7 +167,9 @@ def test_a_fit_of_this_frame_is_kept_where_it_is_of_all_places_and_of_this_surfa
         before = [leaf.node.fit for leaf in leaves]
         lattice = SurfaceLattice([leaf.surface for leaf in leaves], 2)
         assert not update_residuals(leaves, shown, lattice, grid, CONFIG)
-        assert all(np.array_equal(leaf.node.places, np.flatnonzero(shown == leaf.number)) for leaf in leaves)
+        assert all(
+            np.array_equal(leaf.node.grid_pixels, np.flatnonzero(shown == leaf.number)) for leaf in leaves
+        )
         assert all(leaf.rms_per_m > 0 for leaf in leaves)
         kept = {leaf.node.fit is fit for leaf, fit in zip(leaves, before, strict=True)}
         assert len(kept) == 1

@@ -182,7 +182,7 @@ def far_off(cloud: PointMap, segment: Segment) -> tuple[float, float]:
 def test_surfaces_of_cut_segments_are_those_of_the_frame(
     every: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(renewal, "_JUDGED_PLACES", 0)
+    monkeypatch.setattr(renewal, "_JUDGED_PIXELS", 0)
     checked = without = 0
     for place, (cloud, tree, _) in enumerate(run(CONFIG, every=every)):
         for each in tree.segments:
@@ -212,7 +212,7 @@ def test_every_surface_changes_no_label() -> None:
 
 
 def test_every_split_is_judged_again_within_its_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(renewal, "_JUDGED_PLACES", 0)
+    monkeypatch.setattr(renewal, "_JUDGED_PIXELS", 0)
     seen = run(CONFIG, 30)
     assert max(len(cuts_of(tree)) for _, tree, _ in seen) > 2
     for place, (_, tree, report) in enumerate(seen):
@@ -249,7 +249,7 @@ def test_cuts_are_counted_where_parts_were_not_connected_at_first() -> None:
 
 
 def test_a_split_is_undone_by_its_own_ratio_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(renewal, "_JUDGED_PLACES", 0)
+    monkeypatch.setattr(renewal, "_JUDGED_PIXELS", 0)
     live = LiveTree(CONFIG)
     for frame in range(10):
         before = live.segment(plates(*PLATES[: frame // 2], frame=frame), Budget(merges=0))

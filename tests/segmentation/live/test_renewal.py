@@ -85,7 +85,7 @@ def test_a_split_is_judged_by_one_surface_for_all_and_those_of_the_leaves(tree: 
     # One of the leaves is out of sight, and is no part.
     gone = tree.leaves[0].node
     tree.labels[tree.labels == 1] = 0
-    gone.places = np.zeros(0, dtype=np.intp)
+    gone.grid_pixels = np.zeros(0, dtype=np.intp)
     renewed(tree, {"": 9, "0": 1, "1": 1})
     root = tree.root
     assert root.trial is not None

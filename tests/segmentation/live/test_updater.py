@@ -41,8 +41,8 @@ def refitted(tree: DesignedTree, most: int, **measures: Sequence[float]) -> list
         assert leaf.surface is leaf.node.fit.surface
         assert leaf.age == 0
         assert np.isnan(leaf.level)
-        assert np.array_equal(leaf.node.places, np.flatnonzero(tree.labels == label))
-        assert leaf.node.fit.pixels.size == leaf.node.places.size
+        assert np.array_equal(leaf.node.grid_pixels, np.flatnonzero(tree.labels == label))
+        assert leaf.node.fit.pixels.size == leaf.node.grid_pixels.size
     assert done.report.refits == len(found) <= most
     return found
 
@@ -107,7 +107,7 @@ def test_what_appears_is_a_leaf_beside_its_surroundings_six_in_a_frame() -> None
         assert (images[row : row + 5, column : column + 5] == label).all()
         leaf = done.leaves[label - 1]
         assert leaf.node.name[0] == ("0" if column < 40 else "1")
-        assert leaf.node.places.size == 25
+        assert leaf.node.grid_pixels.size == 25
         assert leaf.tried == 0.0
     shown = [node for node in depth_first(tree.root) if node.division is Division.APPEARED]
     assert len(shown) == 6
@@ -231,10 +231,10 @@ def test_a_leaf_that_is_split_becomes_its_parts() -> None:
     assert {part.judged for part in parts} == {FRAME}
     # The largest part goes on as the leaf that was there, and the labels are those of the parts.
     (goes_on,) = [leaf for leaf in done.leaves if leaf is tree.leaves[1]]
-    assert goes_on.node.places.size == max(part.places.size for part in parts)
+    assert goes_on.node.grid_pixels.size == max(part.grid_pixels.size for part in parts)
     assert goes_on.surface is goes_on.node.fit.surface
     for label, leaf in enumerate(done.leaves, start=1):
-        assert np.array_equal(np.flatnonzero(done.final[done.on_grid] == label), leaf.node.places)
+        assert np.array_equal(np.flatnonzero(done.final[done.on_grid] == label), leaf.node.grid_pixels)
         assert leaf.tried == (0.0 if leaf.node in parts else 1.0)
 
 
@@ -288,7 +288,7 @@ def test_a_split_that_is_not_kept_is_undone(flush: DesignedTree) -> None:
     assert done.final.tolist() == [0, 1, 2, 2, 2]
     assert largest.node is wall
     assert (wall.children, wall.division) == ((), None)
-    assert np.array_equal(wall.places, np.flatnonzero(flush.labels > 1))
+    assert np.array_equal(wall.grid_pixels, np.flatnonzero(flush.labels > 1))
     assert largest.surface is wall.fit.surface is not None
     assert (largest.age, np.isnan(largest.level), np.isnan(largest.tried)) == (0, True, True)
     assert largest.attempt is not None
@@ -315,7 +315,7 @@ def test_a_split_that_fitted_surfaces_keep_stays(flush: DesignedTree) -> None:
 
 
 def test_what_is_no_split_any_more_is_not_undone(flush: DesignedTree) -> None:
-    elsewhere = Node("1", flush.nodes["1"].places, flush.nodes["1"].fit, flush.nodes["1"].children)
+    elsewhere = Node("1", flush.nodes["1"].grid_pixels, flush.nodes["1"].fit, flush.nodes["1"].children)
     done = flush.update(rejected=[flush.nodes["0"], elsewhere])
     assert done.report.merges == 0
     assert len(done.leaves) == 4
@@ -345,7 +345,7 @@ def test_the_larger_of_two_leaves_of_an_object_takes_in_the_other_where_one_surf
         assert done.report.merges == 1
         assert done.leaves == [leaf]
         assert done.final.tolist() == [0, 1, 1]
-        assert leaf.node.places.size == 4800
+        assert leaf.node.grid_pixels.size == 4800
         assert leaf.surface is leaf.node.fit.surface is not None
         assert leaf.attempt is not None
         assert leaf.attempt.trial is not None
