@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping
@@ -138,18 +139,32 @@ class Paced(FrameSource):
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         super().__init__()
-        if not speed > 0:
-            raise ValueError(f"speed: expected more than 0, got {speed}")
         self.calibration = source.calibration
         self.metadata = source.metadata
         self._source = source
-        self._speed = speed
         self._clock = clock
         self._sleep = sleep
         self._start_s: float | None = None
+        self.speed = speed
         self._first_ns = 0
         self._last_ns = 0
         self._waiting: RGBDFrame | None = None  # read, but not due within the last time limit
+
+    @property
+    def speed(self) -> float:
+        """Multiple of the recorded rate."""
+        return self._speed
+
+    @speed.setter
+    def speed(self, speed: float) -> None:
+        if not 0 < speed < math.inf:
+            raise ValueError(f"speed: expected more than 0, got {speed}")
+        self._speed = speed
+        self.restart()
+
+    def restart(self) -> None:
+        """Make the next frame due at once, and those after it count from it: after a pause."""
+        self._start_s = None
 
     def _read(self, timeout_s: float) -> RGBDFrame:
         if self._waiting is None:
@@ -158,9 +173,11 @@ class Paced(FrameSource):
                 self._shorten_pause(self._waiting)
             self._last_ns = self._waiting.timestamp_ns
         frame = self._waiting
-        if self._start_s is None:
-            self._start_s, self._first_ns = self._clock(), frame.timestamp_ns
-        due_s = self._start_s + (frame.timestamp_ns - self._first_ns) * 1e-9 / self._speed
+        start_s = self._start_s
+        if start_s is None:
+            start_s = self._start_s = self._clock()
+            self._first_ns = frame.timestamp_ns
+        due_s = start_s + (frame.timestamp_ns - self._first_ns) * 1e-9 / self._speed
         wait_s = due_s - self._clock()
         if wait_s > 0:
             self._sleep(min(wait_s, timeout_s))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Self
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.process.bounded_queue import BoundedQueue
-from nurbseg.drivers.source import FrameSource
+from nurbseg.drivers.source import FrameSource, Paced
 
 if TYPE_CHECKING:
     from nurbseg.app.recording.recording import Recording
@@ -27,6 +27,8 @@ _READ_TIMEOUT_S = 0.5
 _STOP_TIMEOUT_S = 5.0
 #: Damaged frames that are logged one by one; the others are counted.
 _DAMAGED_NAMED_MAX = 20
+#: Time between two looks whether a pause is over, seconds.
+_PAUSE_LOOK_S = 0.05
 #: Periods of which the median is taken for the rate of the source.
 _PERIODS = 15
 
@@ -89,6 +91,8 @@ class CaptureThread:
         self.damaged = 0
         self.damaged_frames: list[str] = []
         self.source_hz = 0.0
+        self._paused = False
+        self._steps = 0
         self._periods_s: deque[float] = deque(maxlen=_PERIODS)
         self._source = source
         self._stop = threading.Event()
@@ -111,6 +115,30 @@ class CaptureThread:
         """What the source lost before it could be read, counted by reason."""
         return self._source.losses
 
+    @property
+    def speed(self) -> float:
+        """Multiple of the recorded rate that a replay is paced by; 0 where it is not."""
+        return self._source.speed if isinstance(self._source, Paced) else 0.0
+
+    @speed.setter
+    def speed(self, speed: float) -> None:
+        if isinstance(self._source, Paced):
+            self._source.speed = speed
+
+    def pause(self, paused: bool) -> None:
+        """Read nothing for now, or go on where reading ended."""
+        self._paused = paused
+        self._restart()
+
+    def step(self) -> None:
+        """Read one more frame while paused."""
+        self._steps += 1
+        self._restart()
+
+    def _restart(self) -> None:
+        if isinstance(self._source, Paced):
+            self._source.restart()
+
     def stop(self) -> None:
         """Stop reading, and wait for the read that is under way, a few seconds at most."""
         self._stop.set()
@@ -124,6 +152,9 @@ class CaptureThread:
         before: Captured | None = None
         try:
             while not self._stop.is_set():
+                if self._paused and not self._steps:
+                    self._stop.wait(_PAUSE_LOOK_S)
+                    continue
                 try:
                     frame = self._source.read(_READ_TIMEOUT_S)
                 except FrameTimeoutError:
@@ -132,6 +163,7 @@ class CaptureThread:
                     self._pass_over(err)
                     continue
                 self.read += 1
+                self._steps = max(0, self._steps - 1)
                 captured = Captured(frame, time.monotonic())
                 self._take_period(before, captured)
                 before = captured

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from nurbseg.app.live.control.console import Control
 from nurbseg.drivers.settings import Settings, setting
 
 Temporal = Literal["auto", "on", "off"]
@@ -32,6 +33,12 @@ class LiveConfig(Settings):
         "0 shows every one",
         unit="ms",
         least=0.0,
+    )
+
+    control: Control = setting(
+        "auto",
+        "commands while it runs: keys where it runs in a terminal (auto), lines of standard input, or off",
+        choices=get_args(Control),
     )
 
     def follows(self, *, every_frame: bool) -> bool:

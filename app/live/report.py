@@ -50,6 +50,8 @@ class RunReport:
         Frames of them that were too old to be shown.
     recorded_only : int
         Frames taken that were not to be segmented.
+    quit : bool
+        Whether somebody ended the run by a command.
     capture : CaptureThread or None
         Which reads the frames; None before it does.
     view : View or None
@@ -58,6 +60,7 @@ class RunReport:
 
     def __init__(self, config: AppConfig, source: str, metadata: Mapping[str, str]) -> None:
         self.segmented = self.late = self.recorded_only = 0
+        self.quit = False
         self.capture: CaptureThread | None = None
         self.view: View | None = None
         self._config = config

@@ -5,15 +5,19 @@ from __future__ import annotations
 import gc
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 from nurbseg.app.config import AppConfig
 from nurbseg.app.export.exporter import Exporter, ExportError, run_settings
 from nurbseg.app.live.capture import Captured, CaptureThread
+from nurbseg.app.live.control.controls import Controls
+from nurbseg.app.live.control.feed import captured_frames, controlled_frames
+from nurbseg.app.live.control.snapshot import write_snapshot
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.latency_filter import LatencyFilter
 from nurbseg.app.live.opening import OpenedSource, open_chosen
@@ -30,11 +34,10 @@ from nurbseg.app.view.viewer import ViewError
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.files import check_absent
 from nurbseg.drivers.process.child import ChildProcess
+from nurbseg.segmentation.config import SegmentationConfig
 
 _log = logging.getLogger(__name__)
 
-#: Time between two looks whether the run was interrupted, seconds.
-_TAKE_TIMEOUT_S = 0.5
 #: Frames after which all that a run needs was imported and compiled.
 _SETTLED_FRAMES = 5
 
@@ -104,9 +107,9 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                     _segment(config, opened, capture, exporter, view, report, interruption)
             if recording is not None:
                 tell_recorded(recording)
-            if report.segmented + report.recorded_only == 0:
+            if report.segmented + report.recorded_only == 0 and not report.quit:
                 raise NoFramesError(f"{opened.uri}: no frame could be read ({capture.damaged} damaged)")
-        if view.serving:
+        if view.serving and not report.quit:
             _log.info("all frames are shown; Ctrl-C ends the serving")
             interruption.wait()
         return report
@@ -159,7 +162,7 @@ def _reported(report: RunReport, interruption: Interruption) -> Iterator[None]:
         except ExportError as second:
             _log.error("%s", second)
         raise
-    report.write("the source ended")
+    report.write("quit" if report.quit else "the source ended")
 
 
 def _begin_warm_up(config: AppConfig) -> WarmUp | None:
@@ -187,14 +190,18 @@ def _check_workers(config: AppConfig, opened: OpenedSource) -> None:
 def _open_export(config: AppConfig, opened: OpenedSource) -> Exporter | None:
     if config.export.directory is None:
         return None
-    settings = run_settings(
-        config.segmentation,
+    settings = _settings(config, config.segmentation, opened)
+    return Exporter(Path(config.export.directory), settings, config.export)
+
+
+def _settings(config: AppConfig, segmentation: SegmentationConfig, opened: OpenedSource) -> dict[str, Any]:
+    return run_settings(
+        segmentation,
         source=opened.uri,
         temporal=config.live.follows(every_frame=opened.every_frame),
         target_fps=_target_hz(config, opened),
         surfaces=config.export.surfaces,
     )
-    return Exporter(Path(config.export.directory), settings, config.export)
 
 
 def _open_view(config: AppConfig, opened: OpenedSource, process: ChildProcess | None) -> View:
@@ -219,36 +226,65 @@ def _segment(
     """Take frame after frame, segment it and hand it on, until the source ends."""
     progress = Progress(capture)
     if (count := process_count(config.source.workers)) > 1:
-        frames = (each for each in _captured(capture, progress, interruption) if each is not None)
-        _segment_in_parallel(config, frames, count, exporter, view, report, progress)
+        all_frames = (each for each in captured_frames(capture, progress, interruption) if each is not None)
+        _segment_in_parallel(config, all_frames, count, exporter, view, report, progress)
         return
     exports: list[Consumer] = [] if exporter is None else [("export", exporter.write)]
-    segmenter = Segmenter(
+    segmenter = _segmenter(config, config.segmentation, opened, every_surface=bool(exports))
+    latency_filter = LatencyFilter(0.0 if opened.every_frame else config.live.age_max_ms)
+    controls = Controls(
         config.segmentation,
+        capture,
+        is_replay=not opened.source.live,
+        fixed="" if exporter is None else "an export holds results of one run's settings only",
+    )
+    frames = controlled_frames(config.live.control, controls, capture, progress, interruption)
+    with closing(frames):
+        for captured in frames:
+            if controls.config is not segmenter.config:
+                segmenter = _segmenter(config, controls.config, opened, every_surface=bool(exports))
+                view.metric = controls.config.metric
+            waited_s = time.monotonic() - captured.arrived_s
+            result = segmenter.process(captured.frame, source_hz=capture.source_hz)
+            latency_ms = 1e3 * (time.monotonic() - captured.arrived_s)
+            elapsed_ms = {"wait": 1e3 * waited_s, **result.elapsed_ms, "capture_to_labels": latency_ms}
+            result = replace(result, elapsed_ms=MappingProxyType(elapsed_ms))
+            shown: list[Consumer] = [("show", view.show)] if latency_filter.passes(latency_ms) else []
+            for stage, consume in (*exports, *shown):
+                started_s = time.perf_counter()
+                consume(result)
+                elapsed_ms[stage] = 1e3 * (time.perf_counter() - started_s)
+            if controls.snapshots:
+                controls.snapshots = 0
+                _write_snapshot(result, _settings(config, controls.config, opened))
+            report.late = latency_filter.held_back
+            report.add(elapsed_ms, result.events, result.update)
+            progress.segmented(
+                result.frame, len(result.tree.leaves()), elapsed_ms, late=latency_filter.held_back
+            )
+            if report.segmented == _SETTLED_FRAMES:
+                # That stays for good, and looking for garbage in it takes a tenth of a second each time.
+                gc.freeze()
+    report.quit = controls.ended
+
+
+def _write_snapshot(result: FrameResult, settings: Mapping[str, Any]) -> None:
+    """Write a snapshot into the working folder; a run goes on without it where that is not possible."""
+    try:
+        _log.info("snapshot: %s", write_snapshot(result, settings, Path.cwd()))
+    except ExportError as err:
+        _log.error("%s", err)
+
+
+def _segmenter(
+    config: AppConfig, segmentation: SegmentationConfig, opened: OpenedSource, *, every_surface: bool
+) -> Segmenter:
+    return Segmenter(
+        segmentation,
         temporal=config.live.follows(every_frame=opened.every_frame),
         target_hz=_target_hz(config, opened),
-        every_surface=bool(exports),
+        every_surface=every_surface,
     )
-    latency_filter = LatencyFilter(0.0 if opened.every_frame else config.live.age_max_ms)
-    for captured in _captured(capture, progress, interruption):
-        if captured is None:
-            continue
-        waited_s = time.monotonic() - captured.arrived_s
-        result = segmenter.process(captured.frame, source_hz=capture.source_hz)
-        latency_ms = 1e3 * (time.monotonic() - captured.arrived_s)
-        elapsed_ms = {"wait": 1e3 * waited_s, **result.elapsed_ms, "capture_to_labels": latency_ms}
-        result = replace(result, elapsed_ms=MappingProxyType(elapsed_ms))
-        shown: list[Consumer] = [("show", view.show)] if latency_filter.passes(latency_ms) else []
-        for stage, consume in (*exports, *shown):
-            started_s = time.perf_counter()
-            consume(result)
-            elapsed_ms[stage] = 1e3 * (time.perf_counter() - started_s)
-        report.late = latency_filter.held_back
-        report.add(elapsed_ms, result.events, result.update)
-        progress.segmented(result.frame, len(result.tree.leaves()), elapsed_ms, late=latency_filter.held_back)
-        if report.segmented == _SETTLED_FRAMES:
-            # That stays for good, and looking for garbage in it takes a tenth of a second each time.
-            gc.freeze()
 
 
 def _segment_in_parallel(
@@ -279,26 +315,9 @@ def _segment_in_parallel(
 def _only_record(capture: CaptureThread, report: RunReport, interruption: Interruption) -> None:
     """Take frame after frame, which are recorded already, until the source or the recording ends."""
     progress = Progress(capture)
-    for captured in _captured(capture, progress, interruption):
+    for captured in captured_frames(capture, progress, interruption):
         if captured is not None:
             report.recorded_only += 1
             progress.recorded()
         if capture.recording is None or capture.recording.ended:
             return
-
-
-def _captured(
-    capture: CaptureThread, progress: Progress, interruption: Interruption
-) -> Iterator[Captured | None]:
-    """Yield frame after frame until the source ends, and None now and then where none comes."""
-    while True:
-        interruption.check()
-        try:
-            captured = capture.frames.take(_TAKE_TIMEOUT_S)
-        except TimeoutError:
-            progress.waiting()
-            yield None
-            continue
-        if captured is None:
-            return
-        yield captured

@@ -104,7 +104,7 @@ class IsolatedView(View):
         self.connections = 0
         self._process = process
         self._config = config
-        self._metric = segmentation.metric
+        self.metric = segmentation.metric
         self._logger = logger
         self._channel = process.connect(CODEC)
         # Every frame is saved, but only the newest is shown.
@@ -271,7 +271,7 @@ class IsolatedView(View):
         frame = drawn(
             shown.result,
             self._config,
-            self._metric,
+            self.metric,
             moment=shown.moment,
             elapsed_ms=shown.elapsed_ms,
             rate_hz=shown.rate_hz,

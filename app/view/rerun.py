@@ -65,7 +65,7 @@ class RerunView:
     config : ViewConfig
         Where, and how fine.
     segmentation : SegmentationConfig
-        Kept with the recording; names the metric that is shown.
+        Kept with the recording.
     properties : mapping of str to mapping of str to str
         What else is kept with the recording, by subject.
     name : str
@@ -90,7 +90,6 @@ class RerunView:
         name: str,
     ) -> None:
         self._config = config
-        self._metric = segmentation.metric
         self._calibration: Calibration | None = None
         self._closed = False
         self._server: WebServer | None = None
@@ -143,7 +142,7 @@ class RerunView:
         self._calibration = frame.calibration or self._calibration
         if self._calibration is None:
             raise ValueError("calibration: expected one with the first frame")
-        entities = FrameEntities(frame, self._calibration, self._config, self._metric)
+        entities = FrameEntities(frame, self._calibration, self._config)
         for sink in self._sinks:
             sink.put(entities)
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Self
 
 if TYPE_CHECKING:
     from nurbseg.app.result import FrameResult
+    from nurbseg.segmentation.config import Metric
 
 
 class View:
@@ -19,9 +20,12 @@ class View:
         What a person does to see it; empty where a window opens by itself or there is nothing to see.
     serving : bool
         Whether a web page is served, which ends with this view.
+    metric : str
+        Which of the metrics is shown of each segment.
     """
 
     shows = False
+    metric: Metric = "mse"
 
     def __init__(self, how_to_look: str = "") -> None:
         self.how_to_look, self.serving = how_to_look, False

@@ -111,3 +111,20 @@ def test_skipping_by_reading_counts_damaged_frames_and_passes_other_errors_on() 
         assert source.read().index == 2
         with pytest.raises(FrameTimeoutError):
             source.skip(1)
+
+
+def test_after_a_pause_or_at_another_speed_frames_count_from_the_next_one() -> None:
+    clock = FakeClock()
+    with paced([0.0, 0.1, 0.2, 0.3, 0.4, 0.5], clock) as source:
+        source.read()
+        clock.now_s += 50.0
+        source.restart()
+        source.read()
+        assert clock.now_s == pytest.approx(150.0)
+        source.read()
+        assert clock.now_s == pytest.approx(150.1)
+        source.speed = 0.5
+        source.read()
+        assert clock.now_s == pytest.approx(150.1)
+        source.read()
+        assert clock.now_s == pytest.approx(150.3)

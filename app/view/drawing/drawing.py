@@ -58,6 +58,7 @@ def drawn(
     return ViewFrame(
         moment=moment,
         name=frame.name,
+        metric=metric,
         calibration=None if frame.calibration is known else frame.calibration,
         color=frame.color if registered else result.cloud.color,
         unregistered_color=None if registered else frame.color,

@@ -26,7 +26,6 @@ from nurbseg.app.view.drawing.palette import (
 from nurbseg.app.view.drawing.tables import object_table, tree_table
 from nurbseg.app.view.drawing.tree import Entities, tree_entities
 from nurbseg.drivers.frame import Calibration, Intrinsics
-from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.labels.lookup import apply_lookup_table
 
 WORLD = "world"
@@ -65,14 +64,11 @@ class FrameEntities:
         Of its cameras.
     view : ViewConfig
         How fine everything is drawn.
-    metric : str
-        Which of the metrics is shown.
     """
 
     frame: ViewFrame
     calibration: Calibration
     view: ViewConfig
-    metric: Metric
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _built: list[tuple[str, Any]] | None = None
 
@@ -95,7 +91,7 @@ class FrameEntities:
                     *_space(self.frame, self.view),
                     *tree_entities(self.frame),
                     (OBJECT_TABLE, _markdown(object_table(self.frame))),
-                    (TREE_TABLE, _markdown(tree_table(self.frame, self.metric))),
+                    (TREE_TABLE, _markdown(tree_table(self.frame))),
                     *_scalars(self.frame),
                     *_log_lines(self.frame),
                 ]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.frame import Calibration
+from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.segments import Division, StopReason
 
 
@@ -63,6 +64,8 @@ class ViewFrame:
         When it was.
     name : str
         What the source calls it; may be empty.
+    metric : str
+        Which of the metrics is shown.
     calibration : Calibration or None
         Of its cameras; None where it is that of the frame before.
     color : (H, W, 3) uint8
@@ -107,6 +110,7 @@ class ViewFrame:
 
     moment: Moment
     name: str
+    metric: Metric
     calibration: Calibration | None
     color: NDArray[np.uint8]
     unregistered_color: NDArray[np.uint8] | None

@@ -75,14 +75,14 @@ def _place(points_m: NDArray[np.float32]) -> tuple[str, str]:
     return f"{distance_m:.2f}", " x ".join(f"{each:.2f}" for each in OrientedBox.around(points_m).size_m)
 
 
-def tree_table(frame: ViewFrame, metric: Metric) -> str:
+def tree_table(frame: ViewFrame) -> str:
     """Return the tree of a frame, one line for each segment; leaves have labels.
 
     What was found in an earlier frame bears its number: ``0.87 @12``.
     """
     nodes, moment = frame.tree, frame.moment.frame
     leaves = sum(each.label is not None for each in nodes)
-    value = f"{metric.upper()} ({_METRIC_UNITS[metric]})"
+    value = f"{frame.metric.upper()} ({_METRIC_UNITS[frame.metric]})"
     lines = [
         f"**{_name(frame)}**: {leaves} final segments of {len(nodes)}\n",
         f"| segment | label | pixels | {value} | ratio | divided or stopped by |",

@@ -1,0 +1,109 @@
+"""Commands for a run while it goes on: keys of a terminal, or lines of standard input."""
+
+from __future__ import annotations
+
+import os
+import queue
+import select
+import sys
+import termios
+import threading
+import tty
+from contextlib import suppress
+from typing import Literal, Self
+
+Control = Literal["auto", "lines", "off"]
+
+#: Keys and what they stand for; the help lists them in this order.
+KEYS = {
+    " ": "pause",
+    ".": "step",
+    "+": "faster",
+    "-": "slower",
+    "m": "metric",
+    "t": "ratio",
+    "l": "level",
+    "e": "method",
+    "s": "snapshot",
+    "h": "help",
+    "q": "quit",
+}
+
+#: Time between two looks whether the console is closed, seconds.
+_LOOK_S = 0.2
+
+
+class Console:
+    """Reads commands on a thread of its own; `take` never waits.
+
+    Parameters
+    ----------
+    descriptor : int
+        What is read.
+    keys : bool
+        Whether it is a terminal, which then passes on each key at once, until the console is closed;
+        otherwise each line is a command.
+    """
+
+    def __init__(self, descriptor: int, *, keys: bool) -> None:
+        self._descriptor = descriptor
+        self._keys = keys
+        self._commands: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="console", daemon=True)
+
+    def __enter__(self) -> Self:
+        if self._keys:
+            self._before = termios.tcgetattr(self._descriptor)
+            tty.setcbreak(self._descriptor)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join(5.0 * _LOOK_S)
+        if self._keys and self._is_ours():
+            termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
+
+    def take(self) -> str | None:
+        """Return the next command, if there is one."""
+        with suppress(queue.Empty):
+            return self._commands.get_nowait()
+        return None
+
+    def _is_ours(self) -> bool:
+        """Whether this process may use the terminal: one in the background would be stopped for it."""
+        with suppress(OSError):
+            return os.tcgetpgrp(self._descriptor) == os.getpgrp()
+        return False
+
+    def _run(self) -> None:
+        unfinished = ""
+        while not self._stop.is_set():
+            if self._keys and not self._is_ours():
+                self._stop.wait(_LOOK_S)
+                continue
+            if not select.select([self._descriptor], [], [], _LOOK_S)[0]:
+                continue
+            try:
+                text = os.read(self._descriptor, 1024).decode(errors="replace")
+            except OSError:
+                return
+            if not text:
+                return
+            if self._keys:
+                for command in filter(None, map(KEYS.get, text)):
+                    self._commands.put(command)
+            else:
+                *lines, unfinished = (unfinished + text).split("\n")
+                for line in filter(None, map(str.strip, lines)):
+                    self._commands.put(line)
+
+
+def open_console(control: Control) -> Console | None:
+    """Return what commands are read from; None where there is nothing."""
+    if control == "lines":
+        return Console(sys.stdin.fileno(), keys=False)
+    if control == "off" or not (sys.stdin.isatty() and sys.stderr.isatty()):
+        return None
+    return Console(sys.stdin.fileno(), keys=True)

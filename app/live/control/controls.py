@@ -1,0 +1,142 @@
+"""What can be changed of a run while it goes on, and how it is said."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, get_args
+
+from nurbseg.app.live.capture import CaptureThread
+from nurbseg.segmentation.config import Level, Method, Metric, SegmentationConfig
+
+_log = logging.getLogger(__name__)
+
+#: What a key changes the speed of a replay by, and the ratio.
+_SPEED_FACTOR, _RATIO_STEP = 1.5, 0.05
+
+_HELP = """commands while it runs: a key in a terminal, or with --control lines a line
+  space  pause, resume    stop and go on; a camera is read on, for its recording
+  .      step             go on for one frame
+  + -    speed X          replay at X times the recorded rate
+  m      metric NAME      decide by another metric; without a name by the next one
+  t      ratio X          keep a split below another ratio; without a number by 0.05 more, from 0.7 to 1.3
+  l      level NAME       label surfaces or objects; without a name the other
+  e      method NAME      segment by another method; without a name the other
+  s      snapshot         write all of this frame into a new folder
+  h      help
+  q      quit"""
+
+
+class Controls:
+    """Carries out commands.
+
+    Parameters
+    ----------
+    config : SegmentationConfig
+        How frames are segmented at first.
+    capture : CaptureThread
+        Of the run.
+    is_replay : bool
+        Whether reading can pause; a camera is read on.
+    fixed : str
+        Why settings may not change; empty where they may.
+
+    Attributes
+    ----------
+    config : SegmentationConfig
+        How frames are to be segmented from now on.
+    paused, ended : bool
+        Whether no frame is to be taken for now, or none any more.
+    snapshots, steps : int
+        How many frames are still to be written, and to be taken while paused.
+    """
+
+    def __init__(
+        self, config: SegmentationConfig, capture: CaptureThread, *, is_replay: bool, fixed: str = ""
+    ) -> None:
+        self.config = config
+        self.paused = self.ended = False
+        self.snapshots = self.steps = 0
+        self._capture = capture
+        self._is_replay = is_replay
+        self._fixed = fixed
+        self._commands: dict[str, Callable[[str], str]] = {
+            "pause": lambda _: self._pause(not self.paused),
+            "resume": lambda _: self._pause(False),
+            "step": lambda _: self._step(),
+            "speed": lambda word: self._set_speed(float(word)),
+            "faster": lambda _: self._set_speed(self._capture.speed * _SPEED_FACTOR),
+            "slower": lambda _: self._set_speed(self._capture.speed / _SPEED_FACTOR),
+            "metric": lambda word: self._change(metric=_chosen(word, self.config.metric, get_args(Metric))),
+            "ratio": self._set_ratio,
+            "level": self._set_level,
+            "method": lambda word: self._change(method=_chosen(word, self.config.method, get_args(Method))),
+            "snapshot": lambda _: self._snapshot(),
+            "help": lambda _: _HELP,
+            "quit": lambda _: self._quit(),
+        }
+
+    def apply(self, command: str) -> None:
+        """Carry out a command, and say what it did or what is wrong with it."""
+        name, _, word = command.partition(" ")
+        if name not in self._commands:
+            _log.warning("%r is no command; help lists them", name[:80])
+            return
+        try:
+            said = self._commands[name](word.strip())
+        except ValueError as err:
+            _log.warning("%s: %s", name, err)
+            return
+        if said:
+            _log.info("%s", said)
+
+    def _pause(self, paused: bool) -> str:
+        self.paused = paused
+        if self._is_replay:
+            self._capture.pause(paused)
+        return "paused" if paused else "resumed"
+
+    def _step(self) -> str:
+        if not self.paused:
+            self._pause(True)
+        self.steps += 1
+        if self._is_replay:
+            self._capture.step()
+        return ""
+
+    def _set_speed(self, speed: float) -> str:
+        if not self._capture.speed:
+            raise ValueError("only a replay at the recorded rate, or a multiple of it, has a speed")
+        self._capture.speed = speed
+        return f"speed {speed:.3g}"
+
+    def _set_level(self, word: str) -> str:
+        level = _chosen(word, self.config.extended.level, get_args(Level))
+        self._change(extended=replace(self.config.extended, level=level))
+        return f"level {level}"
+
+    def _set_ratio(self, word: str) -> str:
+        value = float(word) if word else round(self.config.ratio_max + _RATIO_STEP, 2)
+        return self._change(ratio_max=0.7 if not word and value > 1.3 else value)
+
+    def _change(self, **settings: Any) -> str:
+        if self._fixed:
+            raise ValueError(self._fixed)
+        self.config = replace(self.config, **settings)
+        return ", ".join(f"{name.removesuffix('_max')} {value}" for name, value in settings.items())
+
+    def _snapshot(self) -> str:
+        self.snapshots += 1
+        return ""
+
+    def _quit(self) -> str:
+        self.ended = True
+        return "quit"
+
+
+def _chosen(word: str, now: str, choices: Sequence[str]) -> Any:
+    """Return the choice that a word names, or the one after the present one."""
+    if word and word not in choices:
+        raise ValueError(f"expected one of {', '.join(choices)}, got {word[:80]!r}")
+    return word or choices[(choices.index(now) + 1) % len(choices)]

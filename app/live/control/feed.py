@@ -1,0 +1,75 @@
+"""The frames that a run takes, one after the other, and the commands that come in between."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Generator, Iterator
+from contextlib import nullcontext
+from dataclasses import replace
+
+from nurbseg.app.live.capture import Captured, CaptureThread
+from nurbseg.app.live.control.console import Control, open_console
+from nurbseg.app.live.control.controls import Controls
+from nurbseg.app.live.interruption import Interruption
+from nurbseg.app.live.progress import Progress
+
+_log = logging.getLogger(__name__)
+
+#: Time between two looks whether the run was interrupted, seconds.
+_TAKE_TIMEOUT_S = 0.5
+#: Time between two looks for commands while paused, seconds.
+_PAUSE_LOOK_S = 0.05
+
+
+def controlled_frames(
+    control: Control,
+    controls: Controls,
+    capture: CaptureThread,
+    progress: Progress,
+    interruption: Interruption,
+) -> Generator[Captured, None, None]:
+    """Yield frame after frame, and the last one again when settings change while none is taken."""
+    last: Captured | None = None
+    segmented_by = controls.config
+    with open_console(control) or nullcontext() as console:
+        if console is not None and control == "auto":
+            _log.info("h lists the keys, q quits")
+        for captured in captured_frames(capture, progress, interruption, controls):
+            while console is not None and (command := console.take()) is not None:
+                controls.apply(command)
+            if controls.ended:
+                return
+            if captured is None and last is not None and controls.paused:
+                wanted = controls.snapshots or segmented_by is not controls.config
+                captured = replace(last, arrived_s=time.monotonic()) if wanted else None
+            if captured is None:
+                continue
+            last, segmented_by = captured, controls.config
+            yield last
+
+
+def captured_frames(
+    capture: CaptureThread,
+    progress: Progress,
+    interruption: Interruption,
+    controls: Controls | None = None,
+) -> Iterator[Captured | None]:
+    """Yield frame after frame until the source ends, and None now and then where none comes or is taken."""
+    while True:
+        interruption.check()
+        if controls is not None and controls.paused and not controls.steps:
+            time.sleep(_PAUSE_LOOK_S)
+            yield None
+            continue
+        try:
+            captured = capture.frames.take(_TAKE_TIMEOUT_S)
+        except TimeoutError:
+            progress.waiting()
+            yield None
+            continue
+        if captured is None:
+            return
+        if controls is not None and controls.steps:
+            controls.steps -= 1
+        yield captured

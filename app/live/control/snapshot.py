@@ -1,0 +1,52 @@
+"""A snapshot: everything of one frame, in a folder of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+from nurbseg.app.export.config import ExportConfig
+from nurbseg.app.export.exporter import Exporter, ExportError
+from nurbseg.app.result import FrameResult
+
+
+def write_snapshot(result: FrameResult, settings: Mapping[str, Any], folder: Path) -> Path:
+    """Write color, depth, labels, objects, tree, surfaces and cloud of a frame.
+
+    Parameters
+    ----------
+    result : FrameResult
+        The frame.
+    settings : mapping
+        What ``settings.json`` is to hold, as `run_settings` returns it.
+    folder : Path
+        In which a folder is made, named by the time and the frame.
+
+    Returns
+    -------
+    Path
+        The new folder.
+
+    Raises
+    ------
+    ExportError
+        If a file cannot be written.
+    """
+    frame = result.frame
+    made = folder / f"snapshot-{datetime.now():%Y%m%d-%H%M%S}-frame{frame.index}"
+    exporter = Exporter(made, {**settings, "surfaces": True}, ExportConfig(cloud="ply", graph=True))
+    exporter.write(result)
+    images = {"color": cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR), "depth": frame.depth_mm}
+    for name, image in images.items():
+        path = made / f"{frame.index:06d}_{name}.png"
+        try:
+            written = cv2.imwrite(str(path), image)
+        except cv2.error:
+            written = False
+        if not written:
+            raise ExportError(f"{path}: cannot be written")
+    return made

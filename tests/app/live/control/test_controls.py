@@ -1,0 +1,144 @@
+"""Commands: what each changes, and what is said of it."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+from scripted_source import ScriptedSource, small_frame
+
+from nurbseg.app.live.capture import CaptureThread
+from nurbseg.app.live.control.console import KEYS
+from nurbseg.app.live.control.controls import Controls
+from nurbseg.drivers.source import Paced
+from nurbseg.segmentation.config import SegmentationConfig
+
+
+@pytest.fixture
+def replay() -> Iterator[Paced]:
+    with Paced(ScriptedSource([small_frame(index) for index in range(1000)]), 4.0) as source:
+        yield source
+
+
+@pytest.fixture
+def controls(replay: Paced) -> Controls:
+    return Controls(SegmentationConfig(), CaptureThread(replay), is_replay=True)
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    deadline_s = time.monotonic() + 30.0
+    while not condition():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize(
+    ("command", "name", "expected"),
+    [
+        ("metric vgc", "metric", "vgc"),
+        ("metric", "metric", "mae"),
+        ("level surfaces", "level", "surfaces"),
+        ("level", "level", "surfaces"),
+        ("method", "method", "stag15"),
+        ("ratio 0.9", "ratio_max", 0.9),
+        ("ratio", "ratio_max", 1.05),
+    ],
+)
+def test_a_setting_is_that_of_the_next_frame(
+    controls: Controls, command: str, name: str, expected: object, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.INFO, "nurbseg"):
+        controls.apply(command)
+    section = controls.config.extended if name == "level" else controls.config
+    assert getattr(section, name) == expected
+    assert caplog.messages == [f"{name.removesuffix('_max')} {expected}"]
+
+
+def test_the_key_for_the_ratio_comes_round(controls: Controls) -> None:
+    ratios = []
+    for _ in range(14):
+        controls.apply("ratio")
+        ratios.append(controls.config.ratio_max)
+    assert min(ratios) == 0.7
+    assert max(ratios) == 1.3
+    assert len(set(ratios)) == 13
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("metric rmse", "metric: expected one of mse, mae, "),
+        ("ratio -1", "ratio: ratio_max: expected "),
+        ("ratio much", "ratio: could not convert string to float: 'much'"),
+        ("speed 0", "speed: speed: expected more than 0, got 0"),
+        ("dance", "'dance' is no command; help lists them"),
+    ],
+)
+def test_what_cannot_be_done_is_said_and_changes_nothing(
+    controls: Controls, command: str, said: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    controls.apply(command)
+    assert controls.config == SegmentationConfig()
+    (message,) = caplog.messages
+    assert message.startswith(said)
+
+
+def test_settings_of_an_export_stay(replay: Paced, caplog: pytest.LogCaptureFixture) -> None:
+    capture = CaptureThread(replay)
+    fixed = "an export holds one run's settings"
+    controls = Controls(SegmentationConfig(), capture, is_replay=True, fixed=fixed)
+    controls.apply("metric")
+    assert controls.config == SegmentationConfig()
+    assert caplog.messages == ["metric: an export holds one run's settings"]
+
+
+def test_speed_is_that_of_a_replay_only(
+    controls: Controls, replay: Paced, caplog: pytest.LogCaptureFixture
+) -> None:
+    controls.apply("slower")
+    assert replay.speed == pytest.approx(4.0 / 1.5)
+    with ScriptedSource([small_frame(0)], live=True) as camera:
+        capture = CaptureThread(camera)
+        Controls(SegmentationConfig(), capture, is_replay=False).apply("faster")
+        assert capture.speed == 0.0
+    assert caplog.messages[-1].startswith("faster: only a replay")
+
+
+def test_a_pause_stops_reading_a_replay_and_a_step_reads_one_frame(replay: Paced) -> None:
+    with CaptureThread(replay) as capture:
+        controls = Controls(SegmentationConfig(), capture, is_replay=True)
+        wait_until(lambda: capture.read > 3)
+        controls.apply("pause")
+        time.sleep(0.2)
+        read = capture.read
+        for steps in (1, 2):
+            controls.apply("step")
+            wait_until(lambda expected=read + steps: capture.read == expected)  # type: ignore[misc]
+            time.sleep(0.2)
+            assert capture.read == read + steps
+        assert controls.paused
+        controls.apply("pause")
+        assert not controls.paused
+        wait_until(lambda: capture.read > read + 5)
+
+
+def test_a_camera_is_read_on_while_paused() -> None:
+    source = ScriptedSource([small_frame(index) for index in range(1000)], live=True)
+    with source, CaptureThread(source) as capture:
+        controls = Controls(SegmentationConfig(), capture, is_replay=False)
+        controls.apply("pause")
+        assert controls.paused
+        wait_until(lambda: capture.read == 1000)
+
+
+def test_every_key_is_a_command_and_in_the_help(controls: Controls, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO, "nurbseg"):
+        controls.apply("help")
+        (text,) = caplog.messages
+        for key, command in KEYS.items():
+            assert f"\n  {'space' if key == ' ' else key} " in text or f" {key} " in text
+            controls.apply(command)
+    assert not any("no command" in each for each in caplog.messages)
+    assert controls.ended
