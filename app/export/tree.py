@@ -11,15 +11,7 @@ from nurbseg.segmentation.segments import Segment, Trial
 
 
 def tree_document(result: FrameResult, metric: Metric) -> dict[str, Any]:
-    """Return a frame's tree as what its JSON file holds.
-
-    Parameters
-    ----------
-    result : FrameResult
-        The frame and its tree.
-    metric : str
-        Which metric decided the splits.
-    """
+    """Return a frame's tree, decided by a metric, as what its JSON file holds."""
     tree = result.tree
     numbered = tuple(zip(result.object_labels, tree.objects, strict=True))
     object_of = {name: label for label, each in numbered for name in each.leaves}
@@ -115,13 +107,6 @@ def tree_graph(result: FrameResult, metric: Metric) -> str:
     """Return a frame's tree as a graph for Graphviz, in the language DOT.
 
     A node tells a segment's name, its pixels, the metric and why it is a leaf; leaves also their object.
-
-    Parameters
-    ----------
-    result : FrameResult
-        The frame and its tree.
-    metric : str
-        Which metric decided the splits.
     """
     lines = [f'digraph "frame {result.frame.index}" {{', '  node [shape=box, fontname="sans-serif"];']
     object_of = dict(

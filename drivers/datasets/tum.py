@@ -79,10 +79,8 @@ class TumSource(PairSource):
 
     Raises
     ------
-    RecordingFormatError
-        If a list is damaged, or no pair can be used.
-    CalibrationError
-        If there is no calibration, or an unusable one.
+    RecordingFormatError, CalibrationError
+        If a list is damaged, or no pair can be used; if there is no calibration, or an unusable one.
 
     References
     ----------

@@ -34,19 +34,7 @@ def describe(
     environ: Mapping[str, str] | None = None,
     probe: Probe | None = None,
 ) -> System:
-    """Describe this computer.
-
-    Parameters
-    ----------
-    backend : usb.backend.IBackend, optional
-        What pyusb works through; None takes libusb.
-    root : Path
-        Where the file system starts.
-    environ : mapping, optional
-        Environment variables; None takes the program's own.
-    probe : Probe, optional
-        What OpenNI2 itself returned, where its cameras were listed.
-    """
+    """Describe this computer, as `scan_usb` and `read_host` find it and as OpenNI2 itself did (`probe`)."""
     environ = os.environ if environ is None else environ
     return System(scan_usb(backend, root), read_host(root, environ), probe)
 

@@ -41,36 +41,9 @@ def parse_mode(text: str) -> tuple[int, int, int]:
 class DeviceOptions(Settings):
     """Settings of a camera; each is set after the streams start, and read back.
 
-    Parameters
-    ----------
-    serial : str
-        Only the camera with this serial number; empty for any.
-    depth_mode, color_mode : str
-        Size and rate of the streams, as `parse_mode` reads them.
-    depth_unit : {"1mm", "100um"}
-        Unit in which the camera delivers depth. Frames hold whole millimetres in both cases; with 100um
-        they are rounded here instead of by the camera.
-    mirror : bool
-        Whether the images are as in a mirror.
-    registration : {"hardware", "software"}
-        Whether the camera is asked to bring depth onto the color image. Where it cannot, the frames
-        carry the calibration with which software does it.
-    sync : bool
-        Whether the camera is asked to take depth and color at the same moment; only where both streams
-        have the same rate.
-    auto_exposure, auto_white_balance : {"keep", "on", "off"}
-        Automatic controls of the color camera.
-    exposure, gain : int or None
-        Of the color camera, in the device's own units; None leaves them.
-    silence_limit_s : float
-        A camera that delivers nothing for this long while it is read is taken for lost, seconds.
-    calibration : str or None
-        File with the camera's calibration, in a form that `nurbseg.drivers.calibration.file` reads; without
-        it, what the camera reports and nominal values.
-    reconnect : bool
-        Whether to wait for a lost camera and go on when it is back.
-    reconnect_interval_s : float
-        Time between two looks whether it is back, seconds.
+    Frames hold whole millimetres in either unit of depth: with 100um they are rounded here instead of by the
+    camera. Where the camera cannot bring depth onto the color image, frames carry the calibration with which
+    software does it. Depth and color come at the same moment only where both streams have the same rate.
 
     Raises
     ------

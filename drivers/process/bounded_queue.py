@@ -105,11 +105,6 @@ class BoundedQueue(Generic[Item]):
     def take(self, timeout_s: float) -> Item | None:
         """Take the oldest note, or else the oldest item; None after the last one.
 
-        Parameters
-        ----------
-        timeout_s : float
-            Longest wait, seconds.
-
         Raises
         ------
         TimeoutError

@@ -55,17 +55,7 @@ _NUMBERS = [0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0xFFFFFFFF, 0x7FFFFFFF
 
 @dataclass(frozen=True)
 class Form:
-    """One form of file: what it looks like, and how it is read.
-
-    Parameters
-    ----------
-    name : str
-        Of the form and of the file.
-    content : bytes
-        A whole file.
-    read : callable
-        Reads the file of that path; raises typed errors only.
-    """
+    """One form of file: a whole one, and what reads the file of a path and raises typed errors only."""
 
     name: str
     content: bytes

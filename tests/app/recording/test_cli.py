@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from recorded_oni import record_ten_frames
 from recorded_scene import scenes, write_mcap
 from virtual_camera import openni2_redist, virtual_cameras
 
 from nurbseg.app.recording.cli import main
-from nurbseg.drivers.openni2.device import DeviceSource
 from nurbseg.drivers.registry import open_source
 
 __all__ = ["openni2_redist", "virtual_cameras"]
@@ -148,12 +148,7 @@ def test_a_viewers_file_that_was_cut_short_is_repaired(tmp_path, live, capsys):
 def test_an_oni_file_that_openni2_refuses_is_repaired(virtual_cameras, tmp_path, capsys):
     virtual_cameras.add()
     path, killed = tmp_path / "a.oni", tmp_path / "killed.oni"
-    with DeviceSource() as source:
-        source.start_recording(path)
-        for _ in range(10):
-            source.read()
-        content = bytearray(path.read_bytes())
-        source.stop_recording()
+    content = bytearray(record_ten_frames(path))
     # OpenNI2's recorder may leave such a header: it counts one stream of two.
     struct.pack_into("<I", content, 20, 1)
     killed.write_bytes(content[:-1000])

@@ -11,6 +11,7 @@ import time
 import numpy as np
 import pytest
 from own_children import own_children
+from recorded_oni import record_ten_frames
 from virtual_camera import color_image, depth_image, frame_number
 
 from nurbseg.drivers.calibration.file import write_calibration
@@ -302,13 +303,8 @@ def test_a_header_that_counts_too_few_streams_is_corrected(recording):
 def test_a_recording_that_was_cut_short_can_be_given_its_end(virtual_cameras, tmp_path):
     virtual_cameras.add()
     path, cut = tmp_path / "clip.oni", tmp_path / "cut.oni"
-    with DeviceSource() as source:
-        source.start_recording(path)
-        for _ in range(10):
-            source.read()
-        # As a kill leaves it: in the middle of a record, without an end.
-        cut.write_bytes(path.read_bytes()[:-1000])
-        source.stop_recording()
+    # As a kill leaves it: in the middle of a record, without an end.
+    cut.write_bytes(record_ten_frames(path)[:-1000])
     before = replay(cut)
     assert not read_structure(cut).complete
     assert write_end(cut)

@@ -45,6 +45,12 @@ def next_frame(source, limit_s=60.0):
     pytest.fail("no frame came")
 
 
+def wait_until_away(source):
+    with pytest.raises(FrameTimeoutError):
+        while True:
+            source.read(timeout_s=1.0)
+
+
 @pytest.fixture(params=[DeviceSource, IsolatedCamera])
 def open_camera(request):
     return request.param
@@ -211,9 +217,7 @@ def test_a_process_that_was_ready_takes_the_camera_up_again(virtual_cameras):
         before = {child.pid for child in own_children()}
         assert len(before) == 2  # one reads
         camera.unplug()
-        with pytest.raises(FrameTimeoutError):
-            while True:
-                source.read(timeout_s=0.5)
+        wait_until_away(source)
         camera.plug()
         next_frame(source)
         after = {child.pid for child in own_children()}
@@ -239,9 +243,7 @@ def test_only_the_same_camera_is_taken_up_again(virtual_cameras):
     with open_uri("A1", SourceOptions()) as source:
         assert next_frame(source)
         first.unplug()
-        with pytest.raises(FrameTimeoutError):
-            while True:
-                source.read(timeout_s=1.0)
+        wait_until_away(source)
         first.plug()
         next_frame(source)
         assert source.metadata["serial"] == "A1"
