@@ -7,7 +7,6 @@ import logging
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final
 
 from nurbseg.app.recording.config import RecordConfig
 from nurbseg.app.recording.disk_space import free_space
@@ -20,10 +19,10 @@ from nurbseg.drivers.process.bounded_queue import BoundedQueue
 _log = logging.getLogger(__name__)
 
 #: What may wait to be written: about five seconds of VGA frames at 30 Hz.
-_QUEUE_BYTES_MAX: Final = 240_000_000
+_QUEUE_BYTES_MAX = 240_000_000
 #: Share of that from which on the live path gives way.
-_BEHIND_SHARE: Final = 0.4
-_WAIT_S: Final = 0.5
+_BEHIND_SHARE = 0.4
+_WAIT_S = 0.5
 #: How long writing what waits may take at the end, seconds: of a run that ended, and of one interrupted.
 _DRAIN_S, _INTERRUPTED_DRAIN_S = 60.0, 1.2
 #: Longest wait for the one frame that is being written.

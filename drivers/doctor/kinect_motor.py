@@ -15,23 +15,23 @@ from nurbseg.drivers.openni2.usb_ids import MICROSOFT
 LedColor = Literal["off", "green", "red", "yellow", "blink-green", "blink-red-yellow"]
 Movement = Literal["stopped", "at-limit", "moving", "unknown"]
 
-TILT_MAX_DEG: Final = 31
+TILT_MAX_DEG = 31
 
-_MOTOR: Final = 0x02B0
-_MOTOR_OF_KINECT_FOR_WINDOWS: Final = 0x02C2
-_OUT: Final = 0x40  # to the device, vendor request
-_IN: Final = 0xC0
-_SET_LED: Final = 0x06
-_SET_TILT: Final = 0x31
-_GET_STATE: Final = 0x32
-_STATE_LENGTH: Final = 10
-_TIMEOUT_MS: Final = 1000
+_MOTOR = 0x02B0
+_MOTOR_OF_KINECT_FOR_WINDOWS = 0x02C2
+_OUT = 0x40  # to the device, vendor request
+_IN = 0xC0
+_SET_LED = 0x06
+_SET_TILT = 0x31
+_GET_STATE = 0x32
+_STATE_LENGTH = 10
+_TIMEOUT_MS = 1000
 _LED_VALUES: Final[dict[str, int]] = dict(zip(get_args(LedColor), (0, 1, 2, 3, 4, 6), strict=True))
 _MOVEMENTS: Final[dict[int, Movement]] = {0: "stopped", 1: "at-limit", 4: "moving"}
-_COUNTS_PER_G: Final = 819.0
-_TILT_UNKNOWN: Final = -128  # while it moves
+_COUNTS_PER_G = 819.0
+_TILT_UNKNOWN = -128  # while it moves
 
-STANDARD_GRAVITY: Final = 9.80665
+STANDARD_GRAVITY = 9.80665
 
 
 @dataclass(frozen=True, slots=True)

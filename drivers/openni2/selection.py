@@ -5,21 +5,20 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Final
 
 from nurbseg.drivers.errors import DeviceNotFoundError
 from nurbseg.drivers.openni2.library import DeviceListing
 from nurbseg.drivers.openni2.usb_ids import WANTED, identify
 
 #: Vendor or name where a driver reports no USB ids, and the family that it stands for.
-_WORDS: Final = (
+_WORDS = (
     (re.compile(r"xtion 2", re.IGNORECASE), "xtion2"),
     (re.compile(r"xtion|primesense|ps1080|carmine|asus", re.IGNORECASE), "ps1080"),
     (re.compile(r"kinect.*(v2|2)|freenect2", re.IGNORECASE), "kinect2"),
     (re.compile(r"kinect|freenect", re.IGNORECASE), "kinect1"),
     (re.compile(r"orbbec|astra", re.IGNORECASE), "orbbec"),
 )
-_USB_ADDRESS: Final = re.compile(r"@(\d+)/(\d+)$")
+_USB_ADDRESS = re.compile(r"@(\d+)/(\d+)$")
 
 
 def is_camera(listing: DeviceListing) -> bool:

@@ -18,16 +18,7 @@ from typing import Any, NoReturn
 
 from nurbseg.drivers.errors import DeviceNotFoundError, DriverError, FrameTimeoutError
 from nurbseg.drivers.openni2.device import DeviceSource
-from nurbseg.drivers.openni2.isolated.messages import (
-    CODEC,
-    Begin,
-    CameraFrame,
-    Done,
-    Failure,
-    Open,
-    Opened,
-    Record,
-)
+from nurbseg.drivers.openni2.isolated import messages
 from nurbseg.drivers.process.channel import Channel, ChannelClosedError, LogForwarder
 from nurbseg.drivers.process.parent import connect
 
@@ -38,7 +29,7 @@ _SLICE_S = 0.1
 _BEGIN_S, _END_S = 60.0, 30.0
 
 
-def _open(request: Open, channel: Channel) -> DeviceSource:
+def _open(request: messages.Open, channel: Channel) -> DeviceSource:
     """Open the camera, waiting for it if that is asked."""
     while True:
         try:
@@ -57,7 +48,7 @@ def _deliver(source: DeviceSource, channel: Channel) -> NoReturn:
     lost, before = 0, (0, 0)
     while True:
         for message in _messages(channel):
-            if isinstance(message, Begin):
+            if isinstance(message, messages.Begin):
                 begun = True
             else:
                 channel.send(_handled(source, message))
@@ -70,7 +61,7 @@ def _deliver(source: DeviceSource, channel: Channel) -> NoReturn:
             # Nobody reads yet: what is old by then is of no use, and not missed.
             before = source.missed, source.half_pairs
             continue
-        message = CameraFrame(
+        message = messages.CameraFrame(
             frame.timestamp_ns,
             frame.depth_mm,
             frame.color,
@@ -87,36 +78,36 @@ def _messages(channel: Channel) -> Iterator[Any]:
             yield message
 
 
-def _handled(source: DeviceSource, message: Any) -> Done | Failure:
+def _handled(source: DeviceSource, message: Any) -> messages.Done | messages.Failure:
     try:
-        if isinstance(message, Record):
+        if isinstance(message, messages.Record):
             source.start_recording(Path(message.path), lossy=message.lossy)
         else:
             source.stop_recording()
     except DriverError as err:
-        return Failure.of(err)
-    return Done()
+        return messages.Failure.of(err)
+    return messages.Done()
 
 
 def main() -> int:
     """Open the camera that the first message describes, and deliver its frames."""
-    channel = connect(CODEC, limit_s=_END_S)
+    channel = connect(messages.CODEC, limit_s=_END_S)
     with contextlib.suppress(OSError):  # only some users may; a frame is lost if this is 33 ms late
         os.nice(-10)
     try:
         while (request := channel.receive(_BEGIN_S)) is None:
             pass  # It is kept ready for when a camera is plugged in again.
-        if not isinstance(request, Open):
+        if not isinstance(request, messages.Open):
             return 1
         logging.basicConfig(level=request.log_level, handlers=[LogForwarder(channel)])
         with _open(request, channel) as source:
-            channel.send(Opened(dict(source.metadata), source.calibration))
+            channel.send(messages.Opened(dict(source.metadata), source.calibration))
             _deliver(source, channel)
     except ChannelClosedError:
         return 0
     except DriverError as err:
         with contextlib.suppress(ChannelClosedError):
-            channel.send(Failure.of(err, fatal=True))
+            channel.send(messages.Failure.of(err, fatal=True))
         return 1
 
 
