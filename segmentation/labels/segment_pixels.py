@@ -77,7 +77,7 @@ def finished_segments(
     order, bounds = by_label(labels.reshape(-1), len(leaves) + 1)
     label = {leaf.name: number for number, leaf in enumerate(leaves, start=1)}
     boxes = np.empty((len(leaves) + 1, 4), dtype=np.int64)
-    _bounding_boxes(labels, boxes)
+    bounding_boxes(labels, boxes)
     # Leaves come depth first, so those below a node stand side by side in the order of labels.
     reach: dict[str, tuple[int, int]] = {}
     box: dict[str, Window] = {}
@@ -111,7 +111,7 @@ def finished_segments(
 
 
 @compiled
-def _bounding_boxes(labels: U16, boxes: I64) -> None:
+def bounding_boxes(labels: U16, boxes: I64) -> None:
     """Find the first row and column of each label, and one past the last of each."""
     height, width = labels.shape
     boxes[:, 0], boxes[:, 1], boxes[:, 2:] = height, width, 0

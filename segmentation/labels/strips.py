@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
+from nurbseg.segmentation.labels.segment_pixels import bounding_boxes
 from nurbseg.segmentation.points.grid import Window
 
 
@@ -21,7 +21,9 @@ class BorderStrips:
 
     def __init__(self, labels: NDArray[np.int32]) -> None:
         self._labels = labels
-        self._boxes = [None, *ndimage.find_objects(labels)]
+        boxes = np.empty((int(labels.max(initial=0)) + 1, 4), dtype=np.int64)
+        bounding_boxes(labels.astype(np.uint16), boxes)
+        self._boxes = boxes.tolist()
 
     def strip(self, first: int, second: int, reach: int) -> tuple[Window, NDArray[np.uint8]]:
         """Find the grid pixels of either label with the other one within reach.
@@ -44,12 +46,12 @@ class BorderStrips:
         if max(first, second) >= len(self._boxes):
             return nothing
         one, other = self._boxes[first], self._boxes[second]
-        if one is None or other is None:
+        if one[2] == 0 or other[2] == 0:
             return nothing
         # Where both labels, each grown by the reach, can be.
         rows, columns = (
-            slice(max(0, a.start - reach, b.start - reach), min(a.stop, b.stop) + reach)
-            for a, b in zip(one, other, strict=True)
+            slice(max(0, max(one[axis], other[axis]) - reach), min(one[axis + 2], other[axis + 2]) + reach)
+            for axis in (0, 1)
         )
         labels = self._labels[rows, columns]
         if labels.size == 0:

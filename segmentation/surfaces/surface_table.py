@@ -102,34 +102,32 @@ def _net(surface: NurbsSurface) -> NDArray[np.float64]:
     """Return the control values of a surface's inverse depth, 1/m."""
     if surface.degree != (CUBIC, CUBIC):
         raise ValueError(f"surfaces: expected bicubic ones, got degree {surface.degree}")
-    if not (_are_even(surface.knots_u) and _are_even(surface.knots_v)):
+    even, depth = _checked(
+        surface.knots_u, surface.knots_v, surface.control_points_m, np.ascontiguousarray(surface.weights)
+    )
+    if not even:
         raise ValueError("surfaces: expected even knots")
-    depth = _common_depth(surface.control_points_m, surface.weights)
     if depth == 0.0:
         raise ValueError("surfaces: expected weights that are proportional to inverse depth")
     return np.asarray(surface.weights / depth)
 
 
 @compiled
-def _are_even(knots: F64) -> bool:
-    """Say whether knots ascend by the same spacing."""
-    spacing = knots[1] - knots[0]
-    most = least = spacing
-    for n in range(1, knots.size):
-        most, least = max(most, knots[n] - knots[n - 1]), min(least, knots[n] - knots[n - 1])
-    return bool(spacing > 0 and most - least <= 2.0 * _ROUNDING * spacing)
-
-
-@compiled
-def _common_depth(points_m: F64, weights: F64) -> float:
-    """Return the depth times the weight of all control points; 0 where they differ."""
+def _checked(knots_u: F64, knots_v: F64, points_m: F64, weights: F64) -> tuple[bool, float]:
+    """Say whether knots are even; return the depth times weight of all control points, 0 where it differs."""
+    even = True
+    for knots in (knots_u, knots_v):
+        most = least = knots[1] - knots[0]
+        for n in range(1, knots.size):
+            most, least = max(most, knots[n] - knots[n - 1]), min(least, knots[n] - knots[n - 1])
+        even &= least > 0 and most - least <= 2.0 * _ROUNDING * (knots[1] - knots[0])
     depth = points_m[0, 0, 2] * weights[0, 0]
     most = least = depth
     for row in range(weights.shape[0]):
         for column in range(weights.shape[1]):
             value = points_m[row, column, 2] * weights[row, column]
             most, least = max(most, value), min(least, value)
-    return depth if most - least <= _ROUNDING * abs(depth) else 0.0
+    return even, depth if most - least <= _ROUNDING * abs(depth) else 0.0
 
 
 def _axis(knots: Sequence[NDArray[np.float64] | None]) -> _Axis:
