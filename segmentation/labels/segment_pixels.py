@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import I64, U16, Intp, compiled
+from nurbseg.drivers.compiled import I64, Intp, compiled
+from nurbseg.segmentation.labels.boxes import bounding_boxes
 from nurbseg.segmentation.points.grid import Window
 from nurbseg.segmentation.segments import Node, Segment
 from nurbseg.segmentation.surfaces.fit import Fit
@@ -76,8 +77,7 @@ def finished_segments(
     """
     order, bounds = by_label(labels.reshape(-1), len(leaves) + 1)
     label = {leaf.name: number for number, leaf in enumerate(leaves, start=1)}
-    boxes = np.empty((len(leaves) + 1, 4), dtype=np.int64)
-    bounding_boxes(labels, boxes)
+    boxes = bounding_boxes(labels, len(leaves) + 1)
     # Leaves come depth first, so those below a node stand side by side in the order of labels.
     reach: dict[str, tuple[int, int]] = {}
     box: dict[str, Window] = {}
@@ -89,8 +89,7 @@ def finished_segments(
         else:
             number = label[node.name]
             reach[node.name] = bounds[number], bounds[number + 1]
-            top, left, bottom, right = boxes[number].tolist()
-            box[node.name] = top, left, bottom, right
+            box[node.name] = boxes[number]
     return tuple(
         Segment(
             name=node.name,
@@ -108,20 +107,6 @@ def finished_segments(
         )
         for node in nodes
     )
-
-
-@compiled
-def bounding_boxes(labels: U16, boxes: I64) -> None:
-    """Find the first row and column of each label, and one past the last of each."""
-    height, width = labels.shape
-    boxes[:, 0], boxes[:, 1], boxes[:, 2:] = height, width, 0
-    for row in range(height):
-        for column in range(width):
-            box = boxes[labels[row, column]]
-            box[0] = min(box[0], row)
-            box[1] = min(box[1], column)
-            box[2] = row + 1
-            box[3] = max(box[3], column + 1)
 
 
 def _union(first: Window, second: Window) -> Window:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.labels.segment_pixels import bounding_boxes
+from nurbseg.segmentation.labels.boxes import bounding_boxes
 from nurbseg.segmentation.points.grid import Window
 
 
@@ -21,9 +21,7 @@ class BorderStrips:
 
     def __init__(self, labels: NDArray[np.int32]) -> None:
         self._labels = labels
-        boxes = np.empty((int(labels.max(initial=0)) + 1, 4), dtype=np.int64)
-        bounding_boxes(labels.astype(np.uint16), boxes)
-        self._boxes = boxes.tolist()
+        self._boxes = bounding_boxes(labels.astype(np.uint16), int(labels.max(initial=0)) + 1)
 
     def strip(self, first: int, second: int, reach: int) -> tuple[Window, NDArray[np.uint8]]:
         """Find the grid pixels of either label with the other one within reach.
