@@ -54,6 +54,7 @@ lint: $(VENV)/test.stamp
 
 types: $(VENV)/test.stamp
 	$(BIN)/mypy -p nurbseg
+	$(BIN)/mypy examples
 
 # The virtual environment. Debian has venv's half in a package of its own.
 $(VENV)/bin/pip:

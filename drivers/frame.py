@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -228,8 +229,8 @@ class RGBDFrame:
     @classmethod
     def from_arrays(
         cls,
-        depth: NDArray[np.uint16] | NDArray[np.floating],
-        color: NDArray[np.uint8],
+        depth: NDArray[Any],
+        color: NDArray[Any],
         fx: float,
         fy: float,
         cx: float,

@@ -1,0 +1,164 @@
+"""The examples: those of files are run as they are, those of cameras with something in the camera's place."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+DEMO = EXAMPLES.parent / "recordings" / "demo.mcap"
+
+
+def ran(name: str, *words: str | Path) -> str:
+    command = [sys.executable, str(EXAMPLES / name), *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=240)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def loaded(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def plate_before_a_wall() -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+    """An RGB image and a depth image, mm, of 160 x 120 pixels: a plate at 1 m before a wall at 2 m."""
+    color = np.full((120, 160, 3), (200, 40, 40), dtype=np.uint8)
+    depth = np.full((120, 160), 2000, dtype=np.uint16)
+    color[40:80, 50:100], depth[40:80, 50:100] = (20, 40, 220), 1000
+    return color, depth
+
+
+def test_own_arrays(tmp_path: Path) -> None:
+    color, depth = plate_before_a_wall()
+    cv2.imwrite(str(tmp_path / "c.png"), color[..., ::-1])
+    cv2.imwrite(str(tmp_path / "d.png"), depth)
+    camera = ("130", "130", "79.5", "59.5")
+    told = ran("own_arrays.py", tmp_path / "c.png", tmp_path / "d.png", *camera, tmp_path / "l.png")
+    # 49 and 39 pixels between the outermost, at 1 m.
+    assert re.search(r"object 2: 2000 px at \(-0\.04, 0\.00, 1\.00\) m, 38 x 30 x 0 cm", told)
+    labels = cv2.imread(str(tmp_path / "l.png"), cv2.IMREAD_UNCHANGED)
+    assert np.array_equal(labels, np.where(depth == 1000, 2, 1))
+
+
+def test_a_ros2_bag(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    (bag / "bag_0.mcap").symlink_to(DEMO)
+    lines = ran("ros2_bag.py", bag, tmp_path / "labels").splitlines()
+    written = sorted((tmp_path / "labels").iterdir(), key=lambda path: int(path.stem))
+    assert [path.stem for path in written] == [line.split()[0] for line in lines]
+    assert len(written) == 48
+    assert lines[0].count("new") > 5
+    for path in written:
+        labels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        assert labels.dtype == np.uint16
+        assert np.unique(labels).size > 5
+
+
+class SimulatedCapture:
+    """What OpenCV's capture of an OpenNI2 camera answers, as its documentation says."""
+
+    def __init__(self, frames: int) -> None:
+        self._left = frames
+
+    def set(self, key: int, value: float) -> bool:
+        assert (key, value) == (cv2.CAP_PROP_OPENNI_REGISTRATION, 1)
+        return True
+
+    def get(self, key: int) -> float:
+        assert key == cv2.CAP_OPENNI_DEPTH_GENERATOR_FOCAL_LENGTH
+        return 130.0
+
+    def grab(self) -> bool:
+        self._left -= 1
+        return self._left >= 0
+
+    def retrieve(self, flag: int) -> tuple[bool, NDArray[Any]]:
+        color, depth = plate_before_a_wall()
+        images = {cv2.CAP_OPENNI_DEPTH_MAP: depth, cv2.CAP_OPENNI_BGR_IMAGE: color[..., ::-1]}
+        return True, images[flag]
+
+
+def test_a_camera_of_opencvs(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: list[NDArray[np.uint8]] = []
+    monkeypatch.setattr(cv2, "imshow", lambda name, image: shown.append(image))
+    monkeypatch.setattr(cv2, "waitKey", lambda delay: -1)
+    loaded("opencv_camera").main(SimulatedCapture(3))
+    assert len(shown) == 3
+    # A color for the plate and one for the wall, the same in all frames.
+    assert all(np.array_equal(image, shown[0]) for image in shown)
+    assert len(np.unique(shown[0].reshape(-1, 3), axis=0)) == 2
+    (frame,) = loaded("opencv_camera").frames(SimulatedCapture(1))
+    assert np.array_equal(frame.color, plate_before_a_wall()[0])
+    assert (frame.calibration.depth.fx, frame.calibration.depth.cx) == (130.0, 79.5)
+
+
+class SimulatedRealSense:
+    """The part of pyrealsense2 that the example uses: depth in quarters of a millimetre."""
+
+    stream = SimpleNamespace(depth="depth", color="color")
+    format = SimpleNamespace(z16="z16", rgb8="rgb8")
+
+    def __init__(self) -> None:
+        self.stopped = False
+
+    def pipeline(self) -> SimpleNamespace:
+        def start(config: object) -> SimpleNamespace:
+            sensor = SimpleNamespace(get_depth_scale=lambda: 0.00025)
+            return SimpleNamespace(get_device=lambda: SimpleNamespace(first_depth_sensor=lambda: sensor))
+
+        def stop() -> None:
+            self.stopped = True
+
+        return SimpleNamespace(start=start, stop=stop, wait_for_frames=lambda timeout_ms: "frames")
+
+    def config(self) -> SimpleNamespace:
+        return SimpleNamespace(enable_stream=lambda stream, width, height, form, fps: None)
+
+    def align(self, stream: str) -> SimpleNamespace:
+        assert stream == "color"
+        color, depth = plate_before_a_wall()
+        intrinsics = SimpleNamespace(fx=130.0, fy=131.0, ppx=79.5, ppy=59.5)
+        video = SimpleNamespace(get_intrinsics=lambda: intrinsics)
+        profile = SimpleNamespace(as_video_stream_profile=lambda: video)
+        frames = SimpleNamespace(
+            get_depth_frame=lambda: SimpleNamespace(get_data=lambda: depth * 4),
+            get_color_frame=lambda: SimpleNamespace(
+                get_data=lambda: color, profile=profile, get_timestamp=lambda: 1234.5
+            ),
+        )
+        return SimpleNamespace(process=lambda given: frames)
+
+
+def test_a_realsense_camera() -> None:
+    camera = SimulatedRealSense()
+    frames = loaded("realsense").frames(camera)
+    frame = next(frames)
+    color, depth = plate_before_a_wall()
+    assert np.array_equal(frame.depth_mm, depth)
+    assert np.array_equal(frame.color, color)
+    assert (frame.calibration.depth.fy, frame.timestamp_ns) == (131.0, 1_234_500_000)
+    assert not camera.stopped
+    frames.close()
+    assert camera.stopped
+
+
+def test_every_example_is_told_of_and_tested() -> None:
+    names = {path.name for path in EXAMPLES.glob("*.py")}
+    page = (EXAMPLES.parent / "docs" / "library.md").read_text()
+    assert names == {"opencv_camera.py", "own_arrays.py", "realsense.py", "ros2_bag.py"}
+    assert names == set(re.findall(r"examples/(\w+\.py)", page))
