@@ -13,13 +13,12 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.labels.regions import connected_components
 from nurbseg.segmentation.labels.spreading import spread_labels
+from nurbseg.segmentation.surfaces.inverse_depth import LEAST_PER_M
 from nurbseg.segmentation.surfaces.lattice import Samples, SurfaceLattice
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 #: Differences of inverse depth between two frames that are another surface rather than motion, 1/m.
 _MOTION_MOST_PER_M = 0.15
-#: A surface does not go farther away than this, 1/m.
-_LEAST_PER_M = 1e-2
 #: Passes in which labels grow into grid pixels that have none.
 _GROWTH = 12
 
@@ -245,7 +244,7 @@ def _moved_net(
         for j in range(m):
             # On evenly spaced knots the middle one is the Greville abscissa.
             change = constant + along_u * knots_u[j + 2] + along_v * knots_v[i + 2]
-            moved[i, j] = max(weights[i, j] + change, _LEAST_PER_M)
+            moved[i, j] = max(weights[i, j] + change, LEAST_PER_M)
             for axis in range(3):
                 moved_points[i, j, axis] = points[i, j, axis] * weights[i, j] / moved[i, j]
     return moved, moved_points

@@ -28,7 +28,7 @@ from nurbseg.segmentation.surfaces.surface import NurbsSurface
 #: How far beyond its segment a surface goes on without leaving its knots, pixels of a 640-wide image.
 _MARGIN_PX = 24.0
 #: Farthest that a surface may go where no point holds it, one over metres: weights are positive.
-_LEAST_PER_M = 1e-2
+LEAST_PER_M = 1e-2
 #: A control value that points hold by less than this may be changed without harm to the fit.
 _HELD = 1.0
 #: Factors on the smoothness, tried in turn where a surface would go through infinity beyond its points and
@@ -144,9 +144,9 @@ def _fitted_spline(
         columns, knots_u = lattice_basis(left, right, margin, spacing)
         images, stiffness = grid.inverse_depth[np.newaxis], stiffer * smoothness
         (control,), held = fit_splines(images, mask, (top, left), rows, columns, stiffness)
-        if control.min() > _LEAST_PER_M or (control[held > _HELD] > _LEAST_PER_M).all():
+        if control.min() > LEAST_PER_M or (control[held > _HELD] > LEAST_PER_M).all():
             break
-    return _Spline(np.maximum(control, _LEAST_PER_M), rows, columns, knots_v, knots_u)
+    return _Spline(np.maximum(control, LEAST_PER_M), rows, columns, knots_v, knots_u)
 
 
 @compiled
@@ -282,6 +282,7 @@ def _interpolator(knots: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDAr
 
 
 __all__ = [
+    "LEAST_PER_M",
     "fit_window",
     "knots_on",
     "rational_surface",
