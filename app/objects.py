@@ -192,6 +192,3 @@ def _rms(residuals_m: Sequence[NDArray[np.float64]]) -> float | None:
     if not count:
         return None
     return float(np.sqrt(sum(float(np.dot(each, each)) for each in residuals_m) / count))
-
-
-__all__ = ["MeasuredObject", "OrientedBox", "measure_objects"]

@@ -18,6 +18,3 @@ class Closing(ABC):
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-__all__ = ["Closing"]

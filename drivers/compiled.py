@@ -137,19 +137,3 @@ def _remove_old(above: Path) -> None:
 
     for old in sorted(above.glob("loops-*"), key=used_ns, reverse=True)[_KEPT:]:
         shutil.rmtree(old, ignore_errors=True)
-
-
-__all__ = [
-    "F32",
-    "F64",
-    "I8",
-    "I32",
-    "I64",
-    "U8",
-    "U16",
-    "Bool",
-    "Intp",
-    "compiled",
-    "content_digest",
-    "inlined",
-]

@@ -131,6 +131,3 @@ def _open_with(name: str, *arguments: object) -> FrameSource:
     module, _, opener = name.partition(":")
     source: FrameSource = getattr(import_module(f"nurbseg.drivers.{module}"), opener)(*arguments)
     return source
-
-
-__all__ = ["SCHEMES", "open_source"]

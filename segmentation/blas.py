@@ -27,6 +27,3 @@ def one_blas_thread() -> Iterator[None]:
     """
     with _libraries().limit(limits=1):
         yield
-
-
-__all__ = ["one_blas_thread"]

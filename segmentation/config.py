@@ -183,16 +183,3 @@ class SegmentationConfig(Settings):
         "connected_pieces": True,
         "fit_of": "inverse-depth",
     }
-
-
-__all__ = [
-    "ControlPoints",
-    "ExtendedConfig",
-    "LeastSquares",
-    "Level",
-    "Method",
-    "Metric",
-    "SegmentationConfig",
-    "SplittingPoint",
-    "Stag15Config",
-]

@@ -86,6 +86,3 @@ def stop_without_cut(
     # What is 0 cannot improve (eq. 5), but the paper keeps the first split if there is any error at all.
     first = config.method == "stag15" and node.name == "" and node.fit.values["mse"] > 0
     return None if first or node.value(config) > 0 else StopReason.CRITERION
-
-
-__all__ = ["Clock", "grow", "stop_without_cut", "time_limit"]

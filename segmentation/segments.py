@@ -258,6 +258,3 @@ def depth_first(root: Node) -> list[Node]:
         nodes.append(node)
         stack.extend(reversed(node.children))
     return nodes
-
-
-__all__ = ["TRIED", "Division", "Node", "Segment", "SegmentationTree", "StopReason", "Trial", "depth_first"]

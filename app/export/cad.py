@@ -140,6 +140,3 @@ def _rhino_surface(rhino3dm: Any, surface: NurbsSurface) -> Any:
         for column in range(columns):
             made.Points[column, row] = rhino3dm.Point4d(*homogeneous[row, column].tolist())
     return made
-
-
-__all__ = ["cad_file", "clamped"]

@@ -97,6 +97,3 @@ def _pcd(vectors: NDArray[np.float32], color: NDArray[np.uint8], labels: list[ND
         "DATA binary",
     )
     return ("\n".join(head) + "\n").encode() + points.tobytes()
-
-
-__all__ = ["cloud_file", "surface_normals"]

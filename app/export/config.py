@@ -60,6 +60,3 @@ class ExportConfig(Settings):
 def export_forms() -> list[Field[Any]]:
     """Return the settings that say what else is written of a frame, and under which names."""
     return [each for each in described_fields(ExportConfig) if each.metadata["flag"].startswith("export-")]
-
-
-__all__ = ["CadForm", "CloudForm", "ExportConfig", "MeshForm", "Naming", "export_forms"]

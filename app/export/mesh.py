@@ -150,6 +150,3 @@ def _material(each: _ObjectMesh) -> dict[str, Any]:
     linear = ((each.color / 255.0) ** 2.2).round(4).tolist()
     surface = {"baseColorFactor": [*linear, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.9}
     return {"name": each.name, "pbrMetallicRoughness": surface, "doubleSided": True}
-
-
-__all__ = ["mesh_file"]

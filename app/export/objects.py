@@ -147,6 +147,3 @@ def _lines(rows: Sequence[Sequence[Any]]) -> str:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue()
-
-
-__all__ = ["COLUMNS", "CONVENTION", "ObjectTable", "objects_document"]

@@ -27,6 +27,3 @@ def ply(**elements: NDArray[np.void]) -> bytes:
                 head.append(f"property {_TYPES[kind.str]} {name}")
         content.append(records.tobytes())
     return ("\n".join([*head, "end_header"]) + "\n").encode() + b"".join(content)
-
-
-__all__ = ["ply"]

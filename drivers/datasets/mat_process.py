@@ -72,6 +72,3 @@ class MatProcess:
         running, self._running = self._running, None
         if running is not None:
             running[0].close()
-
-
-__all__ = ["MatProcess"]

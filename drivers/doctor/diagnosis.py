@@ -107,6 +107,3 @@ def _findings(system: System, wanted: str) -> Iterator[Finding]:
     if not cameras and not unpowered and usb.bus_folder and (usb.libusb or usb.sysfs) and not usb.problem:
         others = [part for part in system.parts if part.model.role == "camera"]
         yield not_plugged_in(usb, others, kinds)
-
-
-__all__ = ["Finding", "Probe", "System", "describe", "diagnose", "explain_no_camera", "is_ready"]

@@ -158,6 +158,3 @@ class BoundedQueue(Generic[Item]):
         """Whether it is closed and everything was taken."""
         with self._changed:
             return self._closed and not self._items and not self._notes
-
-
-__all__ = ["BoundedQueue", "WhenFull"]

@@ -264,6 +264,3 @@ def _is_ready(connection: socket.socket, event: int, timeout_s: float | None) ->
     poll = select.poll()
     poll.register(connection, event)
     return bool(poll.poll(None if timeout_s is None else 1e3 * timeout_s))
-
-
-__all__ = ["Channel", "ChannelClosedError", "LogForwarder"]

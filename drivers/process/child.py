@@ -108,6 +108,3 @@ class ChildProcess(Closing):
         except OSError:
             return 0.0
         return sum(1024e-6 * int(line.split()[1]) for line in lines if line.startswith("VmHWM:"))
-
-
-__all__ = ["ChildProcess"]

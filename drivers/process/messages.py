@@ -127,6 +127,3 @@ class Codec:
 def aligned(size: int) -> int:
     """Return the room that an array of `size` bytes takes beside others, bytes."""
     return -(-size // _ALIGNMENT) * _ALIGNMENT
-
-
-__all__ = ["Codec", "aligned"]

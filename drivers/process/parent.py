@@ -36,6 +36,3 @@ def connect(codec: Codec, *, limit_s: float) -> Channel:
     # A daemon: it ends with the process, or ends it.
     threading.Thread(target=end_with_parent, name="parent", daemon=True).start()
     return channel
-
-
-__all__ = ["connect"]

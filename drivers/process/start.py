@@ -42,6 +42,3 @@ def dying_with_parent(command: list[str]) -> list[str]:
         The path of a program that cannot take care of that itself, and its arguments.
     """
     return [sys.executable, "-I", "-S", "-c", _BECOME, str(os.getpid()), *command]
-
-
-__all__ = ["dying_with_parent", "python_command"]

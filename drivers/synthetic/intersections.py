@@ -220,6 +220,3 @@ def _unit(x: Any, y: Any, z: Any) -> Any:
 @inlined
 def _not_zero(value: Any) -> Any:
     return _TINY if abs(value) < _TINY else value
-
-
-__all__ = ["BOWL", "BOX", "CUSHION", "CYLINDER", "ELLIPSOID", "RECTANGLE", "intersect", "surface"]

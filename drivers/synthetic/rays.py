@@ -153,6 +153,3 @@ def hit_each(kind: int, size: F32, origins: F32, directions: F32, multiples: F32
     for n in range(multiples.size):
         o, d = origins[n], directions[n]
         multiples[n], faces[n] = intersect(kind, size, o[0], o[1], o[2], d[0], d[1], d[2])
-
-
-__all__ = ["cast", "hit_each", "runs_of", "surfaces_seen"]

@@ -82,6 +82,3 @@ def _raise_two(exponents: F32) -> None:
         power = f * (_C1 + f * (_C2 + f * (_C3 + f * (_C4 + f * (_C5 + f * (_C6 + f * _C7))))))
         exponents[n] = np.float32(1.0) + power
         bits[n] += np.int32(whole) << _FRACTION_BITS
-
-
-__all__ = ["affinity"]

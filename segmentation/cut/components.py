@@ -70,6 +70,3 @@ def _give(
         for column in range(width):
             if touching[pieces[row, column]]:
                 side[row, column] = value
-
-
-__all__ = ["remove_small_components"]

@@ -221,6 +221,3 @@ def features(cloud: PointMap, config: SegmentationConfig) -> NDArray[np.float32]
     """
     raw = raw_vectors(cloud, np.flatnonzero(cloud.valid))
     return normalized(raw, normalization(raw, config.geometry_weight))
-
-
-__all__ = ["Normalization", "features", "lab", "normalization", "normalized", "raw_vectors"]

@@ -85,6 +85,3 @@ def _pivoted_inverse(A: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[
                 target[j] -= factor * source[j]
         target[i] = per_diagonal
     return pivots[:rank].copy(), inverse
-
-
-__all__ = ["independent_samples"]

@@ -303,6 +303,3 @@ def _threshold(
     cost = 2.0 - inside / volume[:-1] - outside / (volume_total - volume[:-1])
     best = int(edges[int(np.argmin(cost))])
     return float(0.5 * (ascending[best - 1] + ascending[best]))
-
-
-__all__ = ["Cut", "normalized_cut", "normalized_cuts"]

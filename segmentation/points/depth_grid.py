@@ -91,6 +91,3 @@ def _inverse_depths(depth_m: F32, valid: Bool) -> F32:
             usable = valid[y, x] and depth_m[y, x] > 0
             inverse_depth[y, x] = np.float32(1.0) / depth_m[y, x] if usable else np.float32(0.0)
     return inverse_depth
-
-
-__all__ = ["DepthGrid", "depth_grid", "inverse_depth_image"]

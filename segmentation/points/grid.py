@@ -177,6 +177,3 @@ def step_with_points(valid: NDArray[np.bool_], step: int) -> int:
         Pixels from one row or column of the grid to the next.
     """
     return step if valid[::step, ::step].any() or not valid.any() else 1
-
-
-__all__ = ["PixelGrid", "Window", "decimated_grid", "full_grid", "step_with_points"]

@@ -258,6 +258,3 @@ def _normals(
             towards = towards if inverse_depth[y, x] != 0.0 else 0.0
             normals[y, x, 0], normals[y, x, 1], normals[y, x, 2] = nx * towards, ny * towards, nz * towards
     return normals
-
-
-__all__ = ["facet_normals", "facet_slopes"]

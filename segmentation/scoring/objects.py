@@ -138,6 +138,3 @@ def _precision_recall_f(
     recall = float(true_common / truth) if truth else 1.0
     both = precision + recall
     return precision, recall, 2.0 * precision * recall / both if both else 0.0
-
-
-__all__ = ["ObjectScores", "object_scores", "without_background"]

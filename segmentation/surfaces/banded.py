@@ -69,6 +69,3 @@ def substitute(factor: F64, x: F64) -> None:
     for n in range(size - 1, -1, -1):
         reach = min(width, size - n)
         x[n] = (x[n] - dot(factor[n, 1:reach], x[n + 1 : n + reach])) / factor[n, 0]
-
-
-__all__ = ["dot", "factorize", "substitute"]

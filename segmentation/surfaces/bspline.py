@@ -249,19 +249,3 @@ def pixel_basis(size: int, count: int) -> SpanBasis:
     values = np.take_along_axis(basis_matrix(knots, CUBIC, parameters), functions, axis=1)
     starts.flags.writeable = values.flags.writeable = False
     return SpanBasis(starts, values, count)
-
-
-__all__ = [
-    "CUBIC",
-    "Four",
-    "SpanBasis",
-    "averaged_knots",
-    "basis_matrix",
-    "cubic_functions",
-    "even_functions",
-    "even_slopes",
-    "even_values",
-    "knot_span",
-    "pixel_basis",
-    "pixel_knots",
-]

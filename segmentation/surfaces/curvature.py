@@ -102,6 +102,3 @@ def all_metrics(fit: Fit, width: int, config: SegmentationConfig) -> dict[Metric
         return {}
     k1, k2 = curvatures_at_pixels(fit.surface, fit.pixels, width)
     return {**fit.values, **curvature_metrics(k1, k2, config)}
-
-
-__all__ = ["all_metrics", "curvatures_at_pixels", "principal_curvatures"]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
+from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, F64, Bool, compiled
@@ -15,7 +16,7 @@ from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.points.grid import PixelGrid, full_grid
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, pixel_basis, pixel_knots
-from nurbseg.segmentation.surfaces.leastsquares import LinAlgError, fit_control_points
+from nurbseg.segmentation.surfaces.leastsquares import fit_control_points
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, residual_metrics
 from nurbseg.segmentation.surfaces.minimum_norm import minimum_norm_control_points
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
@@ -245,13 +246,3 @@ def _distances(
                 distances[n] = np.sqrt(squares[x])
                 n += 1
     return distances
-
-
-__all__ = [
-    "Fit",
-    "control_point_count",
-    "fit_on_grid",
-    "fit_surface",
-    "has_least_norm",
-    "spline_distances",
-]

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, F64, Bool, compiled
@@ -21,7 +22,7 @@ from nurbseg.segmentation.points.rays import Rays
 from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, basis_matrix
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.knot_lattice import lattice_basis
-from nurbseg.segmentation.surfaces.leastsquares import LinAlgError, fit_splines
+from nurbseg.segmentation.surfaces.leastsquares import fit_splines
 from nurbseg.segmentation.surfaces.metrics import residual_metrics
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
@@ -279,12 +280,3 @@ def _interpolator(knots: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDAr
     """Return the Greville abscissae of a knot vector and what takes values there to control values."""
     abscissae = np.asarray(knots[1:-3] + knots[2:-2] + knots[3:-1], dtype=np.float64) / 3.0
     return abscissae, np.asarray(np.linalg.inv(basis_matrix(knots, CUBIC, abscissae)), dtype=np.float64)
-
-
-__all__ = [
-    "LEAST_PER_M",
-    "fit_window",
-    "knots_on",
-    "rational_surface",
-    "residuals_of_fit",
-]

@@ -52,6 +52,3 @@ def _table(spacing: float, blocks: int) -> tuple[NDArray[np.intp], NDArray[np.fl
     values = even_functions(place - span, spacing)
     values.flags.writeable = False
     return span.astype(np.intp), values
-
-
-__all__ = ["lattice_basis"]

@@ -182,6 +182,3 @@ def _interpolate(samples: Samples, labels: I32, rows: F64, columns: F64, found: 
         found[0, n] = upper + (lower - upper) * (r - r0)
         found[1, n] = along_upper + (along_lower - along_upper) * (r - r0)
         found[2, n] = lower - upper
-
-
-__all__ = ["Samples", "SurfaceLattice"]

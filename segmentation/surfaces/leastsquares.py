@@ -286,6 +286,3 @@ def _add_bends(band: F64, weight: float, n: int, step: int, lines: int, across: 
             for i in range(3):
                 for j in range(i, 3):
                     band[origin + i * step, (j - i) * step] += weight * _BEND[i] * _BEND[j]
-
-
-__all__ = ["LinAlgError", "fit_control_points", "fit_splines"]

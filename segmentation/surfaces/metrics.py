@@ -127,15 +127,3 @@ def metric_value(values: Mapping[Metric, float], metric: Metric, floor: float = 
         What noise alone leaves of the metric, see `noise_floor`; 0 in the paper.
     """
     return max(values.get(metric, 0.0), floor)
-
-
-__all__ = [
-    "COUNTS",
-    "CURVATURE_METRICS",
-    "METRICS",
-    "ROUNDING_M",
-    "acceptance_ratio",
-    "curvature_metrics",
-    "metric_value",
-    "residual_metrics",
-]

@@ -194,6 +194,3 @@ def _triangularize(A: F64, columns: int) -> None:
                 for m in range(k + 1, width):
                     A[i, m] -= v * dots[m]
             A[i, k] = 0.0
-
-
-__all__ = ["LinAlgError", "minimum_norm_control_points"]

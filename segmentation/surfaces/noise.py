@@ -332,6 +332,3 @@ def _largest_plane(
     if np.count_nonzero(kept) < max(3, _PLANE_SHARE * d.size):
         return None
     return (terms @ plane - d)[kept], d[kept]
-
-
-__all__ = ["SQUARE_MOST", "NoiseEstimate", "measure_noise", "noise_floor", "noise_floors"]

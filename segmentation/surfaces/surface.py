@@ -171,6 +171,3 @@ def _derivative(surface: NurbsSurface, at: _At, du: int, dv: int) -> NDArray[np.
         return np.asarray(total / homogeneous(0, 0)[3])
 
     return derivative(du, dv)
-
-
-__all__ = ["NurbsSurface", "evaluate", "evaluate_lattice", "normals"]

@@ -208,6 +208,3 @@ def _evaluate_slopes(splines: _Splines, labels: I32, columns: F64, rows: F64, fo
         row, Bv, Dv = _functions(v, label, rows[n])
         first = starts[label] + row * length + column
         found[0, n], found[1, n], found[2, n] = _sums(weights, first, length, Bu, Du, Bv, Dv)
-
-
-__all__ = ["SurfaceTable"]

@@ -88,15 +88,3 @@ class CameraFrame:
 
 
 CODEC = Codec(Open, Opened, Begin, Record, StopRecording, Done, Failure, CameraFrame)
-
-__all__ = [
-    "CODEC",
-    "Begin",
-    "CameraFrame",
-    "Done",
-    "Failure",
-    "Open",
-    "Opened",
-    "Record",
-    "StopRecording",
-]
