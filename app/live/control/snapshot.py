@@ -38,6 +38,11 @@ def write_snapshot(result: FrameResult, settings: Mapping[str, Any], folder: Pat
     """
     frame = result.frame
     made = folder / f"snapshot-{datetime.now():%Y%m%d-%H%M%S}-frame{frame.index}"
+    try:
+        # It shows what the camera saw.
+        made.mkdir(mode=0o700)
+    except OSError as err:
+        raise ExportError(f"{made}: cannot be made: {err.strerror}") from err
     exporter = Exporter(made, {**settings, "surfaces": True}, ExportConfig(cloud="ply", graph=True))
     exporter.write(result)
     images = {"color": cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR), "depth": frame.depth_mm}
