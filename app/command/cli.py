@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import sys
+import time
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
@@ -77,7 +78,8 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
     config = arguments.config
     # Somebody at a terminal, for whom nothing is written either, waits for something to look at.
     somebody_waits = sys.stderr.isatty() and config.view.save is None and config.export.directory is None
-    config = replace(config, view=chosen_view(config.view, somebody_waits=somebody_waits))
+    view = chosen_view(replace(config.view, save=_dated(config.view.save)), somebody_waits=somebody_waits)
+    config = replace(config, view=view, record=replace(config.record, file=_dated(config.record.file)))
     arguments = replace(arguments, config=config)
     try:
         process = begin_view(config.shown)
@@ -86,6 +88,11 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
         return NOT_STARTED
     with process or nullcontext():
         return _run_with(arguments, interruption, process)
+
+
+def _dated(name: str | None) -> str | None:
+    """Return a file's name with the present date and time for ``{date}``."""
+    return name and name.replace("{date}", time.strftime("%Y%m%d-%H%M%S"))
 
 
 def _run_with(arguments: Arguments, interruption: Interruption, process: ChildProcess | None) -> int:

@@ -27,6 +27,7 @@ from nurbseg.app.live.report import RunReport
 from nurbseg.app.live.tracking import Segmenter
 from nurbseg.app.live.warmup import WarmUp
 from nurbseg.app.recording.recorder import open_recording, tell_recorded
+from nurbseg.app.recording.recording import Recording
 from nurbseg.app.result import FrameResult
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.view import View
@@ -94,7 +95,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 _log.info("to look: %s", view.how_to_look)
             capture = CaptureThread(opened.source, lossless=opened.every_frame, recording=recording)
             report.capture = capture
-            with _watched(config.source.replay), ExitStack() as reading:
+            with _told(recording), _watched(config.source.replay), ExitStack() as reading:
                 if recording is not None:
                     reading.enter_context(recording)
                 if warm_up is not None:
@@ -105,14 +106,28 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                     _only_record(capture, report, interruption)
                 else:
                     _segment(config, opened, capture, exporter, view, report, interruption)
-            if recording is not None:
-                tell_recorded(recording)
             if report.segmented + report.recorded_only == 0 and not report.quit:
                 raise NoFramesError(f"{opened.uri}: no frame could be read ({capture.damaged} damaged)")
         if view.serving and not report.quit:
             _log.info("all frames are shown; Ctrl-C ends the serving")
             interruption.wait()
         return report
+
+
+@contextmanager
+def _told(recording: Recording | None) -> Iterator[None]:
+    """Say after the block what was recorded, also where Ctrl-C ended it."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        try:
+            if recording is not None:
+                tell_recorded(recording)
+        except ExportError as err:
+            _log.error("%s", err)
+        raise
+    if recording is not None:
+        tell_recorded(recording)
 
 
 @contextmanager
@@ -157,6 +172,8 @@ def _reported(report: RunReport, interruption: Interruption) -> Iterator[None]:
     except BaseException as err:
         cause = err.__cause__ if isinstance(err, SetupError) else err
         ended = "interrupted" if interruption.signal_number else f"{type(cause).__name__}: {cause}"
+        if report.segmented + report.recorded_only:
+            _log.info("%s", report.summary())
         try:
             report.write(ended)
         except ExportError as second:

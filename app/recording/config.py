@@ -24,7 +24,8 @@ class RecordConfig(Settings):
 
     file: str | None = setting(
         None,
-        "record the frames while they are segmented: .mcap, or .oni by OpenNI2 itself",
+        "record the frames while they are segmented: .mcap, or .oni by OpenNI2 itself; {date} in the name, "
+        "as in that of --save, becomes the date and time",
         unit="FILE",
         flag="record",
     )

@@ -96,6 +96,7 @@ class OniRecording(Recording):
             self._fail(str(err))
             return
         self.frames += 1
+        self._add_time(frame)
 
     def _fail(self, reason: str) -> None:
         self.failure = f"{self.path}: recording stopped: {reason}"

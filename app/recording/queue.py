@@ -86,7 +86,10 @@ class QueuedRecording(Recording):
 
     def put(self, frame: RGBDFrame) -> None:
         """Have a frame written; never waits, unless the recording is lossless and the queue full."""
-        if not self._is_early(frame) and not self._queue.put(frame):
+        if self._is_early(frame):
+            return
+        self._add_time(frame)
+        if not self._queue.put(frame):
             self.lost += 1
 
     def _run(self) -> None:

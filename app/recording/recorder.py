@@ -8,7 +8,7 @@ from pathlib import Path
 
 from nurbseg.app.export.exporter import ExportError
 from nurbseg.app.recording.config import RecordConfig
-from nurbseg.app.recording.disk_space import free_space, shortage
+from nurbseg.app.recording.disk_space import free_space, megabytes, shortage
 from nurbseg.app.recording.oni import OniRecording
 from nurbseg.app.recording.parts import PartedWriter
 from nurbseg.app.recording.queue import QueuedRecording
@@ -96,7 +96,11 @@ def tell_recorded(recording: Recording) -> None:
     """
     if recording.failure:
         raise RecordError(f"{recording.failure}; the {recording.frames} frames before can be replayed")
-    _log.info("recorded %d frames to %s", recording.frames, ", ".join(str(file) for file in recording.files))
+    files = ", ".join(str(file) for file in recording.files)
+    size_mb = megabytes(recording.files)
+    _log.info(
+        "recorded %d frames, %.1f s, %.1f MB to %s", recording.frames, recording.seconds, size_mb, files
+    )
     if recording.lost:
         _log.warning("%d frames are missing in %s: writing was too slow", recording.lost, recording.path)
     if recording.frames == 0:

@@ -12,6 +12,9 @@ from nurbseg.app.recording.disk_space import megabytes, shortage
 from nurbseg.drivers.closing import Closing
 from nurbseg.drivers.frame import RGBDFrame
 
+#: A longer time between two frames is a jump of the clock, nanoseconds.
+_LONGEST_GAP_NS = 10_000_000_000
+
 
 class Recording(Closing):
     """Takes the frames of a run, from the moment at which it begins.
@@ -31,6 +34,8 @@ class Recording(Closing):
         The first file.
     frames, lost : int
         Frames in the files, and frames that were to be in them and are not.
+    seconds : float
+        Length of what was to be in the files, by the frames' own clock.
     failure : str
         Why the recording ended before the run did; empty where it did not.
     """
@@ -43,6 +48,8 @@ class Recording(Closing):
         self._space_min_mb = config.space_min_mb
         self._free_bytes = free_bytes
         self._first_ns: int | None = None
+        self.seconds = 0.0
+        self._last_ns: int | None = None
 
     @property
     def behind(self) -> bool:
@@ -84,6 +91,12 @@ class Recording(Closing):
         if self._first_ns is None:
             self._first_ns = frame.timestamp_ns
         return frame.timestamp_ns - self._first_ns < self._delay_ns
+
+    def _add_time(self, frame: RGBDFrame) -> None:
+        """Count the time since the frame before, by their own clock, which restarts when a camera does."""
+        if self._last_ns is not None and 0 < frame.timestamp_ns - self._last_ns < _LONGEST_GAP_NS:
+            self.seconds += (frame.timestamp_ns - self._last_ns) / 1e9
+        self._last_ns = frame.timestamp_ns
 
     def _shortage(self) -> str:
         """Say that too little space is left, or nothing."""

@@ -6,6 +6,7 @@ import resource
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -143,6 +144,24 @@ def test_a_recording_that_is_deleted_while_it_is_replayed_is_read_to_its_end_and
     assert run.process.wait(60.0) == 0
     run.close()
     assert f"{path} was deleted or moved while it was replayed" in "".join(run.said)
+
+
+def test_ctrl_c_ends_a_recording_which_is_then_told(start_live: Callable[..., Any], tmp_path: Path) -> None:
+    words = ("--loop", "--view", "none", "--splits-max", "1", "--record", "a-{date}.mcap")
+    run = start_live("--replay", demo_uri(), *words)
+    run.wait_for("frame 0")
+    code, _ = run.end_with(signal.SIGINT)
+    run.close()
+    assert code == 130
+    (path,) = tmp_path.glob("a-*.mcap")
+    assert time.strptime(path.stem, "a-%Y%m%d-%H%M%S") <= time.localtime()
+    with open_source(str(path)) as source:
+        stamps_ns = [frame.timestamp_ns for frame in source]
+    size_mb = path.stat().st_size / 1e6
+    seconds = (stamps_ns[-1] - stamps_ns[0]) / 1e9
+    said = "".join(run.said)
+    assert f"recorded {len(stamps_ns)} frames, {seconds:.1f} s, {size_mb:.1f} MB to {path.name}\n" in said
+    assert " frames segmented, " in said
 
 
 def test_what_is_too_old_is_not_saved_and_counted(live: Live, tmp_path: Path) -> None:
