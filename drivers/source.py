@@ -105,7 +105,25 @@ class FrameSource(Closing):
                 return
 
 
-class Paced(FrameSource):
+class Wrapped(FrameSource):
+    """A source that takes the frames of another one, which it closes with itself."""
+
+    def __init__(self, source: FrameSource) -> None:
+        super().__init__()
+        self.calibration = source.calibration
+        self.metadata = source.metadata
+        self._source = source
+
+    @property
+    def losses(self) -> Mapping[str, int]:
+        """Those of the source."""
+        return self._source.losses
+
+    def _close(self) -> None:
+        self._source.close()
+
+
+class Paced(Wrapped):
     """Replays another source at its recorded rate, or a multiple of it.
 
     A frame is handed out at ``start + (its timestamp - first timestamp) / speed``. These moments are
@@ -138,10 +156,7 @@ class Paced(FrameSource):
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        super().__init__()
-        self.calibration = source.calibration
-        self.metadata = source.metadata
-        self._source = source
+        super().__init__(source)
         self._clock = clock
         self._sleep = sleep
         self._start_s: float | None = None
@@ -199,17 +214,9 @@ class Paced(FrameSource):
         )
         self._first_ns += round((gap_s - pause_s) * self._speed * 1e9)
 
-    @property
-    def losses(self) -> Mapping[str, int]:
-        """Those of the source."""
-        return self._source.losses
-
     def skip(self, frames: int) -> int:
         """Go past the next frames without waiting for their moments."""
         if self._waiting is None or frames < 1:
             return self._source.skip(frames)
         self._waiting = None
         return 1 + self._source.skip(frames - 1)
-
-    def _close(self) -> None:
-        self._source.close()

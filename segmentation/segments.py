@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -248,6 +248,12 @@ class Node:
     def value(self, config: SegmentationConfig) -> float:
         """Return what the metric that decides counts for, 0 where it was not measured."""
         return metric_value(self.fit.values, config.metric, self.fit.floor)
+
+
+def history(each: Node | Segment) -> dict[str, Any]:
+    """Return how a node or its segment was divided, tried and stopped, by field: what both have alike."""
+    names = ("division", "trial", "stop", "cut", "cuts_above", "measured", "judged")
+    return {name: getattr(each, name) for name in names}
 
 
 def depth_first(root: Node) -> list[Node]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 
 from nurbseg.drivers.errors import EndOfRecordingError
 from nurbseg.drivers.frame import RGBDFrame
-from nurbseg.drivers.source import FrameSource
+from nurbseg.drivers.source import FrameSource, Wrapped
 
 #: Distance of two passes where a recording has one frame only, and so no period of its own.
 _PERIOD_NS = 33_333_333
@@ -67,7 +67,7 @@ class Looped(FrameSource):
         self._source.close()
 
 
-class Limited(FrameSource):
+class Limited(Wrapped):
     """The beginning of another source.
 
     Parameters
@@ -94,11 +94,8 @@ class Limited(FrameSource):
         delay_s: float = 0.0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        super().__init__()
-        self.calibration = source.calibration
-        self.metadata = source.metadata
+        super().__init__(source)
         self.live = source.live
-        self._source = source
         self._frames_left = frames
         self._duration_s = duration_s
         self._delay_ns = round(delay_s * 1e9)
@@ -128,14 +125,6 @@ class Limited(FrameSource):
     def _is_over(self, elapsed_s: float) -> bool:
         return self._duration_s is not None and elapsed_s >= self._duration_s + self._delay_ns * 1e-9
 
-    @property
-    def losses(self) -> Mapping[str, int]:
-        """Those of the source."""
-        return self._source.losses
-
     def skip(self, frames: int) -> int:
         """Go past the next frames; they do not count."""
         return self._source.skip(frames)
-
-    def _close(self) -> None:
-        self._source.close()

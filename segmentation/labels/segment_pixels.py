@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from nurbseg.drivers.compiled import I64, Intp, compiled
 from nurbseg.segmentation.labels.boxes import bounding_boxes
 from nurbseg.segmentation.points.grid import Window
-from nurbseg.segmentation.segments import Node, Segment
+from nurbseg.segmentation.segments import Node, Segment, history
 from nurbseg.segmentation.surfaces.fit import Fit
 
 
@@ -97,13 +97,7 @@ def finished_segments(
             children=tuple(child.name for child in node.children),  # type: ignore[arg-type]
             pixels=order[slice(*reach[node.name])],
             fit=_reaching(node.fit, box[node.name]),
-            division=node.division,
-            trial=node.trial,
-            stop=node.stop,
-            cut=node.cut,
-            cuts_above=node.cuts_above,
-            measured=node.measured,
-            judged=node.judged,
+            **history(node),
         )
         for node in nodes
     )

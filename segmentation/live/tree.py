@@ -27,7 +27,15 @@ from nurbseg.segmentation.points.depth_grid import DepthGrid, inverse_depth_imag
 from nurbseg.segmentation.points.grid import decimated_grid
 from nurbseg.segmentation.points.rays import Rays, rays_of
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import TRIED, Division, Node, SegmentationTree, StopReason, depth_first
+from nurbseg.segmentation.segments import (
+    TRIED,
+    Division,
+    Node,
+    SegmentationTree,
+    StopReason,
+    depth_first,
+    history,
+)
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 
@@ -153,13 +161,7 @@ class LiveTree:
                 each.name,
                 np.zeros(0, dtype=np.intp),
                 each.fit,
-                division=each.division,
-                trial=each.trial,
-                stop=each.stop,
-                cut=each.cut,
-                cuts_above=each.cuts_above,
-                measured=self._frame,
-                judged=self._frame,
+                **{**history(each), "measured": self._frame, "judged": self._frame},
             )
             for each in tree.segments
         }

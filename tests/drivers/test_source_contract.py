@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import urlencode
 
 import numpy as np
 import pytest
@@ -53,6 +54,12 @@ def synthetic(request: pytest.FixtureRequest) -> Case:
     return Case(lambda: open_source(f"synthetic:?frames={FRAMES}&width=64&height=48"), FRAMES)
 
 
+def images(request: pytest.FixtureRequest) -> Case:
+    folder = write_pairs(request.getfixturevalue("tmp_path") / "recording", scenes(FRAMES))
+    patterns = urlencode({each: folder / f"*_{each}.png" for each in ("color", "depth")})
+    return Case(lambda: open_source(f"images:?{patterns}"), FRAMES)
+
+
 def openni2(request: pytest.FixtureRequest) -> Case:
     camera = request.getfixturevalue("virtual_cameras").add()
     return Case(lambda: open_source(f"openni2:{camera.uri}"), None)
@@ -66,6 +73,7 @@ CASES = {
     "pairs-apart": recorded(lambda path: write_pairs(path, scenes(FRAMES, APART))),
     "tum": recorded(lambda path: write_tum(path, scenes(FRAMES))),
     "pcd": recorded(pcd_folder),
+    "images": images,
     "synthetic": synthetic,
     "openni2": openni2,
 }
