@@ -45,12 +45,11 @@ SCORES = (
 )
 #: Settings of `ExtendedConfig` that turn each stage off, in the order in which the ladder adds the stages.
 STAGES: tuple[tuple[str, dict[str, Any]], ...] = (
-    ("merging at convex creases", {"merge_crease": False}),
+    ("merging into objects", {"merge_surfaces": False}),
     ("normals in the vectors, color x 0.25", {"normal_weight": 0.0, "color_weight": 1.0}),
     ("metrics no less than noise", {"noise_floor": 0.0}),
     ("further eigenvectors", {"cuts": 1}),
     ("border refinement", {"refine_borders": False}),
-    ("merging at smooth borders", {"merge_smooth": False}),
 )
 #: Metrics and thresholds of the table of decisions.
 METRICS: tuple[Metric, ...] = ("mse", "nle", "vmec")

@@ -77,7 +77,7 @@ class ExtendedConfig(Settings):
         formerly="depth_gap_per_m",
     )
     piece_pixels_min: int = setting(
-        240, "T_p, the smallest segment, in pixels of a 640x480 image", unit="px", least=1
+        120, "T_p, the smallest segment, in pixels of a 640x480 image", unit="px", least=1
     )
     cuts: int = setting(
         3,
@@ -105,15 +105,11 @@ class ExtendedConfig(Settings):
     refine_borders: bool = setting(
         True, "whether pixels at borders go to the surface that explains them best"
     )
-    merge_crease: bool = setting(True, "whether surfaces that meet in a convex or flat crease are merged")
-    merge_smooth: bool = setting(
-        True, "whether surfaces that one surface explains across their border are merged"
-    )
-    concavity_max: float = setting(
-        0.12,
-        "surfaces whose normals turn towards each other by less than this are one object",
-        unit="rad",
-        least=0.0,
+    merge_surfaces: bool = setting(True, "whether surfaces are merged into objects", formerly="merge_crease")
+    log_odds_min: float = setting(
+        0.0,
+        "surfaces whose log odds of being one object are larger are merged: more than 0 for fewer merges, "
+        "less for more",
     )
 
 
@@ -182,4 +178,6 @@ class SegmentationConfig(Settings):
         "normalize_nodes": True,
         "connected_pieces": True,
         "fit_of": "inverse-depth",
+        "merge_smooth": True,
+        "concavity_max": 0.12,
     }

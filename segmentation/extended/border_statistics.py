@@ -19,40 +19,45 @@ _REACH_PX = 6
 _INSET_PX = 4
 #: Surfaces are in contact where so many samples of their border touch, and such a share of all.
 _TOUCHING_LEAST = 4
-_TOUCHING_SHARE = 0.5
+_TOUCHING_SHARE = 0.15
+#: How far apart surfaces count as at a sample, at most, in gaps.
+_APART_MOST = 4.0
 
 _Values = NDArray[np.float64]
 #: Gives inverse depth and its slopes from labels, columns and rows.
 Evaluation = Callable[[NDArray[np.int32], _Values, _Values], tuple[_Values, _Values, _Values]]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class BorderStatistics:
-    """What was measured along the common border of two labels.
+    """What was measured along the common borders of P pairs of labels.
 
     Parameters
     ----------
-    first, second : int
-        Labels, the smaller one first.
-    samples : int
+    labels : (P, 2) int64
+        Of each pair, the smaller one first; pairs ascend.
+    samples : (P,) float64
         Grid pixels along the border where a row or column crosses it.
-    touching : int
+    touching : (P,) float64
         Samples where the tangent planes of both surfaces, extrapolated to the border, agree.
-    concavity_sum : float
-        Sum over the touching samples of the turn of the normals towards each other, about radians: more
-        than 0 where the crease is concave, less where it is convex.
+    concavity, concavity_square : (P,) float64
+        Sums over the touching samples of the turn of the normals towards each other, about radians, and of
+        its square. A turn is more than 0 where the crease is concave, less where it is convex.
+    apart : (P,) float64
+        Sum over all samples of how far apart the tangent planes are, in gaps, 4 at most.
     """
 
-    first: int
-    second: int
-    samples: int
-    touching: int
-    concavity_sum: float
+    labels: NDArray[np.int64]
+    samples: NDArray[np.float64]
+    touching: NDArray[np.float64]
+    concavity: NDArray[np.float64]
+    concavity_square: NDArray[np.float64]
+    apart: NDArray[np.float64]
 
-
-def in_contact(samples: float, touching: float) -> bool:
-    """Say whether enough samples of a common border touch, in number and as a share of all."""
-    return touching >= _TOUCHING_LEAST and touching >= _TOUCHING_SHARE * samples
+    @property
+    def in_contact(self) -> NDArray[np.bool_]:
+        """Whether enough samples of each border touch, in number and as a share of all, (P,) bool."""
+        return (self.touching >= _TOUCHING_LEAST) & (self.touching >= _TOUCHING_SHARE * self.samples)
 
 
 def border_statistics(
@@ -62,7 +67,7 @@ def border_statistics(
     *,
     gap_per_m: float,
     evaluate: Evaluation | None = None,
-) -> tuple[BorderStatistics, ...]:
+) -> BorderStatistics:
     """Measure every common border of two labels.
 
     Parameters
@@ -81,14 +86,14 @@ def border_statistics(
 
     Returns
     -------
-    tuple of BorderStatistics
-        In ascending order of their labels.
+    BorderStatistics
+        Of all pairs of labels whose borders meet. Samples are places of this image.
     """
     unit = labels.shape[1] / 640.0
     crossings = np.empty((5, 2 * labels.size), dtype=np.int32)
     count = _find_crossings(np.ascontiguousarray(labels), max(1, round(_REACH_PX * unit)), crossings)
     if count == 0:
-        return ()
+        return BorderStatistics(np.zeros((0, 2), dtype=np.int64), *np.zeros((5, 0)))
     before, after, row, column, apart = crossings[:, :count]
     across, down = np.maximum(apart, 0), np.maximum(-apart, 0)
     # Both surfaces are looked at inside of the border: (2, N), before it and behind.
@@ -105,7 +110,8 @@ def border_statistics(
         # The tangent planes at the middle of what is between the surfaces.
         middle_u, middle_v = column + 0.5 * across, row + 0.5 * down
         planes = inverse_depth + slope_u * (middle_u - u) + slope_v * (middle_v - v)
-        touching = np.abs(planes[0] - planes[1]) < gap_per_m
+        apart = np.abs(planes[0] - planes[1]) / gap_per_m
+        touching = apart < 1.0
         points = np.stack([x / inverse_depth, y / inverse_depth, 1.0 / inverse_depth])
         normals = np.stack([slope_u * rays.focal_px[0], slope_v * rays.focal_px[1], inverse_depth])
         normals[2] -= normals[0] * x
@@ -115,17 +121,16 @@ def border_statistics(
         turn = -((normals[:, 1] - normals[:, 0]) * chord).sum(axis=0)
         concavity = turn / np.maximum(np.sqrt(np.square(chord).sum(axis=0)), 1e-9)
     counted = np.where(touching & np.isfinite(concavity), concavity, 0.0)
+    apart = np.where(apart < _APART_MOST, apart, _APART_MOST)
 
     one, other = np.minimum(before, after), np.maximum(before, after)
     pairs, border = np.unique(one * np.int64(label.max() + 1) + other, return_inverse=True)
-    columns = (
-        *np.divmod(pairs, label.max() + 1),
-        np.bincount(border),
-        np.bincount(border, weights=touching).astype(int),
-        np.bincount(border, weights=counted),
-    )
-    return tuple(
-        BorderStatistics(*each) for each in zip(*(values.tolist() for values in columns), strict=True)
+    return BorderStatistics(
+        np.stack(np.divmod(pairs, label.max() + 1), axis=1).astype(np.int64),
+        *(
+            np.bincount(border, weights=each).astype(np.float64)
+            for each in (np.ones(count), touching, counted, np.square(counted), apart)
+        ),
     )
 
 

@@ -1,18 +1,18 @@
-"""Objects: surfaces that meet in a convex, flat or smooth crease belong together."""
+"""Objects: surfaces that the evidence of the whole frame puts together."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import heapq
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import compiled
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.border_statistics import BorderStatistics, border_statistics, in_contact
-from nurbseg.segmentation.extended.smooth import smooth_borders
+from nurbseg.segmentation.extended.border_statistics import border_statistics
+from nurbseg.segmentation.extended.evidence import DIGITS, ITEMS, evidence
+from nurbseg.segmentation.extended.surface_statistics import surface_statistics
 from nurbseg.segmentation.points.depth_grid import DepthGrid
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
@@ -44,11 +44,10 @@ class Contact:
         Why, or why not.
     samples, touching : int
         Grid pixels along the border, and those of them where the surfaces agree.
-    concavity : float
-        Mean turn of the normals towards each other where they touch, about radians, negative for a convex
-        crease; NaN where they touch nowhere.
-    smooth : bool
-        Whether one surface explains both sides of a concave border.
+    log_odds : float
+        Of the two being one object, by this pair alone.
+    evidence : mapping of str to float
+        What the log odds are the sum of, by name; without what is 0.
     """
 
     first: str
@@ -57,8 +56,36 @@ class Contact:
     reason: str
     samples: int
     touching: int
-    concavity: float
-    smooth: bool
+    log_odds: float
+    evidence: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WeighedBorders:
+    """What speaks for and against merging P pairs of surfaces.
+
+    Parameters
+    ----------
+    labels : (P, 2) int64
+        Of each pair, the smaller one first.
+    samples, touching : (P,) int64
+        Grid pixels along each border, by which its log odds weigh, and those where the surfaces agree.
+    items : (P, N) float64
+        What the log odds are the sum of, to `DIGITS` digits.
+    names : tuple of str
+        Of these.
+    """
+
+    labels: NDArray[np.int64]
+    samples: NDArray[np.int64]
+    touching: NDArray[np.int64]
+    items: NDArray[np.float64]
+    names: tuple[str, ...] = ITEMS
+
+    @property
+    def log_odds(self) -> NDArray[np.float64]:
+        """Of each pair being one object, (P,) float64."""
+        return np.asarray(np.round(self.items.sum(axis=1), DIGITS))
 
 
 def merge_surfaces(
@@ -70,9 +97,9 @@ def merge_surfaces(
 ) -> tuple[tuple[SceneObject, ...], tuple[Contact, ...]]:
     """Merge adjacent surfaces into objects.
 
-    Of all pairs in contact the one with the least concavity is merged first, and its borders with others
-    are pooled, until all that is left is more concave than allowed. A concave border that a single surface
-    explains as well as two is smooth, the inside of a bowl rather than a box on a table: it counts as flat.
+    Each pair that meets has log odds of being one object (see `evidence`). Of all pairs the one with the
+    largest is merged first, and the log odds of its borders with others are averaged, weighted by the
+    borders' lengths, until all that is left is less likely one object than two [1]_.
 
     Parameters
     ----------
@@ -85,7 +112,7 @@ def merge_surfaces(
     surfaces : sequence of NurbsSurface or None
         That of each label.
     config : SegmentationConfig
-        What is merged, up to which concavity, and what a gap is.
+        Whether anything is merged, from which log odds on, and what noise and a gap are.
 
     Returns
     -------
@@ -96,164 +123,148 @@ def merge_surfaces(
 
     References
     ----------
-    .. [1] S. C. Stein et al., "Object partitioning using local convexity", CVPR 2014.
+    .. [1] A. Bailoni et al., "GASP, a generalized framework for agglomerative clustering of signed graphs",
+       CVPR 2022.
     """
-    if not (config.extended.merge_crease or config.extended.merge_smooth):
+    if not config.extended.merge_surfaces:
         return (), ()
-    found = border_statistics(labels, surfaces, grid.rays, gap_per_m=config.extended.inverse_depth_gap)
-    smooth: set[tuple[int, int]] = set()
-    if config.extended.merge_smooth:
-        on_grid = labels[:: grid.step, :: grid.step]
-        answers = smooth_borders(found, on_grid, grid, config)
-        smooth = {(each.first, each.second) for each, yes in zip(found, answers, strict=True) if yes}
-    return merged_objects(found, smooth, labels, names, config)
+    borders = border_statistics(labels, surfaces, grid.rays, gap_per_m=config.extended.inverse_depth_gap)
+    measured = surface_statistics(labels[:: grid.step, :: grid.step], len(names), grid)
+    items = evidence(borders, measured, config.extended.inverse_depth_noise)
+    samples, touching = (each.astype(np.int64) for each in (borders.samples, borders.touching))
+    return merged_objects(WeighedBorders(borders.labels, samples, touching, items), labels, names, config)
 
 
 def merged_objects(
-    found: Sequence[BorderStatistics],
-    smooth: set[tuple[int, int]],
-    labels: NDArray[np.int32],
-    names: Sequence[str],
-    config: SegmentationConfig,
+    borders: WeighedBorders, labels: NDArray[np.int32], names: Sequence[str], config: SegmentationConfig
 ) -> tuple[tuple[SceneObject, ...], tuple[Contact, ...]]:
-    """Merge surfaces by what was measured where they meet.
+    """Merge surfaces by the evidence of where they meet.
 
     Parameters
     ----------
-    found : sequence of BorderStatistics
+    borders : WeighedBorders
         Of every two labels whose borders meet.
-    smooth : set of (int, int)
-        Labels, the smaller one first, that meet in a smooth border.
     labels : (H, W) int32
         1 to the number of surfaces; on all pixels, or evenly on some of them.
     names : sequence of str
         Of the leaf of each label.
     config : SegmentationConfig
-        What is merged, and up to which concavity.
+        From which log odds on surfaces are merged.
 
     Returns
     -------
     objects, contacts
         As those of `merge_surfaces`.
     """
-    group = _merged(found, smooth, len(names), config)
-    counts = np.zeros(len(names) + 1, dtype=np.intp)
-    _count(np.ascontiguousarray(labels), counts)
-    sizes = counts.tolist()
+    group = agglomerated(
+        borders.labels.tolist(),
+        borders.log_odds.tolist(),
+        borders.samples.tolist(),
+        len(names),
+        config.extended.log_odds_min,
+    )
+    counts = np.bincount(labels.ravel(), minlength=len(names) + 1).tolist()
     members: dict[int, list[int]] = {}
     for label in range(1, len(names) + 1):
         members.setdefault(group[label], []).append(label)
-    pixels = {number: sum(sizes[label] for label in members[number]) for number in members}
+    pixels = {number: sum(counts[label] for label in members[number]) for number in members}
     largest = sorted(members, key=lambda number: (-pixels[number], number))
     objects = tuple(SceneObject(tuple(names[label - 1] for label in members[number])) for number in largest)
-    contacts = tuple(
-        _explained(each, (each.first, each.second) in smooth, names, group, config) for each in found
-    )
-    return objects, contacts
+    return objects, tuple(_contacts(borders, names, group, config.extended.log_odds_min))
 
 
-@compiled
-def _count(labels: NDArray[np.int32], counts: NDArray[np.intp]) -> None:
-    """Add up the pixels of each label."""
-    for label in labels.flat:
-        counts[label] += 1
-
-
-def _merged(
-    found: Sequence[BorderStatistics], smooth: set[tuple[int, int]], count: int, config: SegmentationConfig
+def agglomerated(
+    pairs: Sequence[Sequence[int]],
+    log_odds: Sequence[float],
+    samples: Sequence[int],
+    count: int,
+    log_odds_min: float = 0.0,
 ) -> list[int]:
-    """Merge greedily; returns the number of each label's group, which is one of the labels in it."""
-    group = list(range(count + 1))
-    pooled = {}
-    for each in found:
-        pair = each.first, each.second
-        is_smooth = pair in smooth
-        pooled[pair] = _Pooled(
-            each.samples,
-            each.touching,
-            0.0 if is_smooth else each.concavity_sum,
-            config.extended.merge_crease or is_smooth,
-        )
-    mergeable: dict[tuple[int, int], float] = {}
+    """Merge the likeliest pair of groups again and again, while it is likely enough.
 
-    def judge(pair: tuple[int, int]) -> None:
-        concavity = pooled[pair].concavity()
-        if concavity < config.extended.concavity_max:
-            mergeable[pair] = concavity
+    Parameters
+    ----------
+    pairs : sequence of (int, int)
+        Labels that meet, the smaller one first, each pair once.
+    log_odds : sequence of float
+        Of each pair; they count to `DIGITS` digits.
+    samples : sequence of int
+        Length of each border, more than 0: those of two groups are the average over their borders.
+    count : int
+        Number of labels, from 1 on.
+    log_odds_min : float
+        Groups are merged while theirs are more than this.
 
-    for pair in pooled:
-        judge(pair)
-    while mergeable:
-        _, (kept, gone) = min(zip(mergeable.values(), mergeable, strict=True))
+    Returns
+    -------
+    list of int
+        The smallest label of each label's group; of 0, which is no label, 0. Of groups equally likely to be
+        one, those of the smallest labels go first.
+    """
+    group, scale = list(range(count + 1)), 10**DIGITS
+    # Sums of whole numbers do not depend on the order in which they are added.
+    joint = [{} for _ in group]  # type: list[dict[int, tuple[int, int]]]
+    queue: list[tuple[float, int, int, int, int]] = []
+
+    def judge(one: int, other: int, total: int, length: int) -> None:
+        joint[one][other] = joint[other][one] = total, length
+        if total > log_odds_min * scale * length:
+            first, second = (one, other) if one < other else (other, one)
+            heapq.heappush(queue, (-total / length, first, second, total, length))
+
+    for (first, second), odds, length in zip(pairs, log_odds, samples, strict=True):
+        judge(first, second, round(odds * scale) * length, length)
+    while queue:
+        _, kept, gone, *sums = heapq.heappop(queue)
+        # What was merged, or pooled with another border since, is out of date.
+        if joint[kept].get(gone) != tuple(sums):
+            continue
+        del joint[kept][gone], joint[gone][kept]
         group = [kept if each == gone else each for each in group]
-        del pooled[kept, gone], mergeable[kept, gone]
-        for pair in [pair for pair in pooled if gone in pair]:
-            other = pair[0] if pair[1] == gone else pair[1]
-            joint = (kept, other) if kept < other else (other, kept)
-            mergeable.pop(pair, None)
-            mergeable.pop(joint, None)
-            pooled[joint] = pooled.pop(pair) + pooled.get(joint, _Pooled(0, 0, 0.0, False))
-            judge(joint)
+        for other, (total, length) in joint[gone].items():
+            del joint[other][gone]
+            more = joint[kept].get(other, (0, 0))
+            judge(kept, other, total + more[0], length + more[1])
+        joint[gone] = {}
     return group
 
 
-@dataclass(frozen=True, slots=True)
-class _Pooled:
-    """What was measured along all borders of two groups, and whether one of them may be merged."""
-
-    samples: int
-    touching: int
-    concavity_sum: float
-    allowed: bool
-
-    def __add__(self, other: _Pooled) -> _Pooled:
-        return _Pooled(
-            self.samples + other.samples,
-            self.touching + other.touching,
-            self.concavity_sum + other.concavity_sum,
-            self.allowed or other.allowed,
+def _contacts(
+    borders: WeighedBorders, names: Sequence[str], group: Sequence[int], log_odds_min: float
+) -> list[Contact]:
+    """Say in words why surfaces are, or are not, one object."""
+    found = []
+    columns = (borders.labels, borders.samples, borders.touching, borders.log_odds, borders.items)
+    for (first, second), samples, touching, log_odds, items in zip(
+        *(each.tolist() for each in columns), strict=True
+    ):
+        merged, likely = group[first] == group[second], log_odds > log_odds_min
+        weighed = {name: item for name, item in zip(borders.names, items, strict=True) if item}
+        why = _in_words(weighed, log_odds, samples, touching)
+        if merged and not likely:
+            why = f"joined through other surfaces, in spite of {why}"
+        elif not merged and likely:
+            why = f"{why}, but their objects as wholes are two"
+        found.append(
+            Contact(names[first - 1], names[second - 1], merged, why, samples, touching, log_odds, weighed)
         )
-
-    def concavity(self) -> float:
-        """Return the mean turn of the normals, infinite where the groups are not to be merged."""
-        if self.allowed and in_contact(self.samples, self.touching):
-            return self.concavity_sum / self.touching
-        return inf
+    return found
 
 
-def _explained(
-    border: BorderStatistics,
-    smooth: bool,
-    names: Sequence[str],
-    group: Sequence[int],
-    config: SegmentationConfig,
-) -> Contact:
-    """Say in words why two surfaces are, or are not, one object."""
-    merged = group[border.first] == group[border.second]
-    touching = in_contact(border.samples, border.touching)
-    concavity = border.concavity_sum / border.touching if border.touching else float("nan")
-    if not touching:
-        why = f"a gap: {border.touching} of {border.samples} places along the border touch"
-    elif smooth:
-        why = "a smooth border: one surface explains both sides"
-    elif concavity < config.extended.concavity_max:
-        why = f"a convex or flat crease of {concavity:.2f}"
-    else:
-        why = f"a concave crease of {concavity:.2f}, {config.extended.concavity_max:g} at most is merged"
-    direct = touching and (
-        smooth or (config.extended.merge_crease and concavity < config.extended.concavity_max)
-    )
-    if merged and not direct:
-        why = f"joined through other surfaces, in spite of {why}"
-    elif not merged and direct:
-        why = f"{why}, but their objects meet in a concave one"
-    return Contact(
-        first=names[border.first - 1],
-        second=names[border.second - 1],
-        merged=merged,
-        reason=why,
-        samples=border.samples,
-        touching=border.touching,
-        concavity=concavity,
-        smooth=smooth,
-    )
+def _in_words(weighed: Mapping[str, float], log_odds: float, samples: int, touching: int) -> str:
+    if "gap" in weighed:
+        return f"a gap: {touching} of {samples} places along the border touch"
+    by_weight = sorted((item, name) for name, item in weighed.items() if name != "base")
+    most = [by_weight[-1], by_weight[0]] if by_weight else []
+    told = " and ".join(f"{name} {item:+.1f}" for item, name in most)
+    return f"log odds of {log_odds:+.2f}, of which {told}" if told else f"log odds of {log_odds:+.2f}"
+
+
+__all__ = [
+    "Contact",
+    "SceneObject",
+    "WeighedBorders",
+    "agglomerated",
+    "merge_surfaces",
+    "merged_objects",
+]

@@ -1,4 +1,4 @@
-"""Objects from frame to frame: statistics of borders are filtered, so that merges do not flicker."""
+"""Objects from frame to frame: the evidence of borders is filtered, so that merges do not flicker."""
 
 from __future__ import annotations
 
@@ -10,35 +10,29 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.border_statistics import BorderStatistics, border_statistics
-from nurbseg.segmentation.extended.merge import Contact, SceneObject, merged_objects
-from nurbseg.segmentation.extended.smooth import smooth_borders
+from nurbseg.segmentation.extended.evidence import DIGITS, ITEMS, evidence
+from nurbseg.segmentation.extended.merge import Contact, SceneObject, WeighedBorders, merged_objects
+from nurbseg.segmentation.extended.surface_statistics import surface_statistics
 from nurbseg.segmentation.live.leaf import LiveLeaf
 from nurbseg.segmentation.points.depth_grid import DepthGrid
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 
 #: Share of a frame in what is remembered of a border.
 _NEW_SHARE = 0.2
-#: Merged surfaces stay so while their crease is less concave than this share over what is allowed, others
-#: apart while it is more than this share under it.
-_HYSTERESIS = 0.25
-#: Borders whose smoothness is looked at again in one frame; new ones are all looked at.
-_SMOOTH_AGAIN = 1
+#: Log odds that merged surfaces gain, and others lose, by having been so in the frame before.
+_HYSTERESIS = 0.5
 #: Frames for which a border that is not seen is remembered.
 _REMEMBERED = 30
 
 _Pair = tuple[int, int]
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class _Border:
-    """What is remembered of the border of two leaves."""
+    """What is remembered of the border of two leaves: samples, touching ones, and the items of evidence."""
 
-    samples: float
-    touching: float
-    concavity_sum: float
-    smooth: bool | None = None
+    measured: NDArray[np.float64]
     merged: bool | None = None
-    checked: int = 0
     seen: int = 0
 
 
@@ -77,46 +71,27 @@ class ObjectMemory:
         grid : DepthGrid
             The points.
         config : SegmentationConfig
-            What is merged, and up to which concavity.
+            Whether anything is merged, from which log odds on, and what noise and a gap are.
 
         Returns
         -------
         objects, contacts
-            As those of `merge_surfaces`.
+            As those of `merge_surfaces`; evidence has one item more, ``kept``, for how it was before.
         """
-        if not (config.extended.merge_crease or config.extended.merge_smooth):
+        if not config.extended.merge_surfaces:
             return (), ()
         self._frame += 1
-        step = grid.step
-        rays = replace(
-            grid.rays,
-            center=(grid.rays.center[0] / step, grid.rays.center[1] / step),
-            scale=grid.rays.scale / step,
-        )
+        found = _borders_on_grid(on_grid, lattice, grid, config)
+        noise_per_m = config.extended.inverse_depth_noise
+        items = evidence(found, surface_statistics(on_grid, len(leaves), grid), noise_per_m)
+        pairs = [_pair(leaves, labels) for labels in found.labels.tolist()]
+        measured = np.column_stack([found.samples, found.touching, items])
+        borders = [self._remembered(pair, each) for pair, each in zip(pairs, measured, strict=True)]
 
-        def evaluate(
-            label: NDArray[np.int32], u: NDArray[np.float64], v: NDArray[np.float64]
-        ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-            inverse_depth, along_u, along_v = lattice.slopes_at(label, u * step, v * step)
-            return inverse_depth, along_u * step, along_v * step
-
-        found = border_statistics(
-            on_grid, (), rays, gap_per_m=config.extended.inverse_depth_gap, evaluate=evaluate
-        )
-        pairs = [self._pair(leaves, each) for each in found]
-        for pair, each in zip(pairs, found, strict=True):
-            self._remember(pair, each, step)
-        known = [self._remembered(each, self._borders[pair]) for pair, each in zip(pairs, found, strict=True)]
-        smooth: set[tuple[int, int]] = set()
-        if config.extended.merge_smooth:
-            smooth = self._smooth(known, pairs, on_grid, grid, config)
-        biased = [
-            self._biased(each, self._borders[pair], config) for pair, each in zip(pairs, known, strict=True)
-        ]
         names = [leaf.node.name for leaf in leaves]
-        objects, contacts = merged_objects(biased, smooth, on_grid, names, config)
-        for pair, contact in zip(pairs, contacts, strict=True):
-            self._borders[pair].merged = contact.merged
+        objects, contacts = merged_objects(_weighed(found, borders), on_grid, names, config)
+        for border, contact in zip(borders, contacts, strict=True):
+            border.merged = contact.merged
         forgotten = [
             pair for pair, border in self._borders.items() if self._frame - border.seen > _REMEMBERED
         ]
@@ -124,60 +99,51 @@ class ObjectMemory:
             del self._borders[pair]
         return objects, contacts
 
-    @staticmethod
-    def _pair(leaves: Sequence[LiveLeaf], found: BorderStatistics) -> _Pair:
-        first, second = leaves[found.first - 1].number, leaves[found.second - 1].number
-        return (first, second) if first < second else (second, first)
-
-    def _remember(self, pair: _Pair, found: BorderStatistics, step: int) -> None:
-        # Samples count as those on every pixel, to be compared with the same limits.
-        samples, touching = found.samples * step, found.touching * step
-        concavity = found.concavity_sum * step
+    def _remembered(self, pair: _Pair, measured: NDArray[np.float64]) -> _Border:
+        """Return a border with what was measured of it now among what was before."""
         border = self._borders.get(pair)
         if border is None:
-            border = self._borders[pair] = _Border(samples, touching, concavity)
+            border = self._borders[pair] = _Border(measured)
         else:
-            border.samples += _NEW_SHARE * (samples - border.samples)
-            border.touching += _NEW_SHARE * (touching - border.touching)
-            border.concavity_sum += _NEW_SHARE * (concavity - border.concavity_sum)
+            border.measured = border.measured + _NEW_SHARE * (measured - border.measured)
         border.seen = self._frame
+        return border
 
-    @staticmethod
-    def _remembered(found: BorderStatistics, border: _Border) -> BorderStatistics:
-        return replace(
-            found,
-            samples=round(border.samples),
-            touching=round(border.touching),
-            concavity_sum=border.concavity_sum,
-        )
 
-    @staticmethod
-    def _biased(known: BorderStatistics, border: _Border, config: SegmentationConfig) -> BorderStatistics:
-        if border.merged is None:
-            return known
-        bias = _HYSTERESIS * config.extended.concavity_max * known.touching
-        return replace(known, concavity_sum=known.concavity_sum + (-bias if border.merged else bias))
+def _borders_on_grid(
+    on_grid: NDArray[np.int32], lattice: SurfaceLattice, grid: DepthGrid, config: SegmentationConfig
+) -> BorderStatistics:
+    """Measure borders between grid pixels, on surfaces that are linear between them."""
+    step = grid.step
+    rays = replace(
+        grid.rays,
+        center=(grid.rays.center[0] / step, grid.rays.center[1] / step),
+        scale=grid.rays.scale / step,
+    )
 
-    def _smooth(
-        self,
-        known: Sequence[BorderStatistics],
-        pairs: Sequence[_Pair],
-        on_grid: NDArray[np.int32],
-        grid: DepthGrid,
-        config: SegmentationConfig,
-    ) -> set[tuple[int, int]]:
-        """Return which labels meet in a smooth border; asks again for some, the longest unasked first."""
-        borders = [self._borders[pair] for pair in pairs]
-        unasked = [n for n, border in enumerate(borders) if border.smooth is None]
-        again = sorted(
-            (n for n, border in enumerate(borders) if border.smooth is not None),
-            key=lambda n: borders[n].checked,
-        )
-        asked = [*unasked, *again[:_SMOOTH_AGAIN]]
-        answers = smooth_borders([known[n] for n in asked], on_grid, grid, config)
-        for n, answer in zip(asked, answers, strict=True):
-            borders[n].smooth = answer
-            borders[n].checked = self._frame
-        return {
-            (each.first, each.second) for each, border in zip(known, borders, strict=True) if border.smooth
-        }
+    def evaluate(
+        label: NDArray[np.int32], u: NDArray[np.float64], v: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        inverse_depth, along_u, along_v = lattice.slopes_at(label, u * step, v * step)
+        return inverse_depth, along_u * step, along_v * step
+
+    gap_per_m = config.extended.inverse_depth_gap
+    found = border_statistics(on_grid, (), rays, gap_per_m=gap_per_m, evaluate=evaluate)
+    # Samples count as those on every pixel.
+    sums = (found.samples, found.touching, found.concavity, found.concavity_square, found.apart)
+    return BorderStatistics(found.labels, *(step * each for each in sums))
+
+
+def _pair(leaves: Sequence[LiveLeaf], labels: Sequence[int]) -> _Pair:
+    """Return the numbers of two labels' leaves, the smaller one first."""
+    first, second = (leaves[label - 1].number for label in labels)
+    return (first, second) if first < second else (second, first)
+
+
+def _weighed(found: BorderStatistics, borders: Sequence[_Border]) -> WeighedBorders:
+    """Return what is remembered of borders, with what merged ones gain and others lose."""
+    measured = np.array([border.measured for border in borders]).reshape(-1, 2 + len(ITEMS))
+    kept = [0.0 if border.merged is None else 2.0 * border.merged - 1.0 for border in borders]
+    samples, touching = np.rint(measured[:, :2]).astype(np.int64).T
+    items = np.column_stack([np.round(measured[:, 2:], DIGITS), _HYSTERESIS * np.array(kept)])
+    return WeighedBorders(found.labels, samples, touching, items, (*ITEMS, "kept"))

@@ -110,8 +110,8 @@ def test_every_field_of_a_section_is_a_setting() -> None:
         ("[source]\nxyzzy = 1\n", r"unknown key source\.xyzzy$"),
         ("speed = 1\n", r"unknown key speed: keys stand in a section \(did you mean source\.speed\?\)"),
         (
-            "[segmentation.extended]\nmerge_creas = true\n",
-            r"segmentation\.extended\.merge_creas \(did you mean segmentation\.extended\.merge_crease\?\)",
+            "[segmentation.extended]\nlog_odds_mi = 1\n",
+            r"segmentation\.extended\.log_odds_mi \(did you mean segmentation\.extended\.log_odds_min\?\)",
         ),
         ("[segmentation.stag51]\nlevel = 'objects'\n", r"unknown key segmentation\.stag51"),
         ("[segmentation]\nstag15 = 3\n", r"unknown key segmentation\.stag15"),

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from nurbseg.segmentation.extended.border_statistics import BorderStatistics, border_statistics, in_contact
+from nurbseg.segmentation.extended.border_statistics import BorderStatistics, border_statistics
 from nurbseg.segmentation.points.rays import Rays
 
 FOCAL, CENTER = (300.0, 240.0), (150.0, 10.0)
@@ -48,11 +48,12 @@ def crossings(labels: np.ndarray, reach: int):
                     yield turned, line, before, after, row[before], row[after]
 
 
-def expected_meetings(labels, normals, reach, inset) -> list[BorderStatistics]:
+def expected_meetings(labels, normals, reach, inset) -> dict[tuple[int, int], list[float]]:
+    """By pair: samples, touching ones, their concavities' sum and sum of squares, and distances in gaps."""
     found: dict[tuple[int, int], list[float]] = {}
     for turned, line, before, after, one, other in crossings(labels, reach):
         key = min(one, other), max(one, other)
-        counts = found.setdefault(key, [0, 0, 0.0])
+        counts = found.setdefault(key, [0, 0, 0.0, 0.0, 0.0])
         counts[0] += 1
 
         def at(place, turned=turned, line=line):
@@ -60,15 +61,19 @@ def expected_meetings(labels, normals, reach, inset) -> list[BorderStatistics]:
 
         planes = [normals[one - 1], normals[other - 1]]
         middle = at((before + after) / 2)
-        if not abs(planes[0] @ middle - planes[1] @ middle) < GAP:
+        apart = abs(planes[0] @ middle - planes[1] @ middle)
+        counts[4] += min(apart / GAP, 4.0) if np.isfinite(apart) else 4.0
+        if not apart < GAP:
             continue
         counts[1] += 1
         rays = [at(before - inset), at(after + inset)]
         points = [each / (plane @ each) for each, plane in zip(rays, planes, strict=True)]
         towards = [-plane / np.linalg.norm(plane) for plane in planes]
         chord = (points[1] - points[0]) / np.linalg.norm(points[1] - points[0])
-        counts[2] += -(towards[1] - towards[0]) @ chord
-    return [BorderStatistics(*key, *counts) for key, counts in sorted(found.items())]
+        turn = -(towards[1] - towards[0]) @ chord
+        counts[2] += turn
+        counts[3] += turn**2
+    return dict(sorted(found.items()))
 
 
 @pytest.mark.parametrize(("width", "reach", "inset"), [(320, 3, 2.0), (107, 1, 1.0), (200, 2, 1.25)])
@@ -83,28 +88,23 @@ def test_borders_are_measured_crossing_by_crossing(width, reach, inset):
     found = border_statistics(labels, (), pinhole(), gap_per_m=GAP, evaluate=Planes(normals))
     expected = expected_meetings(labels, normals, reach, inset)
     assert len(expected) > 10
-    assert [each[:4] for each in map(astuple, found)] == [each[:4] for each in map(astuple, expected)]
-    concavities = [each.concavity_sum for each in expected]
-    assert [each.concavity_sum for each in found] == pytest.approx(concavities, abs=1e-9)
-    touching = np.array([[each.touching, each.samples] for each in found])
-    assert (touching[:, 0] > 0).any()
-    assert (touching[:, 0] < touching[:, 1]).any()
-
-
-def astuple(each: BorderStatistics) -> tuple[float, ...]:
-    return each.first, each.second, each.samples, each.touching, each.concavity_sum
+    assert found.labels.tolist() == [list(pair) for pair in expected]
+    sums = (found.samples, found.touching, found.concavity, found.concavity_square, found.apart)
+    np.testing.assert_allclose(np.stack(sums, axis=1), list(expected.values()), atol=1e-9)
+    assert (found.touching > 0).any()
+    assert (found.touching < found.samples).any()
 
 
 def test_one_label_meets_nobody():
     labels = np.ones((5, 9), dtype=np.int32)
     labels[2, 3:6] = 0
-    assert border_statistics(labels, (), pinhole(), gap_per_m=GAP, evaluate=Planes(np.ones((1, 3)))) == ()
-    assert border_statistics(0 * labels, (), pinhole(), gap_per_m=GAP, evaluate=Planes(np.ones((1, 3)))) == ()
+    for image in (labels, 0 * labels):
+        found = border_statistics(image, (), pinhole(), gap_per_m=GAP, evaluate=Planes(np.ones((1, 3))))
+        assert found.labels.shape == (0, 2)
+        assert found.in_contact.shape == (0,)
 
 
-@pytest.mark.parametrize(
-    ("samples", "touching", "expected"),
-    [(3, 3, False), (4, 4, True), (8, 4, True), (9, 4, False), (9, 5, True)],
-)
-def test_contact_takes_four_places_and_half_of_all(samples, touching, expected):
-    assert in_contact(samples, touching) == expected
+def test_contact_takes_four_places_and_a_share_of_all():
+    samples, touching = np.array([[3, 3], [4, 4], [26, 4], [27, 4], [40, 6], [41, 6]], dtype=float).T
+    borders = BorderStatistics(np.zeros((6, 2), dtype=np.int64), samples, touching, *np.zeros((3, 6)))
+    assert borders.in_contact.tolist() == [False, True, True, False, True, False]

@@ -18,7 +18,7 @@ from nurbseg.segmentation.surfaces.surface import evaluate
 MANY_PIECES = SegmentationConfig(
     method="nurbseg",
     decimation=1,
-    extended=ExtendedConfig(piece_pixels_min=1, refine_borders=False, merge_crease=False, merge_smooth=False),
+    extended=ExtendedConfig(piece_pixels_min=1, refine_borders=False, merge_surfaces=False),
 )
 CONFIG = SegmentationConfig(method="nurbseg")
 DATA = os.environ.get("NURBSEG_DATA", "")
@@ -80,9 +80,7 @@ def test_the_level_says_what_a_label_is(cloud_of, box_on_table):
         {"extended": {"noise_floor": 0.0}},
         {"extended": {"cuts": 1}},
         {"extended": {"refine_borders": False}},
-        {"extended": {"merge_crease": False}},
-        {"extended": {"merge_smooth": False}},
-        {"extended": {"merge_crease": False, "merge_smooth": False}},
+        {"extended": {"merge_surfaces": False}},
         {"metric": "mmxc"},
         {"extended": {"smoothness": 0.0}},
         {"splitting_point": "ncut"},
@@ -95,7 +93,7 @@ def test_every_stage_can_be_switched_off(cloud_of, box_on_table, off):
     cloud = cloud_of(depth)
     tree = segment(cloud, updated(CONFIG, **off))
     the_tree_is_sound(tree, cloud.valid)
-    assert bool(tree.objects) == (len(off.get("extended", {})) < 2)
+    assert bool(tree.objects) == ("merge_surfaces" not in off.get("extended", {}))
 
 
 def test_a_contact_names_two_leaves_and_its_reason(cloud_of, box_on_table):

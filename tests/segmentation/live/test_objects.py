@@ -1,0 +1,117 @@
+"""Objects of live frames: as those of a frame alone, and steady while evidence wavers."""
+
+import numpy as np
+import pytest
+
+from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
+from nurbseg.segmentation.extended.merge import merge_surfaces
+from nurbseg.segmentation.live import objects as live_objects
+from nurbseg.segmentation.live.leaf import LiveLeaf
+from nurbseg.segmentation.live.objects import ObjectMemory
+from nurbseg.segmentation.points.depth_grid import depth_grid
+from nurbseg.segmentation.segments import Node
+from nurbseg.segmentation.surfaces.fit import Fit
+from nurbseg.segmentation.surfaces.inverse_depth import fit_window
+from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
+
+CONFIG = SegmentationConfig()
+NAMES = ("00", "01", "10", "11")
+
+
+@pytest.fixture
+def box(cloud_of, box_on_table):
+    """A box on a table: the grid, labels on all pixels and on the grid, the surfaces, and live leaves."""
+    depth, truth = box_on_table(noise_per_m=2e-3)
+    grid = depth_grid(cloud_of(depth), 2)
+    on_grid = np.ascontiguousarray(truth[::2, ::2])
+    surfaces = []
+    for label in range(1, 5):
+        places = np.flatnonzero(on_grid == label)
+        top, left, bottom, right = window = grid.points.locate(places)[2]
+        mask = (on_grid == label)[top:bottom, left:right]
+        surfaces.append(fit_window(grid, window, mask, CONFIG)[0].surface)
+    nothing = np.zeros(0, dtype=np.intp)
+    leaves = [
+        LiveLeaf(Node(name, nothing, Fit(surface, np.zeros(0), {}, "", nothing)), number)
+        for number, (name, surface) in enumerate(zip(NAMES, surfaces, strict=True))
+    ]
+    return grid, truth, on_grid, surfaces, leaves
+
+
+def test_the_first_frame_is_merged_as_one_alone(box):
+    grid, truth, on_grid, surfaces, leaves = box
+    objects, contacts = ObjectMemory().merged(leaves, on_grid, SurfaceLattice(surfaces, 2), grid, CONFIG)
+    alone, of_alone = merge_surfaces(truth, grid, NAMES, surfaces, CONFIG)
+    assert objects == alone
+    # Borders between places of the grid are nearly those between pixels.
+    for live, cold in zip(contacts, of_alone, strict=True):
+        assert (live.first, live.second, live.merged) == (cold.first, cold.second, cold.merged)
+        assert live.log_odds == pytest.approx(cold.log_odds, abs=1.0)
+        assert live.samples == pytest.approx(cold.samples, rel=0.1)
+        assert "kept" not in live.evidence
+
+
+@pytest.fixture
+def wavering(monkeypatch):
+    """A function that sets the log odds of every border from now on."""
+
+    def set_to(log_odds):
+        monkeypatch.setattr(
+            live_objects,
+            "evidence",
+            lambda borders, *_: (
+                np.eye(1, len(live_objects.ITEMS)) * log_odds * np.ones((len(borders.labels), 1))
+            ),
+        )
+
+    return set_to
+
+
+def merged_now(memory, box, config=CONFIG):
+    grid, _, on_grid, surfaces, leaves = box
+    objects, contacts = memory.merged(leaves, on_grid, SurfaceLattice(surfaces, 2), grid, config)
+    return len(objects) == 1, contacts
+
+
+def test_merges_do_not_flicker_with_evidence_that_wavers(box, wavering):
+    memory, seen = ObjectMemory(), []
+    rng = np.random.default_rng(0)
+    wavering(0.3)
+    for odds in [0.3, *rng.uniform(-0.8, 0.8, 60)]:
+        wavering(odds)
+        seen.append(merged_now(memory, box)[0])
+    assert all(seen)
+    # The same, after what parted them.
+    memory = ObjectMemory()
+    for odds in [-0.3, *rng.uniform(-0.8, 0.8, 60)]:
+        wavering(odds)
+        assert not merged_now(memory, box)[0]
+
+
+def test_merges_change_when_evidence_does_for_good(box, wavering):
+    memory = ObjectMemory()
+    wavering(2.0)
+    assert merged_now(memory, box)[0]
+    wavering(-2.0)
+    seen = [merged_now(memory, box)[0] for _ in range(12)]
+    # After n frames, 2 - 4 (1 - 0.8^n) is left of the 2: less than -0.5 from the fifth on.
+    assert seen == [True] * 4 + [False] * 8
+
+
+def test_what_is_told_adds_up(box, wavering):
+    memory = ObjectMemory()
+    wavering(1.0)
+    merged_now(memory, box)
+    wavering(0.0)
+    _, contacts = merged_now(memory, box)
+    for contact in contacts:
+        assert contact.evidence == {"base": 0.8, "kept": 0.5}
+        assert contact.log_odds == pytest.approx(1.3)
+    assert memory.same_object == {(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)}
+
+
+def test_merging_can_be_switched_off(box):
+    grid, _, on_grid, surfaces, leaves = box
+    off = SegmentationConfig(extended=ExtendedConfig(merge_surfaces=False))
+    found = ObjectMemory().merged(leaves, on_grid, SurfaceLattice(surfaces, 2), grid, off)
+    assert found == ((), ())
