@@ -47,6 +47,9 @@ def tree_document(result: FrameResult, metric: Metric) -> dict[str, Any]:
                 "second": display_name(each.second),
                 "merged": each.merged,
                 "reason": each.reason,
+                "samples": each.samples,
+                "log_odds": each.log_odds,
+                "evidence": dict(each.evidence),
             }
             for each in tree.contacts
         ],

@@ -9,6 +9,7 @@ from pathlib import Path
 from nurbseg.app.evaluation.check.exported import ExportedFrame, Finding
 from nurbseg.app.evaluation.check.floors import check_floors
 from nurbseg.app.evaluation.check.history import History
+from nurbseg.app.evaluation.check.merges import check_merges
 from nurbseg.app.evaluation.check.reading import DamagedExportError, read_frame, read_settings
 from nurbseg.app.evaluation.check.splits import check_splits
 from nurbseg.app.evaluation.check.stops import check_live_stops, check_stops
@@ -102,7 +103,7 @@ class FolderCheck:
             # The rest asks which segment is part of which.
             return
         stops = check_stops if frame.settings.independent else check_live_stops
-        for check in (check_partition, check_splits, stops, self.history.check):
+        for check in (check_partition, check_merges, check_splits, stops, self.history.check):
             yield from check(frame)
         if not frame.settings.surfaces:
             return

@@ -127,11 +127,14 @@ class ExportedObject:
 
 @dataclass(frozen=True, slots=True)
 class ExportedContact:
-    """Two leaves that meet, and whether they were merged."""
+    """Two leaves that meet, whether they were merged, and by what evidence; without in earlier versions."""
 
     first: str
     second: str
     merged: bool
+    samples: int | None
+    log_odds: float | None
+    evidence: Mapping[str, float] | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,7 +86,7 @@ def read_frame(folder: Path, stem: str, settings: RunSettings) -> ExportedFrame:
     """
     file = f"{stem}_tree.json"
     try:
-        tree: ExportedTree = _decoded(ExportedTree, _with_frames(json.loads((folder / file).read_bytes())))
+        tree: ExportedTree = _decoded(ExportedTree, _filled_in(json.loads((folder / file).read_bytes())))
         if len({each.name for each in tree.segments}) < len(tree.segments) or not tree.segments:
             raise ValueError("segments: expected at least one, and each name once")
     except OSError as err:
@@ -99,12 +99,15 @@ def read_frame(folder: Path, stem: str, settings: RunSettings) -> ExportedFrame:
     return ExportedFrame(stem, settings, tree, images, surfaces, measured)
 
 
-def _with_frames(document: Any) -> Any:
-    """Fill in the frame's own number where a segment does not name the frame of its values or its trial."""
+def _filled_in(document: Any) -> Any:
+    """Fill in what earlier versions did not write: frames of values and trials, and evidence of contacts."""
     for each in document.get("segments", ()):
         for key in ("measured", "judged"):
             if each.get(key) is None:
                 each[key] = document.get("frame")
+    for each in document.get("contacts", ()):
+        for key in ("samples", "log_odds", "evidence"):
+            each.setdefault(key, None)
     return document
 
 

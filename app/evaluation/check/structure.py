@@ -105,10 +105,3 @@ def _check_objects(frame: ExportedFrame, in_order: bool) -> Iterator[Finding]:
                 f"{image[row, column]}, that of its leaf",
                 str(frame.images[kind][row, column]),
             )
-    for contact in frame.tree.contacts:
-        first, second, merged = contact.first, contact.second, contact.merged
-        together = first in object_of and object_of[first] == object_of.get(second)
-        if first == second or not {first, second} <= set(leaves):
-            yield Finding(tree, f"{first}-{second}", "contact", "two leaves", f"{first} and {second}")
-        elif merged != together:
-            yield Finding(tree, f"{first}-{second}", "merged", f"{together} by their objects", str(merged))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,12 +75,30 @@ def drawn(
         residuals_m=mesh.residuals_m,
         vertex_surfaces=result.surface_of_leaf[mesh.labels],
         tree=_nodes(result, metric),
+        merges=tuple(_merges(result)),
         elapsed_ms=dict(elapsed_ms),
         rate_hz=rate_hz,
         events=tuple(map(event_text, result.events)),
         grid_step=None if result.update is None else result.update.step,
         reset_reason="" if result.update is None else result.update.reset,
     )
+
+
+def _merges(result: FrameResult) -> Iterator[str]:
+    """Tell of each object of several surfaces which meet in it, by their labels, and by what evidence."""
+    label_of = {
+        leaf.name: label for label, leaf in zip(result.surface_labels, result.tree.leaves(), strict=True)
+    }
+    for label, each in zip(result.object_labels, result.tree.objects, strict=True):
+        within = [
+            contact for contact in result.tree.contacts if {contact.first, contact.second} <= {*each.leaves}
+        ]
+        if within:
+            pairs = (
+                f"{label_of[contact.first]} with {label_of[contact.second]}: {contact.reason}"
+                for contact in within
+            )
+            yield f"**{label}**: {'; '.join(pairs)}"
 
 
 def _nodes(result: FrameResult, metric: Metric) -> tuple[TreeNode, ...]:

@@ -96,6 +96,8 @@ class ViewFrame:
         Surface of each vertex.
     tree : tuple of TreeNode
         Depth first, the root first.
+    merges : tuple of str
+        Of each object that several surfaces were merged into, which and by what evidence.
     elapsed_ms : mapping of str to float
         Time that each stage took until now, milliseconds.
     rate_hz : float
@@ -127,6 +129,7 @@ class ViewFrame:
     residuals_m: NDArray[np.float32]
     vertex_surfaces: NDArray[np.uint16]
     tree: tuple[TreeNode, ...]
+    merges: tuple[str, ...]
     elapsed_ms: Mapping[str, float]
     rate_hz: float
     events: tuple[str, ...]

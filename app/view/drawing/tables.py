@@ -31,7 +31,8 @@ _LEAST_POINTS = 10
 def object_table(frame: ViewFrame) -> str:
     """Return the objects of a frame, or its segments where there are no objects, the largest first.
 
-    Distance and size are those of the points that are shown: of their mean, and of their oriented box.
+    Distance and size are those of the points that are shown: of their mean, and of their oriented box. Below
+    it, why surfaces were merged.
     """
     kind = "segments" if frame.objects is None else "objects"
     object_of_surface = frame.object_of_surface
@@ -64,6 +65,8 @@ def object_table(frame: ViewFrame) -> str:
             str(surfaces[thing]),
         )
         lines.append(f"| {' | '.join(cells)} |")
+    if frame.merges:
+        lines += ["", "Merged surfaces:", "", *(f"- {each}" for each in frame.merges)]
     return "\n".join(lines)
 
 

@@ -365,6 +365,58 @@ def test_a_contact_that_is_not_what_became_of_it_is_found(export):
     assert any(" contact: expected two leaves" in each for each in found)
 
 
+def test_evidence_that_does_not_add_up_is_found(export):
+    folder = export("nurbseg")
+
+    def more(tree):
+        contact = next(each for each in tree["contacts"] if "gap" not in each["evidence"])
+        contact["evidence"]["concave"] = contact["evidence"].get("concave", 0.0) + 0.002
+
+    folder.document(more)
+    assert [each for each in folder.findings() if " log_odds: expected" in each and "the sum" in each]
+
+
+def test_a_border_that_is_not_as_long_as_it_is_seen_is_found(export):
+    folder = export("nurbseg")
+    folder.document(lambda tree: tree["contacts"][0].update(samples=tree["contacts"][0]["samples"] + 1))
+    assert [each for each in folder.findings() if " samples: expected" in each]
+    folder = export("nurbseg")
+    folder.document(lambda tree: tree["contacts"].pop(0))
+    assert [each for each in folder.findings() if " samples: expected" in each and "None" in each]
+
+
+def test_objects_that_do_not_follow_from_the_evidence_are_found(export):
+    folder = export("nurbseg")
+    several = []
+
+    def turn(tree):
+        assert len(tree["objects"]) > 1
+        several.extend(each for each in tree["objects"] if len(each["leaves"]) > 1)
+        for contact in tree["contacts"]:
+            contact["evidence"] = {"base": 9.0}
+            contact["log_odds"] = 9.0
+
+    folder.document(turn)
+    assert several
+    assert [each for each in folder.findings() if " objects: expected one of " in each]
+    # From other log odds on, other objects follow.
+    folder = export("nurbseg")
+    folder.setting("log_odds_min", 1e6)
+    assert [each for each in folder.findings() if " objects: expected one of " in each]
+
+
+def test_contacts_of_earlier_versions_have_no_evidence_to_check(export):
+    folder = export("nurbseg")
+
+    def old(tree):
+        for contact in tree["contacts"]:
+            for key in ("samples", "log_odds", "evidence"):
+                del contact[key]
+
+    folder.document(old)
+    assert folder.findings() == []
+
+
 def times(name, factor):
     def make(arrays):
         arrays[name] = arrays[name] * factor

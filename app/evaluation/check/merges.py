@@ -1,0 +1,111 @@
+"""The check of objects: evidence adds up, borders are as long as seen, and merges follow from both."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.app.evaluation.check.exported import ExportedFrame, Finding
+
+#: Borders are seen across so many pixels without a label, at most, of an image of 640 columns.
+_REACH_PX = 6
+#: Half of the last digit of evidence.
+_ROUNDING = 5e-4
+
+
+def check_merges(frame: ExportedFrame) -> Iterator[Finding]:
+    """Check what became of every two leaves that meet, and why."""
+    object_of = {name: number for number, names in frame.objects.items() for name in names}
+    leaves = {leaf.name for leaf in frame.leaves()}
+    sound = True
+    for contact in frame.tree.contacts:
+        first, second, merged = contact.first, contact.second, contact.merged
+        pair = f"{first}-{second}"
+        together = first in object_of and object_of[first] == object_of.get(second)
+        if first == second or not {first, second} <= leaves:
+            yield Finding(frame.tree_file, pair, "contact", "two leaves", f"{first} and {second}")
+            sound = False
+        elif merged != together:
+            yield Finding(frame.tree_file, pair, "merged", f"{together} by their objects", str(merged))
+        if contact.evidence is None or contact.log_odds is None:
+            # An earlier version did not write it.
+            sound = False
+            continue
+        total = sum(contact.evidence.values())
+        if not abs(total - contact.log_odds) <= _ROUNDING:
+            expected = f"{total:.3f}, the sum of its evidence"
+            yield Finding(frame.tree_file, pair, "log_odds", expected, str(contact.log_odds))
+    if sound and frame.objects:
+        if frame.settings.independent:
+            yield from _check_samples(frame)
+        yield from _check_objects(frame)
+
+
+def _check_samples(frame: ExportedFrame) -> Iterator[Finding]:
+    """Count the places of every border again."""
+    name_of = {leaf.leaf: leaf.name for leaf in frame.leaves()}
+    reach = max(1, round(_REACH_PX * frame.shape[1] / 640))
+    counts = _crossings(frame.leaf_image, reach) + _crossings(frame.leaf_image.T, reach)
+    # Labels of no leaf are told of elsewhere.
+    seen = {
+        frozenset(name_of[label] for label in pair): count
+        for pair, count in counts.items()
+        if pair <= name_of.keys()
+    }
+    told = {frozenset((each.first, each.second)): each.samples for each in frame.tree.contacts}
+    for pair in sorted({*seen, *told}, key=sorted):
+        if told.get(pair) != seen.get(pair):
+            expected = f"{seen.get(pair)} places in the image of the leaves"
+            yield Finding(frame.tree_file, "-".join(sorted(pair)), "samples", expected, str(told.get(pair)))
+
+
+def _crossings(labels: NDArray[np.uint16], reach: int) -> Counter[frozenset[int]]:
+    """Count where rows go from one label to another, over less than `reach` pixels without one."""
+    counts: Counter[frozenset[int]] = Counter()
+    empty = np.ones((labels.shape[0], labels.shape[1] - 1), dtype=np.bool_)
+    for apart in range(1, min(reach, labels.shape[1] - 1) + 1):
+        before, after = labels[:, :-apart], labels[:, apart:]
+        found = empty & (before != after) & (before > 0) & (after > 0)
+        pairs = np.stack([before[found], after[found]], axis=1).tolist()
+        counts.update(map(frozenset, pairs))
+        empty = empty[:, :-1] & (after[:, :-1] == 0)
+    return counts
+
+
+def _check_objects(frame: ExportedFrame) -> Iterator[Finding]:
+    """Merge again: of all groups the two that are likeliest one, while they are likely enough."""
+    place = {leaf.name: n for n, leaf in enumerate(frame.leaves())}
+    groups = {n: {name} for name, n in place.items()}
+    # Between two groups, by their first leaves: log odds times places, exactly, and places.
+    between: dict[tuple[int, int], tuple[Fraction, int]] = {}
+    for each in frame.tree.contacts:
+        first, second = sorted((place[each.first], place[each.second]))
+        places = each.samples or 0
+        between[first, second] = Fraction(round(1000 * (each.log_odds or 0.0)), 1000) * places, places
+    least = Fraction(frame.settings.config.extended.log_odds_min)
+    while True:
+        # Of pairs alike, that of the first leaves.
+        likeliest = max(between, key=lambda pair: (_mean(between[pair]), (-pair[0], -pair[1])), default=None)
+        if likeliest is None or _mean(between[likeliest]) <= least:
+            break
+        kept, gone = likeliest
+        groups[kept] |= groups.pop(gone)
+        pooled: dict[tuple[int, int], tuple[Fraction, int]] = {}
+        for pair, (odds, places) in between.items():
+            first, second = sorted(kept if each == gone else each for each in pair)
+            if first != second:
+                before = pooled.get((first, second), (Fraction(), 0))
+                pooled[first, second] = before[0] + odds, before[1] + places
+        between = pooled
+    told = {frozenset(names) for names in frame.objects.values()}
+    for group in sorted(sorted(names) for names in groups.values() if frozenset(names) not in told):
+        yield Finding(frame.tree_file, "", "objects", f"one of {', '.join(group)} by the log odds", "none")
+
+
+def _mean(odds_and_places: tuple[Fraction, int]) -> Fraction:
+    odds, places = odds_and_places
+    return odds / places if places else Fraction(-(10**9))
