@@ -24,17 +24,17 @@ class Term(NamedTuple):
 BASE = 1.08
 TERMS = (
     # Mean concavity where they touch, 0 for a convex crease, about radians; 1 at most.
-    Term("concave", -4.97, 0.28),
+    Term("concave", -4.91, 0.28),
     # Its standard deviation along the border, 0.6 at most: a crease that noise alone makes has a large one.
-    Term("uneven", -4.44, 0.31),
+    Term("uneven", -4.63, 0.31),
     # How far apart the surfaces are at their border, in gaps: mean of what is at most 4.
-    Term("apart", -4.20, 0.48),
+    Term("apart", -3.99, 0.48),
     # Share of the smaller one's border with all surfaces that is with the larger one.
-    Term("enclosed", 4.99, 0.32),
+    Term("enclosed", 5.65, 0.32),
     # Logarithm of the size of the larger one, in pixels of an image of 640 columns.
-    Term("larger", -0.77, 8.62),
+    Term("larger", -0.73, 8.62),
     # By how many deviations of the noise the smaller one's middle is before the larger one's plane: arsinh.
-    Term("front", -0.57, -0.41),
+    Term("front", -0.54, -0.41),
 )
 #: Log odds where two surfaces do not touch, whatever else there is.
 GAP = -1.5

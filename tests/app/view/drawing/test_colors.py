@@ -157,7 +157,8 @@ def test_the_largest_object_is_listed_first(result: FrameResult) -> None:
 
 def test_objects_are_listed_by_size_with_place_and_error(result: FrameResult, saved: SavedView) -> None:
     text = component(saved, "objects", "TextDocument:text")[0]  # type: ignore[index]
-    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()[4:]]
+    table, _, _ = text.partition("\n\nMerged surfaces:\n")
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines()[4:]]
     measured = {each.label: each for each in result.objects}
     assert {int(row[0]) for row in rows} == set(measured)
     pixels = [int(row[2].replace(",", "")) for row in rows]
