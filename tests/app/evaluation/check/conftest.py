@@ -43,7 +43,7 @@ CONFIGS = {
     ),
     "nurbseg": SegmentationConfig(splits_max=8, depth_max=4),
     "strict": SegmentationConfig(
-        ratio_max=0.3, depth_max=3, extended=ExtendedConfig(inverse_depth_noise=1e-3)
+        ratio_max=0.3, depth_max=3, extended=ExtendedConfig(inverse_depth_noise=1e-3, piece_pixels_min=240)
     ),
     "floored": SegmentationConfig(metric="nle", large_error_m=0.02, splits_max=4),
     "hurried": SegmentationConfig(budget_ms=3500.0),

@@ -253,6 +253,7 @@ def test_settings_of_the_version_before_are_read(export):
     flat = settings["segmentation"]
     flat |= flat.pop("stag15") | flat.pop("extended")
     flat |= {"noise_per_m": flat.pop("inverse_depth_noise"), "depth_gap_per_m": flat.pop("inverse_depth_gap")}
+    flat |= {"merge_crease": flat.pop("merge_surfaces"), "merge_smooth": True, "concavity_max": 0.12}
     known = read_settings(folder.folder)
     path.write_text(json.dumps(settings | {"segmentation": flat | {"first_split": "kept"}}))
     assert read_settings(folder.folder) == known
