@@ -16,7 +16,7 @@ from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.points.grid import PixelGrid, full_grid
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, pixel_basis, pixel_knots
-from nurbseg.segmentation.surfaces.leastsquares import fit_control_points
+from nurbseg.segmentation.surfaces.leastsquares import fit_control_points, span_edges
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, residual_metrics
 from nurbseg.segmentation.surfaces.minimum_norm import minimum_norm_control_points
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
@@ -215,8 +215,10 @@ def _distances(
     for y in range(height):
         for x in range(width):
             count += mask[y, x]
-    distances, squares, off = np.empty(count), np.empty(width), np.empty(width)
+    distances, squares = np.empty(count), np.empty(width)
     net, weights = np.empty(control_m.shape[2]), np.ascontiguousarray(columns.values.T)
+    w0, w1, w2, w3 = weights[0], weights[1], weights[2], weights[3]
+    edges, spans = span_edges(columns.starts)
     n = 0
     for y in range(height):
         squares[:] = 0.0
@@ -226,23 +228,17 @@ def _distances(
                 net[k] = 0.0
                 for i in range(4):
                     net[k] += rows.values[y, i] * control_m[c, first + i, k]
-            along = points_m[c, top + y, left : left + width]
-            for x in range(width):
-                off[x] = along[x]
-            begin = 0
-            while begin < width:
-                start, end = columns.starts[begin], begin + 1
-                while end < width and columns.starts[end] == start:
-                    end += 1
-                for j in range(4):
-                    value, weight, part = net[start + j], weights[j, begin:end], off[begin:end]
-                    for x in range(end - begin):
-                        part[x] -= value * weight[x]
-                begin = end
-            for x in range(width):
-                squares[x] += off[x] * off[x]
+            along = points_m[c, top + y, left:]
+            for s in range(spans):
+                k = columns.starts[edges[s]]
+                v0, v1, v2, v3 = net[k], net[k + 1], net[k + 2], net[k + 3]
+                for x in range(edges[s], edges[s + 1]):
+                    off = along[x] - ((v0 * w0[x] + v1 * w1[x]) + (v2 * w2[x] + v3 * w3[x]))
+                    squares[x] += off * off
+        for x in range(width):
+            squares[x] = np.sqrt(squares[x])
         for x in range(width):
             if mask[y, x]:
-                distances[n] = np.sqrt(squares[x])
+                distances[n] = squares[x]
                 n += 1
     return distances

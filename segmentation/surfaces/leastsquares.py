@@ -186,7 +186,7 @@ def _add_points(
     """Add the sums over points to the normal matrix and the right sides."""
     height, width = mask.shape
     (top, left), count = corner, images.shape[0]
-    edges, spans = _spans(columns.starts)
+    edges, spans = span_edges(columns.starts)
     # Products of two functions at every column, and their sums over whole spans.
     along, products = np.ascontiguousarray(columns.values.T), np.empty((_PRODUCTS, width))
     whole = np.zeros((spans, _PRODUCTS))
@@ -242,7 +242,7 @@ def _add_points(
 
 
 @compiled
-def _spans(starts: Intp) -> tuple[Intp, int]:
+def span_edges(starts: Intp) -> tuple[Intp, int]:
     """Positions at which the functions change, with both ends, and how many spans these bound."""
     edges = np.empty(starts.size + 1, dtype=np.intp)
     edges[0] = 0
