@@ -40,6 +40,3 @@ def _find_boxes(labels: U16, boxes: I64) -> None:
             box[1] = min(box[1], column)
             box[2] = row + 1
             box[3] = max(box[3], column + 1)
-
-
-__all__ = ["bounding_boxes"]
