@@ -16,6 +16,7 @@ from nurbseg.app.evaluation.check.stops import check_live_stops, check_stops
 from nurbseg.app.evaluation.check.structure import check_names, check_partition
 from nurbseg.app.evaluation.check.surfaces import check_measured, check_surfaces
 from nurbseg.app.evaluation.check.values import check_values
+from nurbseg.drivers.datasets.sequence import natural_key
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.options import SourceOptions
@@ -61,7 +62,9 @@ class FolderCheck:
         self._recording = recording
         self._options = options or SourceOptions()
         self._settings = read_settings(folder)
-        self._stems = sorted(path.name.removesuffix("_tree.json") for path in folder.glob("*_tree.json"))
+        stems = (path.name.removesuffix("_tree.json") for path in folder.glob("*_tree.json"))
+        # Files named as in their source are in its order, too.
+        self._stems = sorted(stems, key=natural_key)
         if not self._stems:
             raise ValueError(f"{folder}: holds no NNNNNN_tree.json")
         if recording is not None and not self._settings.surfaces:

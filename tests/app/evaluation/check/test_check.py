@@ -3,6 +3,7 @@
 import json
 import os
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,8 +14,9 @@ from scipy.interpolate import BSpline
 from nurbseg.app.evaluation.check.check import FolderCheck
 from nurbseg.app.evaluation.check.reading import read_settings
 from nurbseg.app.evaluation.cli import main
+from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, run_settings
-from nurbseg.app.live.tracking import process_frame
+from nurbseg.app.live.tracking import Segmenter, process_frame
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
@@ -44,6 +46,21 @@ def test_the_exports_hold_all_that_is_damaged_below(export):
         ("nurbseg", "gap", None),
         ("strict", None, False),
     }
+
+
+def test_nothing_is_found_in_files_that_are_named_as_in_their_source(tmp_path):
+    recording = "synthetic:?width=160&height=120&frames=4"
+    config = SegmentationConfig()
+    settings = run_settings(config, source=recording, temporal=True, surfaces=True)
+    exporter = Exporter(tmp_path, settings, ExportConfig(names="source"))
+    segmenter = Segmenter(config, every_surface=True)
+    with open_source(recording) as source:
+        for frame in source:
+            exporter.write(segmenter.process(replace(frame, name=f"IMG_{frame.index + 8}")))
+    assert (tmp_path / "IMG_11_tree.json").exists()
+    check = FolderCheck(tmp_path)
+    assert [str(each) for each in check.findings()] == []
+    assert (check.frames, check.history.unchecked) == (4, 0)
 
 
 @pytest.mark.parametrize("method", ["stag15", "nurbseg"])
