@@ -75,7 +75,7 @@ class FrameResult:
 
     @property
     def objects(self) -> tuple[MeasuredObject, ...]:
-        """What is measured of each object, in the order of labels; computed anew each time."""
+        """What is measured of each object, in the order of labels; computed again each time."""
         return measure_objects(self.cloud, self.tree, self.object_of_leaf)
 
     @property

@@ -122,7 +122,7 @@ def run_batch(
     batch: Batch,
     recordings: Sequence[Recording],
     workers: Workers,
-    tell: Callable[[Recording], None] = lambda recording: None,
+    report: Callable[[Recording], None] = lambda recording: None,
 ) -> None:
     """Segment what of each recording is not yet done.
 
@@ -137,8 +137,8 @@ def run_batch(
         Of `recordings_of`; counted in as it goes.
     workers : Workers
         Who does it.
-    tell : callable
-        Told of each recording when it is complete or has failed.
+    report : callable
+        Called with each recording when it is complete or has failed.
     """
     exporters: dict[str, Exporter] = {}
 
@@ -149,7 +149,7 @@ def run_batch(
             except (DriverError, ExportError, OSError, ValueError) as err:
                 each.failure = str(err)
             if each.ended:
-                tell(each)
+                report(each)
             for start in range(each.done, each.frames, _TASK_FRAMES):
                 if not each.failure:
                     yield _Task(number, each.uri, range(start, min(start + _TASK_FRAMES, each.frames)))
@@ -166,7 +166,7 @@ def run_batch(
                 run = f"frames {task.run.start} to {task.run.stop - 1}"
                 recording.failure = f"{task.uri}, {run}: {type(err).__name__}: {err}"
             if recording.ended:
-                tell(recording)
+                report(recording)
     finally:
         _reader().close()
 

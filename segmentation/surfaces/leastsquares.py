@@ -18,7 +18,7 @@ _FIRST = (0, 0, 0, 0, 1, 1, 1, 2, 2, 3)
 _SECOND = (0, 1, 2, 3, 1, 2, 3, 2, 3, 3)
 _PRODUCTS = len(_FIRST)
 #: Second differences of three control values on even knots.
-_BEND = (1.0, -2.0, 1.0)
+_SECOND_DIFFERENCE = (1.0, -2.0, 1.0)
 
 
 def fit_control_points(
@@ -118,8 +118,8 @@ def _fit(
         for b in range(nu):
             held[a, b] = band[a * step_v + b * step_u, 0]
     if smoothness > 0.0:
-        _add_bends(band, smoothness, nv, step_v, nu, step_u)
-        _add_bends(band, smoothness, nu, step_u, nv, step_v)
+        _add_smoothness(band, smoothness, nv, step_v, nu, step_u)
+        _add_smoothness(band, smoothness, nu, step_u, nv, step_v)
     largest = 0.0
     for n in range(size):
         largest = max(largest, band[n, 0])
@@ -278,11 +278,13 @@ def _scatter(matrix: F64, sides: F64, origin: int, steps: tuple[int, int], band:
 
 
 @compiled
-def _add_bends(band: F64, weight: float, n: int, step: int, lines: int, across: int) -> None:
+def _add_smoothness(band: F64, weight: float, n: int, step: int, lines: int, across: int) -> None:
     """Add the squared second differences of control values along one axis to the normal matrix."""
     for line in range(lines):
         for k in range(n - 2):
             origin = line * across + k * step
             for i in range(3):
                 for j in range(i, 3):
-                    band[origin + i * step, (j - i) * step] += weight * _BEND[i] * _BEND[j]
+                    band[origin + i * step, (j - i) * step] += (
+                        weight * _SECOND_DIFFERENCE[i] * _SECOND_DIFFERENCE[j]
+                    )

@@ -196,9 +196,9 @@ def _mixed_derivative_variance(spacing: float, smoothness: float) -> float:
     # Integrals of products of cubic B-splines, and of their first derivatives, 0 to 3 knots apart.
     values = spacing * (np.array([2416.0, 2382.0, 240.0, 2.0]) / 5040.0) @ cosines
     slopes = (np.array([80.0, -30.0, -48.0, -2.0]) / 120.0) @ cosines / spacing
-    bends = (2.0 - 2.0 * cosines[1]) ** 2
+    penalty = (2.0 - 2.0 * cosines[1]) ** 2
     G = np.outer(values, values)
-    covariance = G / (G + smoothness * (bends[:, np.newaxis] + bends)) ** 2
+    covariance = G / (G + smoothness * (penalty[:, np.newaxis] + penalty)) ** 2
     return float((covariance * np.outer(slopes, slopes)).mean() / spacing**2)
 
 
