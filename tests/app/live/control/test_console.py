@@ -117,28 +117,25 @@ def test_ctrl_c_gives_the_terminal_back(tmp_path: Path) -> None:
         assert program.modes() == before
 
 
-def test_lines_of_a_pipe_are_commands_and_its_end_is_none(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [COMMAND, *WORDS, "--control", "lines", "--duration", "2"],
-        input="level surfaces\nmetric\n nonsense \n",
+def run_with_lines(lines: str, folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [COMMAND, *WORDS, "--control", "lines", *words],
+        input=lines,
         capture_output=True,
         text=True,
         timeout=120,
-        cwd=tmp_path,
+        cwd=folder,
     )
+
+
+def test_lines_of_a_pipe_are_commands_and_its_end_is_none(tmp_path: Path) -> None:
+    done = run_with_lines("level surfaces\nmetric\n nonsense \n", tmp_path, "--duration", "2")
     assert done.returncode == 0
     for said in ("level surfaces", "metric mae", "'nonsense' is no command"):
         assert said in done.stderr
 
 
 def test_a_pipe_can_quit_and_the_report_says_so(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [COMMAND, *WORDS, "--control", "lines", "--report", "report.json"],
-        input="quit\n",
-        capture_output=True,
-        text=True,
-        timeout=120,
-        cwd=tmp_path,
-    )
+    done = run_with_lines("quit\n", tmp_path, "--report", "report.json")
     assert done.returncode == 0
     assert '"ended": "quit"' in (tmp_path / "report.json").read_text()
