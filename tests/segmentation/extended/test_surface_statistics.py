@@ -48,7 +48,9 @@ def test_the_plane_is_the_best_of_inverse_depth(cloud_of, rays_of_size):
     directions = rays_of_size(SIZE)
     rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
     per_m = 1.0 + 0.002 * columns + 1e-5 * (rows - 30) ** 2 + 0.01 * np.sin(columns / 7)
-    labels = np.where((rows - 50) ** 2 + (columns - 90) ** 2 < 900, 1, 0).astype(np.int32)
+    # A slanted strip: columns and rows go together in it.
+    strip = (abs(rows - 50 + 0.8 * (columns - 90)) < 12) & (abs(columns - 90) < 40)
+    labels = strip.astype(np.int32)
     found = surface_statistics(labels, 1, depth_grid(cloud_of(1 / per_m), 1))
     own = labels == 1
     # A plane n . p = 1 has the inverse depth n . ray.
