@@ -10,7 +10,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 OUT ?= out
 
-SOURCES := $(shell find library app drivers segmentation recordings -name '*.py' -o -name '*.mcap' -o -name py.typed)
+SOURCES := $(shell find app drivers segmentation recordings -name '*.py' -o -name '*.mcap' -o -name py.typed)
 
 # Tests find more real recordings here; they skip what needs them where there are none.
 ifneq ($(wildcard ../shared/data),)

@@ -13,9 +13,11 @@ FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("
 
 def test_every_folder_is_packaged():
     with (ROOT / "pyproject.toml").open("rb") as file:
-        listed = tomllib.load(file)["tool"]["setuptools"]["packages"]
-    folders = {".".join(("nurbseg", *path.parent.relative_to(ROOT).parts)) for path in FILES}
-    assert folders <= set(listed)
+        setuptools = tomllib.load(file)["tool"]["setuptools"]
+    named = {folder: package for package, folder in setuptools["package-dir"].items()}
+    folders = {path.parent.relative_to(ROOT) for path in FILES}
+    packages = {named.get(str(folder), ".".join(("nurbseg", *folder.parts))) for folder in folders}
+    assert packages <= set(setuptools["packages"])
 
 
 @pytest.mark.parametrize("folder", sorted({path.parent for path in FILES}), ids=str)

@@ -19,11 +19,19 @@ class ExportConfig(Settings):
 
     directory: str | None = setting(
         None,
-        "folder for each frame's labels (PNG), tree and objects (JSON), and a table of all objects (CSV)",
+        "folder for each frame's labels (PNG) and tree (JSON)",
         unit="DIR",
         flag="export",
     )
     surfaces: bool = setting(False, "export the fitted surfaces too (NPZ)", flag="export-surfaces")
+    objects: bool = setting(
+        False,
+        "export what is measured of each object too (JSON), and of all in a table (CSV)",
+        flag="export-objects",
+    )
+    preview: bool = setting(
+        False, "export the labels in colors over the frame too (PNG)", flag="export-preview"
+    )
     cloud: CloudForm | None = setting(
         None,
         "export the points too, with color, normal, surface and object",

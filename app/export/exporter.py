@@ -77,13 +77,13 @@ class Exporter:
     """Writes results to a folder, each file whole or not at all.
 
     A frame's files are named by its number, or by its name in the source: ``000012_labels.png``,
-    ``000012_preview.png``, ``000012_objects.json``, ``000012_tree.json`` and what else is wanted. Where
-    surfaces were merged into objects, ``000012_surfaces.png`` and ``000012_objects.png`` hold both; the
-    labels are those that the level asks for. Where frames continue each other, a segment has one label in
-    all of them. The tree is written last: where it is, the others are.
+    ``000012_tree.json`` and what else is wanted. Where surfaces were merged into objects,
+    ``000012_surfaces.png`` and ``000012_objects.png`` hold both; the labels are those that the level asks
+    for. Where frames continue each other, a segment has one label in all of them. The tree is written last:
+    where it is, the others are.
 
     Beside them ``settings.json`` holds what all frames were made with, and ``objects.csv`` the objects of all
-    frames. A folder that holds results of other settings is refused.
+    frames, if they are wanted. A folder that holds results of other settings is refused.
 
     Parameters
     ----------
@@ -187,10 +187,12 @@ def frame_files(result: FrameResult, metric: Metric, export: ExportConfig) -> di
         If the labels cannot be a PNG.
     """
     tree = result.tree
-    files = {"labels.png": _png(result.labels()), "preview.png": _preview(result)}
+    files = {"labels.png": _png(result.labels())}
     if tree.objects:
         files["surfaces.png"] = _png(result.labels("surfaces"))
         files["objects.png"] = _png(result.labels("objects"))
+    if export.preview:
+        files["preview.png"] = _preview(result)
     if export.surfaces:
         files["surfaces.npz"] = surfaces_npz(tree)
     if export.cloud is not None:
@@ -201,7 +203,8 @@ def frame_files(result: FrameResult, metric: Metric, export: ExportConfig) -> di
         files[f"surfaces.{export.cad}"] = cad_file(result)
     if export.graph:
         files["tree.dot"] = tree_graph(result, metric).encode()
-    files["objects.json"] = _json(objects_document(result))
+    if export.objects:
+        files["objects.json"] = _json(objects_document(result))
     files["tree.json"] = _json(tree_document(result, metric))
     stem = f"{result.frame.index:06d}"
     if export.names == "source" and result.frame.name:

@@ -43,7 +43,11 @@ def write_snapshot(result: FrameResult, settings: Mapping[str, Any], folder: Pat
         made.mkdir(mode=0o700)
     except OSError as err:
         raise ExportError(f"{made}: cannot be made: {err.strerror}") from err
-    exporter = Exporter(made, {**settings, "surfaces": True}, ExportConfig(cloud="ply", graph=True))
+    exporter = Exporter(
+        made,
+        {**settings, "surfaces": True},
+        ExportConfig(objects=True, preview=True, cloud="ply", graph=True),
+    )
     exporter.write(result)
     images = {"color": cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR), "depth": frame.depth_mm}
     for name, image in images.items():

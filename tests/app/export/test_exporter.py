@@ -42,13 +42,16 @@ def test_files_are_named_by_the_frames_number(small_result: FrameResult, tmp_pat
     names = sorted(path.name for path in (tmp_path / "out").iterdir())
     assert names == [
         "000042_labels.png",
-        "000042_objects.json",
-        "000042_preview.png",
         "000042_surfaces.npz",
         "000042_tree.json",
-        "objects.csv",
         "settings.json",
     ]
+
+
+def test_objects_and_a_preview_are_written_when_asked_for(small_result: FrameResult, tmp_path: Path) -> None:
+    Exporter(tmp_path, SETTINGS, ExportConfig(objects=True, preview=True)).write(small_result)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert {"000000_objects.json", "000000_preview.png", "objects.csv"} <= names
 
 
 def test_files_may_keep_the_name_that_the_frame_has_in_its_source(
@@ -77,7 +80,7 @@ def test_what_exists_is_replaced_only_by_force(small_result: FrameResult, tmp_pa
 def test_the_preview_shows_each_label_in_a_color_of_its_own(
     small_result: FrameResult, tmp_path: Path
 ) -> None:
-    exported(small_result, tmp_path)
+    Exporter(tmp_path, SETTINGS, ExportConfig(preview=True)).write(small_result)
     preview = cv2.imread(str(tmp_path / "000000_preview.png"))
     labels = small_result.labels()
     assert preview.shape == (*labels.shape, 3)
