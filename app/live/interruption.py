@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
+from collections.abc import Callable
 from types import FrameType
 from typing import Any, Self
 
@@ -49,10 +50,10 @@ class Interruption:
         """Let no signal raise any more."""
         self._held = True
 
-    def wait(self) -> None:
-        """Wait for a signal; ends with `KeyboardInterrupt`."""
+    def wait(self, until: Callable[[], bool] = lambda: False) -> None:
+        """Wait until something is so, or for a signal: then it ends with `KeyboardInterrupt`."""
         self._held = False
-        while True:
+        while not until():
             self.check()
             time.sleep(0.2)
 

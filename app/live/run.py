@@ -16,7 +16,7 @@ from nurbseg.app.config import AppConfig
 from nurbseg.app.export.exporter import Exporter, ExportError, run_settings
 from nurbseg.app.live.capture import Captured, CaptureThread
 from nurbseg.app.live.control.controls import Controls
-from nurbseg.app.live.control.feed import captured_frames, controlled_frames
+from nurbseg.app.live.control.feed import captured_frames, controlled_frames, wait_for_quit
 from nurbseg.app.live.control.snapshot import write_snapshot
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.latency_filter import LatencyFilter
@@ -109,8 +109,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
             if report.segmented + report.recorded_only == 0 and not report.quit:
                 raise NoFramesError(f"{opened.uri}: no frame could be read ({capture.damaged} damaged)")
         if view.serving and not report.quit:
-            _log.info("all frames are shown; Ctrl-C ends the serving")
-            interruption.wait()
+            wait_for_quit(config.live.control, interruption)
         return report
 
 

@@ -55,7 +55,8 @@ class Console:
     def __enter__(self) -> Self:
         if self._keys:
             self._before = termios.tcgetattr(self._descriptor)
-            tty.setcbreak(self._descriptor)
+            # Keys that were pressed before count.
+            tty.setcbreak(self._descriptor, termios.TCSADRAIN)
         self._thread.start()
         return self
 

@@ -128,6 +128,20 @@ def run_with_lines(lines: str, folder: Path, *words: str) -> subprocess.Complete
     )
 
 
+def test_without_a_display_a_page_is_served_until_somebody_quits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    words = ["--replay", "synthetic:?width=96&height=72&frames=3", "--port", "0", "--web-port", "0"]
+    with terminal(words, tmp_path) as program:
+        program.wait_for("to look: http://127.0.0.1:")
+        assert "from another computer, first: ssh -L " in program.said
+        program.wait_for("all frames are shown")
+        program.type("q")
+        assert program.exit_code() == 0
+
+
 def test_lines_of_a_pipe_are_commands_and_its_end_is_none(tmp_path: Path) -> None:
     done = run_with_lines("level surfaces\nmetric\n nonsense \n", tmp_path, "--duration", "2")
     assert done.returncode == 0
