@@ -203,7 +203,7 @@ def agglomerated(
     """
     group, scale = list(range(count + 1)), 10**DIGITS
     # Sums of whole numbers do not depend on the order in which they are added.
-    joint = [{} for _ in group]  # type: list[dict[int, tuple[int, int]]]
+    joint: list[dict[int, tuple[int, int]]] = [{} for _ in group]
     queue: list[tuple[float, int, int, int, int]] = []
 
     def judge(one: int, other: int, total: int, length: int) -> None:
