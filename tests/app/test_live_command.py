@@ -285,7 +285,7 @@ def test_no_file_is_overwritten_and_none_is_begun_where_one_exists(
 def test_results_reports_and_viewer_files_are_replaced_by_force_alone(live: Live, tmp_path: Path) -> None:
     base = ("--replay", SMALL.format(1), *FAST)
     written = {"--export": "out", "--report": "r.json", "--save": "a.rrd"}
-    every = [word for pair in written.items() for word in pair]
+    every = [word for pair in written.items() for word in pair] + ["--export-objects", "--export-preview"]
     assert live(*base, *every).returncode == 0
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*[0-9]_*.*")}
     assert len(before) > 5

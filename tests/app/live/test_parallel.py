@@ -22,6 +22,7 @@ def captured_frames(count: int) -> Iterator[Captured]:
 
 def test_files_do_not_depend_on_the_number_of_processes(live: Callable, tmp_path: Path) -> None:
     words = ["--replay", SMALL.format(7), "--speed", "0", "--view", "none", "--export-surfaces"]
+    words += ["--export-objects", "--export-preview"]
     for name, more in (("alone", []), ("shared", ["--workers", "2"])):
         done = live(*words, "--export", name, *more)
         assert done.returncode == 0, done.stderr
