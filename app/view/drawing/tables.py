@@ -26,6 +26,8 @@ _METRIC_UNITS: dict[Metric, str] = {
 
 #: Fewest shown points of an object whose size is told.
 _LEAST_POINTS = 10
+#: Most points of an object that its size is told from: more take too long beside a camera.
+_BOX_POINTS = 200
 
 
 def object_table(frame: ViewFrame) -> str:
@@ -75,7 +77,8 @@ def _place(points_m: NDArray[np.float32]) -> tuple[str, str]:
     if len(points_m) < _LEAST_POINTS:
         return "", ""
     distance_m = np.linalg.norm(points_m.mean(axis=0, dtype=np.float64))
-    return f"{distance_m:.2f}", " x ".join(f"{each:.2f}" for each in OrientedBox.around(points_m).size_m)
+    box = OrientedBox.around(points_m[:: -(-len(points_m) // _BOX_POINTS)])
+    return f"{distance_m:.2f}", " x ".join(f"{each:.2f}" for each in box.size_m)
 
 
 def tree_table(frame: ViewFrame) -> str:
