@@ -94,11 +94,12 @@ def _distance_m(frame: ViewFrame) -> float:
 
 
 class Writer:
-    """Writes items to one stream; first the layout for their kind, and the cameras when they change."""
+    """Writes items to one stream; before them the layout for their kind and the cameras, when they change."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
         self._calibration: Calibration | None = None
+        self._kind: tuple[bool, bool, bool] | None = None
         self._stages: tuple[str, ...] = ()
 
     def write(self, item: Item) -> None:
@@ -107,14 +108,17 @@ class Writer:
         if isinstance(item, LogLine):
             self._stream.log(LOG, rr.TextLog(item.text, level=item.level))
             return
-        if self._calibration is None:
+        frame = item.frame
+        kind = frame.unregistered_color is None, frame.truth is not None, frame.objects is not None
+        if kind != self._kind:
+            self._kind = registered, ground_truth, objects = kind
             self._stream.send_blueprint(
                 blueprint(
-                    registered=item.frame.unregistered_color is None,
-                    ground_truth=item.frame.truth is not None,
-                    objects=item.frame.objects is not None,
+                    registered=registered,
+                    ground_truth=ground_truth,
+                    objects=objects,
                     layout=item.view.layout,
-                    distance_m=_distance_m(item.frame),
+                    distance_m=_distance_m(frame),
                     residual_max_m=item.view.residual_max_m,
                 )
             )

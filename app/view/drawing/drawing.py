@@ -86,19 +86,17 @@ def drawn(
 
 def _merges(result: FrameResult) -> Iterator[str]:
     """Tell of each object of several surfaces which meet in it, by their labels, and by what evidence."""
-    label_of = {
-        leaf.name: label for label, leaf in zip(result.surface_labels, result.tree.leaves(), strict=True)
-    }
-    for label, each in zip(result.object_labels, result.tree.objects, strict=True):
-        within = [
-            contact for contact in result.tree.contacts if {contact.first, contact.second} <= {*each.leaves}
-        ]
-        if within:
-            pairs = (
-                f"{label_of[contact.first]} with {label_of[contact.second]}: {contact.reason}"
-                for contact in within
-            )
-            yield f"**{label}**: {'; '.join(pairs)}"
+    tree = result.tree
+    label_of = {leaf.name: label for label, leaf in zip(result.surface_labels, tree.leaves(), strict=True)}
+    object_of = {name: place for place, each in enumerate(tree.objects) for name in each.leaves}
+    pairs: dict[int, list[str]] = {}
+    for each in tree.contacts:
+        place = object_of.get(each.first)
+        if place is not None and place == object_of.get(each.second):
+            text = f"{label_of[each.first]} with {label_of[each.second]}: {each.reason}"
+            pairs.setdefault(place, []).append(text)
+    for place in sorted(pairs):
+        yield f"**{result.object_labels[place]}**: {'; '.join(pairs[place])}"
 
 
 def _nodes(result: FrameResult, metric: Metric) -> tuple[TreeNode, ...]:

@@ -19,6 +19,7 @@ from nurbseg.app.view.drawing.palette import (
     SERIES_COLORS,
     SHADES,
     label_color,
+    packed,
     residual_colors,
     shaded,
     shades_of_surfaces,
@@ -129,7 +130,8 @@ def opening_entities() -> Entities:
         ),
     )
     scale = residual_colors(np.linspace(0.0, 1.0, 256, dtype=np.float32), 1.0)
-    yield RESIDUAL_SCALE, rr.Image(np.tile(scale, (8, 1, 1)))
+    rgb = scale.astype(">u4").view(np.uint8).reshape(-1, 4)[:, :3]
+    yield RESIDUAL_SCALE, rr.Image(np.tile(rgb, (8, 1, 1)))
     yield RATE, _line("frames per second", 6)
     yield SEGMENT_COUNT, _line("segments", 0)
     yield EVENTS, _line("events", 3)
@@ -182,8 +184,9 @@ def _images(frame: ViewFrame, view: ViewConfig) -> Entities:
     if frame.unregistered_color is not None:
         yield UNREGISTERED_COLOR, rr.Image(frame.unregistered_color).compress(jpeg_quality=view.jpeg_quality)
     yield DEPTH, rr.DepthImage(frame.depth_mm, meter=1000.0, colormap="turbo")
-    yield LABELS, rr.SegmentationImage(frame.surfaces, opacity=1.0)
-    if frame.objects is not None:
+    if frame.objects is None:
+        yield LABELS, rr.SegmentationImage(frame.surfaces, opacity=1.0)
+    else:
         of, shades = frame.object_of_surface, shades_of_surfaces(frame.object_of_surface)
         classes = _table({each: _shaded_class(of[each], shade) for each, shade in shades.items()})
         yield SHADED, rr.SegmentationImage(apply_lookup_table(classes, frame.surfaces), opacity=1.0)
@@ -219,7 +222,7 @@ def _space(frame: ViewFrame, view: ViewConfig) -> Entities:
             # Rounded, as that takes a third off a saved frame, and cannot be seen.
             vertex_normals=np.rint(frame.normals * 64.0) / 64.0,
             triangle_indices=frame.triangles,
-            vertex_colors=colors[frame.vertex_surfaces],
+            vertex_colors=packed(colors)[frame.vertex_surfaces],
         ),
     )
     residuals = rr.components.ColorBatch(residual_colors(frame.residuals_m, view.residual_max_m))

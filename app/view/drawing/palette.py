@@ -149,7 +149,13 @@ def color_name(label: int) -> str:
     return [*_COLOR_NAMES][int(np.argmin(distances))]
 
 
-def residual_colors(residuals_m: NDArray[np.floating], residual_max_m: float) -> NDArray[np.uint8]:
+def packed(colors: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    """Return colors, (N, 3) RGB, as (N,) numbers 0xRRGGBBAA, which Rerun takes as they are."""
+    red, green, blue = colors.astype(np.uint32).T
+    return np.asarray(red << 24 | green << 16 | blue << 8 | np.uint32(255), dtype=np.uint32)
+
+
+def residual_colors(residuals_m: NDArray[np.floating], residual_max_m: float) -> NDArray[np.uint32]:
     """Return the color of each residual: blue for 0, through green, to red for `residual_max_m` and more.
 
     Parameters
@@ -161,20 +167,20 @@ def residual_colors(residuals_m: NDArray[np.floating], residual_max_m: float) ->
 
     Returns
     -------
-    (N, 3) uint8
-        RGB.
+    (N,) uint32
+        As of `packed`.
     """
     index = np.clip(residuals_m / residual_max_m * 255.0, 0.0, 255.0).astype(np.uint8)
-    colors: NDArray[np.uint8] = _residual_table()[index]
+    colors: NDArray[np.uint32] = _residual_table()[index]
     return colors
 
 
 @lru_cache(maxsize=1)
-def _residual_table() -> NDArray[np.uint8]:
+def _residual_table() -> NDArray[np.uint32]:
     at = np.linspace(0, len(_RESIDUAL_STOPS) - 1, 256)
     stops = np.array(_RESIDUAL_STOPS, dtype=float)
     channels = [np.interp(at, np.arange(len(stops)), stops[:, channel]) for channel in range(3)]
-    return np.stack(channels, axis=-1).round().astype(np.uint8)
+    return packed(np.stack(channels, axis=-1).round().astype(np.uint8))
 
 
 def _oklab(rgb: NDArray[np.uint8]) -> NDArray[np.float64]:

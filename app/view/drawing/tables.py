@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.objects import OrientedBox
 from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame
 from nurbseg.app.view.drawing.palette import color_name
 from nurbseg.app.view.drawing.tree import display_name
@@ -26,44 +27,43 @@ _METRIC_UNITS: dict[Metric, str] = {
 
 #: Fewest shown points of an object whose size is told.
 _LEAST_POINTS = 10
-#: Most points of an object that its size is told from: more take too long beside a camera.
-_BOX_POINTS = 200
 
 
 def object_table(frame: ViewFrame) -> str:
     """Return the objects of a frame, or its segments where there are no objects, the largest first.
 
-    Distance and size are those of the points that are shown: of their mean, and of their oriented box. Below
-    it, why surfaces were merged.
+    Distance and size are those of the points that are shown: of their mean, and along their principal axes.
+    Below it, why surfaces were merged.
     """
     kind = "segments" if frame.objects is None else "objects"
     object_of_surface = frame.object_of_surface
-    pixels: dict[int, int] = {}
-    surfaces: dict[int, int] = {}
+    count = max(object_of_surface.values(), default=0) + 1
+    pixels, surfaces = np.zeros((2, count), dtype=np.intp)
     for each in frame.tree:
         if each.label:
             thing = object_of_surface[each.label]
-            pixels[thing] = pixels.get(thing, 0) + each.pixels
-            surfaces[thing] = surfaces.get(thing, 0) + 1
-    lookup = np.zeros(max(object_of_surface, default=0) + 1, dtype=np.uint16)
-    lookup[[*object_of_surface]] = [*object_of_surface.values()]
-    object_of_vertex = lookup[frame.vertex_surfaces]
+            pixels[thing] += each.pixels
+            surfaces[thing] += 1
+    errors_m = _root_mean_squares(frame, object_of_surface, count)
+    order = np.argsort(frame.point_labels, kind="stable")
+    ends = np.cumsum(np.bincount(frame.point_labels, minlength=count))
+    # Coordinates in rows, along which NumPy is several times as fast.
+    points_m = np.split(np.ascontiguousarray(frame.points_m[order].T), ends[:-1], axis=1)
+    listed = np.flatnonzero(surfaces)
     lines = [
-        f"**{_name(frame)}**: {len(pixels)} {kind}\n",
+        f"**{_name(frame)}**: {listed.size} {kind}\n",
         f"| {kind[:-1]} | color | pixels | distance (m) | size (m) | fit error (mm) | surfaces |",
         "|---:|---|---:|---:|---|---:|---:|",
     ]
-    for thing in sorted(pixels, key=lambda each: (-pixels[each], each)):
-        distance, size = _place(frame.points_m[frame.point_labels == thing])
-        residuals_m = frame.residuals_m[object_of_vertex == thing]
-        error = f"{1e3 * np.sqrt(np.mean(residuals_m**2)):.1f}" if residuals_m.size else ""
+    for thing in listed[np.argsort(-pixels[listed], kind="stable")].tolist():
+        distance, size = _place(points_m[thing])
         cells = (
             str(thing),
             color_name(thing),
             f"{pixels[thing]:,}",
             distance,
             size,
-            error,
+            "" if np.isnan(errors_m[thing]) else f"{1e3 * errors_m[thing]:.1f}",
             str(surfaces[thing]),
         )
         lines.append(f"| {' | '.join(cells)} |")
@@ -72,13 +72,29 @@ def object_table(frame: ViewFrame) -> str:
     return "\n".join(lines)
 
 
+def _root_mean_squares(
+    frame: ViewFrame, object_of_surface: Mapping[int, int], count: int
+) -> NDArray[np.float64]:
+    """Return the root mean square of the residuals of each object, metres; NaN without a surface."""
+    lookup = np.zeros(max(object_of_surface, default=0) + 1, dtype=np.intp)
+    lookup[[*object_of_surface]] = [*object_of_surface.values()]
+    thing = lookup[frame.vertex_surfaces]
+    squares = np.bincount(thing, frame.residuals_m.astype(np.float64) ** 2, count)
+    vertices = np.bincount(thing, minlength=count)
+    means = np.divide(squares, vertices, out=np.full(count, np.nan), where=vertices > 0)
+    return np.asarray(np.sqrt(means))
+
+
 def _place(points_m: NDArray[np.float32]) -> tuple[str, str]:
-    """Return the distance and the size of points, if they are enough."""
-    if len(points_m) < _LEAST_POINTS:
+    """Return the distance and the size of points, (3, N) metres, if they are enough."""
+    if points_m.shape[1] < _LEAST_POINTS:
         return "", ""
-    distance_m = np.linalg.norm(points_m.mean(axis=0, dtype=np.float64))
-    box = OrientedBox.around(points_m[:: -(-len(points_m) // _BOX_POINTS)])
-    return f"{distance_m:.2f}", " x ".join(f"{each:.2f}" for each in box.size_m)
+    mean = points_m.mean(axis=1)
+    centered = points_m - mean[:, np.newaxis]
+    # Ascending eigenvalues, in columns: the longest axis comes last.
+    axes = np.linalg.eigh(centered @ centered.T)[1][:, ::-1]
+    sizes = np.ptp(axes.T @ centered, axis=1).tolist()
+    return f"{np.linalg.norm(mean):.2f}", " x ".join(f"{each:.2f}" for each in sizes)
 
 
 def tree_table(frame: ViewFrame) -> str:

@@ -102,14 +102,15 @@ def _drawing(
         rr.GraphNodes(
             texts,
             positions=np.concatenate([places, below.astype(np.float32)]),
-            colors=[*fills, *(color for _, color in dots.values())],
+            colors=np.array([*fills, *(color for _, color in dots.values())], dtype=np.uint8),
             labels=texts,
             show_labels=False,
             radii=np.concatenate([radii, np.full(len(rows), 0.5 * radius)]),
         ),
     )
     edges = [(names[each.name], names[child]) for each in nodes for child in each.children]
-    yield path, rr.GraphEdges(edges, graph_type="directed")
+    # Rerun takes an array apart in a fraction of the time of a list.
+    yield path, rr.GraphEdges(np.array(edges, dtype=np.str_).reshape(-1, 2), graph_type="directed")
 
 
 def _object_name(node: TreeNode) -> str:

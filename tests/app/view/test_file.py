@@ -16,13 +16,19 @@ import cv2
 import numpy as np
 import psutil
 import pytest
+import rerun as rr
+from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
 from nurbseg.app.live.tracking import process_frame
 from nurbseg.app.result import FrameResult
 from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.view.drawing.drawing import drawn
+from nurbseg.app.view.drawing.entities import FrameEntities
+from nurbseg.app.view.drawing.frame import Moment
 from nurbseg.app.view.drawing.palette import DIVISION_COLORS, STOP_COLORS
 from nurbseg.app.view.opening import open_view
+from nurbseg.app.view.stream import Writer
 from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import ViewError, viewer_executable
 from nurbseg.drivers.frame import Calibration, Intrinsics
@@ -68,7 +74,8 @@ def saved(results: list[FrameResult], tmp_path_factory: pytest.TempPathFactory) 
     [
         "world/camera/image/color",
         "world/camera/image/depth",
-        "world/camera/image/labels",
+        "world/camera/image/objects",
+        "world/camera/image/surfaces",
         "world/camera/ground_truth",
         "world/points",
         "world/surfaces",
@@ -105,9 +112,26 @@ def test_images_come_back_as_they_were(saved: SavedView, results: list[FrameResu
         assert color.shape == result.frame.color.shape
         assert np.abs(color.astype(int) - result.frame.color).mean() < 4.0
 
-        values = saved.by_frame["world/camera/image/labels"]["SegmentationImage:buffer"][index][0]
-        labels = np.frombuffer(bytes(values), np.uint16).reshape(HEIGHT, WIDTH)
-        assert (labels == result.tree.labels("surfaces")).all()
+        assert (label_image(saved, "objects", index) == result.labels("objects")).all()
+        # Shades of the objects' colors, one for each surface.
+        pairs = np.stack([label_image(saved, "surfaces", index), result.labels("surfaces")], axis=-1)
+        surfaces = np.unique(pairs.reshape(-1, 2), axis=0)
+        assert len(surfaces) == len(np.unique(surfaces[:, 0])) == len(np.unique(surfaces[:, 1])) > 2
+
+
+def label_image(saved: SavedView, name: str, index: int) -> NDArray[np.uint16]:
+    values = saved.by_frame[f"world/camera/image/{name}"]["SegmentationImage:buffer"][index][0]
+    return np.frombuffer(bytes(values), np.uint16).reshape(HEIGHT, WIDTH)
+
+
+def test_segments_without_objects_come_back_with_their_labels(tmp_path: Path) -> None:
+    result = process_frame(small_frame(), replace(CONFIG, method="stag15"))
+    path = tmp_path / "a.rrd"
+    with open_view(ViewConfig(mode="none", save=str(path)), CONFIG) as view:
+        view.show(result)
+    saved = read_saved_view(path)
+    assert (label_image(saved, "labels", 0) == result.labels()).all()
+    assert saved.frames("world/camera/image/surfaces") == []
 
 
 def test_points_are_colored_by_label(saved: SavedView, results: list[FrameResult]) -> None:
@@ -128,6 +152,22 @@ def test_surfaces_are_one_mesh_with_a_color_for_each_vertex(saved: SavedView) ->
     assert vertices > 100
     assert len(mesh["Mesh3D:vertex_colors"]) == len(mesh["Mesh3D:vertex_normals"]) == vertices
     assert np.max(mesh["Mesh3D:triangle_indices"]) == vertices - 1
+
+
+def test_the_layout_follows_what_frames_hold(
+    results: list[FrameResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stream = rr.RecordingStream("nurbseg")
+    stream.memory_recording()
+    sent: list[object] = []
+    monkeypatch.setattr(type(stream), "send_blueprint", lambda _, layout: sent.append(layout))
+    writer, moment = Writer(stream), Moment(0, None, False)
+    frame = drawn(results[0], ViewConfig(), "mse", moment=moment, elapsed_ms={}, rate_hz=0.0, known=None)
+    assert frame.calibration is not None
+    assert frame.objects is not None
+    for each in (frame, frame, replace(frame, objects=None), replace(frame, objects=None), frame):
+        writer.write(FrameEntities(each, frame.calibration, ViewConfig()))
+    assert len(sent) == 3
 
 
 def test_the_trees_nodes_are_filled_by_stop_reason(saved: SavedView, results: list[FrameResult]) -> None:

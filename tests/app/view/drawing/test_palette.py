@@ -71,7 +71,8 @@ def test_every_stop_reason_has_a_color_and_the_papers_are_as_in_figure_3() -> No
 
 
 def test_residuals_run_from_blue_over_green_to_red_and_stay_red() -> None:
-    blue, green, red, beyond = residual_colors(np.array([0.0, 0.01, 0.02, 5.0]), 0.02).astype(int)
+    colors = residual_colors(np.array([0.0, 0.01, 0.02, 5.0]), 0.02).tolist()
+    blue, green, red, beyond = np.array([[each >> shift & 255 for shift in (24, 16, 8)] for each in colors])
     assert blue[2] > 2 * max(blue[0], blue[1])
     assert green[1] > max(green[0], green[2])
     assert red[0] > 2 * max(red[1], red[2])
