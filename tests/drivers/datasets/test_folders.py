@@ -109,10 +109,10 @@ def test_patterns_that_pair_nothing_are_refused(tmp_path: Path) -> None:
 
 def test_images_without_a_partner_among_the_patterns_are_counted(tmp_path: Path) -> None:
     for number in range(3):
-        write_image(tmp_path / f"c{number}.png", scene(0).color)
+        write_image(tmp_path / f"c{number}.jpg", scene(0).color)
         write_image(tmp_path / f"z{number + 1}.png", scene(0).depth_mm)
     (tmp_path / "camera.toml").write_text("registered = true\n[color]\nfx = 52\nfy = 52\ncx = 31\ncy = 23\n")
-    with open_source(patterns(tmp_path, "c*.png", "z*.png"), SourceOptions()) as source:
+    with open_source(patterns(tmp_path, "c*.jpg", "z*.png"), SourceOptions()) as source:
         assert source.metadata["dropped"] == "2"
         assert source.calibration.depth.fx == 52
         assert [frame.name for frame in source] == ["c1", "c2"]

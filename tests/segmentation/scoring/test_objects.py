@@ -104,3 +104,12 @@ def test_the_background_is_the_largest_segment_and_what_is_in_its_plane() -> Non
     assert np.unique(left).tolist() == [0, 6]
     assert np.array_equal(left == 6, labels == 6)
     assert not without_background(np.zeros_like(labels), points).any()
+
+
+def test_the_largest_segment_is_background_though_it_is_no_plane() -> None:
+    rows, columns = np.mgrid[:60, :80]
+    z = 1.0 + 0.3 * np.sin(columns / 6.0)
+    labels = np.full(z.shape, 2)
+    labels[10:20, 10:20], z[10:20, 10:20] = 5, 0.4
+    points = np.stack([(columns - 40) / 70 * z, (rows - 30) / 70 * z, z], axis=-1).astype(np.float32)
+    assert np.array_equal(without_background(labels, points), np.where(labels == 5, 5, 0))

@@ -16,7 +16,7 @@ from nurbseg.app.live.tracking import process_frame
 from nurbseg.app.result import FrameResult
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
-from nurbseg.app.view.drawing.frame import Moment, TreeNode
+from nurbseg.app.view.drawing.frame import Moment, TreeNode, ViewFrame
 from nurbseg.app.view.drawing.tables import object_table
 from nurbseg.app.view.drawing.tree import folded_by_object
 from nurbseg.app.view.opening import open_view
@@ -146,9 +146,29 @@ def test_a_part_of_the_tree_within_one_object_is_one_node() -> None:
     ]
 
 
-def test_the_largest_object_is_listed_first(result: FrameResult) -> None:
+@pytest.fixture(scope="module")
+def frame(result: FrameResult) -> ViewFrame:
     moment = Moment(0, None, False)
-    frame = drawn(result, ViewConfig(), "mse", moment=moment, elapsed_ms={}, rate_hz=0.0, known=None)
+    return drawn(result, ViewConfig(), "mse", moment=moment, elapsed_ms={}, rate_hz=0.0, known=None)
+
+
+def test_sizes_are_extents_along_the_principal_axes_the_longest_spread_first(frame: ViewFrame) -> None:
+    told = 0
+    for line in object_table(frame).splitlines()[4:]:
+        if not line.startswith("| "):
+            break
+        cells = [cell.strip() for cell in line.split("|")[1:-1]]
+        points = frame.points_m[frame.point_labels == int(cells[0])].astype(np.float64)
+        if not cells[4]:
+            continue
+        axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
+        expected = np.ptp(points @ axes.T, axis=0)
+        assert [float(each) for each in cells[4].split(" x ")] == pytest.approx(expected, abs=0.011)
+        told += 1
+    assert told > 5
+
+
+def test_the_largest_object_is_listed_first(result: FrameResult, frame: ViewFrame) -> None:
     last = result.object_labels[-1]
     tree = [replace(each, pixels=10**7) if each.thing == last else each for each in frame.tree]
     rows = object_table(replace(frame, tree=tuple(tree))).splitlines()[4:]
