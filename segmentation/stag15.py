@@ -79,7 +79,17 @@ def cut_in_two(
 
 
 def fit_segment(grid: PixelGrid, grid_pixels: NDArray[np.intp], config: SegmentationConfig) -> Fit:
-    """Fit a surface to a segment (section 3.2), with the metric that decides among its values (section 4)."""
+    """Fit a surface to a segment (section 3.2), with the metric that decides among its values (section 4).
+
+    Parameters
+    ----------
+    grid : PixelGrid
+        The points.
+    grid_pixels : (N,) intp
+        Flat indices into the grid, ascending.
+    config : SegmentationConfig
+        How surfaces are fitted, and the metric.
+    """
     fit = fit_on_grid(grid, grid_pixels, config)  # eq. 4; eq. 7, 9, 11 and NLE
     if config.metric in CURVATURE_METRICS:
         fit = replace(fit, values=all_metrics(fit, grid.image_shape[1], config))  # eq. 14-19 and NLC

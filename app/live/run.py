@@ -270,8 +270,8 @@ def _segment(
                 started_s = time.perf_counter()
                 consume(result)
                 elapsed_ms[stage] = 1e3 * (time.perf_counter() - started_s)
-            if controls.snapshots:
-                controls.snapshots = 0
+            if controls.snapshot:
+                controls.snapshot = False
                 _write_snapshot(result, _settings(config, controls.config, opened))
             report.late = latency_filter.held_back
             report.add(elapsed_ms, result.events, result.update)

@@ -179,7 +179,18 @@ class IsolatedView(View):
         self._queue.put_note(Line(self._moment, level, text))
 
     def close(self, *, file_limit_s: float = FILE_CLOSE_S) -> None:
-        """End, waiting so long for a disk; raises `ViewError` if the file is not whole."""
+        """End within 2 s: the file is whole and can be read; a viewer's window stays.
+
+        Parameters
+        ----------
+        file_limit_s : float
+            Longest wait for a disk, seconds. A block that ends by itself waits longer for a slow one.
+
+        Raises
+        ------
+        ViewError
+            If the file is not whole.
+        """
         if self._closed:
             return
         self._closed = True

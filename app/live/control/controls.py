@@ -48,8 +48,10 @@ class Controls:
         How frames are to be segmented from now on.
     paused, ended : bool
         Whether no frame is to be taken for now, or none any more.
-    snapshots, steps : int
-        How many frames are still to be written, and to be taken while paused.
+    snapshot : bool
+        Whether the next frame is to be written.
+    steps : int
+        How many frames are still to be taken while paused.
     """
 
     def __init__(
@@ -57,7 +59,8 @@ class Controls:
     ) -> None:
         self.config = config
         self.paused = self.ended = False
-        self.snapshots = self.steps = 0
+        self.snapshot = False
+        self.steps = 0
         self._capture = capture
         self._is_replay = is_replay
         self._fixed = fixed
@@ -127,7 +130,7 @@ class Controls:
         return ", ".join(f"{name.removesuffix('_max')} {value}" for name, value in settings.items())
 
     def _snapshot(self) -> str:
-        self.snapshots += 1
+        self.snapshot = True
         return ""
 
     def _quit(self) -> str:

@@ -41,7 +41,7 @@ def controlled_frames(
             if controls.ended:
                 return
             if captured is None and last is not None and controls.paused:
-                wanted = controls.snapshots or segmented_by is not controls.config
+                wanted = controls.snapshot or segmented_by is not controls.config
                 captured = replace(last, arrived_s=time.monotonic()) if wanted else None
             if captured is None:
                 continue

@@ -142,14 +142,19 @@ def test_without_a_display_a_page_is_served_until_somebody_quits(
         assert program.exit_code() == 0
 
 
+def piped(lines: str, folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    command = [COMMAND, *WORDS, "--control", "lines", *words]
+    return subprocess.run(command, input=lines, capture_output=True, text=True, timeout=120, cwd=folder)
+
+
 def test_lines_of_a_pipe_are_commands_and_its_end_is_none(tmp_path: Path) -> None:
-    done = run_with_lines("level surfaces\nmetric\n nonsense \n", tmp_path, "--duration", "2")
+    done = piped("level surfaces\nmetric\n nonsense \n", tmp_path, "--duration", "2")
     assert done.returncode == 0
     for said in ("level surfaces", "metric mae", "'nonsense' is no command"):
         assert said in done.stderr
 
 
 def test_a_pipe_can_quit_and_the_report_says_so(tmp_path: Path) -> None:
-    done = run_with_lines("quit\n", tmp_path, "--report", "report.json")
+    done = piped("quit\n", tmp_path, "--report", "report.json")
     assert done.returncode == 0
     assert '"ended": "quit"' in (tmp_path / "report.json").read_text()
