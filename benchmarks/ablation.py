@@ -35,7 +35,7 @@ from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap, register
 from nurbseg.segmentation.scoring.scores import Contingency
-from nurbseg.segmentation.segments import StopReason
+from nurbseg.segmentation.vocabulary import StopReason
 
 SCORES = (
     ("RI", Contingency.rand_index),

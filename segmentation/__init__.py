@@ -11,10 +11,11 @@ if TYPE_CHECKING:
     from nurbseg.segmentation.live.tree import LiveTree
     from nurbseg.segmentation.methods import segment
     from nurbseg.segmentation.points.registration import PointMap, register
-    from nurbseg.segmentation.segments import Segment, SegmentationTree, StopReason
+    from nurbseg.segmentation.segments import Segment, SegmentationTree
     from nurbseg.segmentation.surfaces.curvature import all_metrics, principal_curvatures
     from nurbseg.segmentation.surfaces.fit import Fit, fit_surface
     from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate, normals
+    from nurbseg.segmentation.vocabulary import StopReason
 
 __all__ = [
     "Cut",
@@ -51,7 +52,7 @@ _MODULES = {
     "normals": "surfaces.surface",
     "Segment": "segments",
     "SegmentationTree": "segments",
-    "StopReason": "segments",
+    "StopReason": "vocabulary",
     "LiveTree": "live.tree",
     "segment": "methods",
 }

@@ -6,7 +6,8 @@ import heapq
 from collections.abc import Callable
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.segments import Node, StopReason, depth_first
+from nurbseg.segmentation.segments import Node, depth_first
+from nurbseg.segmentation.vocabulary import StopReason
 
 #: Returns the time, seconds from any moment.
 Clock = Callable[[], float]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,49 +11,12 @@ from numpy.typing import NDArray
 from nurbseg.segmentation.config import Level, Metric, SegmentationConfig
 from nurbseg.segmentation.labels.lookup import apply_lookup_table
 from nurbseg.segmentation.surfaces.metrics import acceptance_ratio, metric_value
+from nurbseg.segmentation.vocabulary import Division, StopReason
 
 if TYPE_CHECKING:
     from nurbseg.segmentation.cut.ncut import Cut
     from nurbseg.segmentation.extended.merge import Contact, SceneObject
     from nurbseg.segmentation.surfaces.fit import Fit
-
-
-class StopReason(StrEnum):
-    """Why a segment was not split further; the first four are the colors of the paper's figure 3.
-
-    ``noise`` is the default method's own, and foretells ``criterion``: the metric is so near to what noise
-    leaves of it that no split can have a ratio below T, and none was tried. ``untried`` is the live tree's
-    own: the segment is new, or its last trial so old that it counts no more. ``budget``: the time for the
-    frame was over when its turn came.
-    """
-
-    CRITERION = "criterion"
-    CHILD_TOO_SMALL = "child-too-small"
-    TOO_SMALL = "too-small"
-    DEPTH = "depth"
-    SPLITS = "splits"
-    NO_CUT = "no-cut"
-    NO_FIT = "no-fit"
-    NO_POINTS = "no-points"
-    NOISE = "noise"
-    UNTRIED = "untried"
-    BUDGET = "budget"
-
-
-class Division(StrEnum):
-    """How a segment falls into its parts.
-
-    ``cut``: by a normalized cut that the ratio kept. ``gap``: its pixels are not connected, nothing was cut.
-    ``appeared``: part 1 came into view beside or before part 0, nothing was cut.
-    """
-
-    CUT = "cut"
-    GAP = "gap"
-    APPEARED = "appeared"
-
-
-#: Reasons that a trial, or the lack of one, came to; the others follow from the values themselves.
-TRIED = (StopReason.CRITERION, StopReason.CHILD_TOO_SMALL, StopReason.NO_CUT)
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,17 +24,11 @@ from nurbseg.segmentation.labels.segment_pixels import finished_segments
 from nurbseg.segmentation.labels.upsample import Split, upsample_labels
 from nurbseg.segmentation.points.grid import PixelGrid, decimated_grid, step_with_points
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import (
-    Division,
-    Node,
-    SegmentationTree,
-    StopReason,
-    Trial,
-    depth_first,
-)
+from nurbseg.segmentation.segments import Node, SegmentationTree, Trial, depth_first
 from nurbseg.segmentation.surfaces.curvature import all_metrics
 from nurbseg.segmentation.surfaces.fit import Fit, fit_on_grid
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, acceptance_ratio
+from nurbseg.segmentation.vocabulary import Division, StopReason
 
 #: Cuts a segment in two, given the grid, its node, the vectors of all grid pixels and the settings.
 Cutter = Callable[[PixelGrid, Node, NDArray[np.float32], SegmentationConfig], tuple[Cut, NDArray[np.bool_]]]

@@ -94,6 +94,12 @@ def test_what_the_command_line_needs_for_its_help_imports_no_numpy(module: str) 
     assert subprocess.run([sys.executable, "-c", program], timeout=60).returncode == 0
 
 
+def test_the_process_that_shows_and_saves_loads_no_compiler() -> None:
+    # It would take half a second of the processor before the first frame is saved.
+    program = "import sys, nurbseg.app.view.program; sys.exit(bool({'numba', 'scipy'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", program], timeout=60).returncode == 0
+
+
 @pytest.mark.parametrize("package", ["nurbseg.drivers", "nurbseg.segmentation"])
 def test_every_exported_name_is_what_it_is_declared_to_be(package: str) -> None:
     done = subprocess.run(

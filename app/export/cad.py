@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.export.tree import display_name
 from nurbseg.app.result import FrameResult
 from nurbseg.segmentation.segments import Segment
 from nurbseg.segmentation.surfaces.bspline import basis_matrix
 from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate
+from nurbseg.segmentation.vocabulary import display_name
 
 #: Version of the file format that rhino3dm is to write.
 _RHINO_VERSION = 7

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.atomic_file import write_atomically
-from nurbseg.app.export.tree import display_name
 from nurbseg.app.result import FrameResult
 from nurbseg.drivers.frame import Intrinsics
+from nurbseg.segmentation.vocabulary import display_name
 
 #: What coordinates mean, for programs and people that have only the file.
 CONVENTION = "depth camera, metres: x right, y down, z forward; pixel centres at whole numbers (column, row)"

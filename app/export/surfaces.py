@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from nurbseg.app.export.tree import display_name
 from nurbseg.segmentation.segments import SegmentationTree
+from nurbseg.segmentation.vocabulary import display_name
 
 
 def surfaces_npz(tree: SegmentationTree) -> bytes:

@@ -8,6 +8,7 @@ from typing import Any
 from nurbseg.app.result import FrameResult
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.segments import Segment, Trial
+from nurbseg.segmentation.vocabulary import display_name
 
 
 def tree_document(result: FrameResult, metric: Metric) -> dict[str, Any]:
@@ -99,11 +100,6 @@ def _trial_document(trial: Trial) -> dict[str, Any]:
 def _number(value: float) -> float | None:
     # JSON knows no infinity: a ratio against nothing and a metric of nothing are both "no value".
     return float(value) if math.isfinite(value) else None
-
-
-def display_name(name: str) -> str:
-    """Return what the paper calls a segment: P for the whole cloud, P010 for a part."""
-    return f"P{name}"
 
 
 def tree_graph(result: FrameResult, metric: Metric) -> str:

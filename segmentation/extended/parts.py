@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
-from nurbseg.segmentation.segments import Division, Node, StopReason, Trial
+from nurbseg.segmentation.segments import Node, Trial
 from nurbseg.segmentation.surfaces.curvature import all_metrics
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, acceptance_ratio, metric_value
 from nurbseg.segmentation.surfaces.noise import noise_floor
+from nurbseg.segmentation.vocabulary import Division, StopReason
 
 
 class Part(NamedTuple):

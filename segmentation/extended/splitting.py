@@ -24,7 +24,8 @@ from nurbseg.segmentation.labels.upsample import upsample_by_depth
 from nurbseg.segmentation.points.depth_grid import inverse_depth_image
 from nurbseg.segmentation.points.grid import step_with_points
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import Division, Node, SegmentationTree, StopReason, depth_first
+from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first
+from nurbseg.segmentation.vocabulary import Division, StopReason
 
 #: From so many grid pixels on, a segment is cut at every second grid pixel of both directions.
 _MANY_PIXELS = 2_000

@@ -13,8 +13,9 @@ from nurbseg.drivers.compiled import F32, I32, I64, U16, Bool, compiled
 from nurbseg.segmentation.extended.parts import Part
 from nurbseg.segmentation.labels.regions import PixelAdjacency
 from nurbseg.segmentation.live.leaf import LiveLeaf
-from nurbseg.segmentation.segments import Division, Node, depth_first
+from nurbseg.segmentation.segments import Node, depth_first
 from nurbseg.segmentation.surfaces.fit import Fit
+from nurbseg.segmentation.vocabulary import Division
 
 #: Why what was divided without a cut has no surface.
 NOT_CUT = "parts that no cut made"

@@ -14,13 +14,14 @@ from nurbseg.segmentation.extended.parts import Part
 from nurbseg.segmentation.labels.segment_pixels import by_label
 from nurbseg.segmentation.live.follow import inner_pixels
 from nurbseg.segmentation.points.depth_grid import DepthGrid
-from nurbseg.segmentation.segments import Node, StopReason, Trial
+from nurbseg.segmentation.segments import Node, Trial
 from nurbseg.segmentation.surfaces.curvature import all_metrics
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS
 from nurbseg.segmentation.surfaces.noise import SQUARE_MOST, noise_floors
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
+from nurbseg.segmentation.vocabulary import StopReason
 
 #: A leaf's rim, mixed with what lies behind, is left out where this much of it is left.
 _INNER_SHARE = 0.3

@@ -13,7 +13,8 @@ from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.parts import at_noise_floor, fit_segment, judge_split
 from nurbseg.segmentation.growth import stop_without_cut
 from nurbseg.segmentation.live.leaf import LiveLeaf
-from nurbseg.segmentation.segments import Division, Node, StopReason, depth_first
+from nurbseg.segmentation.segments import Node, depth_first
+from nurbseg.segmentation.vocabulary import Division, StopReason
 
 #: Frames within which every split is judged again, and after which the oldest rejected trial counts no more.
 SPLIT_FRAMES, TRIAL_FRAMES = 60, 300

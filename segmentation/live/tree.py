@@ -27,17 +27,10 @@ from nurbseg.segmentation.points.depth_grid import DepthGrid, inverse_depth_imag
 from nurbseg.segmentation.points.grid import decimated_grid
 from nurbseg.segmentation.points.rays import Rays, rays_of
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import (
-    TRIED,
-    Division,
-    Node,
-    SegmentationTree,
-    StopReason,
-    depth_first,
-    history,
-)
+from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, history
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
+from nurbseg.segmentation.vocabulary import TRIED, Division, StopReason
 
 #: The scene is another one where so much of it is not explained by the surfaces of the frame before.
 _CHANGED_SHARE = 0.4

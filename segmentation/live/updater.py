@@ -18,7 +18,8 @@ from nurbseg.segmentation.live.editor import TreeEditor, TreeUpdate
 from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf, Misfit
 from nurbseg.segmentation.live.renewal import TRIAL_FRAMES
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import Division, Node, StopReason, Trial, depth_first
+from nurbseg.segmentation.segments import Node, Trial, depth_first
+from nurbseg.segmentation.vocabulary import Division, StopReason
 
 #: A leaf is tried again for a split when its mean square is this much more than at the last trial.
 _WORSE_FACTOR, _WORSE_BY = 1.5, 0.5

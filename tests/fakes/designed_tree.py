@@ -16,7 +16,8 @@ from nurbseg.segmentation.live.editor import TreeUpdate
 from nurbseg.segmentation.live.leaf import LiveLeaf, Misfit
 from nurbseg.segmentation.live.updater import Budget, TreeUpdater
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import Division, Node, Trial
+from nurbseg.segmentation.segments import Node, Trial
+from nurbseg.segmentation.vocabulary import Division
 
 #: A segment has at least 25 places of the grid of every second pixel.
 CONFIG = SegmentationConfig(

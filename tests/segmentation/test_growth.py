@@ -12,8 +12,9 @@ from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import ExtendedConfig, Metric, SegmentationConfig, Stag15Config
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import Division, Segment, SegmentationTree, StopReason
+from nurbseg.segmentation.segments import Segment, SegmentationTree
 from nurbseg.segmentation.surfaces.metrics import METRICS
+from nurbseg.segmentation.vocabulary import Division, StopReason
 
 SIZE = (96, 128)
 #: Places of the smallest segment: the limit is in pixels of a 640x480 image.

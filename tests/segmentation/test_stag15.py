@@ -7,9 +7,10 @@ from numpy.testing import assert_allclose
 
 from nurbseg.segmentation.config import SegmentationConfig, Stag15Config
 from nurbseg.segmentation.methods import segment
-from nurbseg.segmentation.segments import SegmentationTree, StopReason
+from nurbseg.segmentation.segments import SegmentationTree
 from nurbseg.segmentation.surfaces.fit import fit_surface
 from nurbseg.segmentation.surfaces.metrics import METRICS, acceptance_ratio
+from nurbseg.segmentation.vocabulary import StopReason
 
 SIZE = (120, 160)
 

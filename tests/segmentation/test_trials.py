@@ -7,8 +7,9 @@ import pytest
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig, Stag15Config
 from nurbseg.segmentation.methods import segment
-from nurbseg.segmentation.segments import Division, Segment, SegmentationTree
+from nurbseg.segmentation.segments import Segment, SegmentationTree
 from nurbseg.segmentation.surfaces.surface import evaluate
+from nurbseg.segmentation.vocabulary import Division
 
 BOTH = pytest.mark.parametrize("method", ["stag15", "nurbseg"])
 

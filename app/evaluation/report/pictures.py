@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from nurbseg.app.evaluation.results import StudyResults
 from nurbseg.app.evaluation.scoring import SCORES
 from nurbseg.app.view.drawing.palette import STOP_COLORS
-from nurbseg.segmentation.segments import StopReason
+from nurbseg.segmentation.vocabulary import StopReason
 
 _INNER_COLOR = "#e4e7eb"
 _JPEG_QUALITY = 85

@@ -27,7 +27,6 @@ from nurbseg.app.view.drawing.palette import (
 from nurbseg.app.view.drawing.tables import object_table, tree_table
 from nurbseg.app.view.drawing.tree import Entities, tree_entities
 from nurbseg.drivers.frame import Calibration, Intrinsics
-from nurbseg.segmentation.labels.lookup import apply_lookup_table
 
 WORLD = "world"
 CAMERA = f"{WORLD}/camera"
@@ -188,21 +187,19 @@ def _images(frame: ViewFrame, view: ViewConfig) -> Entities:
         yield LABELS, rr.SegmentationImage(frame.surfaces, opacity=1.0)
     else:
         of, shades = frame.object_of_surface, shades_of_surfaces(frame.object_of_surface)
-        classes = _table({each: _shaded_class(of[each], shade) for each, shade in shades.items()})
-        yield SHADED, rr.SegmentationImage(apply_lookup_table(classes, frame.surfaces), opacity=1.0)
+        classes = {each: _shaded_class(of[each], shade) for each, shade in shades.items()}
+        yield SHADED, rr.SegmentationImage(_relabelled(frame.surfaces, classes), opacity=1.0)
         yield OBJECTS, rr.SegmentationImage(frame.objects, opacity=1.0)
     if frame.truth is not None and frame.truth_match is not None:
-        matches = _table(
-            {region: match or _NOTHING for region, match in frame.truth_match.tolist() if region}
-        )
-        yield GROUND_TRUTH, rr.SegmentationImage(apply_lookup_table(matches, frame.truth), opacity=1.0)
+        matches = {region: match or _NOTHING for region, match in frame.truth_match.tolist() if region}
+        yield GROUND_TRUTH, rr.SegmentationImage(_relabelled(frame.truth, matches), opacity=1.0)
 
 
-def _table(of_label: Mapping[int, int]) -> NDArray[np.uint16]:
-    """Return a lookup table of labels, 0 for all that are not named."""
-    table = np.zeros(max(of_label, default=0) + 1, dtype=np.uint16)
-    table[[*of_label]] = [*of_label.values()]
-    return table
+def _relabelled(labels: NDArray[np.uint16], new_labels: Mapping[int, int]) -> NDArray[np.uint16]:
+    """Return an image with new labels, 0 for all that are not named; without Numba, which is slow to load."""
+    table = np.zeros(max(new_labels, default=0) + 2, dtype=np.uint16)
+    table[[*new_labels]] = [*new_labels.values()]
+    return table.take(labels, mode="clip")
 
 
 def _space(frame: ViewFrame, view: ViewConfig) -> Entities:

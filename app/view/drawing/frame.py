@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.frame import Calibration
 from nurbseg.segmentation.config import Metric
-from nurbseg.segmentation.segments import Division, StopReason
+from nurbseg.segmentation.vocabulary import Division, StopReason
 
 
 @dataclass(frozen=True, slots=True)

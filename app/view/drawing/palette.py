@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.segments import Division, StopReason
+from nurbseg.segmentation.vocabulary import Division, StopReason
 
 #: Labels that have a color of their own; the viewer makes up colors beyond.
 LABEL_COLORS = 1023

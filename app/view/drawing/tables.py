@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame
 from nurbseg.app.view.drawing.palette import color_name
-from nurbseg.app.view.drawing.tree import display_name
 from nurbseg.segmentation.config import Metric
-from nurbseg.segmentation.segments import TRIED
+from nurbseg.segmentation.vocabulary import TRIED, display_name
 
 _METRIC_UNITS: dict[Metric, str] = {
     "mse": "m²",

@@ -18,7 +18,7 @@ from nurbseg.app.view.drawing.palette import (
     shades_of_surfaces,
 )
 from nurbseg.app.view.drawing.tree_layout import fitted, tree_positions
-from nurbseg.segmentation.segments import Division
+from nurbseg.segmentation.vocabulary import Division, display_name
 
 #: Paths and what is logged there.
 Entities = Iterable[tuple[str, Any]]
@@ -31,11 +31,6 @@ TREE_WIDTH, TREE_HEIGHT = 1000.0, 540.0
 _SPACING, _LEVEL, _RADIUS = 70.0, 90.0, 17.0
 #: Radius of the smallest nodes, as a share of the largest.
 _LEAST_RADIUS = 0.45
-
-
-def display_name(name: str) -> str:
-    """Return a segment's name as the paper writes it: P, P0, P01, ..."""
-    return f"P{name}"
 
 
 def tree_entities(frame: ViewFrame) -> Entities:

@@ -9,8 +9,9 @@ from nurbseg.segmentation.extended import splitting
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
 from nurbseg.segmentation.extended.parts import Part, children_of
 from nurbseg.segmentation.extended.splitting import _neighbors_side, best_split
-from nurbseg.segmentation.segments import Division, Node, StopReason, depth_first
+from nurbseg.segmentation.segments import Node, depth_first
 from nurbseg.segmentation.surfaces.fit import Fit
+from nurbseg.segmentation.vocabulary import Division, StopReason
 
 SIZE = (48, 64)
 #: 1/100 of the places of a 640x480 image: at most so many pixels make 20 places.

@@ -16,9 +16,10 @@ from nurbseg.segmentation.extended.parts import fit_segment
 from nurbseg.segmentation.extended.splitting import best_split
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import Division, Node, SegmentationTree, StopReason
+from nurbseg.segmentation.segments import Node, SegmentationTree
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.surface import evaluate
+from nurbseg.segmentation.vocabulary import Division, StopReason
 
 CONFIG = SegmentationConfig(method="nurbseg", decimation=1, extended=ExtendedConfig(refine_borders=False))
 SIZE = (120, 160)

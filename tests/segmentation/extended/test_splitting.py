@@ -12,8 +12,8 @@ from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.scoring.scores import Contingency
-from nurbseg.segmentation.segments import StopReason
 from nurbseg.segmentation.surfaces.surface import evaluate
+from nurbseg.segmentation.vocabulary import StopReason
 
 MANY_PIECES = SegmentationConfig(
     method="nurbseg",

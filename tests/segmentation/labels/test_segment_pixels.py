@@ -3,8 +3,9 @@
 import numpy as np
 
 from nurbseg.segmentation.labels.segment_pixels import by_label, finished_segments
-from nurbseg.segmentation.segments import Node, SegmentationTree, StopReason, depth_first
+from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first
 from nurbseg.segmentation.surfaces.fit import Fit
+from nurbseg.segmentation.vocabulary import StopReason
 
 
 def test_places_are_sorted_by_label_and_keep_their_order_within_each() -> None:

@@ -5,8 +5,9 @@ from scipy import ndimage
 from nurbseg.segmentation.labels.regions import pixel_adjacency
 from nurbseg.segmentation.live.editor import TreeEditor, TreeUpdate
 from nurbseg.segmentation.live.leaf import LiveLeaf
-from nurbseg.segmentation.segments import Division, Node, StopReason, Trial, depth_first
+from nurbseg.segmentation.segments import Node, Trial, depth_first
 from nurbseg.segmentation.surfaces.fit import Fit
+from nurbseg.segmentation.vocabulary import Division, StopReason
 
 
 def editor_of(labels):

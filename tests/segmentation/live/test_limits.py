@@ -13,8 +13,9 @@ from nurbseg.segmentation.live.editor import UpdateReport
 from nurbseg.segmentation.live.tree import LiveTree
 from nurbseg.segmentation.live.updater import Budget
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import Division, Segment, SegmentationTree, StopReason
+from nurbseg.segmentation.segments import Segment, SegmentationTree
 from nurbseg.segmentation.surfaces.surface import evaluate
+from nurbseg.segmentation.vocabulary import Division, StopReason
 
 CONFIG = SegmentationConfig(
     samples=60, extended=ExtendedConfig(level="surfaces", inverse_depth_noise=5e-4, piece_pixels_min=1600)

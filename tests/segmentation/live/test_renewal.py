@@ -9,8 +9,9 @@ from exact_surface import metric, ratio
 
 from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf
 from nurbseg.segmentation.live.renewal import Renewal, give_reasons, renew_splits
-from nurbseg.segmentation.segments import Division, Node, StopReason, Trial
+from nurbseg.segmentation.segments import Node, Trial
 from nurbseg.segmentation.surfaces.fit import Fit
+from nurbseg.segmentation.vocabulary import Division, StopReason
 
 
 @pytest.fixture

@@ -10,7 +10,8 @@ from designed_tree import BEFORE, CONFIG, FRAME, GRID, Band, DesignedTree, desig
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.live.leaf import Attempt
 from nurbseg.segmentation.live.updater import Budget
-from nurbseg.segmentation.segments import Division, Node, StopReason, Trial, depth_first
+from nurbseg.segmentation.segments import Node, Trial, depth_first
+from nurbseg.segmentation.vocabulary import Division, StopReason
 
 NOTHING = Budget(refits=0, trials=0, merges=0)
 

@@ -16,7 +16,7 @@ from nurbseg.app.view.drawing.palette import (
     shaded,
     shades_of_surfaces,
 )
-from nurbseg.segmentation.segments import StopReason
+from nurbseg.segmentation.vocabulary import StopReason
 
 
 def test_every_label_has_a_color_of_its_own() -> None:
