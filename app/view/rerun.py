@@ -158,17 +158,12 @@ class RerunView:
             sink.put_line(line)
 
     def close(self, *, file_limit_s: float = FILE_CLOSE_S) -> None:
-        """End within 2 s: the file is whole and can be read; a viewer's window stays.
+        """Close all sinks, in the time and with the error that `IsolatedView.close` tells.
 
         Parameters
         ----------
         file_limit_s : float
-            Longest wait for a disk, seconds. A block that ends by itself waits longer for a slow one.
-
-        Raises
-        ------
-        ViewError
-            If the file is not whole.
+            Longest wait for a disk, seconds.
         """
         if self._closed:
             return

@@ -25,7 +25,6 @@ from nurbseg.segmentation.live.renewal import give_reasons, renew_splits
 from nurbseg.segmentation.live.updater import Budget, TreeUpdater
 from nurbseg.segmentation.points.depth_grid import DepthGrid, inverse_depth_image
 from nurbseg.segmentation.points.grid import decimated_grid
-from nurbseg.segmentation.points.rays import Rays, rays_of
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, history
 from nurbseg.segmentation.surfaces.fit import Fit
@@ -84,7 +83,6 @@ class LiveTree:
         self._overdue = 0
         self._rejected: tuple[Node, ...] = ()
         self._frame = -1
-        self._rays: Rays | None = None
         self._lattice = SurfaceLattice([], config.decimation)
         self.labels_before = self._labels
 
@@ -175,7 +173,6 @@ class LiveTree:
         self._lattice = SurfaceLattice([leaf.surface for leaf in self._leaves], step)
         self._gray = brightness(cloud.color, step)
         self._objects = ObjectMemory()
-        self._rays = None
         self._overdue = 0
         self.report = UpdateReport()
 
@@ -186,7 +183,7 @@ class LiveTree:
         step = config.decimation
         inverse_depth = inverse_depth_image(cloud)
         on_every = np.ascontiguousarray(inverse_depth[::step, ::step])
-        grid = DepthGrid(decimated_grid(cloud, step), on_every, self._rays_of(cloud))
+        grid = DepthGrid(decimated_grid(cloud, step), on_every, cloud.rays)
         gray = brightness(cloud.color, step)
         before = warped(self._labels, flow_back(gray, resized(self._gray, gray.shape)))
         on_grid = np.where(grid.valid, before[::step, ::step], 0).astype(np.int32)
@@ -262,15 +259,6 @@ class LiveTree:
         self._overdue = self._overdue + 1 if late else 0
         self.report = replace(done.report, unexplained=unexplained, step=step)
         return self._finished(cloud, features, labels, before, config, every_surface)
-
-    def _rays_of(self, cloud: PointMap) -> Rays:
-        """Return the camera's rays; they are estimated once, from a frame of which most was seen."""
-        if self._rays is None:
-            rays = rays_of(cloud)
-            if np.count_nonzero(cloud.valid) < 0.5 * cloud.valid.size:
-                return rays
-            self._rays = rays
-        return self._rays
 
     def _limits_per_m(self) -> NDArray[np.float32]:
         """Return from which residual on a grid pixel is not a leaf's own, by label."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, Bool, compiled
 from nurbseg.segmentation.points.grid import PixelGrid, decimated_grid
-from nurbseg.segmentation.points.rays import Rays, rays_of
+from nurbseg.segmentation.points.rays import Rays
 from nurbseg.segmentation.points.registration import PointMap
 
 
@@ -73,7 +73,7 @@ def _distances(coordinates_m: F32) -> F32:
 def depth_grid(cloud: PointMap, step: int) -> DepthGrid:
     """Take every `step`-th row and column of a frame: its points and their inverse depths."""
     points = decimated_grid(cloud, step)
-    return DepthGrid(points, _inverse_depths(points.coordinates_m[2], points.valid), rays_of(cloud))
+    return DepthGrid(points, _inverse_depths(points.coordinates_m[2], points.valid), cloud.rays)
 
 
 def inverse_depth_image(cloud: PointMap) -> NDArray[np.float32]:

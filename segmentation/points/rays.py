@@ -7,8 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.points.registration import PointMap
-
 #: Rays of a lens without distortion differ from linear ones by the rounding of single precision.
 _ROUNDING = 2e-6
 #: Rows and columns of the lattice on which the rays are sampled, at most.
@@ -87,29 +85,31 @@ class Rays:
         return x, y
 
 
-def rays_of(cloud: PointMap) -> Rays:
-    """Find the rays of a camera from the points that it saw.
+def rays_through(points_m: NDArray[np.float32], valid: NDArray[np.bool_]) -> Rays:
+    """Find the rays of a camera from the points that it saw, or from one on each of its rays.
 
     Parameters
     ----------
-    cloud : PointMap
-        Points on the pixel grid.
+    points_m : (H, W, 3) float32
+        Points on the pixel grid, metres.
+    valid : (H, W) bool
+        Where there is a point.
 
     Returns
     -------
     Rays
         Linear where that explains the points to rounding, else of the fifth degree; by least squares.
     """
-    height, width = cloud.valid.shape
+    height, width = valid.shape
     center, scale = ((width - 1) / 2, (height - 1) / 2), max(height, width) / 2
     rows = np.unique(np.linspace(0, height - 1, min(height, _SAMPLES)).astype(np.intp))
     columns = np.unique(np.linspace(0, width - 1, min(width, _SAMPLES)).astype(np.intp))
     lattice = np.ix_(rows, columns)
-    v, u = (each[cloud.valid[lattice]] for each in np.meshgrid(rows, columns, indexing="ij"))
-    points = cloud.points_m[lattice][cloud.valid[lattice]].astype(np.float64)
+    v, u = (each[valid[lattice]] for each in np.meshgrid(rows, columns, indexing="ij"))
+    points = points_m[lattice][valid[lattice]].astype(np.float64)
     if u.size < len(_LINEAR):
-        v, u = np.nonzero(cloud.valid)
-        points = cloud.points_m[v, u].astype(np.float64)
+        v, u = np.nonzero(valid)
+        points = points_m[v, u].astype(np.float64)
     coefficients = np.zeros((2, _DEGREE + 1, _DEGREE + 1))
     if u.size == 0:
         return Rays(coefficients, center, scale)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from nurbseg.drivers.compiled import F32, I32, U8, U16, Bool, compiled
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.segmentation.points.color_fill import fill_colors
+from nurbseg.segmentation.points.rays import Rays, rays_through
 
 #: A point is hidden where another one lands on it in the color image and their parallax differs by more
 #: pixels than this. A surface that both cameras see cannot fold by a whole pixel.
@@ -39,6 +40,8 @@ class PointMap:
         Where the color camera saw the point itself. False where the point is hidden from it, is so near
         to an outline that the hiding object's color mixes in, or is outside the color image; there
         `color` comes from the nearest points that are not in front of it.
+    known_rays : Rays, optional
+        Of the depth camera, where its calibration is known.
 
     Attributes
     ----------
@@ -54,6 +57,7 @@ class PointMap:
     points_m: NDArray[np.float32]
     color: NDArray[np.uint8]
     colored: NDArray[np.bool_]
+    known_rays: Rays | None = None
     valid: NDArray[np.bool_] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -70,6 +74,11 @@ class PointMap:
         object.__setattr__(self, "valid", np.isfinite(self.points_m[..., 2]))
         for array in (self.points_m, self.color, self.colored, self.valid):
             array.flags.writeable = False
+
+    @property
+    def rays(self) -> Rays:
+        """Where each pixel looks; estimated from the points where no calibration tells it."""
+        return self.known_rays or rays_through(self.points_m, self.valid)
 
 
 def register(frame: RGBDFrame) -> PointMap:
@@ -134,6 +143,8 @@ class _Registration:
     def __init__(self, calibration: Calibration) -> None:
         self._registered = calibration.is_registered
         rays = calibration.depth.rays()
+        on_rays = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=2)
+        self._rays = rays_through(on_rays, np.isfinite(rays[..., 0]))
         self._ray_x, self._ray_y = np.ascontiguousarray(rays[..., 0]), np.ascontiguousarray(rays[..., 1])
         if self._registered:
             return
@@ -156,7 +167,7 @@ class _Registration:
     def register(self, frame: RGBDFrame) -> PointMap:
         points = _back_projected(np.ascontiguousarray(frame.depth_mm), self._ray_x, self._ray_y)
         if self._registered:
-            return PointMap(points, frame.color, np.isfinite(points[..., 2]))
+            return PointMap(points, frame.color, np.isfinite(points[..., 2]), self._rays)
         u, v, nearness, cell, buffer = _projected(
             *(points, self._color_from_depth, *self._lens, self._camera),
             *(*self._size, np.float32(self._cells_per_px), *self._cells),
@@ -170,7 +181,7 @@ class _Registration:
         color = np.asarray(cv2.remap(frame.color, u, v, cv2.INTER_LINEAR), dtype=np.uint8)
         colored, missing = _seen(points, nearness, cell, buffer, np.float32(self._hiding_per_m), color)
         fill_colors(color, colored, missing, points[..., 2], min(self._hiding_per_m, 0.05))
-        return PointMap(points, color, colored)
+        return PointMap(points, color, colored, self._rays)
 
 
 @compiled

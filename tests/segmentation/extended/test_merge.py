@@ -13,7 +13,6 @@ from nurbseg.segmentation.extended.merge import (
     merged_objects,
 )
 from nurbseg.segmentation.points.depth_grid import depth_grid
-from nurbseg.segmentation.points.rays import rays_of
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 
 CONFIG = SegmentationConfig()
@@ -47,7 +46,7 @@ def test_creases_of_a_box_have_the_sign_and_size_of_their_angle(cloud_of, box_on
     depth, truth = box_on_table()
     cloud = cloud_of(depth)
     _, surfaces = fitted(cloud, truth)
-    found = measured(truth, surfaces, rays_of(cloud))
+    found = measured(truth, surfaces, cloud.rays)
     # Normals turned by a right angle differ by sqrt(2), as seen along a chord straight across the crease.
     for pair in ((2, 3), (2, 4), (3, 4)):
         assert found[pair][0] > 0.8

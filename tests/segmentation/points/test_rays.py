@@ -3,8 +3,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from nurbseg.segmentation.points.rays import rays_of
-from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.segmentation.points.registration import PointMap, register
 
 SIZE = (60, 80)
 
@@ -13,7 +13,7 @@ def test_rays_of_a_perfect_lens_are_found_to_rounding(cloud_of):
     rng = np.random.default_rng(0)
     depth = rng.uniform(0.5, 3.0, SIZE)
     depth[rng.random(SIZE) < 0.3] = np.nan
-    rays = rays_of(cloud_of(depth))
+    rays = cloud_of(depth).rays
     assert rays.focal_px == pytest.approx((64.0, 64.0), rel=1e-5)
     x, y = rays.lattice(np.arange(80.0), np.arange(60.0))
     assert_allclose(x, np.broadcast_to((np.arange(80) - 39.5) / 64, SIZE), atol=1e-6)
@@ -29,19 +29,31 @@ def test_rays_of_a_real_lens_are_followed_to_a_fraction_of_a_pixel():
     straight = cv2.undistortPoints(pixels, camera, lens).reshape(*rows.shape, 2)
     points = np.dstack([straight, np.ones((480, 640))]).astype(np.float32)
     cloud = PointMap(points, np.zeros((480, 640, 3), np.uint8), np.isfinite(points[..., 2]))
-    x, y = rays_of(cloud).lattice(np.arange(640.0), np.arange(480.0))
+    x, y = cloud.rays.lattice(np.arange(640.0), np.arange(480.0))
     error_px = 525 * np.hypot(x - straight[..., 0], y - straight[..., 1])
     assert error_px.max() < 0.5
     assert np.sqrt(np.mean(error_px**2)) < 0.05
 
 
+def test_a_registered_frame_has_its_camera_s_rays_whatever_was_seen():
+    camera = Intrinsics(80, 60, 64.0, 65.0, 38.0, 31.0)
+    depth_mm = np.zeros(SIZE, np.uint16)
+    depth_mm[40, 70] = 900
+    color = np.zeros((*SIZE, 3), np.uint8)
+    rays = register(RGBDFrame(0, 0, depth_mm, color, Calibration.registered(camera))).rays
+    assert rays.focal_px == pytest.approx((64.0, 65.0), rel=1e-6)
+    x, y = rays.lattice(np.arange(80.0), np.arange(60.0))
+    assert_allclose(x, np.broadcast_to((np.arange(80) - 38.0) / 64, SIZE), atol=1e-7)
+    assert_allclose(y, np.broadcast_to((np.arange(60)[:, np.newaxis] - 31.0) / 65, SIZE), atol=1e-7)
+
+
 def test_scattered_rays_agree_with_those_of_the_lattice(cloud_of):
-    rays = rays_of(cloud_of(np.ones(SIZE)))
+    rays = cloud_of(np.ones(SIZE)).rays
     u, v = np.arange(5.0), np.arange(5.0) * 3
     for scattered, lattice in zip(rays.at(u, v), rays.lattice(u, v), strict=True):
         assert_allclose(scattered, np.diagonal(lattice))
 
 
 def test_a_frame_without_points_has_no_focal_length(cloud_of):
-    rays = rays_of(cloud_of(np.full(SIZE, np.nan)))
+    rays = cloud_of(np.full(SIZE, np.nan)).rays
     assert rays.focal_px == (np.inf, np.inf)

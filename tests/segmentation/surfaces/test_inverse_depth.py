@@ -6,7 +6,6 @@ from scipy.interpolate import BSpline
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.depth_grid import depth_grid
-from nurbseg.segmentation.points.rays import rays_of
 from nurbseg.segmentation.surfaces.bspline import averaged_knots, basis_matrix
 from nurbseg.segmentation.surfaces.fit import fit_surface
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window, rational_surface, ray_control_values
@@ -42,7 +41,7 @@ def test_a_plane_goes_on_beyond_its_segment(cloud_of):
 
 
 def test_the_surface_is_the_ray_over_the_spline(cloud_of):
-    rays = rays_of(cloud_of(plane()))
+    rays = cloud_of(plane()).rays
     rng = np.random.default_rng(0)
     control = rng.uniform(0.5, 2.0, (6, 7))
     knots_u = averaged_knots(np.arange(80.0), 7)
@@ -57,7 +56,7 @@ def test_the_surface_is_the_ray_over_the_spline(cloud_of):
 def test_slopes_are_those_of_finite_differences(cloud_of):
     rng = np.random.default_rng(3)
     knots_u, knots_v = averaged_knots(np.arange(80.0), 7), averaged_knots(np.arange(60.0), 6)
-    rays = rays_of(cloud_of(plane()))
+    rays = cloud_of(plane()).rays
     rational = rational_surface(rng.uniform(0.5, 2.0, (6, 7)), knots_u, knots_v, rays, WHOLE)
     cloud = cloud_of(plane() + 0.01 * rng.normal(size=SIZE))
     polynomial = fit_surface(cloud, np.flatnonzero(cloud.valid), CONFIG).surface
@@ -109,7 +108,7 @@ def test_points_that_are_nowhere_leave_no_surface_but_a_reason(cloud_of):
 
 
 def test_control_values_make_splines_that_are_the_rays(cloud_of):
-    rays = rays_of(cloud_of(np.ones(SIZE)))
+    rays = cloud_of(np.ones(SIZE)).rays
     rng = np.random.default_rng(1)
     cubic = np.zeros((2, 6, 6))
     cubic[:, :4, :4] = rng.normal(size=(2, 4, 4))
