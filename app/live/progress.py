@@ -1,43 +1,78 @@
-"""Progress of a run in the log: one line every few seconds."""
+"""Progress of a run: a line in the log every few seconds, or the status line of a terminal."""
 
 from __future__ import annotations
 
 import logging
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 
 from nurbseg.app.live.capture import CaptureThread
+from nurbseg.app.live.control.terminal import StatusLine, cut
+from nurbseg.app.recording.recording import Recording
 from nurbseg.drivers.frame import RGBDFrame
 
 _log = logging.getLogger(__name__)
 
 #: Time between two lines, seconds.
 _INTERVAL_S = 5.0
+#: Time between two states of the status line, and without a frame until it says so, seconds.
+_DRAW_S, _SILENCE_S = 0.25, 2.0
+#: Frames of which the status line says the rate.
+_RATE_FRAMES = 15
+#: Room for the source in the status line, columns.
+_SOURCE_COLUMNS = 24
 
 
 class Progress:
-    """Logs the progress of a run.
+    """Tells the progress of a run.
 
     Parameters
     ----------
     capture : CaptureThread
-        Whose counts are logged.
+        Whose counts are told.
+    line : StatusLine, optional
+        Where to tell it; without one, in the log.
+    source : str
+        What the status line calls the source.
     clock : callable
         Monotonic seconds.
     """
 
-    def __init__(self, capture: CaptureThread, *, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        capture: CaptureThread,
+        line: StatusLine | None = None,
+        source: str = "",
+        *,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._capture = capture
+        self._line = line
+        self._source = cut(source, _SOURCE_COLUMNS)
         self._clock = clock
-        self._logged_s = clock()
-        self._frames = self._withheld = 0
+        self._logged_s = self._drawn_s = clock()
+        self._frames = self._withheld = self._late = 0
         self._is_first = True
+        self._came_s: deque[float] = deque(maxlen=_RATE_FRAMES + 1)
+        self._found = ""
 
     def segmented(
-        self, frame: RGBDFrame, leaves: int, elapsed_ms: Mapping[str, float], *, late: int = 0
+        self,
+        frame: RGBDFrame,
+        leaves: int,
+        elapsed_ms: Mapping[str, float],
+        *,
+        objects: int = 0,
+        late: int = 0,
     ) -> None:
         """Say something of a frame, if it is time to, or the first; `late` were too old to be shown."""
         self._frames += 1
+        self._came_s.append(self._clock())
+        self._late = late
+        latency_ms = elapsed_ms.get("capture_to_labels")
+        self._found = "" if latency_ms is None else f"latency {latency_ms:.0f} ms, "
+        self._found += f"{objects} objects" if objects else f"{leaves} segments"
         name = f" ({frame.name})" if frame.name else ""
         took_ms = sum(elapsed_ms.get(stage, 0.0) for stage in ("register", "segment"))
         line = f"frame {frame.index}{name}: {leaves} segments in {took_ms:.0f} ms"
@@ -45,7 +80,7 @@ class Progress:
         elapsed_s = self._clock() - self._logged_s
         if self._is_first:
             _log.info(line)
-        elif elapsed_s >= _INTERVAL_S:
+        elif self._line is None and elapsed_s >= _INTERVAL_S:
             dropped = self._capture.frames.dropped
             drops = f", {dropped} overwritten by newer ones" if dropped else ""
             drops += f", {late} too late" if late else ""
@@ -60,7 +95,8 @@ class Progress:
 
     def recorded(self) -> None:
         """Say how the recording goes, if it is time to."""
-        if self._clock() - self._logged_s >= _INTERVAL_S:
+        self._came_s.append(self._clock())
+        if self._line is None and self._clock() - self._logged_s >= _INTERVAL_S:
             _log.info("%d read%s", self._capture.read, self._recorded())
             self._logged_s = self._clock()
 
@@ -72,10 +108,40 @@ class Progress:
 
     def waiting(self) -> None:
         """Say that no frame comes, or that all are kept for the recording, if that lasts."""
-        if self._clock() - self._logged_s >= _INTERVAL_S:
+        if self._line is None and self._clock() - self._logged_s >= _INTERVAL_S:
             if withheld := self._capture.withheld - self._withheld:
                 _log.info("writing is slow: %d frames recorded only%s", withheld, self._recorded())
             else:
                 _log.info("waiting for a frame")
             self._withheld += withheld
             self._frames, self._logged_s = 0, self._clock()
+
+    def draw(self, *, paused: bool = False) -> None:
+        """Write the status line, if there is one and it is time to."""
+        now_s = self._clock()
+        if self._line is None or now_s - self._drawn_s < _DRAW_S:
+            return
+        self._drawn_s = now_s
+        if paused or not self._came_s or now_s - self._came_s[-1] > _SILENCE_S:
+            # The rate after a silence is that of the frames since.
+            self._came_s.clear()
+            state = "paused" if paused else "waiting for a frame"
+        else:
+            span_s = self._came_s[-1] - self._came_s[0]
+            state = f"{(len(self._came_s) - 1) / span_s:.1f} frames/s" if span_s > 0 else ""
+        capture = self._capture
+        drops = f"{capture.frames.dropped + capture.withheld + capture.damaged} dropped"
+        drops += f", {self._late} too late" if self._late else ""
+        recording = "" if capture.recording is None else recording_status(capture.recording)
+        self._line.show(" | ".join(filter(None, (self._source, state, self._found, drops, recording))))
+
+
+def recording_status(recording: Recording) -> str:
+    """Return how a recording goes: its length, size and rate, and what the disk has room for at that rate."""
+    if recording.ended:
+        return "recording stopped"
+    text = f"recording {recording.seconds:.1f} s, {recording.size_mb:.1f} MB"
+    if recording.seconds > 0 and recording.size_mb > 0:
+        rate_mb_s = recording.size_mb / recording.seconds
+        text += f", {rate_mb_s:.1f} MB/s, {recording.room_mb / rate_mb_s / 60:.0f} min left"
+    return text + (f", {recording.lost} lost" if recording.lost else "")

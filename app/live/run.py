@@ -15,6 +15,7 @@ from typing import Any
 from nurbseg.app.config import AppConfig
 from nurbseg.app.export.exporter import Exporter, ExportError, run_settings
 from nurbseg.app.live.capture import Captured, CaptureThread
+from nurbseg.app.live.control.console import open_status_line
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.live.control.feed import captured_frames, controlled_frames, wait_for_quit
 from nurbseg.app.live.control.snapshot import write_snapshot
@@ -101,11 +102,13 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 if warm_up is not None:
                     warm_up.wait()
                 reading.enter_context(capture)
+                line = reading.enter_context(open_status_line(config.live.control))
                 reading.callback(interruption.hold)
+                progress = Progress(capture, line, Path(opened.uri).name)
                 if config.record.only:
-                    _only_record(capture, report, interruption)
+                    _only_record(capture, report, progress, interruption)
                 else:
-                    _segment(config, opened, capture, exporter, view, report, interruption)
+                    _segment(config, opened, capture, exporter, view, report, progress, interruption)
             if report.segmented + report.recorded_only == 0 and not report.quit:
                 raise NoFramesError(f"{opened.uri}: no frame could be read ({capture.damaged} damaged)")
         if view.serving and not report.quit:
@@ -237,10 +240,10 @@ def _segment(
     exporter: Exporter | None,
     view: View,
     report: RunReport,
+    progress: Progress,
     interruption: Interruption,
 ) -> None:
     """Take frame after frame, segment it and hand it on, until the source ends."""
-    progress = Progress(capture)
     if (count := process_count(config.source.workers)) > 1:
         all_frames = (each for each in captured_frames(capture, progress, interruption) if each is not None)
         _segment_in_parallel(config, all_frames, count, exporter, view, report, progress)
@@ -275,8 +278,10 @@ def _segment(
                 _write_snapshot(result, _settings(config, controls.config, opened))
             report.late = latency_filter.held_back
             report.add(elapsed_ms, result.events, result.update)
+            tree = result.tree
+            leaves, objects = len(tree.leaves()), len(tree.objects)
             progress.segmented(
-                result.frame, len(result.tree.leaves()), elapsed_ms, late=latency_filter.held_back
+                result.frame, leaves, elapsed_ms, objects=objects, late=latency_filter.held_back
             )
             if report.segmented == _SETTLED_FRAMES:
                 # That stays for good, and looking for garbage in it takes a tenth of a second each time.
@@ -328,9 +333,10 @@ def _segment_in_parallel(
             progress.segmented(captured.frame, segmented.leaves, elapsed_ms)
 
 
-def _only_record(capture: CaptureThread, report: RunReport, interruption: Interruption) -> None:
+def _only_record(
+    capture: CaptureThread, report: RunReport, progress: Progress, interruption: Interruption
+) -> None:
     """Take frame after frame, which are recorded already, until the source or the recording ends."""
-    progress = Progress(capture)
     for captured in captured_frames(capture, progress, interruption):
         if captured is not None:
             report.recorded_only += 1

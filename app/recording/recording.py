@@ -38,12 +38,15 @@ class Recording(Closing):
         Length of what was to be in the files, by the frames' own clock.
     failure : str
         Why the recording ended before the run did; empty where it did not.
+    size_mb, room_mb : float
+        How large the files are, and may still become together, units of 10^6 bytes; as of the last frame.
     """
 
     def __init__(self, path: Path, config: RecordConfig, free_bytes: Callable[[Path], int]) -> None:
         self.path = path
         self.frames = self.lost = 0
         self.failure = ""
+        self.size_mb = self.room_mb = 0.0
         self._delay_ns = round(config.delay_s * 1e9)
         self._space_min_mb = config.space_min_mb
         self._free_bytes = free_bytes
@@ -99,5 +102,8 @@ class Recording(Closing):
         self._last_ns = frame.timestamp_ns
 
     def _shortage(self) -> str:
-        """Say that too little space is left, or nothing."""
-        return shortage(self.files[-1], self._space_min_mb, self._free_bytes)
+        """Say that too little space is left, or nothing; for the thread that may wait for the disk."""
+        free_bytes = self._free_bytes(self.files[-1])
+        self.size_mb = megabytes(self.files)
+        self.room_mb = max(0.0, free_bytes / 1e6 - self._space_min_mb)
+        return shortage(self.files[-1], self._space_min_mb, lambda _: free_bytes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import queue
 import select
@@ -9,8 +10,12 @@ import sys
 import termios
 import threading
 import tty
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from typing import Literal, Self
+
+from nurbseg.app.live.control.terminal import StatusLine, in_foreground
+
+_log = logging.getLogger(__name__)
 
 Control = Literal["auto", "lines", "off"]
 
@@ -63,7 +68,7 @@ class Console:
     def __exit__(self, *_: object) -> None:
         self._stop.set()
         self._thread.join(5.0 * _LOOK_S)
-        if self._keys and self._is_ours():
+        if self._keys and in_foreground(self._descriptor):
             termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
 
     def take(self) -> str | None:
@@ -72,16 +77,10 @@ class Console:
             return self._commands.get_nowait()
         return None
 
-    def _is_ours(self) -> bool:
-        """Whether this process may use the terminal: one in the background would be stopped for it."""
-        with suppress(OSError):
-            return os.tcgetpgrp(self._descriptor) == os.getpgrp()
-        return False
-
     def _run(self) -> None:
         unfinished = ""
         while not self._stop.is_set():
-            if self._keys and not self._is_ours():
+            if self._keys and not in_foreground(self._descriptor):
                 self._stop.wait(_LOOK_S)
                 continue
             if not select.select([self._descriptor], [], [], _LOOK_S)[0]:
@@ -105,6 +104,15 @@ def open_console(control: Control) -> Console | None:
     """Return what commands are read from; None where there is nothing."""
     if control == "lines":
         return Console(sys.stdin.fileno(), keys=False)
-    if control == "off" or not (sys.stdin.isatty() and sys.stderr.isatty()):
-        return None
-    return Console(sys.stdin.fileno(), keys=True)
+    return Console(sys.stdin.fileno(), keys=True) if in_terminal(control) else None
+
+
+def in_terminal(control: Control) -> bool:
+    """Say whether somebody sits at a terminal, who is to control the run by it."""
+    return control == "auto" and sys.stdin.isatty() and sys.stderr.isatty()
+
+
+def open_status_line(control: Control) -> AbstractContextManager[StatusLine | None]:
+    """Return the status line; None where there is no terminal that can have one, or with --quiet."""
+    wanted = in_terminal(control) and _log.isEnabledFor(logging.INFO) and os.environ.get("TERM") != "dumb"
+    return StatusLine(sys.stderr) if wanted else nullcontext()

@@ -58,6 +58,7 @@ def captured_frames(
     """Yield frame after frame until the source ends, and None now and then where none comes or is taken."""
     while True:
         interruption.check()
+        progress.draw(paused=controls is not None and controls.paused)
         if controls is not None and controls.paused and not controls.steps:
             time.sleep(_PAUSE_LOOK_S)
             yield None

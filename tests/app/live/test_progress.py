@@ -1,10 +1,11 @@
 import logging
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
+from nurbseg.app.live.control.terminal import StatusLine
 from nurbseg.app.live.progress import Progress
 from nurbseg.app.result import FrameResult
 
@@ -59,3 +60,55 @@ def test_frames_that_are_only_recorded_are_no_silence(caplog: pytest.LogCaptureF
         "writing is slow: 8 frames recorded only, 40 recorded, 2 lost",
         "waiting for a frame",
     ]
+
+
+class Line:
+    """A status line that keeps what it shows."""
+
+    def __init__(self) -> None:
+        self.shown: list[str] = []
+
+    def show(self, text: str) -> None:
+        self.shown.append(text)
+
+
+def test_the_status_line_tells_rate_latency_objects_drops_and_recording(
+    caplog: pytest.LogCaptureFixture, small_result: FrameResult
+) -> None:
+    clock, line = Clock(), Line()
+    recording = SimpleNamespace(ended=False, seconds=4.0, size_mb=12.0, room_mb=1800.0, lost=0)
+    frames = SimpleNamespace(dropped=2)
+    capture: Any = SimpleNamespace(frames=frames, withheld=3, damaged=1, recording=None)
+    progress = Progress(capture, cast(StatusLine, line), "a_recording_with_a_long_name.mcap", clock=clock)
+    elapsed_ms = {"capture_to_labels": 41.7}
+    with caplog.at_level(logging.INFO, "nurbseg"):
+        for late in range(50):
+            clock.now_s += 0.2
+            progress.segmented(small_result.frame, 9, elapsed_ms, objects=4, late=late)
+            progress.draw()
+        assert line.shown[-1] == (
+            "a_recording_with_a_long_ | 5.0 frames/s | latency 42 ms, 4 objects | 6 dropped, 49 too late"
+        )
+        # Every 0.25 s at most: after every second frame.
+        assert len(line.shown) == 25
+        capture.recording = recording
+        clock.now_s += 0.3
+        progress.draw(paused=True)
+        for _ in range(2):
+            progress.segmented(small_result.frame, 9, elapsed_ms)
+            clock.now_s += 0.1
+        recording.ended = True
+        clock.now_s += 2.5
+        progress.waiting()
+        progress.draw()
+    # 12 MB in 4 s; 1800 MB at 3 MB/s are 10 minutes.
+    details = "4.0 s, 12.0 MB, 3.0 MB/s, 10 min left"
+    assert line.shown[-2] == (
+        "a_recording_with_a_long_ | paused | latency 42 ms, 4 objects | 6 dropped, 49 too late | recording "
+        + details
+    )
+    assert line.shown[-1] == (
+        "a_recording_with_a_long_ | waiting for a frame | latency 42 ms, 9 segments | 6 dropped"
+        " | recording stopped"
+    )
+    assert caplog.messages == ["frame 0 (synthetic-000000): 9 segments in 0 ms"]

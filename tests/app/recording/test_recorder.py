@@ -166,6 +166,14 @@ def test_recording_stops_before_the_disk_is_full_and_the_file_can_be_replayed(tm
     assert len(recorded(path)) == 5
 
 
+def test_a_recording_knows_its_size_and_how_much_it_may_still_become(path):
+    path.write_bytes(bytes(3_000_000))
+    config = RecordConfig(space_min_mb=100)
+    with QueuedRecording(Pen(path), config, free_bytes=lambda _: 350_000_000) as recording:
+        recording.put(small_frame(0))
+    assert (recording.size_mb, recording.room_mb) == (3.0, 250.0)
+
+
 @pytest.mark.parametrize(
     ("error", "words"),
     [

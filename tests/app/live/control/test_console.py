@@ -2,77 +2,17 @@
 
 from __future__ import annotations
 
-import os
-import pty
-import select
 import subprocess
-import sys
-import termios
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from program_in_terminal import COMMAND, terminal
 
 from nurbseg.app.live.opening import demo_uri
 
-COMMAND = str(Path(sys.executable).parent / "nurbseg-live")
 WORDS = ["--replay", demo_uri(), "--loop", "--view", "none"]
-
-
-class Terminal:
-    """A program in a terminal of its own."""
-
-    def __init__(self, words: list[str], folder: Path) -> None:
-        self.said = ""
-        self.pid, self.master = pty.fork()
-        if self.pid == 0:
-            os.chdir(folder)
-            os.execv(COMMAND, [COMMAND, *words])
-
-    def wait_for(self, text: str, timeout_s: float = 90.0) -> None:
-        deadline_s = time.monotonic() + timeout_s
-        while text not in self.said:
-            assert time.monotonic() < deadline_s, f"never said {text!r}: {self.said}"
-            if select.select([self.master], [], [], 0.2)[0]:
-                try:
-                    self.said += os.read(self.master, 4096).decode()
-                except OSError:
-                    pytest.fail(f"ended without {text!r}: {self.said}")
-
-    def type(self, keys: str) -> None:
-        self.said = ""
-        os.write(self.master, keys.encode())
-
-    def modes(self) -> int:
-        return int(termios.tcgetattr(self.master)[3]) & (termios.ECHO | termios.ICANON)
-
-    def exit_code(self) -> int:
-        deadline_s = time.monotonic() + 60.0
-        while time.monotonic() < deadline_s:
-            # What is still said must be read, or the program waits for room.
-            with suppress(OSError):
-                if select.select([self.master], [], [], 0.1)[0]:
-                    os.read(self.master, 4096)
-            ended, status = os.waitpid(self.pid, os.WNOHANG)
-            if ended:
-                return os.waitstatus_to_exitcode(status)
-        pytest.fail("does not end")
-
-
-@contextmanager
-def terminal(words: list[str], folder: Path) -> Iterator[Terminal]:
-    opened = Terminal(words, folder)
-    try:
-        yield opened
-    finally:
-        with suppress(ProcessLookupError, ChildProcessError):
-            os.kill(opened.pid, 9)
-            os.waitpid(opened.pid, 0)
-        os.close(opened.master)
 
 
 def test_keys_pause_change_settings_write_a_snapshot_and_quit(tmp_path: Path) -> None:
@@ -117,15 +57,24 @@ def test_ctrl_c_gives_the_terminal_back(tmp_path: Path) -> None:
         assert program.modes() == before
 
 
-def run_with_lines(lines: str, folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [COMMAND, *WORDS, "--control", "lines", *words],
-        input=lines,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        cwd=folder,
-    )
+def test_a_status_line_stays_below_the_log_and_goes_at_the_end(tmp_path: Path) -> None:
+    with terminal([*WORDS, "--record", "a.mcap"], tmp_path) as program:
+        program.resize(200)
+        program.wait_for_line(
+            r"demo\.mcap \| [\d.]+ frames/s \| latency \d+ ms, \d+ objects \| \d+ dropped(, \d+ too late)?"
+            r" \| recording [\d.]+ s, [\d.]+ MB, [\d.]+ MB/s, \d+ min left"
+        )
+        for _ in range(5):
+            program.type("h")
+            program.wait_for("  h      help")
+            program.wait_for("min left")
+        program.type("q")
+        assert program.exit_code() == 0
+        *log, rest = program.lines()
+    assert len([line for line in log if line.startswith("  h      help")]) == 5
+    # Nothing is left of the status where the log is.
+    assert all(line.startswith(("nurbseg-live: ", "  ")) and " | " not in line for line in log)
+    assert rest == ""
 
 
 def test_without_a_display_a_page_is_served_until_somebody_quits(

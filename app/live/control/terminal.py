@@ -1,0 +1,95 @@
+"""The terminal: the line at its bottom that is written again and again, above which the log goes on."""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import unicodedata
+from contextlib import suppress
+from typing import Self, TextIO
+
+_ERASE = "\r\x1b[K"
+
+
+def in_foreground(descriptor: int) -> bool:
+    """Say whether this process may use a terminal: one in the background would be stopped for it."""
+    try:
+        return os.tcgetpgrp(descriptor) == os.getpgrp()
+    except OSError:
+        return False
+
+
+class StatusLine:
+    """The last line of a terminal; while it is open, the log's lines are written above it.
+
+    Parameters
+    ----------
+    stream : file
+        The terminal, to which the log is written, too.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._lock = threading.Lock()
+        self._text = ""
+        self._is_drawn = False
+
+    def __enter__(self) -> Self:
+        self._handlers = [
+            each
+            for each in logging.getLogger().handlers
+            if isinstance(each, logging.StreamHandler) and each.stream is self._stream
+        ]
+        for each in self._handlers:
+            each.setStream(self)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for each in self._handlers:
+            each.setStream(self._stream)
+        self.show("")
+
+    def show(self, text: str) -> None:
+        """Write a line in place of the one before, as far as the terminal is wide."""
+        # A terminal that is gone takes nothing more.
+        with self._lock, suppress(OSError):
+            self._text = text
+            self._draw()
+
+    def write(self, text: str) -> None:
+        """Write whole lines above."""
+        with self._lock:
+            self._draw(text)
+
+    def flush(self) -> None:
+        """Do nothing, as all is written at once; a stream has this."""
+
+    def _draw(self, above: str = "") -> None:
+        """Write everything in one piece, so that what others write does not come in between."""
+        ours = in_foreground(self._stream.fileno())
+        erased = _ERASE if ours and self._is_drawn else ""
+        # The cursor waits at the line's beginning, where what a viewer says itself covers it.
+        line = f"{cut(self._text, self._columns() - 1)}\r" if ours and self._text else ""
+        self._is_drawn = bool(line)
+        self._stream.write(f"{erased}{above}{line}")
+        self._stream.flush()
+
+    def _columns(self) -> int:
+        try:
+            # Some terminals do not say it.
+            return os.get_terminal_size(self._stream.fileno()).columns or 80
+        except OSError:
+            return 80
+
+
+def cut(text: str, columns: int) -> str:
+    """Return as much of a text as has room, without what is not printed."""
+    kept = ""
+    for character in text:
+        is_wide = unicodedata.east_asian_width(character) in ("W", "F")
+        columns -= 0 if unicodedata.combining(character) else 2 if is_wide else 1
+        if columns < 0:
+            break
+        kept += character if character.isprintable() else "?"
+    return kept
