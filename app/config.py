@@ -17,7 +17,7 @@ from nurbseg.app.recording.config import RecordConfig
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.settings import Settings, setting, subsections
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import DepthConfig, SegmentationConfig
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +115,8 @@ class AppConfig:
         Where frames come from.
     camera : DeviceOptions
         Settings of the camera, where the source is one.
+    depth : DepthConfig
+        What is done to a depth image before it is segmented.
     segmentation : SegmentationConfig
         How a frame is segmented.
     live : LiveConfig
@@ -129,6 +131,7 @@ class AppConfig:
 
     source: SourceConfig = field(default_factory=SourceConfig)
     camera: DeviceOptions = field(default_factory=DeviceOptions)
+    depth: DepthConfig = field(default_factory=DepthConfig)
     segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
     live: LiveConfig = field(default_factory=LiveConfig)
     view: ViewConfig = field(default_factory=ViewConfig)

@@ -18,6 +18,58 @@ SplittingPoint = Literal["zero", "kmeans", "ncut"]
 Level = Literal["surfaces", "objects"]
 ControlPoints = Literal["adaptive", "fixed"]
 LeastSquares = Literal["auto", "svd", "ridge"]
+DepthSmoothing = Literal["none", "median", "bilateral"]
+
+
+@dataclass(frozen=True, slots=True)
+class DepthConfig(Settings):
+    """What is done to a depth image before it becomes points, in this order; nothing unless it is asked for.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of its bounds, or the range or the crop is empty.
+    """
+
+    range_min_m: float = setting(
+        0.0, "depth below this is left out", unit="m", least=0.0, most=65.0, flag="range-min"
+    )
+    range_max_m: float = setting(
+        0.0, "depth above this is left out; 0 for no limit", unit="m", least=0.0, most=65.0, flag="range-max"
+    )
+    crop: tuple[int, int, int, int] | None = setting(
+        None, "the part of the depth image that is kept, in pixels", unit="LEFT,TOP,WIDTH,HEIGHT"
+    )
+    smoothing: DepthSmoothing = setting(
+        "none",
+        "filter of 5x5 pixels: their median, or their mean weighted by how near they are in inverse depth",
+        choices=get_args(DepthSmoothing),
+        flag="depth-smoothing",
+    )
+    average_frames: int = setting(
+        1,
+        "frames of a still camera over which a pixel's depth is averaged while it stays within the noise",
+        least=1,
+        most=100,
+        flag="depth-average",
+    )
+    holes_px: int = setting(
+        0,
+        "pixels without depth that are at most this far from one with depth get the nearest one's",
+        unit="px",
+        least=0,
+        most=1000,
+        flag="fill-holes",
+    )
+
+    def __post_init__(self) -> None:
+        Settings.__post_init__(self)
+        if 0.0 < self.range_max_m <= self.range_min_m:
+            raise ValueError(
+                f"range_max_m: expected more than range_min_m ({self.range_min_m}), got {self.range_max_m}"
+            )
+        if self.crop is not None and (min(self.crop[:2]) < 0 or min(self.crop[2:]) < 1):
+            raise ValueError(f"crop: expected left, top, width and height in pixels, got {self.crop}")
 
 
 @dataclass(frozen=True, slots=True)

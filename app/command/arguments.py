@@ -28,6 +28,7 @@ example: nurbseg-live --replay my_folder --intrinsics 525,525,319.5,239.5 --spee
 _TITLES = {
     "source": "source",
     "camera": "camera (--calibration also for --replay)",
+    "depth": "depth images, before they are segmented, in this order",
     "segmentation": "segmentation (the paper's symbols in the text)",
     "segmentation.stag15": "segmentation by the paper's method, --method stag15",
     "segmentation.extended": "segmentation by the default method, --method nurbseg",

@@ -61,7 +61,8 @@ class ValueKind:
         """What is expected, for a message."""
         names = {bool: "true or false", int: "a whole number", float: "a number", str: "a text in quotes"}
         either = f" or {self.word}" if self.word else ""
-        return f"{self.length} numbers" if self.length else names[self.kind] + either
+        numbers = f"{self.length} {'whole ' if self.kind is int else ''}numbers"
+        return numbers if self.length else names[self.kind] + either
 
     def _number(self, text: str) -> float:
         try:
@@ -106,8 +107,8 @@ def _kind_of(hint: Any) -> ValueKind:
         return ValueKind(int, word=get_args(inner[1])[0])
     if origin is Literal:
         return ValueKind(str)
-    if origin is tuple and set(inner) == {float}:
-        return ValueKind(float, length=len(inner))
+    if origin is tuple and set(inner) in ({float}, {int}):
+        return ValueKind(inner[0], length=len(inner))
     if hint in (bool, int, float, str):
         return ValueKind(hint)
     raise TypeError(f"a setting cannot be of the type {hint}")

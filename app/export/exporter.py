@@ -24,7 +24,7 @@ from nurbseg.app.export.surfaces import surfaces_npz
 from nurbseg.app.export.tree import tree_document, tree_graph
 from nurbseg.app.result import FrameResult
 from nurbseg.app.view.drawing.palette import LABEL_COLORS, label_colors
-from nurbseg.segmentation.config import Metric, SegmentationConfig
+from nurbseg.segmentation.config import DepthConfig, Metric, SegmentationConfig
 
 #: The file of an export that holds what all its frames were made with.
 SETTINGS_FILE = "settings.json"
@@ -48,6 +48,7 @@ def run_settings(
     temporal: bool = False,
     target_fps: float = 0.0,
     surfaces: bool = False,
+    depth: DepthConfig | None = None,
 ) -> dict[str, Any]:
     """Return what ``settings.json`` holds: all that the frames of one export have in common.
 
@@ -63,12 +64,15 @@ def run_settings(
         Rate that is held by a coarser grid, 1/s; 0 where the grid is always that of `config`.
     surfaces : bool
         Whether the fitted surfaces are written.
+    depth : DepthConfig, optional
+        What is done to depth images before.
     """
     return {
         "source": source,
         "temporal": temporal,
         "target_fps": target_fps,
         "surfaces": surfaces,
+        "depth": asdict(depth or DepthConfig()),
         "segmentation": asdict(config),
     }
 

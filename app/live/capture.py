@@ -8,13 +8,14 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.process.bounded_queue import BoundedQueue
 from nurbseg.drivers.source import FrameSource, Paced
+from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 
 if TYPE_CHECKING:
     from nurbseg.app.recording.recording import Recording
@@ -64,6 +65,8 @@ class CaptureThread:
         Whether the source waits for the consumer instead of running on.
     recording : Recording, optional
         Gets every frame first; while it is behind, frames are not left in the queue.
+    preparation : DepthPreparation, optional
+        What is done to their depth after that.
 
     Attributes
     ----------
@@ -82,8 +85,14 @@ class CaptureThread:
     """
 
     def __init__(
-        self, source: FrameSource, *, lossless: bool = False, recording: Recording | None = None
+        self,
+        source: FrameSource,
+        *,
+        lossless: bool = False,
+        recording: Recording | None = None,
+        preparation: DepthPreparation | None = None,
     ) -> None:
+        self._preparation = preparation
         self.recording = recording
         self.withheld = 0
         self.frames: BoundedQueue[Captured] = BoundedQueue(1, "wait" if lossless else "drop oldest")
@@ -172,6 +181,8 @@ class CaptureThread:
                     if self.recording.behind:
                         self.withheld += 1
                         continue
+                if self._preparation is not None:
+                    captured = replace(captured, frame=self._preparation.prepared(frame))
                 if not self.frames.put(captured):
                     return
             self.frames.close()

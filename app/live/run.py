@@ -37,6 +37,7 @@ from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.files import check_absent
 from nurbseg.drivers.process.child import ChildProcess
 from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 
 _log = logging.getLogger(__name__)
 
@@ -94,8 +95,10 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 recording = open_recording(config.record, opened.camera, lossless=opened.every_frame)
             if view.how_to_look:
                 _log.info("to look: %s", view.how_to_look)
-            capture = CaptureThread(opened.source, lossless=opened.every_frame, recording=recording)
-            report.capture = capture
+            prepare = DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
+            capture = report.capture = CaptureThread(
+                opened.source, lossless=opened.every_frame, recording=recording, preparation=prepare
+            )
             with _told(recording), _watched(config.source.replay), ExitStack() as reading:
                 if recording is not None:
                     reading.enter_context(recording)
@@ -220,6 +223,7 @@ def _settings(config: AppConfig, segmentation: SegmentationConfig, opened: Opene
         temporal=config.live.follows(every_frame=opened.every_frame),
         target_fps=_target_hz(config, opened),
         surfaces=config.export.surfaces,
+        depth=config.depth,
     )
 
 

@@ -58,6 +58,26 @@ def test_the_printed_configuration_can_be_fed_back(live: Live, tmp_path: Path) -
     assert 'metric = "vmxc"' in second.stdout
 
 
+def test_depth_is_prepared_after_it_is_recorded_and_again_for_the_check(live: Live, tmp_path: Path) -> None:
+    words = ("--crop", "30,20,50,40", "--depth-smoothing", "bilateral", "--fill-holes", "2")
+    files = ("--record", "raw.mcap", "--export", "out", "--export-surfaces", "--report", "run.json")
+    done = live("--replay", SMALL.format(2), *FAST, *words, *files)
+    assert done.returncode == 0, done.stderr
+    with open_source(SMALL.format(2)) as rendered, open_source(str(tmp_path / "raw.mcap")) as recorded:
+        for _ in range(2):
+            assert np.array_equal(recorded.read().depth_mm, rendered.read().depth_mm)
+    labels = cv2.imread(str(tmp_path / "out" / "000001_labels.png"), cv2.IMREAD_UNCHANGED)
+    rows, columns = np.nonzero(labels)
+    # Filled by two pixels beyond the crop.
+    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (18, 61, 28, 81)
+    settings = json.loads((tmp_path / "out" / "settings.json").read_text())["depth"]
+    assert settings == json.loads((tmp_path / "run.json").read_text())["configuration"]["depth"]
+    assert settings["crop"] == [30, 20, 50, 40]
+    check = [sys.executable, "-m", "nurbseg.app.evaluation.cli", "check", "out", "--frames", SMALL.format(2)]
+    checked = subprocess.run(check, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert checked.returncode == 0, checked.stdout
+
+
 def test_version(live: Live) -> None:
     try:
         version = importlib.metadata.version("nurbseg")

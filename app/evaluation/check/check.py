@@ -22,6 +22,7 @@ from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
+from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 from nurbseg.segmentation.points.registration import register
 
 
@@ -71,6 +72,13 @@ class FolderCheck:
             raise ValueError(
                 f"{folder}: holds no surfaces to recompute values from; --export-surfaces writes them"
             )
+        if recording is not None and self._settings.depth.average_frames > 1:
+            raise ValueError(
+                f"{folder}: its depth was averaged over frames, which is not done again; check without a "
+                "recording"
+            )
+        noise = self._settings.config.extended.inverse_depth_noise
+        self._preparation = DepthPreparation(self._settings.depth, noise)
 
     def findings(self) -> Iterator[Finding]:
         """Check frame after frame.
@@ -125,7 +133,7 @@ class FolderCheck:
         ):
             if found != expected:
                 yield Finding(frame.tree_file, "", field, f"{expected} as recorded", str(found))
-        cloud = register(recorded)
+        cloud = register(self._preparation.prepared(recorded))
         yield from check_values(frame, cloud)
         yield from check_floors(frame, cloud)
         self.recomputed += len(frame.surfaces)

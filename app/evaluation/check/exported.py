@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import DepthConfig, SegmentationConfig
 
 #: Largest step of a grid that may be coarser than asked for.
 _STEP_MOST = 8
@@ -53,6 +53,7 @@ class RunSettings:
     target_fps: float
     surfaces: bool
     config: SegmentationConfig
+    depth: DepthConfig
 
     @property
     def independent(self) -> bool:

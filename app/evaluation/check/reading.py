@@ -23,7 +23,7 @@ from nurbseg.app.evaluation.check.exported import (
 )
 from nurbseg.app.export.exporter import SETTINGS_FILE
 from nurbseg.drivers.settings import in_sections, updated
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import DepthConfig, SegmentationConfig
 
 
 class DamagedExportError(ValueError):
@@ -56,6 +56,8 @@ def read_settings(folder: Path) -> RunSettings:
             float(values["target_fps"]),
             bool(values["surfaces"]),
             updated(SegmentationConfig(), **segmentation),
+            # Exports of the version before have none.
+            updated(DepthConfig(), **in_sections(DepthConfig, values.get("depth", {}))[0]),
         )
     except FileNotFoundError:
         raise ValueError(f"{path}: does not exist; nurbseg-live --export writes it") from None
