@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 import sys
-import time
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
@@ -72,14 +71,15 @@ def main(words: Sequence[str] | None = None) -> int:
 
 def _run(arguments: Arguments, interruption: Interruption) -> int:
     # Late, so that --help need not wait for numpy and OpenCV; what shows imports Rerun in the meantime.
+    from nurbseg.app.recording.config import dated
     from nurbseg.app.view.opening import begin_view, chosen_view
     from nurbseg.app.view.viewer import ViewError
 
     config = arguments.config
     # Somebody at a terminal, for whom nothing is written either, waits for something to look at.
     somebody_waits = sys.stderr.isatty() and config.view.save is None and config.export.directory is None
-    view = chosen_view(replace(config.view, save=_dated(config.view.save)), somebody_waits=somebody_waits)
-    config = replace(config, view=view, record=replace(config.record, file=_dated(config.record.file)))
+    view = replace(config.view, save=config.view.save and dated(config.view.save))
+    config = replace(config, view=chosen_view(view, somebody_waits=somebody_waits))
     arguments = replace(arguments, config=config)
     try:
         process = begin_view(config.shown)
@@ -88,11 +88,6 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
         return NOT_STARTED
     with process or nullcontext():
         return _run_with(arguments, interruption, process)
-
-
-def _dated(name: str | None) -> str | None:
-    """Return a file's name with the present date and time for ``{date}``."""
-    return name and name.replace("{date}", time.strftime("%Y%m%d-%H%M%S"))
 
 
 def _run_with(arguments: Arguments, interruption: Interruption, process: ChildProcess | None) -> int:

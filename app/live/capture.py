@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import logging
+import queue
 import statistics
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
@@ -64,7 +66,7 @@ class CaptureThread:
     lossless : bool
         Whether the source waits for the consumer instead of running on.
     recording : Recording, optional
-        Gets every frame first; while it is behind, frames are not left in the queue.
+        Gets every frame first; while it is behind, frames are not left in the queue. `record` changes it.
     preparation : DepthPreparation, optional
         What is done to their depth after that.
 
@@ -102,6 +104,7 @@ class CaptureThread:
         self.source_hz = 0.0
         self._paused = False
         self._steps = 0
+        self._requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._periods_s: deque[float] = deque(maxlen=_PERIODS)
         self._source = source
         self._stop = threading.Event()
@@ -141,8 +144,20 @@ class CaptureThread:
 
     def step(self) -> None:
         """Read one more frame while paused."""
+        self._requests.put(self._step)
+
+    def record(self, recording: Recording | None) -> None:
+        """Record the frames that follow to another file, or none; the recording before is finished."""
+        self._requests.put(lambda: self._record(recording))
+
+    def _step(self) -> None:
         self._steps += 1
         self._restart()
+
+    def _record(self, recording: Recording | None) -> None:
+        if self.recording is not None:
+            self.recording.finish()
+        self.recording = recording
 
     def _restart(self) -> None:
         if isinstance(self._source, Paced):
@@ -161,6 +176,9 @@ class CaptureThread:
         before: Captured | None = None
         try:
             while not self._stop.is_set():
+                with suppress(queue.Empty):
+                    while True:
+                        self._requests.get_nowait()()
                 if self._paused and not self._steps:
                     self._stop.wait(_PAUSE_LOOK_S)
                     continue

@@ -55,7 +55,7 @@ class Progress:
         self._frames = self._withheld = self._late = 0
         self._is_first = True
         self._came_s: deque[float] = deque(maxlen=_RATE_FRAMES + 1)
-        self._found = ""
+        self._latency = self._found = ""
 
     def segmented(
         self,
@@ -71,8 +71,8 @@ class Progress:
         self._came_s.append(self._clock())
         self._late = late
         latency_ms = elapsed_ms.get("capture_to_labels")
-        self._found = "" if latency_ms is None else f"latency {latency_ms:.0f} ms, "
-        self._found += f"{objects} objects" if objects else f"{leaves} segments"
+        self._latency = "" if latency_ms is None else f", {latency_ms:.0f} ms"
+        self._found = f"{objects} objects" if objects else f"{leaves} segments"
         name = f" ({frame.name})" if frame.name else ""
         took_ms = sum(elapsed_ms.get(stage, 0.0) for stage in ("register", "segment"))
         line = f"frame {frame.index}{name}: {leaves} segments in {took_ms:.0f} ms"
@@ -128,19 +128,21 @@ class Progress:
             state = "paused" if paused else "waiting for a frame"
         else:
             span_s = self._came_s[-1] - self._came_s[0]
-            state = f"{(len(self._came_s) - 1) / span_s:.1f} frames/s" if span_s > 0 else ""
+            rate = f"{(len(self._came_s) - 1) / span_s:.1f} frames/s" if span_s > 0 else "first frame"
+            state = f"{rate}{self._latency}"
         capture = self._capture
         drops = f"{capture.frames.dropped + capture.withheld + capture.damaged} dropped"
-        drops += f", {self._late} too late" if self._late else ""
+        drops += f", {self._late} late" if self._late else ""
         recording = "" if capture.recording is None else recording_status(capture.recording)
-        self._line.show(" | ".join(filter(None, (self._source, state, self._found, drops, recording))))
+        # The recording comes early, so that it is seen in 80 columns.
+        self._line.show(" | ".join(filter(None, (self._source, recording, state, self._found, drops))))
 
 
 def recording_status(recording: Recording) -> str:
     """Return how a recording goes: its length, size and rate, and what the disk has room for at that rate."""
     if recording.ended:
         return "recording stopped"
-    text = f"recording {recording.seconds:.1f} s, {recording.size_mb:.1f} MB"
+    text = f"rec {recording.seconds:.1f} s, {recording.size_mb:.1f} MB"
     if recording.seconds > 0 and recording.size_mb > 0:
         rate_mb_s = recording.size_mb / recording.seconds
         text += f", {rate_mb_s:.1f} MB/s, {recording.room_mb / rate_mb_s / 60:.0f} min left"

@@ -20,6 +20,7 @@ from nurbseg.app.atomic_file import write_atomically
 from nurbseg.app.config import AppConfig
 from nurbseg.app.export.exporter import ExportError
 from nurbseg.app.live.capture import CaptureThread
+from nurbseg.app.recording.recorder import Recorder
 from nurbseg.app.versions import versions
 from nurbseg.app.view.view import View
 from nurbseg.segmentation.live.editor import UpdateReport
@@ -54,6 +55,8 @@ class RunReport:
         Whether somebody ended the run by a command.
     capture : CaptureThread or None
         Which reads the frames; None before it does.
+    recorder : Recorder or None
+        Which records them; None before it is open.
     view : View or None
         Which shows them; None before it is open.
     """
@@ -62,6 +65,7 @@ class RunReport:
         self.segmented = self.late = self.recorded_only = 0
         self.quit = False
         self.capture: CaptureThread | None = None
+        self.recorder: Recorder | None = None
         self.view: View | None = None
         self._config = config
         self._source = source
@@ -127,7 +131,7 @@ class RunReport:
         read = 0 if capture is None else capture.read
         overwritten = 0 if capture is None else capture.frames.dropped
         withheld = 0 if capture is None else capture.withheld
-        recording = None if capture is None else capture.recording
+        recordings = [] if self.recorder is None else self.recorder.figures()
         damaged = 0 if capture is None else capture.damaged
         return {
             "ended": ended,
@@ -153,7 +157,8 @@ class RunReport:
                 "camera": {} if capture is None else dict(capture.losses),
                 "damaged_frames": [] if capture is None else capture.damaged_frames,
             },
-            "recording": None if recording is None else recording.figures(),
+            "recording": recordings[-1] if recordings else None,
+            "earlier_recordings": recordings[:-1],
             "frames_per_s": round(self.frames_per_s, 3),
             "first_result_after_s": None
             if self._first_s is None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +18,7 @@ from nurbseg.app.live.capture import Captured, CaptureThread
 from nurbseg.app.live.control.console import open_status_line
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.live.control.feed import captured_frames, controlled_frames, wait_for_quit
-from nurbseg.app.live.control.snapshot import write_snapshot
+from nurbseg.app.live.control.snapshot import try_snapshot
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.latency_filter import LatencyFilter
 from nurbseg.app.live.opening import OpenedSource, open_chosen
@@ -27,8 +27,8 @@ from nurbseg.app.live.progress import Progress
 from nurbseg.app.live.report import RunReport
 from nurbseg.app.live.tracking import Segmenter
 from nurbseg.app.live.warmup import WarmUp
-from nurbseg.app.recording.recorder import open_recording, tell_recorded
-from nurbseg.app.recording.recording import Recording
+from nurbseg.app.recording.config import dated
+from nurbseg.app.recording.recorder import DEFAULT_NAME, Recorder
 from nurbseg.app.result import FrameResult
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.view import View
@@ -79,6 +79,9 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
     KeyboardInterrupt
         If the run was interrupted.
     """
+    record_name = config.record.file or DEFAULT_NAME
+    if config.record.file is not None:
+        config = replace(config, record=replace(config.record, file=dated(config.record.file)))
     _refuse_existing(config)
     with ExitStack() as stack:
         warm_up = _begin_warm_up(config)
@@ -92,16 +95,20 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 _check_workers(config, opened)
                 exporter = _open_export(config, opened)
                 view = report.view = stack.enter_context(_open_view(config, opened, view_process))
-                recording = open_recording(config.record, opened.camera, lossless=opened.every_frame)
+                recorder = report.recorder = Recorder(
+                    config.record, opened.camera, name=record_name, lossless=opened.every_frame
+                )
             if view.how_to_look:
                 _log.info("to look: %s", view.how_to_look)
             prepare = DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
             capture = report.capture = CaptureThread(
-                opened.source, lossless=opened.every_frame, recording=recording, preparation=prepare
+                opened.source,
+                lossless=opened.every_frame,
+                recording=recorder.recording,
+                preparation=prepare,
             )
-            with _told(recording), _watched(config.source.replay), ExitStack() as reading:
-                if recording is not None:
-                    reading.enter_context(recording)
+            with recorder.told(), _watched(config.source.replay), ExitStack() as reading:
+                reading.enter_context(recorder)
                 if warm_up is not None:
                     warm_up.wait()
                 reading.enter_context(capture)
@@ -111,28 +118,14 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 if config.record.only:
                     _only_record(capture, report, progress, interruption)
                 else:
-                    _segment(config, opened, capture, exporter, view, report, progress, interruption)
+                    _segment(
+                        config, opened, capture, recorder, exporter, view, report, progress, interruption
+                    )
             if report.segmented + report.recorded_only == 0 and not report.quit:
                 raise NoFramesError(f"{opened.uri}: no frame could be read ({capture.damaged} damaged)")
         if view.serving and not report.quit:
             wait_for_quit(config.live.control, interruption)
         return report
-
-
-@contextmanager
-def _told(recording: Recording | None) -> Iterator[None]:
-    """Say after the block what was recorded, also where Ctrl-C ended it."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        try:
-            if recording is not None:
-                tell_recorded(recording)
-        except ExportError as err:
-            _log.error("%s", err)
-        raise
-    if recording is not None:
-        tell_recorded(recording)
 
 
 @contextmanager
@@ -241,6 +234,7 @@ def _segment(
     config: AppConfig,
     opened: OpenedSource,
     capture: CaptureThread,
+    recorder: Recorder,
     exporter: Exporter | None,
     view: View,
     report: RunReport,
@@ -258,6 +252,7 @@ def _segment(
     controls = Controls(
         config.segmentation,
         capture,
+        recorder,
         is_replay=not opened.source.live,
         fixed="" if exporter is None else "an export holds results of one run's settings only",
     )
@@ -279,7 +274,7 @@ def _segment(
                 elapsed_ms[stage] = 1e3 * (time.perf_counter() - started_s)
             if controls.snapshot:
                 controls.snapshot = False
-                _write_snapshot(result, _settings(config, controls.config, opened))
+                try_snapshot(result, _settings(config, controls.config, opened), Path.cwd())
             report.late = latency_filter.held_back
             report.add(elapsed_ms, result.events, result.update)
             tree = result.tree
@@ -291,14 +286,6 @@ def _segment(
                 # That stays for good, and looking for garbage in it takes a tenth of a second each time.
                 gc.freeze()
     report.quit = controls.ended
-
-
-def _write_snapshot(result: FrameResult, settings: Mapping[str, Any]) -> None:
-    """Write a snapshot into the working folder; a run goes on without it where that is not possible."""
-    try:
-        _log.info("snapshot: %s", write_snapshot(result, settings, Path.cwd()))
-    except ExportError as err:
-        _log.error("%s", err)
 
 
 def _segmenter(

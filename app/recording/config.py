@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -10,6 +11,11 @@ from nurbseg.drivers.settings import Settings, setting
 RecordColor = Literal["jpeg95", "png", "raw"]
 
 _SUFFIXES = (".mcap", ".oni")
+
+
+def dated(name: str) -> str:
+    """Return a file's name with the present date and time for ``{date}``."""
+    return name.replace("{date}", time.strftime("%Y%m%d-%H%M%S"))
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,6 +27,8 @@ class OniRecording(Recording):
         Records to it.
     config : RecordConfig
         From when on, whether color is packed with loss, and how much space must stay free.
+    at_once : bool
+        Whether nobody reads the camera yet, so that it can begin now; or else with the first frame.
     free_bytes : callable
         Returns the space that is left where `path` is, bytes.
 
@@ -48,19 +50,25 @@ class OniRecording(Recording):
         camera: Recordable,
         config: RecordConfig,
         *,
+        at_once: bool = True,
         free_bytes: Callable[[Path], int] = free_space,
     ) -> None:
         super().__init__(path, config, free_bytes)
         self._camera = camera
         self._lossy = config.color == "jpeg95"
-        self._is_recording = False
-        if not self._delay_ns:
+        self._is_recording = self._is_finished = False
+        if at_once and not self._delay_ns:
             self._start()
 
     @property
     def ended(self) -> bool:
         """Whether nothing more is written."""
         return bool(self.failure)
+
+    @property
+    def finished(self) -> bool:
+        """Whether what came is written, after `finish` or a failure."""
+        return self._is_finished or self.ended
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -104,13 +112,13 @@ class OniRecording(Recording):
 
     def finish(self) -> None:
         """Finish the file, as no frame follows; for the thread that reads, and safe to call twice."""
-        if not self._is_recording:
-            return
-        self._is_recording = False
-        try:
-            self._camera.stop_recording()
-        except DriverError as err:
-            self._fail(str(err))
+        if self._is_recording:
+            self._is_recording = False
+            try:
+                self._camera.stop_recording()
+            except DriverError as err:
+                self._fail(str(err))
+        self._is_finished = True
 
     def close(self) -> None:
         """Finish the file, for when nobody reads the camera any more; safe to call twice."""

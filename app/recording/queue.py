@@ -84,6 +84,11 @@ class QueuedRecording(Recording):
         """Whether nothing more is written."""
         return self._queue.closed
 
+    @property
+    def finished(self) -> bool:
+        """Whether what came is written, after `finish` or a failure."""
+        return not self._thread.is_alive()
+
     def put(self, frame: RGBDFrame) -> None:
         """Have a frame written; never waits, unless the recording is lossless and the queue full."""
         if self._is_early(frame):

@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, Self
 
 from nurbseg.app.export.exporter import ExportError
-from nurbseg.app.recording.config import RecordConfig
+from nurbseg.app.recording.config import RecordConfig, dated
 from nurbseg.app.recording.disk_space import free_space, megabytes, shortage
 from nurbseg.app.recording.oni import OniRecording
 from nurbseg.app.recording.parts import PartedWriter
 from nurbseg.app.recording.queue import QueuedRecording
 from nurbseg.app.recording.recording import Recording
 from nurbseg.drivers.errors import DriverError
-from nurbseg.drivers.files import check_absent
+from nurbseg.drivers.files import check_absent, part_after
 from nurbseg.drivers.mcap.writer import RecordingWriter
 from nurbseg.drivers.reconnect import Recordable
 from nurbseg.drivers.source import FrameSource
 
 _log = logging.getLogger(__name__)
+
+#: Of a recording that is begun by a command, where none was named.
+DEFAULT_NAME = "recording-{date}.mcap"
 
 
 class RecordError(ExportError):
@@ -54,7 +60,19 @@ def open_recording(
     """
     if config.file is None:
         return None
-    path = Path(config.file)
+    return _open(Path(config.file), config, source, lossless=lossless, free_bytes=free_bytes)
+
+
+def _open(
+    path: Path,
+    config: RecordConfig,
+    source: FrameSource,
+    *,
+    lossless: bool,
+    at_once: bool = True,
+    free_bytes: Callable[[Path], int] = free_space,
+) -> Recording:
+    """Begin a recording to a file; `at_once` says that nobody reads the source yet."""
 
     def open_file(part: Path) -> RecordingWriter:
         return RecordingWriter(part, source.calibration, color_format=config.color, metadata=source.metadata)
@@ -68,7 +86,7 @@ def open_recording(
                 f"{path}: {missing}, and recording stops at {config.space_min_mb} MB (--record-space-min)"
             )
         if path.suffix.lower() == ".oni":
-            return _open_oni(path, config, source, free_bytes)
+            return _open_oni(path, config, source, free_bytes, at_once=at_once)
         writer = PartedWriter(path, open_file, config.split_s)
     except OSError as err:
         raise RecordError(f"{path}: cannot be written: {err.strerror}") from err
@@ -76,12 +94,17 @@ def open_recording(
 
 
 def _open_oni(
-    path: Path, config: RecordConfig, source: FrameSource, free_bytes: Callable[[Path], int]
+    path: Path,
+    config: RecordConfig,
+    source: FrameSource,
+    free_bytes: Callable[[Path], int],
+    *,
+    at_once: bool,
 ) -> OniRecording:
     if not isinstance(source, Recordable):
         raise RecordError(f"{path}: only cameras record .oni; record this source as .mcap")
     try:
-        return OniRecording(path, source, config, free_bytes=free_bytes)
+        return OniRecording(path, source, config, at_once=at_once, free_bytes=free_bytes)
     except DriverError as err:
         raise RecordError(str(err)) from err
 
@@ -105,3 +128,129 @@ def tell_recorded(recording: Recording) -> None:
         _log.warning("%d frames are missing in %s: writing was too slow", recording.lost, recording.path)
     if recording.frames == 0:
         _log.warning("%s: no frame came to be recorded, and the file was not kept", recording.path)
+
+
+class Recorder:
+    """Makes the recordings of a run, one after the other, each in a file of its own.
+
+    Parameters
+    ----------
+    config : RecordConfig
+        How to record; the first recording begins now, if it names a file.
+    source : FrameSource
+        The camera or recording itself, without what limits or paces it.
+    name : str
+        Names the further files: ``{date}`` becomes the date and time, and a name that is taken gets a number.
+    lossless : bool
+        Whether the source waits for the recording.
+
+    Attributes
+    ----------
+    recording : Recording or None
+        That which is being made, or failed last.
+
+    Raises
+    ------
+    RecordError
+        If the first one cannot be begun.
+    """
+
+    def __init__(
+        self, config: RecordConfig, source: FrameSource, *, name: str = DEFAULT_NAME, lossless: bool = False
+    ) -> None:
+        self.recording = open_recording(config, source, lossless=lossless)
+        self._config = replace(config, delay_s=0.0)
+        self._source = source
+        self._name = name
+        self._lossless = lossless
+        self._ending: list[Recording] = []
+        self._told: list[dict[str, Any]] = []
+
+    @property
+    def is_recording(self) -> bool:
+        """Whether frames are recorded now."""
+        return self.recording is not None and not self.recording.ended
+
+    def begin(self) -> Recording:
+        """Begin a recording while the source is read.
+
+        Raises
+        ------
+        RecordError
+            If there is one already, or the file cannot be made.
+        """
+        if self.recording is not None and self.is_recording:
+            raise RecordError(f"{self.recording.path} is being recorded already")
+        path = Path(dated(self._name))
+        if path.exists():
+            path = part_after(path, 1)
+        begun = _open(path, self._config, self._source, lossless=self._lossless, at_once=False)
+        self.end()
+        self.recording = begun
+        return begun
+
+    def end(self) -> None:
+        """Have no recording for now: the thread that reads finishes this one, `look` says what it holds."""
+        if self.recording is not None:
+            self._ending.append(self.recording)
+            self.recording = None
+
+    def look(self) -> None:
+        """Say what was recorded where a recording has ended; one that failed does not end the run."""
+        for each in [each for each in self._ending if each.finished]:
+            self._ending.remove(each)
+            self._tell(each)
+
+    def _tell(self, recording: Recording) -> None:
+        recording.close()
+        self._told.append(recording.figures())
+        try:
+            tell_recorded(recording)
+        except RecordError as err:
+            _log.error("%s", err)
+
+    def tell(self) -> None:
+        """Say what was recorded, when all is closed.
+
+        Raises
+        ------
+        RecordError
+            If the last recording ended before the run did.
+        """
+        for each in self._ending:
+            self._tell(each)
+        self._ending.clear()
+        if self.recording is not None:
+            tell_recorded(self.recording)
+
+    @contextmanager
+    def told(self) -> Iterator[None]:
+        """Say after the block what was recorded, also where Ctrl-C ended it.
+
+        Raises
+        ------
+        RecordError
+            As `tell` does.
+        """
+        try:
+            yield
+        except KeyboardInterrupt:
+            try:
+                self.tell()
+            except RecordError as err:
+                _log.error("%s", err)
+            raise
+        self.tell()
+
+    def figures(self) -> list[dict[str, Any]]:
+        """Return what the run's report says of each recording."""
+        rest = self._ending if self.recording is None else [*self._ending, self.recording]
+        return [*self._told, *(each.figures() for each in rest)]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        for each in (*self._ending, self.recording):
+            if each is not None:
+                each.__exit__(*exception)

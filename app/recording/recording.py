@@ -69,6 +69,11 @@ class Recording(Closing):
     def ended(self) -> bool:
         """Whether nothing more is written."""
 
+    @property
+    @abstractmethod
+    def finished(self) -> bool:
+        """Whether what came is written, after `finish` or a failure."""
+
     @abstractmethod
     def put(self, frame: RGBDFrame) -> None:
         """Have a frame written; for the thread that reads."""

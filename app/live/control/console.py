@@ -13,26 +13,12 @@ import tty
 from contextlib import AbstractContextManager, nullcontext, suppress
 from typing import Literal, Self
 
+from nurbseg.app.live.control.commands import KEYS
 from nurbseg.app.live.control.terminal import StatusLine, in_foreground
 
 _log = logging.getLogger(__name__)
 
 Control = Literal["auto", "lines", "off"]
-
-#: Keys and what they stand for; the help lists them in this order.
-KEYS = {
-    " ": "pause",
-    ".": "step",
-    "+": "faster",
-    "-": "slower",
-    "m": "metric",
-    "t": "ratio",
-    "l": "level",
-    "e": "method",
-    "s": "snapshot",
-    "h": "help",
-    "q": "quit",
-}
 
 #: Time between two looks whether the console is closed, seconds.
 _LOOK_S = 0.2

@@ -8,24 +8,14 @@ from dataclasses import replace
 from typing import Any, get_args
 
 from nurbseg.app.live.capture import CaptureThread
+from nurbseg.app.live.control.commands import help_text
+from nurbseg.app.recording.recorder import Recorder, RecordError
 from nurbseg.segmentation.config import Level, Method, Metric, SegmentationConfig
 
 _log = logging.getLogger(__name__)
 
 #: What a key changes the speed of a replay by, and the ratio.
 _SPEED_FACTOR, _RATIO_STEP = 1.5, 0.05
-
-_HELP = """commands while it runs: a key in a terminal, or with --control lines a line
-  space  pause, resume    stop and go on; a camera is read on, for its recording
-  .      step             go on for one frame
-  + -    speed X          replay at X times the recorded rate
-  m      metric NAME      decide by another metric; without a name by the next one
-  t      ratio X          keep a split below another ratio; without a number by 0.05 more, from 0.7 to 1.3
-  l      level NAME       label surfaces or objects; without a name the other
-  e      method NAME      segment by another method; without a name the other
-  s      snapshot         write all of this frame into a new folder
-  h      help
-  q      quit"""
 
 
 class Controls:
@@ -36,6 +26,8 @@ class Controls:
     config : SegmentationConfig
         How frames are segmented at first.
     capture : CaptureThread
+        Of the run.
+    recorder : Recorder
         Of the run.
     is_replay : bool
         Whether reading can pause; a camera is read on.
@@ -50,17 +42,26 @@ class Controls:
         Whether no frame is to be taken for now, or none any more.
     snapshot : bool
         Whether the next frame is to be written.
+    recorder : Recorder
+        As given.
     steps : int
         How many frames are still to be taken while paused.
     """
 
     def __init__(
-        self, config: SegmentationConfig, capture: CaptureThread, *, is_replay: bool, fixed: str = ""
+        self,
+        config: SegmentationConfig,
+        capture: CaptureThread,
+        recorder: Recorder,
+        *,
+        is_replay: bool,
+        fixed: str = "",
     ) -> None:
         self.config = config
         self.paused = self.ended = False
         self.snapshot = False
         self.steps = 0
+        self.recorder = recorder
         self._capture = capture
         self._is_replay = is_replay
         self._fixed = fixed
@@ -68,6 +69,7 @@ class Controls:
             "pause": lambda _: self._pause(not self.paused),
             "resume": lambda _: self._pause(False),
             "step": lambda _: self._step(),
+            "record": self._record,
             "speed": lambda word: self._set_speed(float(word)),
             "faster": lambda _: self._set_speed(self._capture.speed * _SPEED_FACTOR),
             "slower": lambda _: self._set_speed(self._capture.speed / _SPEED_FACTOR),
@@ -76,7 +78,7 @@ class Controls:
             "level": self._set_level,
             "method": lambda word: self._change(method=_chosen(word, self.config.method, get_args(Method))),
             "snapshot": lambda _: self._snapshot(),
-            "help": lambda _: _HELP,
+            "help": lambda _: help_text(),
             "quit": lambda _: self._quit(),
         }
 
@@ -107,6 +109,22 @@ class Controls:
         if self._is_replay:
             self._capture.step()
         return ""
+
+    def _record(self, word: str) -> str:
+        recorder = self.recorder
+        now = "on" if recorder.is_recording else "off"
+        if _chosen(word, now, ("on", "off")) == "off":
+            if recorder.recording is None:
+                raise ValueError("nothing is being recorded")
+            recorder.end()
+            self._capture.record(None)
+            return ""
+        try:
+            begun = recorder.begin()
+        except RecordError as err:
+            raise ValueError(str(err)) from err
+        self._capture.record(begun)
+        return f"recording to {begun.path}"
 
     def _set_speed(self, speed: float) -> str:
         if not self._capture.speed:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
@@ -12,6 +13,16 @@ import cv2
 from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, ExportError
 from nurbseg.app.result import FrameResult
+
+_log = logging.getLogger(__name__)
+
+
+def try_snapshot(result: FrameResult, settings: Mapping[str, Any], folder: Path) -> None:
+    """Write a snapshot and say where; a run goes on without it where that is not possible."""
+    try:
+        _log.info("snapshot: %s", write_snapshot(result, settings, folder))
+    except ExportError as err:
+        _log.error("%s", err)
 
 
 def write_snapshot(result: FrameResult, settings: Mapping[str, Any], folder: Path) -> Path:

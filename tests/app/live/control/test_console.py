@@ -11,6 +11,7 @@ import pytest
 from program_in_terminal import COMMAND, terminal
 
 from nurbseg.app.live.opening import demo_uri
+from nurbseg.drivers.registry import open_source
 
 WORDS = ["--replay", demo_uri(), "--loop", "--view", "none"]
 
@@ -48,6 +49,23 @@ def test_keys_pause_change_settings_write_a_snapshot_and_quit(tmp_path: Path) ->
     assert ((labels > 0) == (measured > 0)).mean() > 0.99
 
 
+def test_a_key_records_and_ends_the_recording(tmp_path: Path) -> None:
+    with terminal(WORDS, tmp_path) as program:
+        program.wait_for("frame 0")
+        program.type("r")
+        program.wait_for("nurbseg-live: recording to recording-")
+        program.wait_for("min left")
+        program.type("r")
+        program.wait_for("nurbseg-live: recorded ")
+        program.type("q")
+        assert program.exit_code() == 0
+    (path,) = tmp_path.glob("recording-[0-9]*-[0-9]*.mcap")
+    with open_source(path) as source:
+        frames = len(list(source))
+    assert frames > 0
+    assert f"nurbseg-live: recorded {frames} frames" in program.all_said
+
+
 def test_ctrl_c_gives_the_terminal_back(tmp_path: Path) -> None:
     with terminal(WORDS, tmp_path) as program:
         before = program.modes()
@@ -61,8 +79,8 @@ def test_a_status_line_stays_below_the_log_and_goes_at_the_end(tmp_path: Path) -
     with terminal([*WORDS, "--record", "a.mcap"], tmp_path) as program:
         program.resize(200)
         program.wait_for_line(
-            r"demo\.mcap \| [\d.]+ frames/s \| latency \d+ ms, \d+ objects \| \d+ dropped(, \d+ too late)?"
-            r" \| recording [\d.]+ s, [\d.]+ MB, [\d.]+ MB/s, \d+ min left"
+            r"demo\.mcap \| rec [\d.]+ s, [\d.]+ MB, [\d.]+ MB/s, \d+ min left \| [\d.]+ frames/s, \d+ ms"
+            r" \| \d+ objects \| \d+ dropped(, \d+ late)?"
         )
         for _ in range(5):
             program.type("h")

@@ -5,14 +5,17 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 from scripted_source import ScriptedSource, small_frame
 
 from nurbseg.app.live.capture import CaptureThread
-from nurbseg.app.live.control.console import KEYS
+from nurbseg.app.live.control.commands import KEYS
 from nurbseg.app.live.control.controls import Controls
-from nurbseg.drivers.source import Paced
+from nurbseg.app.recording.config import RecordConfig
+from nurbseg.app.recording.recorder import Recorder
+from nurbseg.drivers.source import FrameSource, Paced
 from nurbseg.segmentation.config import SegmentationConfig
 
 
@@ -22,9 +25,16 @@ def replay() -> Iterator[Paced]:
         yield source
 
 
+def controls_of(
+    source: FrameSource, capture: CaptureThread, *, is_replay: bool = True, fixed: str = ""
+) -> Controls:
+    recorder = Recorder(RecordConfig(), source)
+    return Controls(SegmentationConfig(), capture, recorder, is_replay=is_replay, fixed=fixed)
+
+
 @pytest.fixture
 def controls(replay: Paced) -> Controls:
-    return Controls(SegmentationConfig(), CaptureThread(replay), is_replay=True)
+    return controls_of(replay, CaptureThread(replay))
 
 
 def wait_until(condition: Callable[[], bool]) -> None:
@@ -88,7 +98,7 @@ def test_what_cannot_be_done_is_said_and_changes_nothing(
 def test_settings_of_an_export_stay(replay: Paced, caplog: pytest.LogCaptureFixture) -> None:
     capture = CaptureThread(replay)
     fixed = "an export holds one run's settings"
-    controls = Controls(SegmentationConfig(), capture, is_replay=True, fixed=fixed)
+    controls = controls_of(replay, capture, fixed=fixed)
     controls.apply("metric")
     assert controls.config == SegmentationConfig()
     assert caplog.messages == ["metric: an export holds one run's settings"]
@@ -101,14 +111,14 @@ def test_speed_is_that_of_a_replay_only(
     assert replay.speed == pytest.approx(4.0 / 1.5)
     with ScriptedSource([small_frame(0)], live=True) as camera:
         capture = CaptureThread(camera)
-        Controls(SegmentationConfig(), capture, is_replay=False).apply("faster")
+        controls_of(camera, capture, is_replay=False).apply("faster")
         assert capture.speed == 0.0
     assert caplog.messages[-1].startswith("faster: only a replay")
 
 
 def test_a_pause_stops_reading_a_replay_and_a_step_reads_one_frame(replay: Paced) -> None:
     with CaptureThread(replay) as capture:
-        controls = Controls(SegmentationConfig(), capture, is_replay=True)
+        controls = controls_of(replay, capture)
         wait_until(lambda: capture.read > 3)
         controls.apply("pause")
         time.sleep(0.2)
@@ -127,14 +137,17 @@ def test_a_pause_stops_reading_a_replay_and_a_step_reads_one_frame(replay: Paced
 def test_a_camera_is_read_on_while_paused() -> None:
     source = ScriptedSource([small_frame(index) for index in range(1000)], live=True)
     with source, CaptureThread(source) as capture:
-        controls = Controls(SegmentationConfig(), capture, is_replay=False)
+        controls = controls_of(source, capture, is_replay=False)
         controls.apply("pause")
         assert controls.paused
         wait_until(lambda: capture.read == 1000)
 
 
-def test_every_key_is_a_command_and_in_the_help(controls: Controls, caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.INFO, "nurbseg"):
+def test_every_key_is_a_command_and_in_the_help(
+    controls: Controls, caplog: pytest.LogCaptureFixture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with caplog.at_level(logging.INFO, "nurbseg"), controls.recorder:
         controls.apply("help")
         (text,) = caplog.messages
         for key, command in KEYS.items():

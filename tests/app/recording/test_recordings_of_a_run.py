@@ -1,0 +1,210 @@
+"""Recordings that are begun and ended while a run goes on: names, frames, and what is said of them."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from scripted_source import ScriptedSource, small_frame
+
+from nurbseg.app.live.capture import CaptureThread
+from nurbseg.app.live.control.controls import Controls
+from nurbseg.app.recording.config import RecordConfig
+from nurbseg.app.recording.recorder import Recorder, RecordError
+from nurbseg.drivers.registry import open_source
+from nurbseg.segmentation.config import SegmentationConfig
+
+
+class Steps:
+    """A run on a source that gives a frame when it is asked to."""
+
+    def __init__(self, config: RecordConfig, name: str, source: ScriptedSource | None) -> None:
+        self.source = source or ScriptedSource([small_frame(index) for index in range(100)])
+        self.recorder = Recorder(config, self.source, name=name)
+        self.capture = CaptureThread(self.source, recording=self.recorder.recording)
+        self.capture.pause(True)
+        self.controls = Controls(SegmentationConfig(), self.capture, self.recorder, is_replay=True)
+
+    def read(self, frames: int) -> None:
+        for _ in range(frames):
+            self.capture.step()
+            captured = self.capture.frames.take(10.0)
+            assert captured is not None
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@contextmanager
+def run_with(config: RecordConfig, name: str, source: ScriptedSource | None = None) -> Iterator[Steps]:
+    steps = Steps(config, name, source)
+    with steps.source, steps.recorder, steps.capture:
+        yield steps
+    steps.recorder.tell()
+
+
+def indexes(path: Path) -> list[int]:
+    """Return which frames a recording holds, by their depth."""
+    with open_source(path) as source:
+        return [int(frame.depth_mm[0, 0]) - 1000 for frame in source]
+
+
+def test_each_time_it_is_switched_on_the_frames_until_it_is_off_are_a_new_file(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.INFO, "nurbseg"), run_with(RecordConfig(), "run.mcap") as run:
+        run.read(3)
+        run.controls.apply("record")
+        run.read(4)
+        run.controls.apply("record")
+        run.read(2)
+        run.controls.apply("record on")
+        run.read(5)
+        run.controls.apply("record off")
+        run.read(1)
+        run.controls.apply("record on")
+        run.read(6)
+    assert sorted(path.name for path in folder.iterdir()) == ["run-2.mcap", "run-3.mcap", "run.mcap"]
+    assert indexes(folder / "run.mcap") == [3, 4, 5, 6]
+    assert indexes(folder / "run-2.mcap") == [9, 10, 11, 12, 13]
+    assert indexes(folder / "run-3.mcap") == [15, 16, 17, 18, 19, 20]
+    said = [each for each in caplog.messages if each.startswith("recorded ")]
+    assert [each.split(",")[0] for each in said] == [f"recorded {frames} frames" for frames in (4, 5, 6)]
+    figures = run.recorder.figures()
+    assert [each["frames"] for each in figures] == [4, 5, 6]
+    assert [each["file"] for each in figures] == ["run.mcap", "run-2.mcap", "run-3.mcap"]
+
+
+def test_a_recording_that_was_asked_for_with_the_run_ends_and_goes_on_in_another_file(folder: Path) -> None:
+    with run_with(RecordConfig(file="a.mcap", delay_s=0.1), "a.mcap") as run:
+        run.read(5)
+        run.controls.apply("record")
+        run.read(1)
+        run.controls.apply("record")
+        run.read(2)
+    # 0.1 s are three frames; they count once.
+    assert indexes(folder / "a.mcap") == [3, 4]
+    assert indexes(folder / "a-2.mcap") == [6, 7]
+
+
+def test_what_a_recording_holds_is_said_while_the_run_goes_on(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.INFO, "nurbseg"), run_with(RecordConfig(), "run.mcap") as run:
+        run.controls.apply("record")
+        run.read(2)
+        recording = run.recorder.recording
+        assert recording is not None
+        run.recorder.look()
+        assert caplog.messages == ["recording to run.mcap"]
+        run.controls.apply("record")
+        run.read(1)
+        recording.close()
+        run.recorder.look()
+        assert [each.split(",")[0] for each in caplog.messages[1:]] == ["recorded 2 frames"]
+    assert len(caplog.messages) == 2
+
+
+@pytest.mark.parametrize(
+    ("commands", "said"),
+    [
+        (["record off"], "record: nothing is being recorded"),
+        (["record on", "record on"], "record: run.mcap is being recorded already"),
+        (["record loudly"], "record: expected one of on, off, got 'loudly'"),
+    ],
+)
+def test_what_cannot_be_switched_is_said(
+    folder: Path, commands: list[str], said: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    with run_with(RecordConfig(), "run.mcap") as run:
+        for command in commands:
+            run.controls.apply(command)
+        assert said in caplog.messages
+        run.read(1)
+
+
+def test_a_file_that_cannot_be_made_costs_the_recording_and_not_the_run(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (folder / "taken").touch()
+    with run_with(RecordConfig(), "taken/run.mcap") as run:
+        run.controls.apply("record")
+        assert caplog.messages == ["record: taken/run.mcap: cannot be written: File exists"]
+        run.read(1)
+        assert not run.recorder.is_recording
+
+
+def test_a_recording_that_failed_is_told_and_can_be_begun_again(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with run_with(RecordConfig(), "run.mcap") as run:
+        run.controls.apply("record")
+        run.read(2)
+        (folder / "run.mcap").unlink()
+        failed = run.recorder.recording
+        assert failed is not None
+        run.read(1)
+        failed.close()
+        assert not run.recorder.is_recording
+        run.controls.apply("record")
+        run.recorder.look()
+        assert "run.mcap was deleted or moved; the " in caplog.text
+        run.read(2)
+    assert indexes(folder / "run.mcap") == [3, 4]
+
+
+def test_a_failure_of_the_last_recording_is_one_of_the_run(folder: Path) -> None:
+    failed = pytest.raises(RecordError, match="deleted or moved")
+    with failed, run_with(RecordConfig(), "run.mcap") as run:
+        run.controls.apply("record")
+        run.read(2)
+        (folder / "run.mcap").unlink()
+        run.read(1)
+
+
+class CameraWithRecorder(ScriptedSource):
+    """A camera that notes which thread switches its own recorder."""
+
+    def __init__(self) -> None:
+        super().__init__([small_frame(index) for index in range(100)], live=True)
+        self.switched: list[tuple[str, str]] = []
+
+    def start_recording(self, path: Path, *, lossy: bool = False) -> None:
+        path.touch()
+        self.switched.append((path.name, threading.current_thread().name))
+
+    def stop_recording(self) -> None:
+        self.switched.append(("", threading.current_thread().name))
+
+
+def test_a_camera_s_own_recorder_is_switched_by_the_thread_that_reads_it(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    camera = CameraWithRecorder()
+    with caplog.at_level(logging.INFO, "nurbseg"), run_with(RecordConfig(), "a.oni", camera) as run:
+        run.controls.apply("record")
+        run.read(3)
+        run.controls.apply("record")
+        run.recorder.look()
+        run.read(1)
+        run.recorder.look()
+        assert any(each.startswith("recorded 3 frames") for each in caplog.messages)
+        run.controls.apply("record")
+        run.read(2)
+    assert camera.switched == [("a.oni", "capture"), ("", "capture"), ("a-2.oni", "capture"), ("", "capture")]
+    assert caplog.messages[-1].startswith("recorded 2 frames")
+
+
+def test_a_recording_whose_end_nobody_reads_any_more_is_closed_with_the_run(folder: Path) -> None:
+    with Recorder(RecordConfig(), ScriptedSource([]), name="run.mcap") as recorder:
+        begun = recorder.begin()
+        recorder.end()
+        assert not begun.finished
+    assert begun.finished
