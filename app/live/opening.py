@@ -39,12 +39,15 @@ class OpenedSource:
         What is behind it: the camera or recording itself.
     every_frame : bool
         Whether each frame is to be segmented; otherwise the newest.
+    looped : Looped or None
+        Where a replay starts again at its end, or not; None for a camera.
     """
 
     source: FrameSource
     uri: str
     camera: FrameSource
     every_frame: bool
+    looped: Looped | None = None
 
 
 def open_chosen(app_config: AppConfig) -> OpenedSource:
@@ -106,12 +109,15 @@ def _prepared(uri: str, app_config: AppConfig, options: SourceOptions) -> Opened
     """Open a source, and put on top of it what the user wants of a replay."""
     config = app_config.source
     source = camera = _opened_at_start(uri, config, options)
+    looped = None
     try:
         every_frame = not source.live and config.speed == 0
         if source.live:
             _warn_of_replay_settings(config)
-        elif config.loop:
-            source = Looped(source, lambda: _opened_at_start(uri, config, options))
+        else:
+            source = looped = Looped(
+                source, lambda: _opened_at_start(uri, config, options), repeats=config.loop
+            )
         if config.frames is not None or config.duration_s is not None:
             source = Limited(
                 source,
@@ -124,7 +130,7 @@ def _prepared(uri: str, app_config: AppConfig, options: SourceOptions) -> Opened
     except BaseException:
         source.close()
         raise
-    return OpenedSource(source, uri, camera, every_frame)
+    return OpenedSource(source, uri, camera, every_frame, looped)
 
 
 def _opened_at_start(uri: str, config: SourceConfig, options: SourceOptions) -> FrameSource:

@@ -15,7 +15,7 @@ _PERIOD_NS = 33_333_333
 
 
 class Looped(FrameSource):
-    """A recording that starts again at its end; frame numbers and timestamps go on rising.
+    """A recording that may start again at its end; frame numbers and timestamps then go on rising.
 
     Parameters
     ----------
@@ -23,31 +23,52 @@ class Looped(FrameSource):
         The first pass; closed with this one.
     reopen : callable
         Opens the recording for each further pass.
+    repeats : bool
+        As the attribute.
+
+    Attributes
+    ----------
+    repeats : bool
+        Whether it starts again at the next end.
     """
 
-    def __init__(self, source: FrameSource, reopen: Callable[[], FrameSource]) -> None:
+    def __init__(
+        self, source: FrameSource, reopen: Callable[[], FrameSource], *, repeats: bool = True
+    ) -> None:
         super().__init__()
         self.calibration = source.calibration
         self.metadata = source.metadata
+        self.repeats = repeats
         self._source = source
         self._reopen = reopen
-        self._first: RGBDFrame | None = None
         self._last: RGBDFrame | None = None
         self._period_ns = _PERIOD_NS
         self._index_offset = 0
         self._time_offset_ns = 0
+        #: Number and time that the first frame of a further pass gets.
+        self._seam: tuple[int, int] | None = None
 
     def _read(self, timeout_s: float) -> RGBDFrame:
         try:
             frame = self._source.read(timeout_s)
         except EndOfRecordingError:
+            if not self.repeats:
+                raise
             self._begin_again()
             frame = self._source.read(timeout_s)
-        if self._first is None:
-            self._first = frame
+        if self._seam is not None:
+            index, timestamp_ns = self._seam
+            self._index_offset = index - frame.index
+            self._time_offset_ns = timestamp_ns - frame.timestamp_ns
+            self._seam = None
         elif self._last is not None and frame.timestamp_ns > self._last.timestamp_ns:
             self._period_ns = frame.timestamp_ns - self._last.timestamp_ns
         self._last = frame
+        return self._numbered(frame)
+
+    def _numbered(self, frame: RGBDFrame) -> RGBDFrame:
+        if not self._index_offset and not self._time_offset_ns:
+            return frame
         return replace(
             frame,
             index=frame.index + self._index_offset,
@@ -55,11 +76,11 @@ class Looped(FrameSource):
         )
 
     def _begin_again(self) -> None:
-        if self._first is None or self._last is None:
+        if self._last is None:
             raise EndOfRecordingError("the recording has no frame to repeat")
-        self._index_offset += self._last.index - self._first.index + 1
-        self._time_offset_ns += self._last.timestamp_ns - self._first.timestamp_ns + self._period_ns
-        self._first = self._last = None
+        last = self._numbered(self._last)
+        self._seam = last.index + 1, last.timestamp_ns + self._period_ns
+        self._last = None
         self._source.close()
         self._source = self._reopen()
 

@@ -253,7 +253,7 @@ def _segment(
         config.segmentation,
         capture,
         recorder,
-        is_replay=not opened.source.live,
+        opened.looped,
         fixed="" if exporter is None else "an export holds results of one run's settings only",
     )
     frames = controlled_frames(config.live.control, controls, capture, progress, interruption)

@@ -29,6 +29,7 @@ COMMANDS = (
     Command("pause, resume", {" ": "pause"}, "stop and go on; a camera is read on, for its recording"),
     Command("step", {".": "step"}, "go on for one frame"),
     Command("speed X", {"+": "faster", "-": "slower"}, "replay at X times the recorded rate"),
+    Command("loop on|off", {"o": "loop"}, "start a replay again at its end; without a word the other"),
     Command("record on|off", {"r": "record"}, "record to a new file, or end that; without a word the other"),
     Command("metric NAME", {"m": "metric"}, "decide by another metric; without a name by the next one"),
     Command(

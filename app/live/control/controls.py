@@ -9,6 +9,7 @@ from typing import Any, get_args
 
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.commands import help_text
+from nurbseg.app.live.replay import Looped
 from nurbseg.app.recording.recorder import Recorder, RecordError
 from nurbseg.segmentation.config import Level, Method, Metric, SegmentationConfig
 
@@ -29,8 +30,8 @@ class Controls:
         Of the run.
     recorder : Recorder
         Of the run.
-    is_replay : bool
-        Whether reading can pause; a camera is read on.
+    looped : Looped, optional
+        The replay, of which reading can pause; a camera is read on.
     fixed : str
         Why settings may not change; empty where they may.
 
@@ -53,8 +54,8 @@ class Controls:
         config: SegmentationConfig,
         capture: CaptureThread,
         recorder: Recorder,
+        looped: Looped | None = None,
         *,
-        is_replay: bool,
         fixed: str = "",
     ) -> None:
         self.config = config
@@ -63,12 +64,13 @@ class Controls:
         self.steps = 0
         self.recorder = recorder
         self._capture = capture
-        self._is_replay = is_replay
+        self._looped = looped
         self._fixed = fixed
         self._commands: dict[str, Callable[[str], str]] = {
             "pause": lambda _: self._pause(not self.paused),
             "resume": lambda _: self._pause(False),
             "step": lambda _: self._step(),
+            "loop": self._loop,
             "record": self._record,
             "speed": lambda word: self._set_speed(float(word)),
             "faster": lambda _: self._set_speed(self._capture.speed * _SPEED_FACTOR),
@@ -98,7 +100,7 @@ class Controls:
 
     def _pause(self, paused: bool) -> str:
         self.paused = paused
-        if self._is_replay:
+        if self._looped is not None:
             self._capture.pause(paused)
         return "paused" if paused else "resumed"
 
@@ -106,9 +108,17 @@ class Controls:
         if not self.paused:
             self._pause(True)
         self.steps += 1
-        if self._is_replay:
+        if self._looped is not None:
             self._capture.step()
         return ""
+
+    def _loop(self, word: str) -> str:
+        if self._looped is None:
+            raise ValueError("only a replay has an end")
+        now = "on" if self._looped.repeats else "off"
+        chosen = _chosen(word, now, ("on", "off"))
+        self._looped.repeats = chosen == "on"
+        return f"loop {chosen}"
 
     def _record(self, word: str) -> str:
         recorder = self.recorder

@@ -28,6 +28,31 @@ def test_a_looped_recording_of_one_frame_still_has_rising_stamps() -> None:
     assert stamps[0] < stamps[1] < stamps[2]
 
 
+def test_a_loop_can_be_begun_and_ended_while_it_is_read() -> None:
+    with Looped(recording(3), lambda: recording(3), repeats=False) as source:
+        first = [source.read() for _ in range(3)]
+        source.repeats = True
+        again = [source.read() for _ in range(2)]
+        source.repeats = False
+        again.append(source.read())
+        with pytest.raises(EndOfRecordingError, match="the script is over"):
+            source.read()
+    assert [frame.index for frame in first + again] == [0, 1, 2, 3, 4, 5]
+
+
+def test_a_loop_of_a_part_of_a_recording_goes_on_with_rising_numbers() -> None:
+    def part() -> ScriptedSource:
+        return ScriptedSource([FrameFormatError("bad"), *(small_frame(index) for index in (11, 12))])
+
+    with Looped(part(), part) as source:
+        indexes = []
+        for _ in range(3):
+            with pytest.raises(FrameFormatError):
+                source.read()
+            indexes += [source.read().index for _ in range(2)]
+    assert indexes == [11, 12, 13, 14, 15, 16]
+
+
 def test_a_recording_without_a_good_frame_is_not_repeated_for_ever() -> None:
     def damaged() -> ScriptedSource:
         return ScriptedSource([FrameFormatError("bad")])

@@ -27,7 +27,7 @@ class Steps:
         self.recorder = Recorder(config, self.source, name=name)
         self.capture = CaptureThread(self.source, recording=self.recorder.recording)
         self.capture.pause(True)
-        self.controls = Controls(SegmentationConfig(), self.capture, self.recorder, is_replay=True)
+        self.controls = Controls(SegmentationConfig(), self.capture, self.recorder)
 
     def read(self, frames: int) -> None:
         for _ in range(frames):

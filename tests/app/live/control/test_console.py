@@ -121,6 +121,14 @@ def test_lines_of_a_pipe_are_commands_and_its_end_is_none(tmp_path: Path) -> Non
         assert said in done.stderr
 
 
+def test_a_line_ends_a_loop_at_the_end_of_the_recording(tmp_path: Path) -> None:
+    done = piped("loop off\n", tmp_path, "--speed", "0", "--splits-max", "1", "--decimation", "8")
+    assert done.returncode == 0
+    with open_source(demo_uri()) as source:
+        frames = len(list(source))
+    assert f"done: {frames} frames segmented" in done.stderr
+
+
 def test_a_pipe_can_quit_and_the_report_says_so(tmp_path: Path) -> None:
     done = piped("quit\n", tmp_path, "--report", "report.json")
     assert done.returncode == 0

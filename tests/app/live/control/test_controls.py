@@ -11,30 +11,39 @@ import pytest
 from scripted_source import ScriptedSource, small_frame
 
 from nurbseg.app.live.capture import CaptureThread
-from nurbseg.app.live.control.commands import KEYS
+from nurbseg.app.live.control.commands import COMMANDS, KEYS
 from nurbseg.app.live.control.controls import Controls
+from nurbseg.app.live.replay import Looped
 from nurbseg.app.recording.config import RecordConfig
 from nurbseg.app.recording.recorder import Recorder
 from nurbseg.drivers.source import FrameSource, Paced
 from nurbseg.segmentation.config import SegmentationConfig
 
 
+def recording() -> ScriptedSource:
+    return ScriptedSource([small_frame(index) for index in range(1000)])
+
+
 @pytest.fixture
-def replay() -> Iterator[Paced]:
-    with Paced(ScriptedSource([small_frame(index) for index in range(1000)]), 4.0) as source:
+def looped() -> Looped:
+    return Looped(recording(), recording, repeats=False)
+
+
+@pytest.fixture
+def replay(looped: Looped) -> Iterator[Paced]:
+    with Paced(looped, 4.0) as source:
         yield source
 
 
 def controls_of(
-    source: FrameSource, capture: CaptureThread, *, is_replay: bool = True, fixed: str = ""
+    source: FrameSource, capture: CaptureThread, looped: Looped | None = None, *, fixed: str = ""
 ) -> Controls:
-    recorder = Recorder(RecordConfig(), source)
-    return Controls(SegmentationConfig(), capture, recorder, is_replay=is_replay, fixed=fixed)
+    return Controls(SegmentationConfig(), capture, Recorder(RecordConfig(), source), looped, fixed=fixed)
 
 
 @pytest.fixture
-def controls(replay: Paced) -> Controls:
-    return controls_of(replay, CaptureThread(replay))
+def controls(replay: Paced, looped: Looped) -> Controls:
+    return controls_of(replay, CaptureThread(replay), looped)
 
 
 def wait_until(condition: Callable[[], bool]) -> None:
@@ -111,14 +120,33 @@ def test_speed_is_that_of_a_replay_only(
     assert replay.speed == pytest.approx(4.0 / 1.5)
     with ScriptedSource([small_frame(0)], live=True) as camera:
         capture = CaptureThread(camera)
-        controls_of(camera, capture, is_replay=False).apply("faster")
+        controls_of(camera, capture).apply("faster")
         assert capture.speed == 0.0
     assert caplog.messages[-1].startswith("faster: only a replay")
 
 
-def test_a_pause_stops_reading_a_replay_and_a_step_reads_one_frame(replay: Paced) -> None:
+def test_a_replay_is_looped_or_not(
+    controls: Controls, looped: Looped, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.INFO, "nurbseg"):
+        states = []
+        for command in ("loop", "loop", "loop on", "loop on", "loop off"):
+            controls.apply(command)
+            states.append(looped.repeats)
+        assert states == [True, False, True, True, False]
+        controls.apply("loop twice")
+        with ScriptedSource([], live=True) as camera:
+            controls_of(camera, CaptureThread(camera)).apply("loop")
+    assert caplog.messages[:2] == ["loop on", "loop off"]
+    assert caplog.messages[-2:] == [
+        "loop: expected one of on, off, got 'twice'",
+        "loop: only a replay has an end",
+    ]
+
+
+def test_a_pause_stops_reading_a_replay_and_a_step_reads_one_frame(replay: Paced, looped: Looped) -> None:
     with CaptureThread(replay) as capture:
-        controls = controls_of(replay, capture)
+        controls = controls_of(replay, capture, looped)
         wait_until(lambda: capture.read > 3)
         controls.apply("pause")
         time.sleep(0.2)
@@ -137,7 +165,7 @@ def test_a_pause_stops_reading_a_replay_and_a_step_reads_one_frame(replay: Paced
 def test_a_camera_is_read_on_while_paused() -> None:
     source = ScriptedSource([small_frame(index) for index in range(1000)], live=True)
     with source, CaptureThread(source) as capture:
-        controls = controls_of(source, capture, is_replay=False)
+        controls = controls_of(source, capture)
         controls.apply("pause")
         assert controls.paused
         wait_until(lambda: capture.read == 1000)
@@ -155,3 +183,13 @@ def test_every_key_is_a_command_and_in_the_help(
             controls.apply(command)
     assert not any("no command" in each for each in caplog.messages)
     assert controls.ended
+
+
+def test_the_documentation_lists_every_command_and_key() -> None:
+    page = (Path(__file__).parents[4] / "docs" / "viewer.md").read_text()
+    table = page.partition("| key | line |")[2].partition("\n\n")[0].replace("\\|", "|")
+    for command in COMMANDS:
+        for line in command.line.split(", "):
+            assert f"`{line}`" in table
+        for key in command.keys:
+            assert (f"`{key}`" if key != " " else "| space |") in table
