@@ -94,6 +94,9 @@ class Settings:
             # A whole number may be too large to be a float at all.
             if not abs(value) <= sys.float_info.max:
                 raise ValueError(f"{each.name}: expected a finite number, got {quoted(value)}")
+            if isinstance(each.default, float):
+                # Compiled loops are of floats: 2 for 2.0 would be another type there.
+                object.__setattr__(self, each.name, float(value))
 
 
 def described_fields(config_type: type[Any]) -> Iterator[Field[Any]]:

@@ -55,3 +55,12 @@ def test_a_whole_number_of_hundreds_of_digits_is_refused_in_few_words():
     with pytest.raises(ValueError, match=r"count: expected a finite number, got 1000") as refused:
         Numbers(count=10**400)
     assert len(str(refused.value)) < 150
+
+
+def test_a_whole_number_for_a_setting_that_is_none_is_taken_as_what_it_is_declared_to_be():
+    config = updated(SegmentationConfig(), geometry_weight=2, seed=3, extended={"smoothness": 1})
+    assert [type(each) for each in (config.geometry_weight, config.seed, config.extended.smoothness)] == [
+        float,
+        int,
+        float,
+    ]
