@@ -40,6 +40,7 @@ RUN: list[tuple[str, Callable[[Words], Words], tuple[int, ...]]] = [
     (r"nurbseg-live --replay .* --view none", added(), (0,)),
     (r"nurbseg-live --(replay|color)", added("--view", "none", "--speed", "0"), (0,)),
     (r"nurbseg-live --config", added("--view", "none", "--speed", "0", "--frames", "2"), (0,)),
+    (r"nurbseg-live --print-config", added(), (0,)),
     (r"nurbseg-live$", added("--view", "none", "--speed", "0", "--frames", "2"), (0,)),
     (r"nurbseg-batch", added(), (0,)),
     (r"nurbseg-eval run my_", added("--time-frames", "0"), (0,)),
@@ -52,7 +53,7 @@ RUN: list[tuple[str, Callable[[Words], Words], tuple[int, ...]]] = [
 LOOKED_UP = (
     r"nurbseg-live --device",
     r"nurbseg-eval run (mosd_learn|synthetic:)",
-    r"\.venv/bin/python benchmarks/",
+    r"\.venv/bin/python (benchmarks|docs)/",
 )
 #: What is no command of the project's; targets of make are looked up in the Makefile.
 OTHERS = (r"make \w+$", r"pip install", r"python3 -m venv", r"\.venv/bin/(pip|pre-commit) install")
