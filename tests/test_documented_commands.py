@@ -144,7 +144,7 @@ def look_up(words: Words) -> None:
         told = help_of(sys.executable, str(ROOT / words[1]))
     else:
         told = help_of(*(str(BIN / words[0]), *words[1 : 2 if words[0] == "nurbseg-eval" else 1]))
-    unknown = [word for word in words if word.startswith("--") and f"{word} " not in told.replace("\n", " ")]
+    unknown = [word for word in words if word.startswith("--") and not re.search(rf"{word}(?![\w-])", told)]
     assert not unknown, f"{shlex.join(words)}: {unknown}"
 
 
