@@ -1,5 +1,6 @@
 # make demo   installs into .venv, segments the demo recording, and says where the results are
 # make test   installs, checks the style and the types, and runs all tests
+# make docs   makes a site of docs/, in site/
 # make mutants  changes the code in 420 places, one at a time: how many of the changes the tests notice; an hour
 # make lock   pins the newest versions of all dependencies, in requirements/
 # make audit  asks a public database whether vulnerabilities of those versions are known
@@ -20,7 +21,7 @@ endif
 # Cameras are tested against the real OpenNI2, pictures of the viewer need a Vulkan driver.
 TEST_PACKAGES := g++ libopenni2-0 libopenni2-dev libusb-1.0-0 mesa-vulkan-drivers
 
-.PHONY: demo test mutants setup setup-test lint types lock audit clean
+.PHONY: demo test docs mutants setup setup-test lint types lock audit clean
 
 demo: $(VENV)/demo.stamp
 	rm -rf $(OUT)/demo $(OUT)/demo.rrd $(OUT)/demo.json
@@ -37,6 +38,11 @@ demo: $(VENV)/demo.stamp
 # of its own, so there may be more at once than there are cores.
 test: setup-test lint types
 	timeout --foreground --kill-after=30s 40m $(BIN)/pytest -n 3 --dist worksteal
+
+# A warning is an error. What it needs has the versions that are tested, so the environment stays the same.
+docs: $(VENV)/demo.stamp $(VENV)/docs-dependencies.stamp
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --conf-dir docs --doctree-dir build/docs . site
+	@echo "the site's first page: site/docs/index.html"
 
 # Fails where fewer than 85 % of the changes that could be noticed are.
 mutants: setup-test
@@ -73,6 +79,10 @@ $(VENV)/test-dependencies.stamp: $(VENV)/bin/pip requirements/build.txt requirem
 	$(BIN)/pip install --quiet --require-hashes -r requirements/build.txt -r requirements/dev.txt
 	touch $@
 
+$(VENV)/docs-dependencies.stamp: $(VENV)/bin/pip requirements/build.txt requirements/docs.txt
+	$(BIN)/pip install --quiet --require-hashes -r requirements/build.txt -r requirements/docs.txt
+	touch $@
+
 compiled = $(BIN)/nurbseg-live --quiet --replay 'synthetic:?$(1)' --speed 0 --temporal on --view none --save $(VENV)/first.rrd && rm $(VENV)/first.rrd
 
 # ... and the project itself, when one of its files does. It is a plain install: what is tested is what is shipped.
@@ -100,10 +110,11 @@ lock: $(VENV)/bin/pip
 	sed -n 's/^requires = \["\(.*\)"\]/\1/p' pyproject.toml | $(pin) --output-file requirements/build.txt -
 	$(pin) --output-file requirements/run.txt pyproject.toml
 	$(pin) --output-file requirements/dev.txt --extra dev pyproject.toml
+	$(pin) --output-file requirements/docs.txt --extra docs --constraint requirements/dev.txt pyproject.toml
 
 audit: $(VENV)/bin/pip
 	$(BIN)/pip install --quiet pip-audit
 	$(BIN)/pip-audit --require-hashes --disable-pip --strict -r requirements/dev.txt
 
 clean:
-	rm -rf $(VENV) $(OUT) build *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(OUT) build site *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -169,7 +169,8 @@ class ExtendedConfig(Settings):
 class SegmentationConfig(Settings):
     """Settings of the recursive segmentation; symbols are the paper's.
 
-    What both methods read is here; `stag15` and `extended` hold what one of them reads.
+    What both methods read is here; `stag15` (a `Stag15Config`) and `extended` (an `ExtendedConfig`, both of
+    `nurbseg.segmentation.config`) hold what one of them reads.
     """
 
     method: Method = setting(

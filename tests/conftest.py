@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import gc
 import os
 import threading
@@ -33,6 +34,7 @@ def nothing_is_left_open(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     opened: list[weakref.ref[FrameSource]] = []
     construct = FrameSource.__init__
 
+    @functools.wraps(construct)
     def construct_and_remember(source: FrameSource, *args: Any, **options: Any) -> None:
         construct(source, *args, **options)
         opened.append(weakref.ref(source))

@@ -35,16 +35,21 @@ def pinned(path: Path) -> dict[str, str]:
     return versions
 
 
-@pytest.mark.parametrize(("name", "extras"), [("run", ()), ("dev", ("cad", "eval", "dev"))])
+@pytest.mark.parametrize(
+    ("name", "extras"), [("run", ()), ("dev", ("cad", "eval", "dev")), ("docs", ("docs",))]
+)
 def test_all_that_the_project_asks_for_is_pinned_with_hashes(name: str, extras: tuple[str, ...]) -> None:
     versions = pinned(ROOT / "requirements" / f"{name}.txt")
     for requirement in wanted(extras):
         assert requirement.specifier.contains(versions[canonicalize_name(requirement.name)]), requirement
 
 
-def test_what_runs_has_the_versions_that_are_tested() -> None:
+def test_what_runs_and_what_makes_the_site_have_the_versions_that_are_tested() -> None:
     tested = pinned(ROOT / "requirements" / "dev.txt")
     assert pinned(ROOT / "requirements" / "run.txt").items() <= tested.items()
+    site = pinned(ROOT / "requirements" / "docs.txt")
+    assert pinned(ROOT / "requirements" / "run.txt").items() <= site.items()
+    assert {name: site[name] for name in site if name in tested}.items() <= tested.items()
 
 
 def test_what_builds_is_pinned() -> None:

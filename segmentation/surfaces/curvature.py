@@ -14,7 +14,14 @@ from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate, evalua
 def principal_curvatures(
     surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the principal curvatures of a surface at scattered columns u and rows v, (N,) float pixels.
+    """Return the principal curvatures of a surface at scattered parameters.
+
+    Parameters
+    ----------
+    surface : NurbsSurface
+        The surface.
+    u, v : (N,) float
+        Parameters: column and row, pixels.
 
     Returns
     -------

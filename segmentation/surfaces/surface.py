@@ -131,7 +131,12 @@ def evaluate_lattice(
 def normals(surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the unit normals of a surface, S_u x S_v, which look away from the camera.
 
-    They are those at scattered columns u and rows v, (N,) float pixels.
+    Parameters
+    ----------
+    surface : NurbsSurface
+        The surface.
+    u, v : (N,) float
+        Parameters: column and row, pixels.
 
     Returns
     -------
