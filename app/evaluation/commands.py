@@ -19,6 +19,7 @@ from nurbseg.app.evaluation.check.check import FolderCheck
 from nurbseg.app.evaluation.computer import versions_line
 from nurbseg.app.evaluation.methods.methods import check_method
 from nurbseg.app.evaluation.report.findings import findings, means_of, verdict
+from nurbseg.app.evaluation.report.progress import Progress
 from nurbseg.app.evaluation.report.report import write_report
 from nurbseg.app.evaluation.report.tables import all_tables, as_markdown, as_text
 from nurbseg.app.evaluation.results import StudyResults, write_rows
@@ -34,23 +35,6 @@ from nurbseg.segmentation.surfaces.noise import measure_noise
 #: Lines of the summary at the end, the verdict first.
 _SUMMARY_LINES = 10
 _METRICS = "mse,mae,ve,nle,vmxc,vmec,vgc,mmxc,nlc"
-
-
-class Progress:
-    """One line on stderr that grows, where somebody watches; silent in a file."""
-
-    def __init__(self, unit: str) -> None:
-        self._unit = unit
-        self._shown = sys.stderr.isatty()
-
-    def __call__(self, done: int, total: int, more: str = "") -> None:
-        """Draw the line again."""
-        if not self._shown:
-            return
-        filled = round(30 * done / max(total, 1))
-        bar = "#" * filled + "." * (30 - filled)
-        end = "\n" if done == total else ""
-        print(f"\r[{bar}] {done}/{total} {self._unit} {more}", end=end, file=sys.stderr, flush=True)
 
 
 def study_of(given: argparse.Namespace) -> Study:

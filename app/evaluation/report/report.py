@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from nurbseg.app.evaluation.answers import Answers
 from nurbseg.app.evaluation.computer import versions_line
-from nurbseg.app.evaluation.report import pictures
+from nurbseg.app.evaluation.report import pictures, plots
 from nurbseg.app.evaluation.report.findings import findings, means_of, verdict
 from nurbseg.app.evaluation.report.tables import all_tables
 from nurbseg.app.evaluation.results import StudyResults
@@ -70,17 +70,17 @@ def write_report(
 
     folder = store.folder / "pictures"
     folder.mkdir(exist_ok=True)
-    shown = pictures.leaders(results)
+    shown = plots.leaders(results)
     best = max(shown, key=lambda each: results.mean(each, "gtrc"))
-    plots = []
+    drawn_plots = []
     for caption, name, image in (
-        ("Scores against T", "threshold.png", pictures.threshold_plot(results)),
-        ("Covering by category", "category.png", pictures.category_plot(results)),
-        ("Covering against time", "time.png", pictures.time_plot(results, seconds)),
+        ("Scores against T", "threshold.png", plots.threshold_plot(results)),
+        ("Covering by category", "category.png", plots.category_plot(results)),
+        ("Covering against time", "time.png", plots.time_plot(results, seconds)),
     ):
         if image is not None:
             (folder / name).write_bytes(image)
-            plots.append((caption, _base64(image)))
+            drawn_plots.append((caption, _base64(image)))
     trees_of = next((each for each in shown if each.method in TREE_METHODS), None)
     template = jinja2.Environment(autoescape=True).from_string(
         resources.files("nurbseg.app.evaluation.report")
@@ -98,15 +98,18 @@ def write_report(
         variants=len(results.variants),
         skipped=len(results.skipped),
         skipped_frames=results.skipped,
-        tables=all_tables(results, seconds),
-        plots=plots,
+        tables=[
+            (caption, rows, [row for row in rows[1:] if row[0] in {each.name for each in shown}])
+            for caption, rows in all_tables(results, seconds)
+        ],
+        plots=drawn_plots,
         leader=best.name,
         pictures=[
             _frame_pictures(study, store, frame, shown, folder)
             for frame in results.worst_frames(best)[:frames_shown]
         ],
         trees=[] if trees_of is None else _tree_pictures(study, store, results, trees_of, folder),
-        stops=[(stop.value, pictures.stop_color(stop)) for stop in STOP_COLORS],
+        stops=[(stop.value, plots.stop_color(stop)) for stop in STOP_COLORS],
     )
     path = store.folder / "report.html"
     path.write_text(html, encoding="utf-8")
@@ -161,7 +164,7 @@ def _tree_pictures(
         if not path.exists():
             continue
         segments = json.loads(path.read_text(encoding="utf-8"))["segments"]
-        image = pictures.tree_plot(segments)
+        image = plots.tree_plot(segments)
         (folder / f"{frame}-{about['name']}-tree.png").write_bytes(image)
         drawn.append((f"{about['name']}: tree of {variant.name}", _base64(image)))
         errors = pictures.strip_png(_error_tiles(study, about, variant), 420)

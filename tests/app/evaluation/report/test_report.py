@@ -2,15 +2,19 @@
 
 import re
 from pathlib import Path
+from typing import get_args
 
 import cv2
 import numpy as np
 import pyarrow.parquet
+import pytest
 
 from nurbseg.app.evaluation.cli import main
-from nurbseg.app.evaluation.report.pictures import label_colors, tree_plot
+from nurbseg.app.evaluation.report import plots
+from nurbseg.app.evaluation.report.pictures import label_colors
+from nurbseg.app.evaluation.report.plots import metric_line, tree_plot
 from nurbseg.drivers.registry import open_source
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import register
 
@@ -28,6 +32,45 @@ def test_the_report_is_one_file_with_tables_plots_frames_and_trees(frames: Path,
     for name in ("threshold.png", "time.png"):
         assert cv2.imread(str(out / "pictures" / name)) is not None
     assert len(list((out / "pictures").glob("*-tree.png"))) == 5
+    # Both thresholds of one method and another method: the best of each, and all behind a fold.
+    tables = re.findall(r"<tbody>(.*?)</tbody>", html, re.DOTALL)
+    assert [each.count("<tr>") for each in tables] == [2, 3] * (len(tables) // 2)
+    assert html.count("<summary>all 3 variants</summary>") == len(tables) // 2
+
+
+def test_a_method_has_a_color_and_a_metric_a_line(
+    frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    figures = []
+    drawn = plots._png_of
+    monkeypatch.setattr(plots, "_png_of", lambda figure: figures.append(figure) or drawn(figure))
+    words = [
+        "run",
+        str(frames),
+        "--methods",
+        "stag15,nurbseg,fh04",
+        "--metrics",
+        "mse,vgc",
+        "--thresholds",
+        "1,0.9",
+    ]
+    assert main([*words, "--frames", "2", "--time-frames", "1", "--out", str(tmp_path / "out")]) == 0
+    lines = {
+        line.get_label(): (line.get_color(), line.get_linestyle(), line.get_marker())
+        for line in figures[0].axes[0].lines
+    }
+    assert set(lines) == {
+        f"{method} {metric}" for method in ("stag15", "nurbseg") for metric in ("mse", "vgc")
+    }
+    for method in ("stag15", "nurbseg"):
+        assert lines[f"{method} mse"][0] == lines[f"{method} vgc"][0]
+        assert lines[f"{method} mse"][1:] != lines[f"{method} vgc"][1:]
+    for metric in ("mse", "vgc"):
+        assert lines[f"stag15 {metric}"][1:] == lines[f"nurbseg {metric}"][1:]
+        assert lines[f"stag15 {metric}"][0] != lines[f"nurbseg {metric}"][0]
+    (time_axis,) = next(each for each in figures if each.axes[0].get_xscale() == "log").axes
+    assert time_axis.xaxis.get_major_formatter()(200.0, 0) == "200"
+    assert len({tuple(metric_line(each).items()) for each in get_args(Metric)}) == 9
 
 
 def test_fits_are_drawn_where_a_tree_s_upper_segments_have_no_surface(frames: Path, tmp_path: Path) -> None:

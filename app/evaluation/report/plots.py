@@ -1,0 +1,169 @@
+"""Plots of scores and of trees, as PNG: a color for each method, a kind of line for each metric."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any, get_args
+
+import numpy as np
+
+from nurbseg.app.evaluation.results import StudyResults
+from nurbseg.app.evaluation.scoring import SCORES
+from nurbseg.app.evaluation.variants import TREE_METHODS, Variant
+from nurbseg.app.view.drawing.palette import STOP_COLORS
+from nurbseg.segmentation.config import Metric
+from nurbseg.segmentation.vocabulary import StopReason
+
+_INNER_COLOR = "#e4e7eb"
+#: Lines of the nine metrics, and the marks on them.
+_LINES = ("-", "--", ":", "-.")
+_MARKS = ("o", "s", "^")
+
+
+def _png_of(figure: Any) -> bytes:
+    from matplotlib import pyplot
+
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110, bbox_inches="tight")
+    pyplot.close(figure)
+    return buffer.getvalue()
+
+
+def _plotter() -> Any:
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot
+
+    return pyplot
+
+
+def threshold_plot(results: StudyResults) -> bytes | None:
+    """Plot each score against T, a line for each metric; None where there is only one T."""
+    trees = [each for each in results.variants if each.method in TREE_METHODS]
+    thresholds = sorted({each.config.ratio_max for each in trees})
+    if len(thresholds) < 2:
+        return None
+    pyplot = _plotter()
+    figure, axes = pyplot.subplots(1, len(SCORES), figsize=(4 * len(SCORES), 3.4))
+    lines = dict.fromkeys((each.method, each.config.metric) for each in trees)
+    for axis, (score, (heading, _)) in zip(axes, SCORES.items(), strict=True):
+        for method, metric in lines:
+            own = {
+                each.config.ratio_max: results.mean(each, score)
+                for each in trees
+                if (each.method, each.config.metric) == (method, metric)
+            }
+            axis.plot(
+                sorted(own),
+                [own[t] for t in sorted(own)],
+                color=method_color(results, method),
+                **metric_line(metric),
+                label=f"{method} {metric}",
+            )
+        axis.set(xlabel="T", title=heading)
+        axis.grid(alpha=0.3)
+    axes[-1].legend(fontsize=7, loc="center left", bbox_to_anchor=(1.02, 0.5))
+    return _png_of(figure)
+
+
+def category_plot(results: StudyResults) -> bytes | None:
+    """Plot the covering of each variant by category as bars with intervals; None for one category."""
+    categories = results.categories()
+    shown = leaders(results)
+    if len(categories) < 2:
+        return None
+    pyplot = _plotter()
+    figure, axis = pyplot.subplots(figsize=(max(6.0, 2.2 * len(categories)), 3.6))
+    step = 0.8 / len(shown)
+    for place, variant in enumerate(shown):
+        found = [results.estimate(variant, "gtrc", each) for each in categories]
+        means = np.array([each.mean for each in found])
+        errors = np.abs(np.array([[each.low, each.high] for each in found]).T - means)
+        at = np.arange(len(categories)) - 0.4 + step * (place + 0.5)
+        color = method_color(results, variant.method)
+        axis.bar(at, means, step, yerr=errors, color=color, label=variant.name, error_kw={"linewidth": 0.8})
+    axis.set(xticks=np.arange(len(categories)), xticklabels=categories, ylabel="GTRC")
+    axis.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.01, 0.5))
+    return _png_of(figure)
+
+
+def time_plot(results: StudyResults, seconds: Mapping[str, float]) -> bytes | None:
+    """Plot covering against time per frame, a point for each timed variant; None without times."""
+    timed = [each for each in results.variants if each.name in seconds]
+    if not timed:
+        return None
+    from matplotlib import ticker
+
+    pyplot = _plotter()
+    figure, axis = pyplot.subplots(figsize=(6.5, 4))
+    named = {each.name for each in leaders(results)}
+    for variant in timed:
+        at = 1000 * seconds[variant.name], results.mean(variant, "gtrc")
+        axis.plot(*at, "o", color=method_color(results, variant.method))
+        if variant.name in named:
+            axis.annotate(variant.name, at, fontsize=7, xytext=(4, 3), textcoords="offset points")
+    axis.set(xscale="log", xlabel="time per frame (ms)", ylabel="GTRC")
+    # Plain numbers, also between two powers of ten.
+    axis.xaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.xaxis.set_major_formatter(ticker.FuncFormatter(lambda ms, _: f"{ms:g}"))
+    axis.xaxis.set_minor_formatter(ticker.NullFormatter())
+    axis.grid(alpha=0.3)
+    return _png_of(figure)
+
+
+def method_color(results: StudyResults, method: str) -> str:
+    """Return the color of a method, the same in all plots of a study."""
+    methods = list(dict.fromkeys(each.method for each in results.variants))
+    return f"C{methods.index(method)}"
+
+
+def metric_line(metric: Metric) -> dict[str, str]:
+    """Return how the line of a metric is drawn, in the words of Matplotlib; no two are alike."""
+    number = get_args(Metric).index(metric)
+    return {"linestyle": _LINES[number % len(_LINES)], "marker": _MARKS[number // len(_LINES)]}
+
+
+def leaders(results: StudyResults) -> list[Variant]:
+    """Return the variant with the best covering of each method, in the order of the tables."""
+    best: dict[str, Variant] = {}
+    for variant in results.variants:
+        held = best.get(variant.method)
+        if held is None or (results.mean(variant, "gtrc") > results.mean(held, "gtrc")):
+            best[variant.method] = variant
+    return [each for each in results.variants if best[each.method] is each]
+
+
+def stop_color(stop: str) -> str:
+    """Return the viewer's color of a leaf that stopped for this reason, as ``#rrggbb``."""
+    return "#{:02x}{:02x}{:02x}".format(*STOP_COLORS[StopReason(stop)])
+
+
+def tree_plot(segments: Sequence[Mapping[str, Any]]) -> bytes:
+    """Draw a segmentation tree as the paper's figure 3: leaves filled by the reason why they are leaves.
+
+    Parameters
+    ----------
+    segments : sequence of mapping
+        ``name`` ("" for the root), ``stop`` and ``size`` of each segment.
+    """
+    pyplot = _plotter()
+    names = [each["name"] for each in segments]
+    leaves = sorted(name for name in names if f"{name}0" not in names)
+    x = {name: float(place) for place, name in enumerate(leaves)}
+    for name in sorted(set(names) - set(leaves), key=len, reverse=True):
+        x[name] = (x[f"{name}0"] + x[f"{name}1"]) / 2
+    deepest = max(map(len, names))
+    figure, axis = pyplot.subplots(figsize=(max(4.0, 0.62 * len(leaves)), 0.7 * (deepest + 1.4)))
+    for each in segments:
+        name = each["name"]
+        if name:
+            axis.plot([x[name], x[name[:-1]]], [-len(name), 1 - len(name)], color="#8a929c", lw=0.8, zorder=1)
+        stop = each["stop"]
+        color = _INNER_COLOR if stop is None else stop_color(stop)
+        axis.scatter(x[name], -len(name), s=460, color=color, edgecolors="#5c6570", linewidths=0.6, zorder=2)
+        axis.text(x[name], -len(name), f"P{name}", ha="center", va="center", fontsize=6, zorder=3)
+    axis.set_axis_off()
+    axis.margins(0.08, 0.15)
+    return _png_of(figure)
