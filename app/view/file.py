@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import rerun as rr
@@ -21,6 +22,8 @@ _FRAMES = 8
 _TIMEOUT_S = 10.0
 #: How often what was logged is forced into the file.
 _FLUSH_S = 0.5
+#: Time between two looks whether something was written, seconds.
+_LOOK_S = 0.1
 
 
 class FileSink:
@@ -45,6 +48,7 @@ class FileSink:
         self._path = path
         self._queue: BoundedQueue[Item] = BoundedQueue(_FRAMES, "wait")
         self._error: BaseException | None = None
+        self._written = 0
         self._stream = opening.stream()
         try:
             # A full disk would leave Rerun stuck for good, in a flush as well as in ending the stream.
@@ -80,20 +84,27 @@ class FileSink:
         """Accept nothing more."""
         self._queue.close()
 
-    def finish_close(self, deadline_s: float) -> None:
+    def finish_close(self, limit_s: float, on_progress: Callable[[], None] = lambda: None) -> None:
         """Wait until the file is whole.
 
         Parameters
         ----------
-        deadline_s : float
-            Monotonic time of the end of the wait.
+        limit_s : float
+            Longest time without anything written, seconds: a busy computer writes late, a stuck disk never.
+        on_progress : callable
+            Called now and then while something is written.
 
         Raises
         ------
         ViewError
             If the file is not whole.
         """
-        self._thread.join(max(0.0, deadline_s - time.monotonic()))
+        written, deadline_s = self._written, time.monotonic() + limit_s
+        while self._thread.is_alive() and time.monotonic() < deadline_s:
+            self._thread.join(_LOOK_S)
+            if self._written != written:
+                written, deadline_s = self._written, time.monotonic() + limit_s
+                on_progress()
         if not self._file.join(deadline_s - time.monotonic()):
             self._check()
             raise ViewError(f"{self._path}: not written in time; its last frames are missing")
@@ -121,11 +132,13 @@ class FileSink:
                 with contextlib.suppress(TimeoutError):
                     if (item := self._queue.take(_FLUSH_S)) is not None:
                         writer.write(item)
+                        self._written += 1
                 if time.monotonic() - flushed_s > _FLUSH_S:
                     # So that a killed process leaves what it wrote.
                     self._stream.flush(timeout_sec=_TIMEOUT_S)
                     flushed_s = time.monotonic()
             self._stream.flush(timeout_sec=_TIMEOUT_S)
+            self._written += 1
         except Exception as err:
             self._error = err
             self._queue.close()

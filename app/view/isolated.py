@@ -37,6 +37,8 @@ _STUCK_S = 15.0
 _REST_S = 0.7
 #: How long the first frame may take to be drawn, seconds: half a minute where nothing is compiled yet.
 _COMPILE_S = 120.0
+#: Closing may take so long where the process writes, but slowly, seconds.
+_BUSY_S = 10.0
 #: How long the process may take to end by itself before it is killed, seconds.
 _END_S = 0.2
 #: Time between two looks whether it is over, seconds.
@@ -179,7 +181,7 @@ class IsolatedView(View):
         self._queue.put_note(Line(self._moment, level, text))
 
     def close(self, *, file_limit_s: float = FILE_CLOSE_S) -> None:
-        """End within 2 s: the file is whole and can be read; a viewer's window stays.
+        """End within 2 s, or 10 s while the file grows: it is whole then; a viewer's window stays.
 
         Parameters
         ----------
@@ -212,13 +214,19 @@ class IsolatedView(View):
         self.close(file_limit_s=FILE_CLOSE_S if any(exception) else FILE_PATIENCE_S)
 
     def _wait_for_end(self, file_limit_s: float) -> bool:
-        """Return whether all is written in time; a patient wait begins once the first frame was drawn.
-
-        On the first run on a computer that frame waits until what draws it is compiled.
-        """
+        """Return whether all is written in time."""
+        # On the first run on a computer the first frame waits until what draws it is compiled.
         if file_limit_s >= FILE_PATIENCE_S and self._shown_s:
             self._changed.wait_for(lambda: self._over or self._known is not None, _COMPILE_S)
-        return self._changed.wait_for(lambda: self._over, file_limit_s + _REST_S)
+        limit_s = file_limit_s + _REST_S
+        began_s = time.monotonic()
+        while not self._over:
+            waited_s = time.monotonic() - began_s
+            silent_s = min(waited_s, self._channel.silent_s)
+            if silent_s >= limit_s or waited_s >= max(limit_s, _BUSY_S):
+                return False
+            self._changed.wait(limit_s - silent_s)
+        return True
 
     def _rate_hz(self) -> float:
         if len(self._shown_s) < 2:

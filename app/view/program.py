@@ -71,8 +71,13 @@ def _run(channel: Channel) -> int:
     with contextlib.suppress(ChannelClosedError):
         channel.send(Opened(view.how_to_look, view.serving))
         limit_s = _handle_messages(view, channel)
+
+    def tell() -> None:
+        with contextlib.suppress(ChannelClosedError):
+            channel.send(Status(view.dropped, view.connections))
+
     try:
-        view.close(file_limit_s=limit_s)
+        view.close(file_limit_s=limit_s, on_progress=tell)
     except ViewError as err:
         channel.send(Failed(str(err)))
     channel.send(Status(view.dropped, view.connections))

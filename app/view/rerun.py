@@ -6,7 +6,7 @@ import logging
 import os
 import time
 import uuid
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from nurbseg.app.view.config import ViewConfig, bracketed
@@ -157,13 +157,17 @@ class RerunView:
         for sink in self._sinks:
             sink.put_line(line)
 
-    def close(self, *, file_limit_s: float = FILE_CLOSE_S) -> None:
+    def close(
+        self, *, file_limit_s: float = FILE_CLOSE_S, on_progress: Callable[[], None] = lambda: None
+    ) -> None:
         """Close all sinks, in the time and with the error that `IsolatedView.close` tells.
 
         Parameters
         ----------
         file_limit_s : float
             Longest wait for a disk, seconds.
+        on_progress : callable
+            Called now and then while something is written.
         """
         if self._closed:
             return
@@ -172,7 +176,7 @@ class RerunView:
             sink.begin_close()
         try:
             for file in self._files:
-                file.finish_close(time.monotonic() + file_limit_s)
+                file.finish_close(file_limit_s, on_progress)
         finally:
             for viewer in self._viewers:
                 viewer.finish_close(time.monotonic() + _VIEWER_CLOSE_S)

@@ -28,7 +28,8 @@ from nurbseg.app.view.drawing.entities import FrameEntities
 from nurbseg.app.view.drawing.frame import Moment
 from nurbseg.app.view.drawing.palette import DIVISION_COLORS, STOP_COLORS
 from nurbseg.app.view.opening import open_view
-from nurbseg.app.view.stream import Writer
+from nurbseg.app.view.rerun import RerunView
+from nurbseg.app.view.stream import Item, Writer
 from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import ViewError, viewer_executable
 from nurbseg.drivers.frame import Calibration, Intrinsics
@@ -394,6 +395,65 @@ def test_ctrl_c_leaves_a_whole_file_within_two_seconds(tmp_path: Path) -> None:
         assert clock.elapsed_s < 2.0
     assert read_saved_view(path).frames("world/camera/image/depth") == [0]
     subprocess.run([viewer_executable(), "rrd", "verify", path], check=True, capture_output=True, timeout=60)
+
+
+def test_a_file_that_grows_slowly_is_waited_for(
+    tmp_path: Path, results: list[FrameResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "slow.rrd"
+    view = RerunView(ViewConfig(mode="none", save=str(path)), CONFIG, {}, "slow")
+    written = Writer.write
+
+    def slowly(writer: Writer, item: Item) -> None:
+        time.sleep(0.4)
+        written(writer, item)
+
+    monkeypatch.setattr(Writer, "write", slowly)
+    moments = [Moment(index, None, False) for index in range(6)]
+    for moment in moments:
+        view.show(
+            drawn(
+                results[0],
+                ViewConfig(),
+                CONFIG.metric,
+                moment=moment,
+                elapsed_ms={},
+                rate_hz=0.0,
+                known=None,
+            )
+        )
+    told: list[float] = []
+    view.close(file_limit_s=1.5, on_progress=lambda: told.append(time.monotonic()))
+    assert read_saved_view(path).frames("world/camera/image/depth") == list(range(6))
+    assert len(told) >= 4
+
+
+#: Read by Python itself as it starts.
+_SLOW_WRITER = """
+    import time
+    from nurbseg.app.view.stream import Writer
+
+    written = Writer.write
+
+    def slowly(writer, item):
+        time.sleep(0.4)
+        written(writer, item)
+
+    Writer.write = slowly
+"""
+
+
+def test_a_process_that_writes_slowly_is_waited_for(
+    tmp_path: Path, results: list[FrameResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "sitecustomize.py").write_text(textwrap.dedent(_SLOW_WRITER))
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    path = tmp_path / "slow.rrd"
+    with pytest.raises(KeyboardInterrupt), open_view(ViewConfig(mode="none", save=str(path)), CONFIG) as view:
+        for result in results[:7]:
+            view.show(result)
+        raise KeyboardInterrupt
+    assert len(read_saved_view(path).frames("world/camera/image/depth")) == 7
 
 
 @pytest.mark.parametrize("both", [False, True], ids=["one process", "both processes"])
