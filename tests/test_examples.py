@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import re
 import subprocess
 import sys
@@ -157,8 +158,25 @@ def test_a_realsense_camera() -> None:
     assert camera.stopped
 
 
+def test_the_notebook(tmp_path: Path) -> None:
+    cells = json.loads((EXAMPLES / "frame.ipynb").read_text())["cells"]
+    code = ["".join(each["source"]) for each in cells if each["cell_type"] == "code"]
+    program = "\n".join(["import matplotlib as mpl", "mpl.use('Agg')", *code, "figure.savefig('above.png')"])
+    words = [sys.executable, "-c", program]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=240)
+    assert done.returncode == 0, done.stderr
+    first, *lines = done.stdout.splitlines()
+    found = re.fullmatch(r"(\d+) objects, (\d+) surfaces", first)
+    assert found is not None
+    # The wall, the table and at least most of the twelve things on it; a line for each, then eight leaves.
+    assert int(found[1]) > 10
+    assert len(lines) == int(found[1]) + 8
+    above = cv2.imread(str(tmp_path / "above.png"))
+    assert above is not None and above.std() > 10
+
+
 def test_every_example_is_told_of_and_tested() -> None:
-    names = {path.name for path in EXAMPLES.glob("*.py")}
+    names = {path.name for path in EXAMPLES.iterdir() if path.suffix in (".py", ".ipynb")}
     page = (EXAMPLES.parent / "docs" / "library.md").read_text()
-    assert names == {"opencv_camera.py", "own_arrays.py", "realsense.py", "ros2_bag.py"}
-    assert names == set(re.findall(r"examples/(\w+\.py)", page))
+    assert names == {"frame.ipynb", "opencv_camera.py", "own_arrays.py", "realsense.py", "ros2_bag.py"}
+    assert names == set(re.findall(r"examples/(\w+\.(?:py|ipynb))\)", page))
