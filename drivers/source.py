@@ -85,6 +85,23 @@ class FrameSource(Closing):
                 return passed
         return frames
 
+    @property
+    def seekable(self) -> bool:
+        """Whether `seek` can go to any frame."""
+        return False
+
+    def seek(self, index: int) -> None:
+        """Let the frame of a number be read next, 0 for a recording's first; the last one if it has fewer.
+
+        Raises
+        ------
+        DriverError
+            If the source only goes forward, or is closed.
+        """
+        if self._closed or not self.seekable:
+            raise DriverError(f"{type(self).__name__} {'is closed' if self._closed else 'only goes forward'}")
+        self._seek(max(0, index))
+
     def close(self) -> None:
         """Release what the source holds; safe to call twice."""
         if not self._closed:
@@ -93,6 +110,9 @@ class FrameSource(Closing):
 
     @abstractmethod
     def _read(self, timeout_s: float) -> RGBDFrame: ...
+
+    def _seek(self, index: int) -> None:
+        """Do what `seek` says; for subclasses that are seekable."""
 
     @abstractmethod
     def _close(self) -> None: ...
@@ -118,6 +138,14 @@ class Wrapped(FrameSource):
     def losses(self) -> Mapping[str, int]:
         """Those of the source."""
         return self._source.losses
+
+    @property
+    def seekable(self) -> bool:
+        """As the source."""
+        return self._source.seekable
+
+    def _seek(self, index: int) -> None:
+        self._source.seek(index)
 
     def _close(self) -> None:
         self._source.close()
@@ -213,6 +241,11 @@ class Paced(Wrapped):
             pause_s,
         )
         self._first_ns += round((gap_s - pause_s) * self._speed * 1e9)
+
+    def _seek(self, index: int) -> None:
+        self._waiting = None
+        self.restart()
+        super()._seek(index)
 
     def skip(self, frames: int) -> int:
         """Go past the next frames without waiting for their moments."""

@@ -46,10 +46,13 @@ class Captured:
         The frame.
     arrived_s : float
         When the source handed it out, `time.monotonic` seconds.
+    jumps : int
+        How often reading had gone to another frame before.
     """
 
     frame: RGBDFrame
     arrived_s: float
+    jumps: int = 0
 
 
 class CaptureThread:
@@ -80,6 +83,8 @@ class CaptureThread:
         Rate of the source, by when its frames come; 0 as long as it is not known.
     withheld : int
         Frames that were not left in the queue, because the recording was behind.
+    jumps : int
+        How often reading was asked to go to another frame; those of before have fewer `jumps`.
     damaged : int
         Frames that could not be read.
     damaged_frames : list of str
@@ -102,6 +107,7 @@ class CaptureThread:
         self.damaged = 0
         self.damaged_frames: list[str] = []
         self.source_hz = 0.0
+        self.jumps = self._jumps = 0
         self._paused = False
         self._steps = 0
         self._requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
@@ -146,6 +152,12 @@ class CaptureThread:
         """Read one more frame while paused."""
         self._requests.put(self._step)
 
+    def seek(self, index: int) -> None:
+        """Go on reading at a frame; while paused, read this one frame."""
+        self.jumps += 1
+        jumps = self.jumps
+        self._requests.put(lambda: self._seek(index, jumps))
+
     def record(self, recording: Recording | None) -> None:
         """Record the frames that follow to another file, or none; the recording before is finished."""
         self._requests.put(lambda: self._record(recording))
@@ -153,6 +165,11 @@ class CaptureThread:
     def _step(self) -> None:
         self._steps += 1
         self._restart()
+
+    def _seek(self, index: int, jumps: int) -> None:
+        self._source.seek(index)
+        self._jumps = jumps
+        self._steps = 1 if self._paused else 0
 
     def _record(self, recording: Recording | None) -> None:
         if self.recording is not None:
@@ -191,7 +208,7 @@ class CaptureThread:
                     continue
                 self.read += 1
                 self._steps = max(0, self._steps - 1)
-                captured = Captured(frame, time.monotonic())
+                captured = Captured(frame, time.monotonic(), self._jumps)
                 self._take_period(before, captured)
                 before = captured
                 if self.recording is not None:
@@ -215,7 +232,7 @@ class CaptureThread:
 
     def _take_period(self, before: Captured | None, captured: Captured) -> None:
         """Take note of the time between two frames, frames that were lost in between included."""
-        if before is None or captured.frame.index <= before.frame.index:
+        if before is None or captured.jumps != before.jumps or captured.frame.index <= before.frame.index:
             return
         frames = captured.frame.index - before.frame.index
         self._periods_s.append((captured.arrived_s - before.arrived_s) / frames)

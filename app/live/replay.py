@@ -45,6 +45,8 @@ class Looped(FrameSource):
         self._period_ns = _PERIOD_NS
         self._index_offset = 0
         self._time_offset_ns = 0
+        #: Number in the recording of each pass's first frame, and the frames of a pass; 0 in the first one.
+        self._first = self._length = 0
         #: Number and time that the first frame of a further pass gets.
         self._seam: tuple[int, int] | None = None
 
@@ -58,10 +60,15 @@ class Looped(FrameSource):
             frame = self._source.read(timeout_s)
         if self._seam is not None:
             index, timestamp_ns = self._seam
+            self._first, self._length = frame.index, index - frame.index - self._index_offset
             self._index_offset = index - frame.index
             self._time_offset_ns = timestamp_ns - frame.timestamp_ns
             self._seam = None
-        elif self._last is not None and frame.timestamp_ns > self._last.timestamp_ns:
+        elif (
+            self._last is not None
+            and frame.index == self._last.index + 1
+            and frame.timestamp_ns > self._last.timestamp_ns
+        ):
             self._period_ns = frame.timestamp_ns - self._last.timestamp_ns
         self._last = frame
         return self._numbered(frame)
@@ -83,6 +90,19 @@ class Looped(FrameSource):
         self._last = None
         self._source.close()
         self._source = self._reopen()
+
+    @property
+    def seekable(self) -> bool:
+        """As the recording."""
+        return self._source.seekable
+
+    def _seek(self, index: int) -> None:
+        """Go to a frame by its number in any pass; frames then have their numbers in the recording."""
+        if self._length and index >= self._first:
+            index = self._first + (index - self._first) % self._length
+        self._source.seek(index)
+        self._index_offset = self._time_offset_ns = 0
+        self._seam = None
 
     def _close(self) -> None:
         self._source.close()
@@ -145,6 +165,11 @@ class Limited(Wrapped):
 
     def _is_over(self, elapsed_s: float) -> bool:
         return self._duration_s is not None and elapsed_s >= self._duration_s + self._delay_ns * 1e-9
+
+    def _seek(self, index: int) -> None:
+        # The time between both frames does not count.
+        self._last_ns = None
+        super()._seek(index)
 
     def skip(self, frames: int) -> int:
         """Go past the next frames; they do not count."""

@@ -257,8 +257,12 @@ def _segment(
         fixed="" if exporter is None else "an export holds results of one run's settings only",
     )
     frames = controlled_frames(config.live.control, controls, capture, progress, interruption)
+    jumps = 0
     with closing(frames):
         for captured in frames:
+            if captured.jumps != jumps:
+                jumps = captured.jumps
+                segmenter.restart("a jump to another frame")
             if controls.config is not segmenter.config:
                 segmenter = _segmenter(config, controls.config, opened, every_surface=bool(exports))
                 view.metric = controls.config.metric
@@ -267,7 +271,10 @@ def _segment(
             latency_ms = 1e3 * (time.monotonic() - captured.arrived_s)
             elapsed_ms = {"wait": 1e3 * waited_s, **result.elapsed_ms, "capture_to_labels": latency_ms}
             result = replace(result, elapsed_ms=MappingProxyType(elapsed_ms))
-            shown: list[Consumer] = [("show", view.show)] if latency_filter.passes(latency_ms) else []
+            shown: list[Consumer] = (
+                # Somebody who paused waits for this very frame.
+                [("show", view.show)] if latency_filter.passes(0.0 if controls.paused else latency_ms) else []
+            )
             for stage, consume in (*exports, *shown):
                 started_s = time.perf_counter()
                 consume(result)

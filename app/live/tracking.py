@@ -55,6 +55,11 @@ class Segmenter:
         self._objects: Identities | None = None
         self._object_of_label = np.zeros(1, dtype=np.uint16)
 
+    def restart(self, reason: str) -> None:
+        """Segment the next frame from scratch; segments keep their identities where they are the same."""
+        if self._live is not None:
+            self._live.restart(reason)
+
     def process(self, frame: RGBDFrame, *, source_hz: float = 0.0) -> FrameResult:
         """Register and segment a frame.
 

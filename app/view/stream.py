@@ -100,6 +100,8 @@ class Writer:
         self._stream = stream
         self._calibration: Calibration | None = None
         self._kind: tuple[bool, bool, bool] | None = None
+        self._timeline = "frame"
+        self._newest = 0
         self._stages: tuple[str, ...] = ()
 
     def write(self, item: Item) -> None:
@@ -110,7 +112,12 @@ class Writer:
             return
         frame = item.frame
         kind = frame.unregistered_color is None, frame.truth is not None, frame.objects is not None
-        if kind != self._kind:
+        went_back = item.moment.frame < self._newest and self._timeline == "frame"
+        self._newest = max(self._newest, item.moment.frame)
+        if went_back:
+            # A viewer follows to the highest number, which is not the newest any more.
+            self._timeline = "log_time"
+        if kind != self._kind or went_back:
             self._kind = registered, ground_truth, objects = kind
             self._stream.send_blueprint(
                 blueprint(
@@ -120,6 +127,7 @@ class Writer:
                     layout=item.view.layout,
                     distance_m=_distance_m(frame),
                     residual_max_m=item.view.residual_max_m,
+                    timeline=self._timeline,
                 )
             )
         if item.calibration is not self._calibration:

@@ -91,5 +91,13 @@ class SequenceSource(FrameSource):
         self._next += passed
         return passed
 
+    @property
+    def seekable(self) -> bool:
+        """Whether `seek` can go to any frame."""
+        return True
+
+    def _seek(self, index: int) -> None:
+        self._next = max(0, min(index, self._frames - 1))
+
     def _close(self) -> None:
         pass

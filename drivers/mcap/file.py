@@ -74,6 +74,8 @@ class McapFile:
         Messages of each channel, if the file has an index.
     whole : bool
         Whether the file reaches its end.
+    entry : int
+        Number of the chunk, or message outside of one, that the last message came from.
 
     Raises
     ------
@@ -89,6 +91,7 @@ class McapFile:
         self.channels: dict[int, Channel] = {}
         self.message_counts: dict[int, int] = {}
         self.whole = False
+        self.entry = 0
         #: Places and lengths of the chunks and of messages outside of chunks.
         self._entries: list[tuple[int, int, int]] = []
         self._file = open_regular(path)
@@ -110,16 +113,21 @@ class McapFile:
         """Close the file; safe to call twice."""
         self._file.close()
 
-    def messages(self, most_bytes: int | None = None) -> Iterator[McapMessage | FrameFormatError]:
+    def messages(
+        self, most_bytes: int | None = None, *, first: int = 0
+    ) -> Iterator[McapMessage | FrameFormatError]:
         """Yield the messages in the file's order; an error in place of a chunk that is damaged.
 
         Parameters
         ----------
         most_bytes : int, optional
             Ends after this many bytes of messages, decompressed.
+        first : int
+            Number of the entry to begin with, which `entry` was before.
         """
         left = math.inf if most_bytes is None else most_bytes
-        for opcode, place, length in self._entries:
+        for entry, (opcode, place, length) in enumerate(self._entries[first:], start=first):
+            self.entry = entry
             if left < 0:
                 return
             name = f"{self.path}: the {Opcode(opcode).name.lower()} at byte {place}"

@@ -35,6 +35,11 @@ class StampPairing:
         self._color: deque[tuple[int, bytes]] = deque()
         self._labels: deque[tuple[int, bytes]] = deque(maxlen=_WAITING_MAX)
 
+    @property
+    def waiting(self) -> int:
+        """How many messages wait for their partners."""
+        return len(self._depth) + len(self._color) + len(self._labels)
+
     def add_depth(self, stamp_ns: int, content: bytes) -> None:
         """Take a depth message."""
         self._add(self._depth, stamp_ns, content)

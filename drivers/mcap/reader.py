@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import logging
+from bisect import bisect_right
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, RecordingFormatError
@@ -29,6 +30,17 @@ _log = logging.getLogger(__name__)
 
 #: How far a recording is searched for its topics, in its own time.
 _SCAN_NS = 2_000_000_000
+#: Frames between two places that are remembered for going back.
+_PLACE_FRAMES = 10
+
+
+class _Place(NamedTuple):
+    """Where reading can begin with a frame, as nothing read before belongs to it or to a later one."""
+
+    frame: int
+    entry: int  # of the file
+    passed: int  # messages of this entry that came before
+    dropped: int
 
 
 class RecordingReader(FrameSource):
@@ -65,8 +77,11 @@ class RecordingReader(FrameSource):
         self._units_per_metre = options.depth_scale
         self._not_decodable: dict[int, str] = {}
         self._decodable: set[int] = set()
-        self._pairing = StampPairing(round(options.association_limit_s * 1e9))
+        self._limit_ns = round(options.association_limit_s * 1e9)
+        self._pairing = StampPairing(self._limit_ns)
         self._index = 0
+        self._position = _Place(0, 0, 0, 0)
+        self._places = [self._position]
         self._file = McapFile(path)
         try:
             samples, transforms = self._scan_topics()
@@ -97,6 +112,33 @@ class RecordingReader(FrameSource):
             except EndOfRecordingError:
                 return passed
         return frames
+
+    @property
+    def seekable(self) -> bool:
+        """Whether `seek` can go to any frame; one that was not read yet takes as long as skipping to it."""
+        return True
+
+    def _seek(self, index: int) -> None:
+        nearest = self._places[bisect_right(self._places, index, key=lambda place: place.frame) - 1]
+        if not nearest.frame <= self._index <= index:
+            self._begin_at(nearest)
+        while self._index < index:
+            try:
+                self._next_pair()
+            except FrameFormatError:
+                continue
+            except EndOfRecordingError:
+                if self._index > 0:
+                    self._seek(self._index - 1)
+                return
+
+    def _begin_at(self, place: _Place) -> None:
+        self._position, self._index = place, place.frame
+        self._pairing = StampPairing(self._limit_ns)
+        self._pairing.dropped = place.dropped
+        self._messages = self._file.messages(first=place.entry)
+        for _ in range(place.passed):
+            next(self._messages, None)
 
     def _read(self, timeout_s: float) -> RGBDFrame:
         pair = self._next_pair()
@@ -136,7 +178,7 @@ class RecordingReader(FrameSource):
     def _next_pair(self) -> StampedPair:
         pair = self._pairing.take()
         while pair is None:
-            item = next(self._messages, None)
+            item = self._next_message()
             if isinstance(item, FrameFormatError):
                 raise item
             if item is not None:
@@ -148,7 +190,18 @@ class RecordingReader(FrameSource):
                     _log.warning("%s: %d images had no partner", self._path, self.dropped)
                 raise EndOfRecordingError(f"{self._path}: end after {self._index} frames")
         self._index += 1
+        if self._index >= self._places[-1].frame + _PLACE_FRAMES and not self._pairing.waiting:
+            self._places.append(self._position._replace(frame=self._index, dropped=self.dropped))
         return pair
+
+    def _next_message(self) -> McapMessage | FrameFormatError | None:
+        item = next(self._messages, None)
+        if item is None:
+            return None
+        entry, before = self._file.entry, self._position
+        passed = before.passed + 1 if entry == before.entry else 1
+        self._position = before._replace(entry=entry, passed=passed)
+        return item
 
     def _enter(self, message: McapMessage) -> None:
         topic, content = message.channel.topic, message.content

@@ -147,6 +147,14 @@ class SyntheticSource(FrameSource):
         self._next += passed
         return passed
 
+    @property
+    def seekable(self) -> bool:
+        """Whether `seek` can go to any frame."""
+        return True
+
+    def _seek(self, index: int) -> None:
+        self._next = min(index, self.options.frames - 1)
+
     def _read(self, timeout_s: float) -> RGBDFrame:
         if self._next >= self.options.frames:
             raise EndOfRecordingError(f"the synthetic sequence ended after {self.options.frames} frames")

@@ -81,10 +81,15 @@ class LiveTree:
         self._objects = ObjectMemory()
         self._updater = TreeUpdater()
         self._overdue = 0
+        self._restart = ""
         self._rejected: tuple[Node, ...] = ()
         self._frame = -1
         self._lattice = SurfaceLattice([], config.decimation)
         self.labels_before = self._labels
+
+    def restart(self, reason: str) -> None:
+        """Segment the next frame from scratch, for a reason that the report is to give."""
+        self._restart = reason
 
     def segment(
         self,
@@ -139,6 +144,8 @@ class LiveTree:
     def _no_continuation(self, cloud: PointMap) -> str:
         if not self._leaves:
             return "the first frame"
+        if self._restart:
+            return self._restart
         if cloud.valid.shape != self._labels.shape:
             return "images of another size"
         if self._overdue > _WAITING_FRAMES:
@@ -174,6 +181,7 @@ class LiveTree:
         self._gray = brightness(cloud.color, step)
         self._objects = ObjectMemory()
         self._overdue = 0
+        self._restart = ""
         self.report = UpdateReport()
 
     def _followed(

@@ -24,6 +24,7 @@ from nurbseg.drivers import (
     open_source,
 )
 from nurbseg.drivers.mcap import names
+from nurbseg.drivers.mcap.pairing import StampPairing
 from nurbseg.drivers.mcap.writer import ColorFormat, RecordingWriter
 
 RERUN = [sys.executable, "-m", "rerun"]
@@ -250,6 +251,36 @@ def test_the_mcap_library_reads_it_and_finds_its_index(tmp_path: Path) -> None:
     assert summary is not None
     assert summary.statistics is not None
     assert summary.statistics.message_count == 3 * 5
+
+
+def test_any_frame_is_found_in_any_order_without_beginning_at_the_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = [scene(index, labels=index % 3 == 0) for index in range(50)]
+    path = write_mcap(tmp_path / "a.mcap", frames)
+    with open_source(path) as source:
+        assert len(list(source)) == 50
+        entered: list[int] = []
+        add_depth = StampPairing.add_depth
+        monkeypatch.setattr(
+            StampPairing, "add_depth", lambda *given: (entered.append(given[1]), add_depth(*given))
+        )
+        for index in np.random.default_rng(1).permutation(50):
+            entered.clear()
+            source.seek(index)
+            frame = source.read()
+            assert frame.index == index
+            assert frame.timestamp_ns == frames[index].timestamp_ns
+            np.testing.assert_array_equal(frame.depth_mm, frames[index].depth_mm)
+            assert (frame.labels is None) == (frames[index].labels is None)
+            assert len(entered) <= 10
+    # What was dropped before a frame is known there again.
+    with open_source(path) as source:
+        source._pairing.dropped = 2  # type: ignore[attr-defined]
+        assert len(list(source)) == 50
+        source.seek(0)
+        source.seek(12)
+        assert source.metadata["dropped"] == "2"
 
 
 def test_the_end_comes_after_the_last_frame(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from recorded_scene import (
     write_pcd,
     write_tum,
 )
-from virtual_camera import openni2_redist, virtual_cameras
+from virtual_camera import VirtualCameras, openni2_redist, virtual_cameras
 
 from nurbseg.drivers import DriverError, EndOfRecordingError, FrameSource, RGBDFrame, open_source
 from nurbseg.drivers.registry import SCHEMES
@@ -192,6 +192,41 @@ def test_skipping_past_the_end_says_how_many_frames_there_were(recording: Case) 
         assert source.skip(1) == 0
         with pytest.raises(EndOfRecordingError):
             source.read()
+
+
+@pytest.mark.parametrize("read", [0, 2, FRAMES])
+@pytest.mark.parametrize("index", [0, 1, 2, 4])
+def test_a_recording_goes_to_any_frame_from_anywhere(recording: Case, index: int, read: int) -> None:
+    with recording.open() as source:
+        frames = list(source)
+    with recording.open() as source:
+        assert source.seekable
+        for _ in range(read):
+            source.read()
+        source.seek(index)
+        rest = list(source)
+        source.seek(index)
+        assert same(source.read(), frames[index])
+    assert len(rest) == FRAMES - index
+    assert all(same(a, b) for a, b in zip(rest, frames[index:], strict=True))
+
+
+def test_beyond_its_ends_a_recording_goes_to_the_first_and_the_last_frame(recording: Case) -> None:
+    with recording.open() as source:
+        source.seek(100)
+        assert [frame.index for frame in source] == [FRAMES - 1]
+        source.seek(-3)
+        assert source.read().index == 0
+    with pytest.raises(DriverError, match="closed"):
+        source.seek(0)
+
+
+def test_a_camera_only_goes_forward(virtual_cameras: VirtualCameras) -> None:
+    camera = virtual_cameras.add()
+    with open_source(f"openni2:{camera.uri}") as source:
+        assert not source.seekable
+        with pytest.raises(DriverError, match="only goes forward"):
+            source.seek(0)
 
 
 def test_every_scheme_has_a_case_here() -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
+from nurbseg.drivers.datasets.sequence import SequenceSource
 from nurbseg.drivers.errors import EndOfRecordingError, FrameTimeoutError
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.source import FrameSource
@@ -23,6 +25,17 @@ def small_frame(index: int, timestamp_s: float | None = None) -> RGBDFrame:
         color=np.zeros((6, 8, 3), dtype=np.uint8),
         calibration=CALIBRATION,
     )
+
+
+class NumberedSource(SequenceSource):
+    """A recording of small frames that goes to any of them."""
+
+    def __init__(self, frames: int) -> None:
+        super().__init__(Path(__file__), frames, "numbered")
+        self.calibration = CALIBRATION
+
+    def _load(self, index: int) -> RGBDFrame:
+        return small_frame(index)
 
 
 class ScriptedSource(FrameSource):

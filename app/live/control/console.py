@@ -6,6 +6,7 @@ import logging
 import os
 import queue
 import select
+import string
 import sys
 import termios
 import threading
@@ -78,8 +79,13 @@ class Console:
             if not text:
                 return
             if self._keys:
-                for command in filter(None, map(KEYS.get, text)):
-                    self._commands.put(command)
+                for key in text:
+                    if key in string.digits:
+                        unfinished += key
+                        continue
+                    if command := KEYS.get(key):
+                        self._commands.put(command + unfinished if command.endswith(" ") else command)
+                    unfinished = ""
             else:
                 *lines, unfinished = (unfinished + text).split("\n")
                 for line in filter(None, map(str.strip, lines)):

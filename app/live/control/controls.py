@@ -45,6 +45,8 @@ class Controls:
         Whether the next frame is to be written.
     recorder : Recorder
         As given.
+    position : int
+        Number of the frame that is segmented, or to which somebody went since.
     steps : int
         How many frames are still to be taken while paused.
     """
@@ -61,7 +63,7 @@ class Controls:
         self.config = config
         self.paused = self.ended = False
         self.snapshot = False
-        self.steps = 0
+        self.steps = self.position = 0
         self.recorder = recorder
         self._capture = capture
         self._looped = looped
@@ -70,6 +72,7 @@ class Controls:
             "pause": lambda _: self._pause(not self.paused),
             "resume": lambda _: self._pause(False),
             "step": lambda _: self._step(),
+            "seek": self._seek,
             "loop": self._loop,
             "record": self._record,
             "speed": lambda word: self._set_speed(float(word)),
@@ -111,6 +114,22 @@ class Controls:
         if self._looped is not None:
             self._capture.step()
         return ""
+
+    def _seek(self, word: str) -> str:
+        if self._looped is None or not self._looped.seekable:
+            raise ValueError("this source only goes forward; .mcap recordings and images can do it")
+        if self._fixed:
+            raise ValueError("an export takes the frames in their order")
+        if self.recorder.is_recording:
+            raise ValueError("a recording takes the frames in their order; end it first")
+        try:
+            number = int(word)
+        except ValueError:
+            raise ValueError(f"expected a frame's number, +N or -N, got {word[:80]!r}") from None
+        self.position = max(0, self.position + number if word[0] in "+-" else number)
+        self._capture.seek(self.position)
+        self.steps = 1 if self.paused else 0
+        return f"to frame {self.position}"
 
     def _loop(self, word: str) -> str:
         if self._looped is None:

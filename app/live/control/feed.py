@@ -47,6 +47,7 @@ def controlled_frames(
             if captured is None:
                 continue
             last, segmented_by = captured, controls.config
+            controls.position = captured.frame.index
             yield last
 
 
@@ -72,6 +73,9 @@ def captured_frames(
             continue
         if captured is None:
             return
+        if captured.jumps != capture.jumps:
+            # It was on its way as somebody went to another frame.
+            continue
         if controls is not None and controls.steps:
             controls.steps -= 1
         yield captured

@@ -41,6 +41,7 @@ def blueprint(
     layout: Layout = "full",
     distance_m: float = 1.0,
     residual_max_m: float = 0.02,
+    timeline: str = "frame",
 ) -> rrb.Blueprint:
     """Return the layout: space above, pictures beside it, tree, tables and figures below.
 
@@ -58,6 +59,8 @@ def blueprint(
         How far away the scene is, metres.
     residual_max_m : float
         The largest residual that has a color of its own, metres.
+    timeline : str
+        What the viewer follows to its end.
     """
     surfaces, points, residuals = _spaces("object" if objects else "segment", distance_m, residual_max_m)
     color: rrb.View | rrb.Tabs = _picture("Color", entity.COLOR)
@@ -100,7 +103,7 @@ def blueprint(
         rrb.Vertical(above, below, row_shares=[5, 4]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline="frame", play_state="following"),
+        rrb.TimePanel(state="collapsed", timeline=timeline, play_state="following"),
     )
 
 

@@ -2,7 +2,7 @@ import threading
 from types import SimpleNamespace
 
 import pytest
-from scripted_source import ScriptedSource, small_frame
+from scripted_source import NumberedSource, ScriptedSource, small_frame
 
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.drivers.errors import DeviceLostError, FrameFormatError
@@ -82,3 +82,36 @@ def test_the_rate_of_the_source_is_that_of_its_frames_whatever_is_lost(
     ):
         capture._thread.join(10.0)
         assert capture.source_hz == pytest.approx(12.0)
+
+
+@pytest.mark.parametrize("lossless", [False, True])
+def test_while_paused_the_frame_that_somebody_goes_to_is_read_and_no_other(lossless: bool) -> None:
+    with NumberedSource(1000) as source, CaptureThread(source, lossless=lossless) as capture:
+        assert capture.frames.take(10.0) is not None
+        capture.pause(True)
+        capture.seek(500)
+        capture.seek(400)
+        while (captured := capture.frames.take(10.0)) is not None and captured.jumps < capture.jumps:
+            pass
+        assert captured is not None
+        assert (captured.frame.index, captured.jumps) == (400, 2)
+        with pytest.raises(TimeoutError):
+            capture.frames.take(0.3)
+        capture.pause(False)
+        captured = capture.frames.take(10.0)
+        assert captured is not None
+        assert captured.frame.index == 401 if lossless else captured.frame.index > 400
+
+
+def test_a_jump_says_nothing_of_the_source_s_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    arrivals_s = iter([index / 10 for index in range(100)])
+    monkeypatch.setattr("nurbseg.app.live.capture.time", SimpleNamespace(monotonic=lambda: next(arrivals_s)))
+    with NumberedSource(1000) as source:
+        capture = CaptureThread(source, lossless=True)
+        capture.pause(True)
+        with capture:
+            for index in range(40):
+                capture.seek(20 * index) if index % 2 else capture.step()
+                assert capture.frames.take(10.0) is not None
+        # The steps are one frame each.
+        assert capture.source_hz == pytest.approx(10.0)

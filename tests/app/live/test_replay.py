@@ -1,8 +1,9 @@
 import itertools
 
+import numpy as np
 import pytest
 from fake_clock import FakeClock
-from scripted_source import ScriptedSource, small_frame
+from scripted_source import NumberedSource, ScriptedSource, small_frame
 
 from nurbseg.app.live.replay import Limited, Looped
 from nurbseg.drivers.errors import DriverError, EndOfRecordingError, FrameFormatError, FrameTimeoutError
@@ -51,6 +52,45 @@ def test_a_loop_of_a_part_of_a_recording_goes_on_with_rising_numbers() -> None:
                 source.read()
             indexes += [source.read().index for _ in range(2)]
     assert indexes == [11, 12, 13, 14, 15, 16]
+
+
+def test_in_a_later_pass_numbers_lead_to_the_frames_that_had_them_and_then_go_on_from_the_recording_s() -> (
+    None
+):
+    with Looped(NumberedSource(5), lambda: NumberedSource(5)) as source:
+        for _ in range(13):
+            source.read()
+        indexes = []
+        for index in (11, 3, 9):
+            source.seek(index)
+            indexes.append([source.read().index for _ in range(3)])
+        rest = [source.read() for _ in range(6)]
+        source.seek(0)
+        source.read()
+        source.seek(4)
+        seam = [source.read().timestamp_ns for _ in range(2)]
+    assert np.diff(seam) == pytest.approx(33_333_333, abs=2)
+    # Frame 11 was the recording's frame 1 in the third pass.
+    assert indexes == [[1, 2, 3], [3, 4, 5], [4, 5, 6]]
+    assert [frame.index for frame in rest] == [7, 8, 9, 10, 11, 12]
+    assert [int(frame.depth_mm[0, 0]) - 1000 for frame in rest] == [2, 3, 4, 0, 1, 2]
+    stamps = [frame.timestamp_ns for frame in rest]
+    assert np.diff(stamps) == pytest.approx(33_333_333, abs=2)
+
+
+def test_a_frame_that_somebody_goes_to_is_due_at_once_and_the_next_ones_after_it() -> None:
+    clock = FakeClock()
+    with Paced(Limited(NumberedSource(900), duration_s=1.0), clock=clock, sleep=clock.sleep) as source:
+        source.read()
+        with pytest.raises(FrameTimeoutError):
+            source.read(0.01)
+        source.seek(600)
+        began_s = clock.now_s
+        assert source.read().index == 600
+        assert clock.now_s == began_s
+        # Of the second, the frame that waited took a thirtieth, and the way to the other nothing.
+        assert len(list(source)) == 28
+        assert clock.now_s - began_s == pytest.approx(28 / 30, abs=1e-6)
 
 
 def test_a_recording_without_a_good_frame_is_not_repeated_for_ever() -> None:

@@ -49,6 +49,18 @@ def test_labels_are_identities_and_the_tree_tells_them(method: str) -> None:
     assert np.mean(first[both] == second[both]) > 0.5
 
 
+def test_after_a_restart_what_is_still_there_keeps_its_label() -> None:
+    segmenter = Segmenter(SegmentationConfig(), temporal=True)
+    with open_source("synthetic:?width=160&height=120&frames=2") as source:
+        first = segmenter.process(source.read())
+        segmenter.restart("a jump")
+        second = segmenter.process(source.read())
+    assert second.update is not None
+    assert second.update.reset == "a jump"
+    both = (first.labels() > 0) & (second.labels() > 0)
+    assert np.mean(first.labels()[both] == second.labels()[both]) > 0.5
+
+
 def test_without_it_labels_are_places_in_the_tree() -> None:
     with open_source("synthetic:?width=160&height=120&frames=1") as source:
         result = Segmenter(SegmentationConfig(), temporal=False).process(source.read())

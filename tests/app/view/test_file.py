@@ -17,6 +17,7 @@ import numpy as np
 import psutil
 import pytest
 import rerun as rr
+import rerun.blueprint as rrb
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
@@ -169,6 +170,22 @@ def test_the_layout_follows_what_frames_hold(
     for each in (frame, frame, replace(frame, objects=None), replace(frame, objects=None), frame):
         writer.write(FrameEntities(each, frame.calibration, ViewConfig()))
     assert len(sent) == 3
+
+
+def test_a_viewer_follows_the_time_of_day_once_frames_went_back(
+    results: list[FrameResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stream = rr.RecordingStream("nurbseg")
+    stream.memory_recording()
+    sent: list[rrb.Blueprint] = []
+    monkeypatch.setattr(type(stream), "send_blueprint", lambda _, layout: sent.append(layout))
+    writer = Writer(stream)
+    for index in (4, 5, 3, 4, 5, 2):
+        moment = Moment(index, None, False)
+        frame = drawn(results[0], ViewConfig(), "mse", moment=moment, elapsed_ms={}, rate_hz=0.0, known=None)
+        assert frame.calibration is not None
+        writer.write(FrameEntities(frame, frame.calibration, ViewConfig()))
+    assert [layout.time_panel.timeline for layout in sent] == ["frame", "log_time"]
 
 
 def test_the_trees_nodes_are_filled_by_stop_reason(saved: SavedView, results: list[FrameResult]) -> None:

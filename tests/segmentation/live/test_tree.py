@@ -217,6 +217,17 @@ def test_another_scene_is_segmented_anew(tree: LiveTree) -> None:
     assert tree.report.reset == ""
 
 
+def test_a_frame_is_segmented_anew_on_demand_and_once(tree: LiveTree) -> None:
+    same = scene((10, 10, 120, 90), noise=5)
+    tree.segment(same)
+    tree.restart("a jump")
+    found = tree.segment(same)
+    assert tree.report.reset == "a jump"
+    assert np.array_equal(found.labels("surfaces"), segment(same, CONFIG).labels("surfaces"))
+    tree.segment(same)
+    assert tree.report.reset == ""
+
+
 @pytest.mark.parametrize("step", [1, 3])
 def test_a_frame_is_segmented_anew_on_the_grid_of_the_budget(tree: LiveTree, step: int) -> None:
     other = scene((10, 10, 120, 90), noise=5, wall_m=3.0)

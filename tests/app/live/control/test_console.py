@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from program_in_terminal import COMMAND, terminal
+from saved_view import read_saved_view
 
 from nurbseg.app.live.opening import demo_uri
 from nurbseg.drivers.registry import open_source
@@ -66,6 +67,30 @@ def test_a_key_records_and_ends_the_recording(tmp_path: Path) -> None:
     assert f"nurbseg-live: recorded {frames} frames" in program.all_said
 
 
+def test_while_paused_keys_go_to_frames_of_a_recording_which_are_shown_at_once(tmp_path: Path) -> None:
+    # Every frame is late, and in ordinary times one a second is shown.
+    words = ["--replay", demo_uri(), "--speed", "0.05", "--view", "none", "--verbose"]
+    words += ["--save", "a.rrd", "--age-max-ms", "0.001"]
+    with terminal(words, tmp_path) as program:
+        program.wait_for("frame 0")
+        program.type(" ")
+        program.wait_for("nurbseg-live: paused")
+        for keys, index in (("12g", 12), (",", 11), ("<", 1), ("<", 0), (">", 10), ("99g", 47), (",", 46)):
+            program.type(keys)
+            program.wait_for(f"nurbseg-live: frame {index}:")
+        program.type("s")
+        program.wait_for("nurbseg-live: snapshot: ")
+        program.type("q")
+        assert program.exit_code() == 0
+    (depth,) = tmp_path.glob("snapshot-*-frame46/000046_depth.png")
+    with open_source(demo_uri()) as source:
+        source.skip(46)
+        expected = source.read().depth_mm
+    assert np.array_equal(cv2.imread(str(depth), cv2.IMREAD_UNCHANGED), expected)
+    shown = read_saved_view(tmp_path / "a.rrd", indexed=False).frames("tree")
+    assert {12, 11, 1, 0, 10, 47, 46} <= set(shown)
+
+
 def test_ctrl_c_gives_the_terminal_back(tmp_path: Path) -> None:
     with terminal(WORDS, tmp_path) as program:
         before = program.modes()
@@ -84,12 +109,12 @@ def test_a_status_line_stays_below_the_log_and_goes_at_the_end(tmp_path: Path) -
         )
         for _ in range(5):
             program.type("h")
-            program.wait_for("  h      help")
+            program.wait_for("  h        help")
             program.wait_for("min left")
         program.type("q")
         assert program.exit_code() == 0
         *log, rest = program.lines()
-    assert len([line for line in log if line.startswith("  h      help")]) == 5
+    assert len([line for line in log if line.startswith("  h        help")]) == 5
     # Nothing is left of the status where the log is.
     assert all(line.startswith(("nurbseg-live: ", "  ")) and " | " not in line for line in log)
     assert rest == ""

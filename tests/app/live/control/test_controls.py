@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from scripted_source import ScriptedSource, small_frame
+from scripted_source import NumberedSource, ScriptedSource, small_frame
 
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.commands import COMMANDS, KEYS
@@ -141,6 +141,53 @@ def test_a_replay_is_looped_or_not(
     assert caplog.messages[-2:] == [
         "loop: expected one of on, off, got 'twice'",
         "loop: only a replay has an end",
+    ]
+
+
+@pytest.fixture
+def seekable() -> Iterator[Controls]:
+    with Looped(NumberedSource(1000), lambda: NumberedSource(1000)) as source:
+        yield controls_of(source, CaptureThread(source), source)
+
+
+def test_frames_are_counted_from_the_one_that_is_shown_or_sought(
+    seekable: Controls, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sought: list[int] = []
+    monkeypatch.setattr(CaptureThread, "seek", lambda _, index: sought.append(index))
+    seekable.position = 50
+    for command in ("seek 100", "seek +10", "seek -1", "seek -1", "seek -500", "seek +3"):
+        seekable.apply(command)
+        assert seekable.steps == 0
+    assert sought == [100, 110, 109, 108, 0, 3]
+    seekable.apply("pause")
+    for _ in range(2):
+        seekable.apply("seek 7")
+    assert seekable.steps == 1
+
+
+@pytest.mark.parametrize("word", ["", "x", "1.5", "+", "--1"])
+def test_what_is_no_frame_number_is_said(
+    seekable: Controls, word: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    seekable.apply(f"seek {word}")
+    assert caplog.messages == [f"seek: expected a frame's number, +N or -N, got {word!r}"]
+
+
+def test_where_frames_must_come_in_their_order_nobody_goes_to_another(
+    seekable: Controls, controls: Controls, caplog: pytest.LogCaptureFixture, tmp_path: Path
+) -> None:
+    controls.apply("seek 3")
+    with Looped(NumberedSource(9), lambda: NumberedSource(9)) as source:
+        exported = controls_of(source, CaptureThread(source), source, fixed="an export")
+        exported.apply("seek 3")
+        recorder = Recorder(RecordConfig(file=str(tmp_path / "a.mcap")), source)
+        with recorder:
+            Controls(SegmentationConfig(), CaptureThread(source), recorder, source).apply("seek 3")
+    assert [each.split(";")[0] for each in caplog.messages] == [
+        "seek: this source only goes forward",
+        "seek: an export takes the frames in their order",
+        "seek: a recording takes the frames in their order",
     ]
 
 
