@@ -1,18 +1,23 @@
-"""Draw a Rerun recording as the viewer shows it, to a PNG, on a computer without a screen.
+"""Draw a Rerun recording as the viewer shows it, to a PNG or a WebP, on a computer without a screen.
 
 Needs a Vulkan driver; Debian's mesa-vulkan-drivers draws without a graphics card.
 
 Usage: python docs/render_viewer.py RECORDING.rrd PICTURE.png [--frame N] [--view NAME] [--wait SECONDS]
+       python docs/render_viewer.py RECORDING.rrd FILE.webp --frames FIRST,LAST,STEP [--fps N] [--width PX]
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
+from PIL import Image
 from rerun.experimental import ViewerClient
 
 from nurbseg.app.view.config import ViewConfig
@@ -23,31 +28,12 @@ _HOST = "127.0.0.1"
 _MENU_ROWS = 36
 
 
-def render(recording: Path, picture: Path, *, frame: int | None, view: str, wait_s: float) -> list[str]:
-    """Draw a recording.
-
-    Parameters
-    ----------
-    recording : Path
-        The .rrd file.
-    picture : Path
-        The PNG to write.
-    frame : int or None
-        Which frame; the last one by default.
-    view : str
-        Name of the one view to draw; everything if empty.
-    wait_s : float
-        Time for the viewer to load and to lay out, seconds.
-
-    Returns
-    -------
-    list of str
-        What the viewer complains of.
+@contextmanager
+def opened(recording: Path, wait_s: float) -> Iterator[ViewerClient]:
+    """Open a recording in a viewer without a window; `wait_s` seconds are left to it to load and to lay out.
 
     Raises
     ------
-    ValueError
-        If there is no view of that name.
     RuntimeError
         If the viewer does not start.
     """
@@ -62,19 +48,51 @@ def render(recording: Path, picture: Path, *, frame: int | None, view: str, wait
         viewer = ViewerClient.connect(f"rerun+http://{_HOST}:{port}/proxy")
         viewer.open(str(recording.resolve()))
         time.sleep(wait_s)
-        if frame is not None:
-            viewer.set_time("frame", sequence=frame, play_state="paused")
-            time.sleep(1.0)
-        state = viewer.get_state()
-        chosen = [each.view_id for each in state.views if each.name == view]
-        if view and not chosen:
-            names = ", ".join(sorted({each.name for each in state.views}))
-            raise ValueError(f"no view is called {view!r}; there are {names}")
-        viewer.save_screenshot(str(picture.resolve()), view_id=chosen[0] if chosen else None)
-        return [f"{each.name}: {report}" for each in state.views for report in each.reports]
+        yield viewer
     finally:
         process.kill()
         process.wait()
+
+
+def draw(viewer: ViewerClient, picture: Path, *, frame: int | None, view: str) -> list[str]:
+    """Draw a frame, the last one where it is None, or one view of it; return what the viewer complains of.
+
+    Raises
+    ------
+    ValueError
+        If there is no view of that name.
+    """
+    if frame is not None:
+        viewer.set_time("frame", sequence=frame, play_state="paused")
+        time.sleep(1.0)
+    state = viewer.get_state()
+    chosen = [each.view_id for each in state.views if each.name == view]
+    if view and not chosen:
+        names = ", ".join(sorted({each.name for each in state.views}))
+        raise ValueError(f"no view is called {view!r}; there are {names}")
+    viewer.save_screenshot(str(picture.resolve()), view_id=chosen[0] if chosen else None)
+    if not view:
+        cv2.imwrite(str(picture), cv2.imread(str(picture))[_MENU_ROWS:])
+    return [f"{each.name}: {report}" for each in state.views for report in each.reports]
+
+
+def animate(
+    viewer: ViewerClient, path: Path, frames: range, *, fps: float, width: int, view: str
+) -> list[str]:
+    """Draw frames one by one, `width` pixels wide, and write them as an animation that repeats."""
+    images, complaints = [], []
+    with tempfile.TemporaryDirectory() as folder:
+        picture = Path(folder) / "frame.png"
+        for frame in frames:
+            complaints += draw(viewer, picture, frame=frame, view=view)
+            with Image.open(picture) as image:
+                height = round(image.height * width / image.width)
+                images.append(image.convert("RGB").resize((width, height), Image.Resampling.LANCZOS))
+    first, *others = images
+    first.save(
+        path, save_all=True, append_images=others, duration=round(1000 / fps), loop=0, quality=60, method=6
+    )
+    return complaints
 
 
 def main() -> int:
@@ -87,12 +105,23 @@ def main() -> int:
     parser.add_argument(
         "--wait", type=float, default=5.0, metavar="SECONDS", help="time to load (default: 5)"
     )
+    parser.add_argument("--frames", metavar="FIRST,LAST,STEP", help="write an animation of these frames")
+    parser.add_argument("--fps", type=float, default=6.0, help="frames a second of an animation (default: 6)")
+    parser.add_argument("--width", type=int, default=960, help="width of an animation, pixels (default: 960)")
     options = parser.parse_args()
-    complaints = render(
-        options.recording, options.picture, frame=options.frame, view=options.view, wait_s=options.wait
-    )
-    if not options.view:
-        cv2.imwrite(str(options.picture), cv2.imread(str(options.picture))[_MENU_ROWS:])
+    with opened(options.recording, options.wait) as viewer:
+        if options.frames is None:
+            complaints = draw(viewer, options.picture, frame=options.frame, view=options.view)
+        else:
+            first, last, step = map(int, options.frames.split(","))
+            complaints = animate(
+                viewer,
+                options.picture,
+                range(first, last + 1, step),
+                fps=options.fps,
+                width=options.width,
+                view=options.view,
+            )
     for complaint in complaints:
         print(complaint, file=sys.stderr)
     return 1 if complaints else 0
