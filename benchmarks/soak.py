@@ -7,7 +7,7 @@ camera is unplugged every few minutes, and the viewer is ended and started again
     python benchmarks/soak.py FOLDER --intrinsics 585,585,320,240 --minutes 120
 
 The viewer is Rerun's server, which takes frames as a window does and needs no graphics. Memory is that of
-each process alone (its proportional set size); the slope is fitted to the second half of its life.
+each process alone (its proportional set size); the slope is fitted to the second half of its work.
 """
 
 from __future__ import annotations
@@ -59,8 +59,12 @@ class Life:
     descriptors: list[int] = field(default_factory=list)
 
     def slope(self) -> float:
-        """Return how memory grew in the second half, 10^6 bytes a minute."""
-        half = len(self.minutes) // 2
+        """Return how memory grew in the second half of its work, 10^6 bytes a minute.
+
+        A process that is kept ready for a camera has a fraction of its memory until there is one to read.
+        """
+        ready = next(n for n, memory_mb in enumerate(self.memory_mb) if memory_mb > 0.5 * self.memory_mb[-1])
+        half = (ready + len(self.minutes)) // 2
         return float(np.polyfit(self.minutes[half:], self.memory_mb[half:], 1)[0])
 
 
