@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from nurbseg.drivers.compiled import F32, I32, Bool, Intp, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.labels.regions import connected_components, pixel_adjacency
 from nurbseg.segmentation.labels.spreading import spread_in_place
-from nurbseg.segmentation.surfaces.noise import SQUARE_MOST
+from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
@@ -23,7 +23,7 @@ _REACH = 2
 _VOTE = 0.7
 #: Vote of a neighbour across a gap in depth, in shares of another's.
 ACROSS_GAP = 0.25
-_SWEEPS = 6
+_SWEEPS = 4
 #: Pixels judged at once, so that what is found for them stays in the cache.
 _BLOCK = 4096
 #: Pixels within reach along a row or column, and of the square around a pixel with its own.
@@ -37,13 +37,19 @@ def refine_borders(
     inverse_depth: NDArray[np.float32],
     surfaces: Sequence[NurbsSurface | None],
     config: SegmentationConfig,
+    *,
+    rms_per_m: Sequence[float] | None = None,
+    step: int = 1,
+    sweeps: int = _SWEEPS,
+    spread_severed: bool = True,
 ) -> NDArray[np.int32]:
     """Move borders to where the surfaces on both sides, extrapolated beyond them, explain the points best.
 
-    The cost of a label at a pixel is the squared residual of inverse depth in units of the noise, limited,
-    less the votes of the neighbours, which weigh one over their distance and little across a gap in
-    depth. Pixels with neighbours of another label take the cheapest of their labels, in a few sweeps
-    (iterated conditional modes [1]_). What a border cuts off goes to its neighbours.
+    The cost of a label at a pixel is minus twice the logarithm of a normal likelihood, the squared residual
+    of inverse depth over the deviation of the label's surface being limited, less the votes of the
+    neighbours, which weigh one over their distance and little across a gap in depth. Pixels with neighbours
+    of another label take the cheapest of their labels, in a few sweeps (iterated conditional modes [1]_).
+    What a border cuts off goes to its neighbours, where that is asked for.
 
     Parameters
     ----------
@@ -55,6 +61,15 @@ def refine_borders(
         That of each label; a label without one explains nothing.
     config : SegmentationConfig
         Noise, gap and smallest piece.
+    rms_per_m : sequence of float, optional
+        Root mean square residual of each surface, 1/m: its deviation, which is no less than the noise;
+        without it all have the noise's.
+    step : int
+        Pixels of the image from one row or column of the labels to the next.
+    sweeps : int
+        How often pixels are judged, at most.
+    spread_severed : bool
+        Whether small pieces that a border cuts off go to their neighbours.
 
     Returns
     -------
@@ -69,8 +84,9 @@ def refine_borders(
     present = _present(labels, len(surfaces))
     if len(surfaces) < 2 or not present.any():
         return labels
-    refined = _cheapest(labels, inverse_depth, surfaces, config)
-    severed = _severed(refined, inverse_depth, config)
+    deviations = own_deviations(rms_per_m or np.zeros(len(surfaces)), config.extended.inverse_depth_noise)
+    refined = _cheapest(labels, inverse_depth, surfaces, deviations, step, sweeps, config)
+    severed = _severed(refined, inverse_depth, config) if spread_severed else np.zeros(0, dtype=np.intp)
     if severed.size:
         spread_in_place(refined, severed, inverse_depth, config.extended.inverse_depth_gap)
     lost = present & ~_present(refined, len(surfaces))
@@ -80,10 +96,36 @@ def refine_borders(
     return refined
 
 
+class Deviations(NamedTuple):
+    """Of residuals from surfaces, by label from 0 on, which is none.
+
+    Parameters
+    ----------
+    precision_m : (labels + 1,) float32
+        One over the deviation of inverse depth, metres.
+    penalty : (labels + 1,) float32
+        Twice the logarithm of the deviation over that of the noise.
+    """
+
+    precision_m: NDArray[np.float32]
+    penalty: NDArray[np.float32]
+
+
+def own_deviations(rms_per_m: ArrayLike, noise_per_m: float) -> Deviations:
+    """Return the deviations of surfaces from their root mean square residuals: no less than the noise."""
+    deviation = np.maximum(np.concatenate([[noise_per_m], np.asarray(rms_per_m)]), noise_per_m)
+    return Deviations(
+        (1.0 / deviation).astype(np.float32), (2.0 * np.log(deviation / noise_per_m)).astype(np.float32)
+    )
+
+
 def _cheapest(
     labels: NDArray[np.int32],
     inverse_depth: NDArray[np.float32],
     surfaces: Sequence[NurbsSurface | None],
+    deviations: Deviations,
+    step: int,
+    sweeps: int,
     config: SegmentationConfig,
 ) -> NDArray[np.int32]:
     """Give pixels at borders the cheapest label around them, in a few sweeps.
@@ -97,11 +139,10 @@ def _cheapest(
     # A pixel has no vote on itself.
     votes = np.where(_DISTANCES > 0, _VOTE / np.maximum(_DISTANCES, 1.0), 0.0).astype(np.float32)
     across = np.float32(ACROSS_GAP) * votes
-    per_deviation = np.float32(1.0 / config.extended.inverse_depth_noise)
 
     reached = np.empty(flat.size, dtype=np.bool_)
     pixels = np.flatnonzero(_near_borders(padded))
-    for sweep in range(_SWEEPS):
+    for sweep in range(sweeps):
         if pixels.size == 0:
             break
         best = np.empty(pixels.size, dtype=np.int32)
@@ -112,8 +153,8 @@ def _cheapest(
             label, row, column = (
                 each[:count] for each in (candidates.label, candidates.row, candidates.column)
             )
-            explained = table.inverse_depths(label, row, column)
-            _choose(flat, depths, some, candidates, explained, per_deviation, SQUARE_MOST, best[block])
+            explained = table.inverse_depths(label, row * np.int32(step), column * np.int32(step))
+            _choose(flat, depths, some, candidates, explained, deviations, SQUARE_MOST, best[block])
         # Only where a label has changed within reach can another one be the cheapest now. By the third
         # sweep neighbours that only change places are left: one of two at a time.
         reached[:] = False
@@ -199,7 +240,7 @@ def _choose(
     pixels: Intp,
     candidates: _Candidates,
     explained_per_m: F32,
-    per_deviation: np.float32,
+    deviations: Deviations,
     square_most: float,
     best: I32,
 ) -> None:
@@ -209,13 +250,13 @@ def _choose(
         best[n] = labels[pixels[n]]
         least = np.float32(np.inf)
         for at in range(first, candidates.ends[n]):
-            residual = (explained_per_m[at] - inverse_depth[pixels[n]]) * per_deviation
+            label = candidates.label[at]
+            residual = (explained_per_m[at] - inverse_depth[pixels[n]]) * deviations.precision_m[label]
             cost = np.float32(square_most)
             # False for what has no surface.
             if residual * residual < cost:
                 cost = residual * residual
-            cost -= candidates.votes[at]
-            label = candidates.label[at]
+            cost += deviations.penalty[label] - candidates.votes[at]
             if cost < least or (cost == least and label < best[n]):
                 least, best[n] = cost, label
         first = candidates.ends[n]

@@ -17,6 +17,7 @@ from nurbseg.segmentation.extended.borders import refine_borders
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features, segment_normalization
 from nurbseg.segmentation.extended.merge import merge_surfaces
 from nurbseg.segmentation.extended.parts import Part, chain_components, children_of, fit_segment, judge_split
+from nurbseg.segmentation.extended.settling import settled_surfaces
 from nurbseg.segmentation.growth import Clock, grow, time_limit
 from nurbseg.segmentation.labels.regions import large_components
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
@@ -57,20 +58,17 @@ def segment_nurbseg(
     nodes = depth_first(root)
     leaves = [node for node in nodes if not node.children]
 
-    on_grid = np.zeros(features.grid.valid.size, dtype=np.int32)
+    on_grid = np.zeros(features.grid.valid.shape, dtype=np.int32)
     for label, leaf in enumerate(leaves, start=1):
-        on_grid[leaf.grid_pixels] = label
-    inverse_depth = inverse_depth_image(cloud)
-    labels = upsample_by_depth(
-        on_grid.reshape(features.grid.valid.shape),
-        features.grid.inverse_depth,
-        inverse_depth,
-        cloud.valid,
-        config,
-    )
-    surfaces = [leaf.fit.surface for leaf in leaves]
+        on_grid.reshape(-1)[leaf.grid_pixels] = label
+    fits = [leaf.fit for leaf in leaves]
+    surfaces, rms_per_m = [fit.surface for fit in fits], [fit.rms_per_m for fit in fits]
     if config.extended.refine_borders:
-        labels = refine_borders(labels, inverse_depth, surfaces, config)
+        on_grid, surfaces, rms_per_m = settled_surfaces(on_grid, fits, features.grid, config)
+    inverse_depth = inverse_depth_image(cloud)
+    labels = upsample_by_depth(on_grid, features.grid.inverse_depth, inverse_depth, cloud.valid, config)
+    if config.extended.refine_borders:
+        labels = refine_borders(labels, inverse_depth, surfaces, config, rms_per_m=rms_per_m)
 
     image = labels.astype(np.uint16)
     segments = finished_segments(nodes, leaves, image)

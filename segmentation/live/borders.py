@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, I32, U16, compiled
-from nurbseg.segmentation.extended.borders import ACROSS_GAP
+from nurbseg.segmentation.extended.borders import ACROSS_GAP, Deviations
 from nurbseg.segmentation.surfaces.lattice import Samples, SurfaceLattice
-from nurbseg.segmentation.surfaces.noise import SQUARE_MOST
+from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST
 
 #: Vote of a neighbour at a distance of one pixel, and of a diagonal one.
 _VOTE, _DIAGONAL_VOTE = 1.4, 1.4 / 2**0.5
@@ -42,8 +42,8 @@ def relax_borders(
     labels: NDArray[np.uint16],
     inverse_depth: NDArray[np.float32],
     lattice: SurfaceLattice,
+    deviations: Deviations,
     *,
-    noise_per_m: float,
     gap_per_m: float,
 ) -> NDArray[np.uint16]:
     """Give every pixel at a border the cheapest of its own label, the largest and the least beside it.
@@ -59,8 +59,10 @@ def relax_borders(
         Inverse depth, 1/m; 0 where there is no point.
     lattice : SurfaceLattice
         Of the labels' surfaces.
-    noise_per_m, gap_per_m : float
-        Standard deviation of inverse depth, and smallest gap, 1/m.
+    deviations : Deviations
+        Of these surfaces.
+    gap_per_m : float
+        Smallest gap, 1/m.
 
     Returns
     -------
@@ -68,7 +70,7 @@ def relax_borders(
         The new labels.
     """
     relaxed = labels.copy()
-    _relax(labels, inverse_depth, lattice.samples, lattice.step, 1.0 / noise_per_m, gap_per_m, relaxed)
+    _relax(labels, inverse_depth, lattice.samples, lattice.step, deviations, gap_per_m, relaxed)
     return relaxed
 
 
@@ -94,7 +96,7 @@ def _relax(
     inverse_depth: F32,
     samples: Samples,
     step: int,
-    per_deviation: float,
+    deviations: Deviations,
     gap: float,
     relaxed: U16,
 ) -> None:
@@ -138,8 +140,8 @@ def _relax(
             for label, vote in ((before, for_before), (most, for_most), (least, for_least)):
                 if label == 0 or (label == before and cheapest < np.inf):
                     continue
-                residual = per_deviation * (_explained(samples, label, at) - own)
-                cost = min(residual * residual, SQUARE_MOST) - vote
+                residual = deviations.precision_m[label] * (_explained(samples, label, at) - own)
+                cost = min(residual * residual, SQUARE_MOST) + deviations.penalty[label] - vote
                 if cost < cheapest:
                     cheapest = cost
                     relaxed[r, c] = label

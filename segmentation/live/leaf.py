@@ -18,8 +18,8 @@ from nurbseg.segmentation.segments import Node, Trial
 from nurbseg.segmentation.surfaces.curvature import all_metrics
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
-from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS
-from nurbseg.segmentation.surfaces.noise import SQUARE_MOST, noise_floors
+from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, SQUARE_MOST
+from nurbseg.segmentation.surfaces.noise import noise_floors
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.vocabulary import StopReason
 

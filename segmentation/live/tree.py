@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.extended.borders import own_deviations
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.parts import fit_segment
 from nurbseg.segmentation.extended.splitting import segment_nurbseg
@@ -170,6 +171,7 @@ class LiveTree:
         self._updater = TreeUpdater()
         self._leaves = [self._updater.leaf(nodes[leaf.name]) for leaf in tree.leaves()]
         for leaf in self._leaves:
+            leaf.rms_per_m = leaf.node.fit.rms_per_m
             if leaf.node.stop in TRIED:
                 leaf.attempt = Attempt(leaf.node.stop, leaf.node.trial, self._frame)
             elif leaf.node.stop is StopReason.BUDGET:
@@ -232,7 +234,9 @@ class LiveTree:
                 labels,
                 inverse_depth,
                 lattice,
-                noise_per_m=config.extended.inverse_depth_noise,
+                own_deviations(
+                    [leaf.rms_per_m for leaf in self._leaves], config.extended.inverse_depth_noise
+                ),
                 gap_per_m=config.extended.inverse_depth_gap,
             )
         on_grid = np.where(grid.valid & (appeared == 0), labels[::step, ::step], 0).astype(np.int32)

@@ -41,6 +41,9 @@ class Fit:
         them on the grid on which splits are decided.
     floor : float
         What noise alone leaves of the deciding metric, the least that it counts for in the ratio.
+    rms_per_m : float
+        Root mean square residual of inverse depth, 1/m, each limited to four times the noise; 0 where inverse
+        depth was not fitted.
     """
 
     surface: NurbsSurface | None
@@ -49,6 +52,7 @@ class Fit:
     reason: str
     pixels: NDArray[np.intp]
     floor: float = 0.0
+    rms_per_m: float = 0.0
 
     def __post_init__(self) -> None:
         self.residuals_m.flags.writeable = False

@@ -8,6 +8,7 @@ sensor that triangulates measures d, with noise of one size at every depth.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,7 @@ from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, basis_matrix
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.knot_lattice import lattice_basis
 from nurbseg.segmentation.surfaces.leastsquares import fit_splines
-from nurbseg.segmentation.surfaces.metrics import residual_metrics
+from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST, residual_metrics
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 #: How far beyond its segment a surface goes on without leaving its knots, pixels of a 640-wide image.
@@ -72,7 +73,7 @@ def fit_window(
     except LinAlgError as error:
         none = Fit(None, np.zeros(0), {}, f"no least-squares solution: {error}", pixels)
         return none, np.full(pixels.size, np.inf)
-    residuals_per_m, residuals_m = spline.residuals(grid, window, mask)
+    residuals_per_m, residuals_m, square = spline.residuals(grid, window, mask, config)
     surface = rational_surface(
         spline.control_per_m,
         spline.knots_u * grid.step,
@@ -81,7 +82,8 @@ def fit_window(
         grid.points.full_window(window),
     )
     metrics = residual_metrics(residuals_m, config)
-    return Fit(surface, residuals_m, metrics, "", pixels), residuals_per_m
+    rms_per_m = math.sqrt(square / max(pixels.size, 1))
+    return Fit(surface, residuals_m, metrics, "", pixels, rms_per_m=rms_per_m), residuals_per_m
 
 
 def residuals_of_fit(
@@ -104,7 +106,7 @@ def residuals_of_fit(
         spline = _fitted_spline(grid, window, mask, config)
     except LinAlgError:
         return np.full(np.count_nonzero(mask), np.inf)
-    return spline.residuals(grid, window, mask)[0]
+    return spline.residuals(grid, window, mask, config)[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,11 +120,15 @@ class _Spline:
     knots_u: NDArray[np.float64]
 
     def residuals(
-        self, grid: DepthGrid, window: Window, mask: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the residuals of inverse depth, 1/m, and in space, metres, at the marked grid pixels."""
+        self, grid: DepthGrid, window: Window, mask: NDArray[np.bool_], config: SegmentationConfig
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+        """Return the residuals of inverse depth, 1/m, and in space, metres, at the marked grid pixels.
+
+        Also the sum of the squares of the former, each limited, 1/m^2.
+        """
         images = (grid.inverse_depth, grid.distances_m)
-        return _residuals(images, mask, window[:2], self.control_per_m, self.rows, self.columns)
+        most = SQUARE_MOST * config.extended.inverse_depth_noise**2
+        return _residuals(images, mask, window[:2], self.control_per_m, self.rows, self.columns, most)
 
 
 def knots_on(grid: DepthGrid, config: SegmentationConfig) -> tuple[float, float]:
@@ -158,7 +164,8 @@ def _residuals(
     control: F64,
     rows: SpanBasis,
     columns: SpanBasis,
-) -> tuple[F64, F64]:
+    square_most: float,
+) -> tuple[F64, F64, float]:
     """Compare a spline at the marked grid pixels with images of inverse depth and of distances."""
     (inverse_depth, distances_m), (top, left), (height, width) = images, corner, mask.shape
     count = 0
@@ -167,7 +174,7 @@ def _residuals(
             count += mask[y, x]
     residuals_per_m, residuals_m = np.empty(count), np.empty(count)
     along = np.empty(control.shape[1])
-    n = 0
+    n, squares = 0, 0.0
     for y in range(height):
         first = rows.starts[y]
         for k in range(along.size):
@@ -182,11 +189,12 @@ def _residuals(
                     fitted += columns.values[x, j] * along[start + j]
                 residual = fitted - inverse_depth[top + y, left + x]
                 residuals_per_m[n] = residual
+                squares += min(residual * residual, square_most)
                 # The point and its surface point lie on one ray: their distance is in proportion to the
                 # point's own.
                 residuals_m[n] = abs(residual) * distances_m[top + y, left + x] / fitted
                 n += 1
-    return residuals_per_m, residuals_m
+    return residuals_per_m, residuals_m, squares
 
 
 def rational_surface(

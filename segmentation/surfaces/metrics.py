@@ -18,6 +18,8 @@ COUNTS: frozenset[Metric] = frozenset({"nle", "nlc"})
 CURVATURE_METRICS: frozenset[Metric] = frozenset({"vmxc", "vmec", "vgc", "mmxc", "nlc"})
 #: Residuals that are rounding: points are stored in single precision, 24 bits of a few metres.
 ROUNDING_M = 1e-6
+#: A squared residual in units of the noise counts as no more than this, so that flying pixels do not decide.
+SQUARE_MOST = 16.0
 
 
 def residual_metrics(residuals_m: NDArray[np.float64], config: SegmentationConfig) -> dict[Metric, float]:

@@ -18,8 +18,6 @@ from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.inverse_depth import knots_on
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS
 
-#: A squared residual in units of the noise counts as no more than this, so that flying pixels do not decide.
-SQUARE_MOST = 16.0
 #: Points at a segment's rim are often mixed with what lies behind: their noise is so much larger.
 _RIM_FACTOR = 3.0
 

@@ -22,8 +22,9 @@ def fitted(cloud, truth):
     return surfaces
 
 
+@pytest.mark.parametrize("step", [1, 2])
 @pytest.mark.parametrize("noise", [0.0, 2e-3])
-def test_ragged_borders_return_to_where_the_surfaces_meet(cloud_of, box_on_table, noise):
+def test_ragged_borders_return_to_where_the_surfaces_meet(cloud_of, box_on_table, noise, step):
     depth, truth = box_on_table(noise_per_m=noise)
     cloud = cloud_of(depth)
     rng = np.random.default_rng(0)
@@ -33,13 +34,15 @@ def test_ragged_borders_return_to_where_the_surfaces_meet(cloud_of, box_on_table
     ragged = truth[
         np.clip(rows + shift[0], 0, truth.shape[0] - 1), np.clip(columns + shift[1], 0, truth.shape[1] - 1)
     ].astype(np.int32)
-    refined = refine_borders(ragged, inverse_depth_image(cloud), fitted(cloud, truth), CONFIG)
+    surfaces, inverse_depth = fitted(cloud, truth), inverse_depth_image(cloud)
+    ragged, truth, inverse_depth = (each[::step, ::step] for each in (ragged, truth, inverse_depth))
+    refined = refine_borders(ragged, inverse_depth, surfaces, CONFIG, step=step)
     assert (ragged != truth).mean() > 0.01
     assert (refined != truth).mean() < 0.25 * (ragged != truth).mean()
     assert ((refined > 0) == (truth > 0)).all()
 
 
-def swept(labels, inverse_depth, explained, config, sweeps=6):
+def swept(labels, inverse_depth, explained, deviations, config, sweeps=4):
     """Labels moved to the cheapest around them, one pixel after the other, as plainly as can be."""
     labels, (height, width) = labels.copy(), labels.shape
 
@@ -54,10 +57,10 @@ def swept(labels, inverse_depth, explained, config, sweeps=6):
         for r, c in pixels if sweep < 2 else [each for each in pixels if (sum(each) + sweep) % 2 == 0]:
             cost = {}
             for label in {labels[other] for other in around(r, c)}:
-                cost[label] = min(
-                    ((explained[label - 1][r, c] - inverse_depth[r, c]) / config.extended.inverse_depth_noise)
-                    ** 2,
-                    16,
+                deviation = deviations[label - 1]
+                residual = (explained[label - 1][r, c] - inverse_depth[r, c]) / deviation
+                cost[label] = min(residual**2, 16) + 2 * np.log(
+                    deviation / config.extended.inverse_depth_noise
                 )
             for other in around(r, c):
                 apart = np.hypot(other[0] - r, other[1] - c)
@@ -85,14 +88,19 @@ def test_sweeps_are_those_over_one_pixel_after_the_other(cloud_of, box_on_table)
     ragged = truth[
         np.clip(rows + shift[0], 0, truth.shape[0] - 1), np.clip(columns + shift[1], 0, truth.shape[1] - 1)
     ].astype(np.int32)
+    # One surface is better than noise, the others are worse.
+    rms_per_m = [1e-3, *np.linspace(3e-3, 5e-3, len(surfaces) - 1)]
+    deviations = [2.5e-3, *rms_per_m[1:]]
     # Two parts of the box; no piece is too small.
     config = updated(CONFIG, extended={"piece_pixels_min": 1})
     for top, left in ((70, 90), (110, 170)):
         window = slice(top, top + 60), slice(left, left + 80)
         labels = np.zeros_like(ragged)
         labels[window] = ragged[window]
-        refined = refine_borders(labels, inverse_depth, surfaces, config)
-        expected = swept(labels[window], inverse_depth[window], [each[window] for each in explained], config)
+        refined = refine_borders(labels, inverse_depth, surfaces, config, rms_per_m=rms_per_m)
+        expected = swept(
+            labels[window], inverse_depth[window], [each[window] for each in explained], deviations, config
+        )
         assert (refined[window] == expected).all()
         assert (refined != labels).any()
 

@@ -6,6 +6,7 @@ import pytest
 from inverse_depth_lattice import inverse_depth_lattice
 
 from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.extended.borders import own_deviations
 from nurbseg.segmentation.live.borders import relax_borders, spread_to_pixels
 from nurbseg.segmentation.live.follow import grown_labels, kept_labels, moved_surfaces
 from nurbseg.segmentation.live.motion import brightness, flow_back, warped
@@ -153,7 +154,9 @@ def test_borders_go_to_the_surface_that_explains_the_pixels() -> None:
     labels = np.broadcast_to(np.where(columns < 61, 1, 2), SHAPE).astype(np.uint16)
     lattice = SurfaceLattice([near, far], STEP)
     for _ in range(3):
-        settled = relax_borders(labels, inverse_depth, lattice, noise_per_m=2.5e-3, gap_per_m=0.025)
+        settled = relax_borders(
+            labels, inverse_depth, lattice, own_deviations([0.0, 0.0], 2.5e-3), gap_per_m=0.025
+        )
         # One column in a pass, the one beside the border.
         assert (settled != labels).sum() == SHAPE[0]
         labels = settled
@@ -162,12 +165,15 @@ def test_borders_go_to_the_surface_that_explains_the_pixels() -> None:
 
 def test_one_pass_takes_the_cheapest_of_three_labels() -> None:
     rng = np.random.default_rng(5)
-    lattice = SurfaceLattice([fitted(np.full(SHAPE, value)) for value in (1.0, 1.003, 0.9)], STEP)
+    lattice = SurfaceLattice([fitted(np.full(SHAPE, value)) for value in (1.0, 1.003, 0.994)], STEP)
     labels = rng.integers(0, 4, SHAPE).astype(np.uint16)
     labels[:, 64:] = 2
     inverse_depth = (1.0 + 0.004 * rng.standard_normal(SHAPE)).astype(np.float32)
     inverse_depth[rng.random(SHAPE) < 0.05] = 0.0
-    settled = relax_borders(labels, inverse_depth, lattice, noise_per_m=2.5e-3, gap_per_m=0.006)
+    deviations = (2.5e-3, 2.5e-3, 4e-3)
+    settled = relax_borders(
+        labels, inverse_depth, lattice, own_deviations([1e-3, 2.5e-3, 4e-3], 2.5e-3), gap_per_m=0.006
+    )
     for r, c in zip(*(rng.integers(0, extent, 300) for extent in SHAPE), strict=True):
         near = [
             (y, x)
@@ -179,8 +185,9 @@ def test_one_pass_takes_the_cheapest_of_three_labels() -> None:
         if inverse_depth[r, c] > 0 and len(around) > 1:
             cost = {}
             for label in dict.fromkeys(each for each in (expected, max(around), min(around)) if each):
-                residual = ((1.0, 1.003, 0.9)[label - 1] - inverse_depth[r, c]) / 2.5e-3
-                cost[label] = min(residual**2, 16.0)
+                deviation = deviations[label - 1]
+                residual = ((1.0, 1.003, 0.994)[label - 1] - inverse_depth[r, c]) / deviation
+                cost[label] = min(residual**2, 16.0) + 2.0 * np.log(deviation / 2.5e-3)
                 for at in near:
                     if at != (r, c) and labels[at] == label:
                         vote = 1.4 / np.hypot(at[0] - r, at[1] - c)

@@ -119,6 +119,26 @@ def test_labels_go_with_the_camera(tree: LiveTree) -> None:
         assert labels[60, 5] != box
 
 
+def test_borders_are_judged_by_the_residuals_of_the_frame_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    given, relax = [], live_tree.relax_borders
+
+    def relaxed(labels, inverse_depth, lattice, deviations, **rest):  # type: ignore[no-untyped-def]
+        given.append(deviations)
+        return relax(labels, inverse_depth, lattice, deviations, **rest)
+
+    monkeypatch.setattr(live_tree, "relax_borders", relaxed)
+    # Noise above and below that of the residuals of the scene, which is 1e-3 1/m.
+    for noise_per_m in (2.5e-4, 2.5e-3):
+        live = LiveTree(updated(CONFIG, extended={"inverse_depth_noise": noise_per_m}))
+        rms_per_m = [leaf.fit.rms_per_m for leaf in live.segment(scene(BOX)).leaves()]
+        live.segment(scene(BOX, noise=1))
+        expected = np.maximum([noise_per_m, *rms_per_m], noise_per_m)
+        assert 1 / given[-1].precision_m == pytest.approx(expected, rel=1e-5)
+        assert given[-1].penalty == pytest.approx(2 * np.log(expected / noise_per_m), abs=1e-5)
+    # The first time surfaces were worse than noise.
+    assert (given[0].penalty > 0).any()
+
+
 def test_surfaces_move_with_what_they_explain(tree: LiveTree) -> None:
     for frame in range(1, 8):
         found = tree.segment(scene(BOX, noise=frame, wall_m=1.6 - 0.01 * frame), Budget(refits=0, trials=0))

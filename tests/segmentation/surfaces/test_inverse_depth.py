@@ -85,6 +85,10 @@ def test_residuals_are_distances_to_the_surface_that_is_returned(cloud_of, step)
     assert_allclose(fit.residuals_m, np.linalg.norm(points - on_surface, axis=1), atol=2e-6)
     assert_allclose(residuals, 1 / on_surface[:, 2] - 1 / points[:, 2], atol=2e-6)
     assert fit.values["mse"] == pytest.approx(np.mean(fit.residuals_m**2))
+    # Some residuals are beyond four times the noise, others are not.
+    limited = np.minimum(np.abs(residuals), 4 * config.extended.inverse_depth_noise)
+    assert 0.1 < np.mean(limited < np.abs(residuals)) < 0.9
+    assert fit.rms_per_m == pytest.approx(np.sqrt(np.mean(limited**2)))
 
 
 def test_a_surface_never_passes_through_infinity_where_nothing_holds_it(cloud_of):

@@ -1,0 +1,87 @@
+"""Surfaces whose borders have settled: the borders between leaves are moved, and surfaces fitted again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.extended.borders import refine_borders
+from nurbseg.segmentation.labels.boxes import bounding_boxes
+from nurbseg.segmentation.points.depth_grid import DepthGrid
+from nurbseg.segmentation.surfaces.fit import Fit
+from nurbseg.segmentation.surfaces.inverse_depth import fit_window
+from nurbseg.segmentation.surfaces.surface import NurbsSurface
+
+#: A surface is fitted again where so many of its grid pixels, as a share, have come or gone.
+_MOVED_SHARE = 0.1
+#: Those on every pixel follow.
+_SWEEPS = 2
+
+
+class SettledSurfaces(NamedTuple):
+    """What borders and contacts are judged by.
+
+    Parameters
+    ----------
+    labels : (h, w) int32
+        Of the grid pixels, with borders that have moved.
+    surfaces : list of NurbsSurface or None
+        That of each label.
+    rms_per_m : list of float
+        Root mean square residual of each surface, 1/m.
+    """
+
+    labels: NDArray[np.int32]
+    surfaces: list[NurbsSurface | None]
+    rms_per_m: list[float]
+
+
+def settled_surfaces(
+    labels: NDArray[np.int32], fits: Sequence[Fit], grid: DepthGrid, config: SegmentationConfig
+) -> SettledSurfaces:
+    """Move the borders on the grid, and fit the surfaces again of which they took or gave much.
+
+    A cut leaves a strip along many a border on the wrong side. It bends the surface beyond that border, so
+    that a second fit tells better where the two surfaces meet. The tree keeps the fits that decided it.
+
+    Parameters
+    ----------
+    labels : (h, w) int32
+        Of the grid pixels, 1 to the number of fits; 0 where there is no point.
+    fits : sequence of Fit
+        Of each label.
+    grid : DepthGrid
+        The points.
+    config : SegmentationConfig
+        As for `refine_borders` and `fit_window`.
+    """
+    surfaces, rms_per_m = [fit.surface for fit in fits], [fit.rms_per_m for fit in fits]
+    moved = refine_borders(
+        labels,
+        grid.inverse_depth,
+        surfaces,
+        config,
+        rms_per_m=rms_per_m,
+        step=grid.step,
+        sweeps=_SWEEPS,
+        spread_severed=False,
+    )
+    changed = moved != labels
+    changes = np.bincount(moved[changed], minlength=len(fits) + 1)
+    changes += np.bincount(labels[changed], minlength=len(fits) + 1)
+    boxes = bounding_boxes(moved.astype(np.uint16), len(fits) + 1)
+    for label, (fit, box) in enumerate(zip(fits, boxes[1:], strict=True), start=1):
+        if changes[label] <= _MOVED_SHARE * fit.residuals_m.size or box[2] == 0:
+            continue
+        top, left, bottom, right = box
+        again, _ = fit_window(grid, box, moved[top:bottom, left:right] == label, config)
+        if again.surface is not None:
+            surfaces[label - 1], rms_per_m[label - 1] = again.surface, again.rms_per_m
+    return SettledSurfaces(moved, surfaces, rms_per_m)
+
+
+__all__ = ["SettledSurfaces", "settled_surfaces"]
