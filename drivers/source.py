@@ -30,12 +30,15 @@ class FrameSource(Closing):
         Of the source's cameras; frames carry their own too.
     live : bool
         Whether frames are lost when nobody reads them (a camera) or wait to be read (a recording).
+    seekable : bool
+        Whether `seek` can go to any frame.
     metadata : dict of str to str
         What is known of the device or the recording (name, serial number, ...); may be empty.
     """
 
     calibration: Calibration
     live: bool = False
+    seekable: bool = False
 
     def __init__(self) -> None:
         self.metadata: dict[str, str] = {}
@@ -85,11 +88,6 @@ class FrameSource(Closing):
                 return passed
         return frames
 
-    @property
-    def seekable(self) -> bool:
-        """Whether `seek` can go to any frame."""
-        return False
-
     def seek(self, index: int) -> None:
         """Let the frame of a number be read next, 0 for a recording's first; the last one if it has fewer.
 
@@ -132,17 +130,13 @@ class Wrapped(FrameSource):
         super().__init__()
         self.calibration = source.calibration
         self.metadata = source.metadata
+        self.seekable = source.seekable
         self._source = source
 
     @property
     def losses(self) -> Mapping[str, int]:
         """Those of the source."""
         return self._source.losses
-
-    @property
-    def seekable(self) -> bool:
-        """As the source."""
-        return self._source.seekable
 
     def _seek(self, index: int) -> None:
         self._source.seek(index)

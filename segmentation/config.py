@@ -71,6 +71,11 @@ class DepthConfig(Settings):
         if self.crop is not None and (min(self.crop[:2]) < 0 or min(self.crop[2:]) < 1):
             raise ValueError(f"crop: expected left, top, width and height in pixels, got {self.crop}")
 
+    def check_crop(self, width: int, height: int) -> None:
+        """Raise ValueError if the crop keeps nothing of a depth image of so many pixels."""
+        if self.crop is not None and (self.crop[0] >= width or self.crop[1] >= height):
+            raise ValueError(f"crop: {self.crop} is outside of a depth image of {width}x{height}")
+
 
 @dataclass(frozen=True, slots=True)
 class Stag15Config(Settings):
@@ -217,7 +222,7 @@ class SegmentationConfig(Settings):
     )
     decimation: int = setting(
         2,
-        "pixel step of the grid on which splits are decided; borders are settled on every pixel",
+        "pixel step of the grid on which splits are decided; borders are refined on every pixel",
         least=1,
         most=8,
     )

@@ -38,6 +38,7 @@ class Looped(FrameSource):
         super().__init__()
         self.calibration = source.calibration
         self.metadata = source.metadata
+        self.seekable = source.seekable
         self.repeats = repeats
         self._source = source
         self._reopen = reopen
@@ -90,11 +91,6 @@ class Looped(FrameSource):
         self._last = None
         self._source.close()
         self._source = self._reopen()
-
-    @property
-    def seekable(self) -> bool:
-        """As the recording."""
-        return self._source.seekable
 
     def _seek(self, index: int) -> None:
         """Go to a frame by its number in any pass; frames then have their numbers in the recording."""

@@ -93,6 +93,8 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
         with _reported(report, interruption):
             with _setup():
                 _check_workers(config, opened)
+                camera = opened.source.calibration.depth
+                config.depth.check_crop(camera.width, camera.height)
                 exporter = _open_export(config, opened)
                 view = report.view = stack.enter_context(_open_view(config, opened, view_process))
                 recorder = report.recorder = Recorder(
@@ -107,7 +109,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 recording=recorder.recording,
                 preparation=prepare,
             )
-            with recorder.told(), _watched(config.source.replay), ExitStack() as reading:
+            with recorder.logged(), _watched(config.source.replay), ExitStack() as reading:
                 reading.enter_context(recorder)
                 if warm_up is not None:
                     warm_up.wait()

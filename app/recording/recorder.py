@@ -109,7 +109,7 @@ def _open_oni(
         raise RecordError(str(err)) from err
 
 
-def tell_recorded(recording: Recording) -> None:
+def log_recorded(recording: Recording) -> None:
     """Say in the log what was recorded.
 
     Raises
@@ -164,7 +164,7 @@ class Recorder:
         self._name = name
         self._lossless = lossless
         self._ending: list[Recording] = []
-        self._told: list[dict[str, Any]] = []
+        self._figures: list[dict[str, Any]] = []
 
     @property
     def is_recording(self) -> bool:
@@ -190,26 +190,26 @@ class Recorder:
         return begun
 
     def end(self) -> None:
-        """Have no recording for now: the thread that reads finishes this one, `look` says what it holds."""
+        """Have no recording for now; the thread that reads finishes this one."""
         if self.recording is not None:
             self._ending.append(self.recording)
             self.recording = None
 
-    def look(self) -> None:
+    def log_finished(self) -> None:
         """Say what was recorded where a recording has ended; one that failed does not end the run."""
         for each in [each for each in self._ending if each.finished]:
             self._ending.remove(each)
-            self._tell(each)
+            self._log_ended(each)
 
-    def _tell(self, recording: Recording) -> None:
+    def _log_ended(self, recording: Recording) -> None:
         recording.close()
-        self._told.append(recording.figures())
+        self._figures.append(recording.figures())
         try:
-            tell_recorded(recording)
+            log_recorded(recording)
         except RecordError as err:
             _log.error("%s", err)
 
-    def tell(self) -> None:
+    def log_all(self) -> None:
         """Say what was recorded, when all is closed.
 
         Raises
@@ -218,34 +218,34 @@ class Recorder:
             If the last recording ended before the run did.
         """
         for each in self._ending:
-            self._tell(each)
+            self._log_ended(each)
         self._ending.clear()
         if self.recording is not None:
-            tell_recorded(self.recording)
+            log_recorded(self.recording)
 
     @contextmanager
-    def told(self) -> Iterator[None]:
+    def logged(self) -> Iterator[None]:
         """Say after the block what was recorded, also where Ctrl-C ended it.
 
         Raises
         ------
         RecordError
-            As `tell` does.
+            As `log_all` does.
         """
         try:
             yield
         except KeyboardInterrupt:
             try:
-                self.tell()
+                self.log_all()
             except RecordError as err:
                 _log.error("%s", err)
             raise
-        self.tell()
+        self.log_all()
 
     def figures(self) -> list[dict[str, Any]]:
         """Return what the run's report says of each recording."""
         rest = self._ending if self.recording is None else [*self._ending, self.recording]
-        return [*self._told, *(each.figures() for each in rest)]
+        return [*self._figures, *(each.figures() for each in rest)]
 
     def __enter__(self) -> Self:
         return self

@@ -72,12 +72,12 @@ def _run(channel: Channel) -> int:
         channel.send(Opened(view.how_to_look, view.serving))
         limit_s = _handle_messages(view, channel)
 
-    def tell() -> None:
+    def send_status() -> None:
         with contextlib.suppress(ChannelClosedError):
             channel.send(Status(view.dropped, view.connections))
 
     try:
-        view.close(file_limit_s=limit_s, on_progress=tell)
+        view.close(file_limit_s=limit_s, on_progress=send_status)
     except ViewError as err:
         channel.send(Failed(str(err)))
     channel.send(Status(view.dropped, view.connections))

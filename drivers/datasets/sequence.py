@@ -40,6 +40,8 @@ class SequenceSource(FrameSource):
         Number of images left out because they have no partner.
     """
 
+    seekable = True
+
     def __init__(self, path: Path, frames: int, form: str, dropped: int = 0) -> None:
         super().__init__()
         self._path, self._frames, self._next = path, frames, 0
@@ -90,11 +92,6 @@ class SequenceSource(FrameSource):
         passed = min(frames, self._frames - self._next)
         self._next += passed
         return passed
-
-    @property
-    def seekable(self) -> bool:
-        """Whether `seek` can go to any frame."""
-        return True
 
     def _seek(self, index: int) -> None:
         self._next = max(0, min(index, self._frames - 1))

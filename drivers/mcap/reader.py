@@ -71,6 +71,8 @@ class RecordingReader(FrameSource):
         If it has no calibration, or an unusable one.
     """
 
+    seekable = True
+
     def __init__(self, path: Path, options: SourceOptions) -> None:
         super().__init__()
         self._path = path
@@ -113,12 +115,8 @@ class RecordingReader(FrameSource):
                 return passed
         return frames
 
-    @property
-    def seekable(self) -> bool:
-        """Whether `seek` can go to any frame; one that was not read yet takes as long as skipping to it."""
-        return True
-
     def _seek(self, index: int) -> None:
+        # A frame that was not read yet takes as long as skipping to it.
         nearest = self._places[bisect_right(self._places, index, key=lambda place: place.frame) - 1]
         if not nearest.frame <= self._index <= index:
             self._begin_at(nearest)

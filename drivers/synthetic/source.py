@@ -75,6 +75,8 @@ class SyntheticSource(FrameSource):
         Size, length, seed, faults.
     """
 
+    seekable = True
+
     def __init__(self, options: SyntheticOptions | None = None) -> None:
         super().__init__()
         self.options = options or SyntheticOptions()
@@ -146,11 +148,6 @@ class SyntheticSource(FrameSource):
         passed = min(frames, self.options.frames - self._next)
         self._next += passed
         return passed
-
-    @property
-    def seekable(self) -> bool:
-        """Whether `seek` can go to any frame."""
-        return True
 
     def _seek(self, index: int) -> None:
         self._next = min(index, self.options.frames - 1)

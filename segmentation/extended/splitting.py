@@ -17,7 +17,7 @@ from nurbseg.segmentation.extended.borders import refine_borders
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features, segment_normalization
 from nurbseg.segmentation.extended.merge import merge_surfaces
 from nurbseg.segmentation.extended.parts import Part, chain_components, children_of, fit_segment, judge_split
-from nurbseg.segmentation.extended.settling import settled_surfaces
+from nurbseg.segmentation.extended.refitting import refit_surfaces
 from nurbseg.segmentation.growth import Clock, grow, time_limit
 from nurbseg.segmentation.labels.regions import large_components
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
@@ -64,7 +64,7 @@ def segment_nurbseg(
     fits = [leaf.fit for leaf in leaves]
     surfaces, rms_per_m = [fit.surface for fit in fits], [fit.rms_per_m for fit in fits]
     if config.extended.refine_borders:
-        on_grid, surfaces, rms_per_m = settled_surfaces(on_grid, fits, features.grid, config)
+        on_grid, surfaces, rms_per_m = refit_surfaces(on_grid, fits, features.grid, config)
     inverse_depth = inverse_depth_image(cloud)
     labels = upsample_by_depth(on_grid, features.grid.inverse_depth, inverse_depth, cloud.valid, config)
     if config.extended.refine_borders:

@@ -78,6 +78,13 @@ def test_depth_is_prepared_after_it_is_recorded_and_again_for_the_check(live: Li
     assert checked.returncode == 0, checked.stdout
 
 
+def test_a_crop_beside_the_depth_image_is_refused(live: Live) -> None:
+    done = live("--replay", SMALL.format(2), *FAST, "--crop", "96,0,10,10", "--report", "run.json")
+    assert done.returncode == 2
+    assert "crop: (96, 0, 10, 10) is outside of a depth image of 96x72" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
 def test_version(live: Live) -> None:
     try:
         version = importlib.metadata.version("nurbseg")

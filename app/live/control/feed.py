@@ -38,7 +38,7 @@ def controlled_frames(
         for captured in captured_frames(capture, progress, interruption, controls):
             while console is not None and (command := console.take()) is not None:
                 controls.apply(command)
-            controls.recorder.look()
+            controls.recorder.log_finished()
             if controls.ended:
                 return
             if captured is None and last is not None and controls.paused:

@@ -17,7 +17,7 @@ from nurbseg.app.recording import disk_space
 from nurbseg.app.recording import queue as record_queue
 from nurbseg.app.recording.config import RecordConfig
 from nurbseg.app.recording.queue import QueuedRecording
-from nurbseg.app.recording.recorder import RecordError, open_recording, tell_recorded
+from nurbseg.app.recording.recorder import RecordError, log_recorded, open_recording
 from nurbseg.drivers.errors import DeviceLostError, DriverError, EndOfRecordingError
 from nurbseg.drivers.reconnect import Reconnecting
 from nurbseg.drivers.registry import open_source
@@ -162,7 +162,7 @@ def test_recording_stops_before_the_disk_is_full_and_the_file_can_be_replayed(tm
     assert recording.frames + recording.lost == 12
     assert recording.ended
     with pytest.raises(RecordError, match=r"run\.mcap: recording stopped: only 99 MB .* 5 frames before"):
-        tell_recorded(recording)
+        log_recorded(recording)
     assert len(recorded(path)) == 5
 
 
@@ -279,7 +279,7 @@ def test_a_recording_that_is_deleted_is_said_once_and_ends(tmp_path, caplog):
     assert recording.ended
     assert caplog.text.count("was deleted or moved") == 1
     with pytest.raises(RecordError, match=r"run\.mcap was deleted or moved"):
-        tell_recorded(recording)
+        log_recorded(recording)
 
 
 def test_a_recording_without_frames_leaves_no_file(tmp_path):
@@ -352,12 +352,12 @@ def test_the_files_of_a_camera_that_was_away_are_all_told(tmp_path, caplog):
         for _ in range(2):
             recording.put(camera.read())
         assert recording.figures()["files"] == [str(path), str(tmp_path / "run-2.oni")]
-        tell_recorded(recording)
+        log_recorded(recording)
         assert "run-2.oni" in caplog.text
         recording.put(camera.read())
         assert (recording.frames, recording.ended) == (2, True)
         with pytest.raises(RecordError, match="does not go on as the camera is back: full"):
-            tell_recorded(recording)
+            log_recorded(recording)
 
 
 @pytest.mark.parametrize(

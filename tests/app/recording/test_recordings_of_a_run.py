@@ -47,7 +47,7 @@ def run_with(config: RecordConfig, name: str, source: ScriptedSource | None = No
     steps = Steps(config, name, source)
     with steps.source, steps.recorder, steps.capture:
         yield steps
-    steps.recorder.tell()
+    steps.recorder.log_all()
 
 
 def indexes(path: Path) -> list[int]:
@@ -102,12 +102,12 @@ def test_what_a_recording_holds_is_said_while_the_run_goes_on(
         run.read(2)
         recording = run.recorder.recording
         assert recording is not None
-        run.recorder.look()
+        run.recorder.log_finished()
         assert caplog.messages == ["recording to run.mcap"]
         run.controls.apply("record")
         run.read(1)
         recording.close()
-        run.recorder.look()
+        run.recorder.log_finished()
         assert [each.split(",")[0] for each in caplog.messages[1:]] == ["recorded 2 frames"]
     assert len(caplog.messages) == 2
 
@@ -154,7 +154,7 @@ def test_a_recording_that_failed_is_told_and_can_be_begun_again(
         failed.close()
         assert not run.recorder.is_recording
         run.controls.apply("record")
-        run.recorder.look()
+        run.recorder.log_finished()
         assert "run.mcap was deleted or moved; the " in caplog.text
         run.read(2)
     assert indexes(folder / "run.mcap") == [3, 4]
@@ -192,9 +192,9 @@ def test_a_camera_s_own_recorder_is_switched_by_the_thread_that_reads_it(
         run.controls.apply("record")
         run.read(3)
         run.controls.apply("record")
-        run.recorder.look()
+        run.recorder.log_finished()
         run.read(1)
-        run.recorder.look()
+        run.recorder.log_finished()
         assert any(each.startswith("recorded 3 frames") for each in caplog.messages)
         run.controls.apply("record")
         run.read(2)

@@ -53,6 +53,13 @@ def test_what_is_outside_the_crop_has_no_depth(noisy: NDArray[np.uint16]) -> Non
     assert_array_equal(prepared(noisy, crop=(20, 10, 500, 500))[10:, 20:], noisy[10:, 20:])
 
 
+def test_a_crop_beside_the_image_is_named() -> None:
+    DepthConfig(crop=(49, 39, 10, 10)).check_crop(50, 40)
+    for crop in ((50, 0, 10, 10), (0, 40, 10, 10)):
+        with pytest.raises(ValueError, match=r"crop: .* is outside of a depth image of 50x40"):
+            DepthConfig(crop=crop).check_crop(50, 40)
+
+
 @pytest.mark.parametrize("smoothing", ["median", "bilateral"])
 def test_smoothing_takes_noise_away_and_keeps_edges_and_holes(
     smoothing: str, noisy: NDArray[np.uint16]

@@ -3,7 +3,7 @@ import pytest
 from inverse_depth_lattice import inverse_depth_lattice
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.settling import settled_surfaces
+from nurbseg.segmentation.extended.refitting import refit_surfaces
 from nurbseg.segmentation.points.depth_grid import depth_grid
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 
@@ -42,7 +42,7 @@ def test_a_surface_bent_by_a_strip_of_its_neighbor_is_fitted_again(concave_corne
     grid, floor = concave_corner
     truth, cut = (parted_at(grid, EDGE // 2 - strip) for strip in (0, 3))
     fits = fits_of(grid, cut)
-    labels, surfaces, rms_per_m = settled_surfaces(cut, fits, grid, CONFIG)
+    labels, surfaces, rms_per_m = refit_surfaces(cut, fits, grid, CONFIG)
     assert (labels != truth).sum() < 0.5 * (cut != truth).sum()
     rows, columns = np.arange(EDGE - 10.0, EDGE + 10.0), np.arange(20.0, 300.0)
     before, after = (
@@ -62,6 +62,6 @@ def test_borders_that_hardly_move_leave_the_fits_as_they_are(concave_corner):
     grid, _ = concave_corner
     cut = parted_at(grid, EDGE // 2 - 1)
     fits = fits_of(grid, cut)
-    labels, surfaces, _ = settled_surfaces(cut, fits, grid, CONFIG)
+    labels, surfaces, _ = refit_surfaces(cut, fits, grid, CONFIG)
     assert (labels != cut).any()
     assert all(surface is fit.surface for surface, fit in zip(surfaces, fits, strict=True))

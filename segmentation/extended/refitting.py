@@ -1,4 +1,4 @@
-"""Surfaces whose borders have settled: the borders between leaves are moved, and surfaces fitted again."""
+"""A second fit of the surfaces: after their borders have moved on the grid."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MOVED_SHARE = 0.1
 _SWEEPS = 2
 
 
-class SettledSurfaces(NamedTuple):
+class RefitSurfaces(NamedTuple):
     """What borders and contacts are judged by.
 
     Parameters
@@ -40,9 +40,9 @@ class SettledSurfaces(NamedTuple):
     rms_per_m: list[float]
 
 
-def settled_surfaces(
+def refit_surfaces(
     labels: NDArray[np.int32], fits: Sequence[Fit], grid: DepthGrid, config: SegmentationConfig
-) -> SettledSurfaces:
+) -> RefitSurfaces:
     """Move the borders on the grid, and fit the surfaces again of which they took or gave much.
 
     A cut leaves a strip along many a border on the wrong side. It bends the surface beyond that border, so
@@ -81,7 +81,7 @@ def settled_surfaces(
         again, _ = fit_window(grid, box, moved[top:bottom, left:right] == label, config)
         if again.surface is not None:
             surfaces[label - 1], rms_per_m[label - 1] = again.surface, again.rms_per_m
-    return SettledSurfaces(moved, surfaces, rms_per_m)
+    return RefitSurfaces(moved, surfaces, rms_per_m)
 
 
-__all__ = ["SettledSurfaces", "settled_surfaces"]
+__all__ = ["RefitSurfaces", "refit_surfaces"]
