@@ -12,10 +12,13 @@ from numba.core import event
 
 _log = logging.getLogger(__name__)
 
+#: Seconds from one line about the progress to the next.
+_PROGRESS_S = 5.0
+
 
 @contextmanager
 def logged_compilation() -> Iterator[None]:
-    """Say once, while the block runs, that code is compiled; and at the end of the block how long it took."""
+    """Say while the block runs that code is compiled and how far that is, and at its end how long it took."""
     listener = _Listener()
     try:
         with event.install_listener("numba:compile", listener):
@@ -32,14 +35,14 @@ class _Listener(event.Listener):
         self.spent_s = 0.0
         self._lock = threading.Lock()
         self._depth = 0
-        self._began_s = 0.0
-        self._said = False
+        self._began_s = self._told_s = 0.0
+        self._done = 0
 
     def on_start(self, event: event.Event) -> None:
         with self._lock:
-            if not self._said:
+            if not self._told_s:
                 _log.info("compiling the inner loops; this takes half a minute, once on a computer")
-                self._said = True
+                self._told_s = time.monotonic()
             if self._depth == 0:
                 self._began_s = time.monotonic()
             self._depth += 1
@@ -47,5 +50,10 @@ class _Listener(event.Listener):
     def on_end(self, event: event.Event) -> None:
         with self._lock:
             self._depth -= 1
+            self._done += 1
+            now_s = time.monotonic()
+            if now_s - self._told_s >= _PROGRESS_S:
+                _log.info("compiling: %d functions done", self._done)
+                self._told_s = now_s
             if self._depth == 0:
-                self.spent_s += time.monotonic() - self._began_s
+                self.spent_s += now_s - self._began_s

@@ -3,10 +3,13 @@ from __future__ import annotations
 import importlib.util
 import logging
 from pathlib import Path
+from types import ModuleType
 
+import numpy as np
 import pytest
 from child_python import run_python
 
+from nurbseg.app.command import compilation
 from nurbseg.app.command.compilation import logged_compilation
 
 _MODULE = """
@@ -21,20 +24,38 @@ def total(count):
 """
 
 
-def test_compiling_is_told_once_and_how_long_it_took(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    (tmp_path / "loops.py").write_text(_MODULE)
-    spec = importlib.util.spec_from_file_location("loops", tmp_path / "loops.py")
+def _loaded(folder: Path) -> ModuleType:
+    (folder / "loops.py").write_text(_MODULE)
+    spec = importlib.util.spec_from_file_location("loops", folder / "loops.py")
     assert spec is not None and spec.loader is not None
     loops = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(loops)
+    return loops
+
+
+def test_compiling_is_told_once_and_how_long_it_took(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    loops = _loaded(tmp_path)
     with caplog.at_level(logging.INFO, "nurbseg"), logged_compilation():
         assert loops.total(5) == 10
         assert loops.total(5.0 > 1.0) == 0  # another type, compiled anew
     said = [record.getMessage() for record in caplog.records]
     assert [text.split(";")[0] for text in said] == ["compiling the inner loops", said[1].split(";")[0]]
     assert said[1].startswith("compiling took")
+
+
+def test_progress_is_told_from_time_to_time(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loops = _loaded(tmp_path)
+    with caplog.at_level(logging.INFO, "nurbseg"), logged_compilation():
+        loops.total(5)
+        monkeypatch.setattr(compilation, "_PROGRESS_S", 0.0)
+        for value in (np.int8(3), np.int16(3)):
+            loops.total(value)
+    said = [record.getMessage() for record in caplog.records if "done" in record.getMessage()]
+    assert said == ["compiling: 2 functions done", "compiling: 3 functions done"]
 
 
 def test_what_is_found_on_disk_is_not_told(tmp_path: Path) -> None:
