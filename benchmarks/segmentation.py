@@ -32,9 +32,10 @@ from nurbseg.app.evaluation.computer import computer
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
-from nurbseg.segmentation import stag15 as tree
+from nurbseg.segmentation import stag15
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended import splitting
+from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap, register
 from nurbseg.segmentation.surfaces.fit import fit_surface
 
@@ -42,7 +43,7 @@ DEMO = Path(__file__).parent.parent / "recordings" / "demo.mcap"
 #: For each method the module that grows the tree, and the stage that the time of its functions belongs to.
 STAGES: dict[str, tuple[ModuleType, dict[str, str]]] = {
     "stag15": (
-        tree,
+        stag15,
         {
             "decimated_grid": "grid",
             "raw_vectors": "vectors",
@@ -63,6 +64,7 @@ STAGES: dict[str, tuple[ModuleType, dict[str, str]]] = {
             "_continued": "cut",
             "_pieces": "pieces",
             "fit_segment": "fit",
+            "refit_surfaces": "borders",
             "upsample_by_depth": "borders",
             "refine_borders": "borders",
             "merge_surfaces": "merge",
@@ -150,7 +152,7 @@ def by_size(frames: list[RGBDFrame], config: SegmentationConfig, repeat: int) ->
     for name, (width, height) in SIZES.items():
         clouds = [register(resized(frame, width, height)) for frame in frames]
         total = statistics.mean(
-            milliseconds(lambda cloud=cloud: tree.segment(cloud, config), repeat) for cloud in clouds
+            milliseconds(lambda cloud=cloud: segment(cloud, config), repeat) for cloud in clouds
         )
         sums.append((width * height, total))
         print(f"{name:6} {width * height:8} {total:8.1f} {1e6 * total / (width * height):10.1f}")
@@ -165,10 +167,10 @@ def by_splits(frame: RGBDFrame, config: SegmentationConfig, repeat: int) -> None
     found: list[tuple[int, float]] = []
     for allowed in (2, 4, 8, 16, 32, 64):
         limited = replace(config, splits_max=allowed)
-        splits = sum(each.cut is not None for each in tree.segment(cloud, limited).segments)
+        splits = sum(each.cut is not None for each in segment(cloud, limited).segments)
         if splits == 0 or (found and splits == found[-1][0]):
             break
-        total = milliseconds(lambda limited=limited: tree.segment(cloud, limited), repeat)
+        total = milliseconds(lambda limited=limited: segment(cloud, limited), repeat)
         found.append((splits, total))
         print(f"{allowed:14} {splits:6} {total:8.1f} {total / splits:11.2f}")
     if len(found) > 1:
@@ -209,11 +211,11 @@ def main() -> None:
     for frame in frames:
         cloud = register(frame)
         registered = milliseconds(lambda frame=frame: register(frame), arguments.repeat)
-        whole = milliseconds(lambda cloud=cloud: tree.segment(cloud, config), arguments.repeat)
+        whole = milliseconds(lambda cloud=cloud: segment(cloud, config), arguments.repeat)
         spends = []
         for _ in range(arguments.repeat):
             with stage_clock(module, stages) as spent:
-                found = tree.segment(cloud, config)
+                found = segment(cloud, config)
             spends.append(spent)
         by_stage = [statistics.median(spent[each] for spent in spends) for each in columns]
         peer = milliseconds(

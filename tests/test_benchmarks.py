@@ -49,3 +49,27 @@ def test_few_measurements_that_scatter_are_not_certain(tmp_path: Path) -> None:
     assert "0 of 1 slower" in done.stdout
     assert "fit, ms: +10 %; confidence" in done.stdout
     assert done.returncode == 0
+
+
+@pytest.mark.parametrize("method", ["nurbseg", "stag15"])
+def test_the_time_of_each_stage_is_measured(method: str) -> None:
+    done = subprocess.run(
+        [
+            sys.executable,
+            ALL.with_name("segmentation.py"),
+            "--frames",
+            "1",
+            "--repeat",
+            "1",
+            "--method",
+            method,
+        ],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    head, row = (line for line in done.stdout.splitlines() if line.startswith(("frame ", "0 ")))
+    values = dict(zip(head.replace("every pixel", "every_pixel").split(), row.split(), strict=True))
+    stages = ["cut", "fit", *(["borders", "merge"] if method == "nurbseg" else ["clean-up", "every_pixel"])]
+    assert all(float(values[each]) > 0 for each in stages), values
+    assert int(row.split()[-3]) > 10
