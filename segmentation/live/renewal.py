@@ -90,7 +90,7 @@ def renew_splits(
             reach[id(node)] = label[id(node)], label[id(node)]
     ends = np.cumsum([0, *(leaf.node.grid_pixels.size for leaf in leaves)])
     for node in nodes:
-        if node.division not in (None, Division.CUT):
+        if node.division not in (None, Division.CUT) and node.fit.pixels.size:
             # It has no surface, and its pixels are those of its parts.
             node.fit = replace(node.fit, pixels=np.zeros(0, dtype=np.intp))
     rejected: list[Node] = []
@@ -103,7 +103,7 @@ def renew_splits(
         if turn or every_surface:
             own = np.flatnonzero((labels >= first_label) & (labels <= last_label))
             node.fit, node.measured = fit_segment(features, own, config).fit, frame
-        elif node.measured != frame:
+        elif node.measured != frame and node.fit.surface is not None:
             reason = f"measured in frame {node.measured}"
             node.fit = replace(node.fit, surface=None, residuals_m=np.zeros(0), reason=reason)
         if not turn:
