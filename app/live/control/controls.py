@@ -117,7 +117,7 @@ class Controls:
 
     def _seek(self, word: str) -> str:
         if self._looped is None or not self._looped.seekable:
-            raise ValueError("this source only goes forward; .mcap recordings and images can do it")
+            raise ValueError("a camera only goes forward")
         if self._fixed:
             raise ValueError("an export takes the frames in their order")
         if self.recorder.is_recording:

@@ -63,6 +63,8 @@ class OniSource(FrameSource):
         If the file is damaged, or OpenNI2's driver crashes or hangs on it.
     """
 
+    seekable = True
+
     def __init__(
         self,
         path: Path,
@@ -92,7 +94,7 @@ class OniSource(FrameSource):
         self._waiting: dict[tuple[Sensor, int], PlayedImage] = {}
         self._player = PlayerProcess(path)
         try:
-            self._take_description(file)
+            self._take_description(file, self._description())
         except BaseException:
             self.close()
             raise
@@ -116,21 +118,25 @@ class OniSource(FrameSource):
                 depth += 1
         return pairs
 
-    def _take_description(self, file: OniFile) -> None:
+    def _description(self) -> Description:
+        """Return what the player says first."""
         message = self._player.receive(OPEN_LIMIT_S, OPEN_LIMIT_S)
-        if not isinstance(message, Description):
-            error = message.error() if isinstance(message, Failure) else None
-            if isinstance(error, BackendMissingError):
-                raise error
-            raise RecordingFormatError(f"{self._path}: OpenNI2 cannot play it ({error or 'no answer'})")
-        depth, color = message.depth, message.color
+        if isinstance(message, Description):
+            return message
+        error = message.error() if isinstance(message, Failure) else None
+        if isinstance(error, BackendMissingError):
+            raise error
+        raise RecordingFormatError(f"{self._path}: OpenNI2 cannot play it ({error or 'no answer'})")
+
+    def _take_description(self, file: OniFile, played: Description) -> None:
         self.metadata.update({key: str(value) for key, value in file.note.get("device", {}).items()})
-        self.metadata.setdefault("openni2_version", message.openni2_version)
+        self.metadata.setdefault("openni2_version", played.openni2_version)
         self.metadata["dropped"] = str(self.half_pairs)
-        for name, stored, played in (("depth", file.depth, depth), ("color", file.color, color)):
-            if played.size != stored.size:
+        depth, color = played.depth, played.color
+        for name, stored, each in (("depth", file.depth, depth), ("color", file.color, color)):
+            if each.size != stored.size:
                 raise RecordingFormatError(
-                    f"{self._path}: {name}: xnMapOutputMode says {stored.size}, OpenNI2 {played.size}"
+                    f"{self._path}: {name}: xnMapOutputMode says {stored.size}, OpenNI2 {each.size}"
                 )
         # A recording remembers whether its images are mirrored; they come as is wanted here.
         self._flip_depth, self._flip_color = (
@@ -185,6 +191,15 @@ class OniSource(FrameSource):
         frame = self._frame(stored_depth.timestamp_us, depth, color)
         self._next += 1
         return frame
+
+    def _seek(self, index: int) -> None:
+        index = max(0, min(index, len(self._pairs) - 1))
+        if index < self._next:
+            # OpenNI2's own seeking hangs for good: the file is played again, and what comes before is passed.
+            self._player.close()
+            self._player = PlayerProcess(self._path)
+            self._description()
+        self._next = index
 
     def _forget_before(self, depth: int, color: int) -> None:
         oldest = {Sensor.DEPTH: depth, Sensor.COLOR: color}

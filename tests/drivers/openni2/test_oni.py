@@ -89,6 +89,26 @@ def test_a_recording_replays_exactly_and_whole(virtual_cameras, tmp_path):
     assert frames[0].calibration.is_registered
 
 
+@pytest.mark.parametrize("read", [0, 4, 100])
+def test_a_recording_goes_to_any_frame_from_anywhere(recording, read):
+    with open_source(str(recording)) as source:
+        last = len(source) - 1
+        for _, _ in zip(range(read), source, strict=False):
+            pass
+        for index in (3, 4, 2, 11, 10, 0, last):
+            source.seek(index)
+            frame = source.read(timeout_s=10.0)
+            assert (frame.index, frame_number(frame)) == (index, index)
+            np.testing.assert_array_equal(frame.depth_mm, depth_image(index))
+            np.testing.assert_array_equal(frame.color, color_image(index))
+        source.seek(last - 1)
+        assert [frame.index for frame in source] == [last - 1, last]
+        source.seek(1000)
+        assert source.read(timeout_s=10.0).index == last
+        assert len(own_children()) == 1
+    assert not own_children()
+
+
 def test_lossy_color_is_close_and_depth_exact(virtual_cameras, tmp_path, rng):
     # JPEG is made for pictures, so this camera shows a smooth one.
     row, col = np.mgrid[:480, :640]

@@ -185,7 +185,7 @@ def test_where_frames_must_come_in_their_order_nobody_goes_to_another(
         with recorder:
             Controls(SegmentationConfig(), CaptureThread(source), recorder, source).apply("seek 3")
     assert [each.split(";")[0] for each in caplog.messages] == [
-        "seek: this source only goes forward",
+        "seek: a camera only goes forward",
         "seek: an export takes the frames in their order",
         "seek: a recording takes the frames in their order",
     ]
