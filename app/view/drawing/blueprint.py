@@ -119,7 +119,7 @@ def _spaces(
         ]
     )
     shown: tuple[tuple[str, str, dict[Any, Any]], ...] = (
-        (f"Surfaces, colored by {colored_by}", entity.SURFACES, {}),
+        (f"Surfaces, colored by {colored_by}", f"{entity.SURFACES}/**", {}),
         (f"Points, colored by {colored_by}", entity.POINTS, {}),
         ("Surfaces, colored by residual", entity.SURFACES, {entity.SURFACES: by_residual}),
     )

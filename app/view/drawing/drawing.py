@@ -74,6 +74,8 @@ def drawn(
         triangles=mesh.triangles,
         residuals_m=mesh.residuals_m,
         vertex_surfaces=result.surface_of_leaf[mesh.labels],
+        isolines=mesh.isolines,
+        isoline_sizes=mesh.isoline_sizes,
         tree=_nodes(result, metric),
         merges=tuple(_merges(result)),
         elapsed_ms=dict(elapsed_ms),

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
@@ -36,6 +37,7 @@ COLOR_CAMERA = f"{WORLD}/color_camera"
 UNREGISTERED_COLOR = f"{COLOR_CAMERA}/image"
 SHADED = f"{CAMERA}/image/surfaces"
 POINTS, SURFACES = f"{WORLD}/points", f"{WORLD}/surfaces"
+ISOLINES = f"{SURFACES}/isolines"
 #: The second color of each vertex of the surfaces.
 RESIDUAL_COLORS = "Residuals:colors"
 RESIDUAL_SCALE = "residual_scale"
@@ -45,7 +47,9 @@ EVENTS = f"{SEGMENT_COUNT}/events"
 GRID_STEP = f"{RATE}/grid_step"
 LOG = "log"
 
-
+#: Color of isolines, and how much nearer to the camera than their surfaces they are, which would hide them.
+_LINE_COLOR, _NEARER = (24, 26, 30), np.float32(0.998)
+_STRIPS = rr.components.LineStrip3DBatch([]).as_arrow_array().type
 #: Class of what was not found in a frame.
 _NOTHING = 65535
 #: Objects whose surfaces have shades of their own; further ones share them.
@@ -206,7 +210,9 @@ def _space(frame: ViewFrame, view: ViewConfig) -> Entities:
     if view.points_max:
         yield (
             POINTS,
-            rr.Points3D(frame.points_m, class_ids=frame.point_labels, radii=rr.Radius.ui_points(1.3)),
+            rr.Points3D(
+                _rounded(frame.points_m), class_ids=frame.point_labels, radii=rr.Radius.ui_points(1.3)
+            ),
         )
     of, shades = frame.object_of_surface, shades_of_surfaces(frame.object_of_surface)
     colors = np.full((max(of, default=0) + 1, 3), NOTHING_COLOR, dtype=np.uint8)
@@ -215,16 +221,28 @@ def _space(frame: ViewFrame, view: ViewConfig) -> Entities:
     yield (
         SURFACES,
         rr.Mesh3D(
-            vertex_positions=frame.vertices_m,
-            # Rounded, as that takes a third off a saved frame, and cannot be seen.
-            vertex_normals=np.rint(frame.normals * 64.0) / 64.0,
+            vertex_positions=_rounded(frame.vertices_m),
+            vertex_normals=_rounded(frame.normals, 64),
             triangle_indices=frame.triangles,
             vertex_colors=packed(colors)[frame.vertex_surfaces],
         ),
     )
+    yield ISOLINES, rr.LineStrips3D(_strips(frame), colors=_LINE_COLOR, radii=rr.Radius.ui_points(0.6))
     residuals = rr.components.ColorBatch(residual_colors(frame.residuals_m, view.residual_max_m))
     archetype, component = RESIDUAL_COLORS.split(":")
     yield SURFACES, rr.DynamicArchetype(archetype, components={component: residuals})
+
+
+def _rounded(values: NDArray[np.float32], per_unit: int = 1024) -> NDArray[np.float32]:
+    """Return values, such as metres, rounded to what can be seen, which takes a third off a saved frame."""
+    return np.asarray(np.rint(values * np.float32(per_unit)) / np.float32(per_unit))
+
+
+def _strips(frame: ViewFrame) -> Any:
+    """Return the isolines as Rerun keeps them; it would take them apart one by one."""
+    points = rr.components.Position3DBatch(_rounded(_NEARER * frame.vertices_m[frame.isolines]))
+    ends = np.cumsum(frame.isoline_sizes, dtype=np.int32)
+    return pa.ListArray.from_arrays(np.append(np.int32(0), ends), points.as_arrow_array(), type=_STRIPS)
 
 
 def _scalars(frame: ViewFrame) -> Entities:

@@ -94,6 +94,10 @@ class ViewFrame:
         Mean distance of the data around each vertex to the surface, metres.
     vertex_surfaces : (V,) uint16
         Surface of each vertex.
+    isolines : (N,) uint32
+        Rows of the vertices on lines of constant parameter, line after line.
+    isoline_sizes : (L,) intp
+        Vertices of each line.
     tree : tuple of TreeNode
         Depth first, the root first.
     merges : tuple of str
@@ -128,6 +132,8 @@ class ViewFrame:
     triangles: NDArray[np.uint32]
     residuals_m: NDArray[np.float32]
     vertex_surfaces: NDArray[np.uint16]
+    isolines: NDArray[np.uint32]
+    isoline_sizes: NDArray[np.intp]
     tree: tuple[TreeNode, ...]
     merges: tuple[str, ...]
     elapsed_ms: Mapping[str, float]

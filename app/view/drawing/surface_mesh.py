@@ -7,9 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.app.view.drawing.isolines import isolines
 from nurbseg.app.view.drawing.surface_samples import Lattices, evaluate_vertices
 from nurbseg.drivers.compiled import F32, F64, I64, U16, Intp, compiled
 from nurbseg.segmentation.segments import SegmentationTree
+
+#: Every so many rows and columns of a lattice are drawn as lines.
+_ISOLINE_EVERY = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,6 +32,10 @@ class SurfaceMesh:
         Mean distance of the data around each vertex to the surface, metres.
     labels : (V,) uint16
         Label of the segment that each vertex belongs to.
+    isolines : (N,) uint32
+        Rows of `vertices_m` on lines of constant parameter, line after line.
+    isoline_sizes : (L,) intp
+        Vertices of each line.
     """
 
     vertices_m: NDArray[np.float32]
@@ -35,6 +43,8 @@ class SurfaceMesh:
     triangles: NDArray[np.uint32]
     residuals_m: NDArray[np.float32]
     labels: NDArray[np.uint16]
+    isolines: NDArray[np.uint32]
+    isoline_sizes: NDArray[np.intp]
 
 
 def surface_mesh(tree: SegmentationTree, labels: NDArray[np.uint16], step_px: float) -> SurfaceMesh:
@@ -87,7 +97,9 @@ def surface_mesh(tree: SegmentationTree, labels: NDArray[np.uint16], step_px: fl
             residuals,
         )
     sizes = count[:, 0] * count[:, 1]
-    return SurfaceMesh(vertices, normals, triangles, residuals, np.repeat(label_of, sizes)[wanted])
+    labels_of_vertices = np.repeat(label_of, sizes)[wanted]
+    lines = isolines(lattices, row_of, _ISOLINE_EVERY)
+    return SurfaceMesh(vertices, normals, triangles, residuals, labels_of_vertices, *lines)
 
 
 @compiled

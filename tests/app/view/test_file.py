@@ -23,7 +23,8 @@ from rerun.chunk import RrdReader
 
 from nurbseg.app.live.tracking import process_frame
 from nurbseg.app.result import FrameResult
-from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.view.config import Layout, ViewConfig
+from nurbseg.app.view.drawing.blueprint import blueprint
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.entities import FrameEntities
 from nurbseg.app.view.drawing.frame import Moment
@@ -81,6 +82,7 @@ def saved(results: list[FrameResult], tmp_path_factory: pytest.TempPathFactory) 
         "world/camera/ground_truth",
         "world/points",
         "world/surfaces",
+        "world/surfaces/isolines",
         "tree",
         "objects",
         "splits",
@@ -154,6 +156,28 @@ def test_surfaces_are_one_mesh_with_a_color_for_each_vertex(saved: SavedView) ->
     assert vertices > 100
     assert len(mesh["Mesh3D:vertex_colors"]) == len(mesh["Mesh3D:vertex_normals"]) == vertices
     assert np.max(mesh["Mesh3D:triangle_indices"]) == vertices - 1
+
+
+def views_of(part: rrb.Container | rrb.View) -> Iterator[rrb.View]:
+    if isinstance(part, rrb.View):
+        yield part
+    else:
+        for each in part.contents:
+            yield from views_of(each)
+
+
+@pytest.mark.parametrize("layout", ["full", "compact"])
+def test_each_view_holds_data_and_all_that_is_drawn_is_seen(saved: SavedView, layout: Layout) -> None:
+    logged = {*saved.by_frame, *saved.static}
+    seen: set[str] = set()
+    for view in views_of(blueprint(ground_truth=True, objects=True, layout=layout).root_container):
+        for query in [view.contents] if isinstance(view.contents, str) else view.contents:
+            path = query.replace("$origin", view.origin).removesuffix("/**")
+            found = {each for each in logged if each == path or each.startswith(f"{path}/")}
+            assert found, f"{view.name}: {query}"
+            seen |= found
+    # What is left are cameras, and the annotations of all below.
+    assert {each for each in logged - seen if not each.startswith("__")} == {"world", "world/camera"}
 
 
 def test_the_layout_follows_what_frames_hold(
