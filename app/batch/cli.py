@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 from nurbseg.app.command.arguments import add_flag
 from nurbseg.app.command.threads import one_thread_for_products
-from nurbseg.app.command.values import value_kinds
 from nurbseg.app.export.config import ExportConfig, export_forms
 from nurbseg.app.parser import add_calibration_flags, add_setting_flags, command_parser
+from nurbseg.drivers.settings import value_kinds
 
 if TYPE_CHECKING:
     from nurbseg.app.batch.batch import Recording

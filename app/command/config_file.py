@@ -9,10 +9,9 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from nurbseg.app.command.values import value_kinds
 from nurbseg.app.config import AppConfig, sections
 from nurbseg.drivers.errors import quoted
-from nurbseg.drivers.settings import described_fields, in_sections, subsections
+from nurbseg.drivers.settings import described_fields, in_sections, subsections, value_kinds
 
 _log = logging.getLogger("nurbseg.config")
 

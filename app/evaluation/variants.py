@@ -7,11 +7,10 @@ import itertools
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, get_args
 
-from nurbseg.drivers.settings import nested, setting_paths, updated
+from nurbseg.drivers.settings import nested, setting_paths, updated, value_kind
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 
 #: Methods decided by the tree of surface fits; the metric and threshold grids apply to them alone.
@@ -83,14 +82,10 @@ def setting_value(name: str, text: str) -> Any:
         If there is no such setting, or the text is no value of it.
     """
     path = path_named(name)
-    default = attrgetter(path)(SegmentationConfig())
     try:
-        if isinstance(default, bool):
-            value: Any = {"true": True, "1": True, "false": False, "0": False}[text.lower()]
-        else:
-            value = type(default)(text)
-    except (ValueError, KeyError):
-        raise ValueError(f"{name}: expected a value like {default!r}, got {text!r}") from None
+        value = value_kind(SegmentationConfig, path).from_text(text)
+    except ValueError as err:
+        raise ValueError(f"{name}: {err}") from None
     updated(SegmentationConfig(), **nested({path: value}))
     return value
 

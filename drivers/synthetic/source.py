@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal, get_args
 from urllib.parse import parse_qsl
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.errors import EndOfRecordingError, RecordingFormatError
+from nurbseg.drivers.datasets.sequence import SequenceSource
+from nurbseg.drivers.errors import RecordingFormatError
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.settings import Settings, setting
-from nurbseg.drivers.source import FrameSource
+from nurbseg.drivers.settings import Settings, setting, value_kinds
 from nurbseg.drivers.synthetic.render import Renderer, Rendering
 from nurbseg.drivers.synthetic.scene import TICKS_PER_S, RenderedPoses, RenderedScene
 from nurbseg.drivers.synthetic.sensor import SensorModel
@@ -66,7 +67,7 @@ class SyntheticOptions(Settings):
             raise ValueError("color_width: expected offset=1 with it, since registered images have one size")
 
 
-class SyntheticSource(FrameSource):
+class SyntheticSource(SequenceSource):
     """Frames of a rendered scene; the same options give the same frames.
 
     Parameters
@@ -75,11 +76,9 @@ class SyntheticSource(FrameSource):
         Size, length, seed, faults.
     """
 
-    seekable = True
-
     def __init__(self, options: SyntheticOptions | None = None) -> None:
-        super().__init__()
         self.options = options or SyntheticOptions()
+        super().__init__(Path("synthetic:"), self.options.frames, "rendered")
         self.calibration = _calibration(self.options)
         self.metadata = {"name": "synthetic scene", "seed": str(self.options.seed)}
         self._scene = RenderedScene(
@@ -89,7 +88,6 @@ class SyntheticSource(FrameSource):
         self._color = Renderer(self._scene, self.calibration.color) if self.options.offset else None
         self._sensor = SensorModel(self.calibration.depth, self.options.seed) if self.options.noise else None
         self._first_label = np.cumsum([0, *(each.shape.faces for each in self._scene.objects)])
-        self._next = 0
 
     @property
     def label_names(self) -> dict[int, str]:
@@ -143,24 +141,8 @@ class SyntheticSource(FrameSource):
             name=f"synthetic-{index:06d}",
         )
 
-    def skip(self, frames: int) -> int:
-        """Go past the next frames without rendering them."""
-        passed = min(frames, self.options.frames - self._next)
-        self._next += passed
-        return passed
-
-    def _seek(self, index: int) -> None:
-        self._next = min(index, self.options.frames - 1)
-
-    def _read(self, timeout_s: float) -> RGBDFrame:
-        if self._next >= self.options.frames:
-            raise EndOfRecordingError(f"the synthetic sequence ended after {self.options.frames} frames")
-        frame = self.frame(self._next)
-        self._next += 1
-        return frame
-
-    def _close(self) -> None:
-        pass
+    def _load(self, index: int) -> RGBDFrame:
+        return self.frame(index)
 
     def _tick(self, index: int) -> float:
         return index * TICKS_PER_S / self.options.fps
@@ -201,31 +183,18 @@ def open_uri(rest: str, options: SourceOptions) -> SyntheticSource:
 
 def _parsed(rest: str) -> SyntheticOptions:
     query = rest.removeprefix("//").removeprefix("?")
-    known = {each.name: each for each in fields(SyntheticOptions)}
+    known = value_kinds(SyntheticOptions)
     chosen: dict[str, Any] = {}
     for key, value in parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query)):
         if key not in known:
             raise ValueError(f"{key}: unknown; expected one of {', '.join(known)}")
         if key in chosen:
             raise ValueError(f"{key}: given twice")
-        chosen[key] = _converted(key, value, known[key].default)
+        try:
+            chosen[key] = known[key].from_text(value)
+        except ValueError as err:
+            raise ValueError(f"{key}: {err}") from None
     return SyntheticOptions(**chosen)
-
-
-def _converted(key: str, value: str, default: object) -> object:
-    if isinstance(default, bool):
-        words = {"1": True, "true": True, "0": False, "false": False}
-        if value not in words:
-            raise ValueError(f"{key}: expected 0 or 1, got {value!r}")
-        return words[value]
-    if isinstance(default, str):
-        return value
-    kind = int if isinstance(default, int) else float
-    try:
-        return kind(value)
-    except ValueError:
-        wanted = "a whole number" if kind is int else "a number"
-        raise ValueError(f"{key}: expected {wanted}, got {value!r}") from None
 
 
 def _calibration(options: SyntheticOptions) -> Calibration:

@@ -199,7 +199,7 @@ def test_the_uri_sets_every_option():
         ("?frames=2&frames=3", "frames: given twice"),
         ("?noise=yes", "noise: expected 0 or 1, got 'yes'"),
         ("?fps=0", "fps: expected more than 0"),
-        ("?fps=nan", "fps: expected more than 0"),
+        ("?fps=nan", "fps: expected a finite number, got nan"),
         ("?fps=", "fps: expected a number"),
         ("?labels=parts", "labels: expected one of objects, surfaces"),
         ("?distortion=1", "distortion: expected offset=1"),
