@@ -45,7 +45,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 def parse_yaml(text: str) -> Any:
     """Return the first document of a YAML text: dicts, lists, numbers, texts and None.
 
-    Tags are passed over. Plain scalars that read as numbers are numbers, all others are texts.
+    Tags are passed over. Scalars that read as numbers are numbers, all others are texts.
 
     Raises
     ------
@@ -53,45 +53,30 @@ def parse_yaml(text: str) -> Any:
         If it is not YAML, has aliases, or exceeds the limits.
     """
     _check_length(text)
-    root: list[Any] = []
-    # The containers that are open, each with the key that waits for its value.
-    stack: list[tuple[list[Any] | dict[str, Any], list[str]]] = [(root, [])]
-    values = 0
+    loader = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
+    values = depth = 0
     try:
-        for event in yaml.parse(text, Loader=getattr(yaml, "CBaseLoader", yaml.BaseLoader)):
+        for event in yaml.parse(text, Loader=loader):
             if isinstance(event, yaml.DocumentEndEvent):
                 break
             if isinstance(event, yaml.AliasEvent):
                 raise ValueError("aliases (*name) are not taken")
-            if isinstance(event, yaml.CollectionEndEvent):
-                stack.pop()
-            elif isinstance(event, yaml.NodeEvent):
-                values += 1
-                if values > TEXT_VALUES_MAX or len(stack) > TEXT_DEPTH_MAX:
-                    raise ValueError(_too_much())
-                _add_node(stack, event)
+            values += isinstance(event, yaml.NodeEvent)
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if values > TEXT_VALUES_MAX or depth > TEXT_DEPTH_MAX:
+                raise ValueError(_too_much())
+        return _with_numbers(next(yaml.load_all(text, Loader=loader), None))
     except yaml.YAMLError as err:
         raise ValueError(_one_line(err)) from err
-    return root[0] if root else None
 
 
-def _add_node(stack: list[tuple[list[Any] | dict[str, Any], list[str]]], event: yaml.NodeEvent) -> None:
-    container, waiting = stack[-1]
-    if isinstance(container, dict) and not waiting:
-        if not isinstance(event, yaml.ScalarEvent):
-            raise ValueError("a key is a list or a mapping; expected a text")
-        waiting.append(event.value)
-        return
-    value: Any
-    if isinstance(event, yaml.ScalarEvent):
-        value = scalar(event.value) if event.implicit[0] else event.value
-    else:
-        value = {} if isinstance(event, yaml.MappingStartEvent) else []
-        stack.append((value, []))
-    if isinstance(container, dict):
-        container[waiting.pop()] = value
-    else:
-        container.append(value)
+def _with_numbers(value: Any) -> Any:
+    """Return what holds texts alone with the numbers that these stand for."""
+    if isinstance(value, dict):
+        return {key: _with_numbers(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_with_numbers(each) for each in value]
+    return None if value is None else scalar(value)
 
 
 def scalar(text: str) -> int | float | str | None:
