@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
 
@@ -12,20 +12,10 @@ def free_space(path: Path) -> int:
     return shutil.disk_usage(path.parent).free
 
 
-def shortage(path: Path, least_mb: int, free_bytes: Callable[[Path], int] = free_space) -> str:
-    """Say that too little space is left where a file is; empty where there is enough.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    least_mb : int
-        What must stay free, units of 10^6 bytes.
-    free_bytes : callable
-        Returns the space that is left, bytes.
-    """
-    free = free_bytes(path)
-    return "" if free >= least_mb * 1_000_000 else f"only {free // 1_000_000} MB of disk space are left"
+def shortage(free_bytes: int, least_mb: int) -> str:
+    """Say that too little space is left, of which so many units of 10^6 bytes must stay; else nothing."""
+    enough = free_bytes >= least_mb * 1_000_000
+    return "" if enough else f"only {free_bytes // 1_000_000} MB of disk space are left"
 
 
 def megabytes(files: Iterable[Path]) -> float:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 from pathlib import Path
 
 from nurbseg.app.recording.config import RecordConfig
-from nurbseg.app.recording.disk_space import free_space
 from nurbseg.app.recording.recording import Recording
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.frame import RGBDFrame
@@ -29,8 +27,6 @@ class OniRecording(Recording):
         From when on, whether color is packed with loss, and how much space must stay free.
     at_once : bool
         Whether nobody reads the camera yet, so that it can begin now; or else with the first frame.
-    free_bytes : callable
-        Returns the space that is left where `path` is, bytes.
 
     Attributes
     ----------
@@ -44,16 +40,8 @@ class OniRecording(Recording):
         If it begins at once and cannot.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        camera: Recordable,
-        config: RecordConfig,
-        *,
-        at_once: bool = True,
-        free_bytes: Callable[[Path], int] = free_space,
-    ) -> None:
-        super().__init__(path, config, free_bytes)
+    def __init__(self, path: Path, camera: Recordable, config: RecordConfig, *, at_once: bool = True) -> None:
+        super().__init__(path, config)
         self._camera = camera
         self._lossy = config.color == "jpeg95"
         self._is_recording = self._is_finished = False

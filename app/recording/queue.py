@@ -5,11 +5,9 @@ from __future__ import annotations
 import contextlib
 import logging
 import threading
-from collections.abc import Callable
 from pathlib import Path
 
 from nurbseg.app.recording.config import RecordConfig
-from nurbseg.app.recording.disk_space import free_space
 from nurbseg.app.recording.parts import PartedWriter
 from nurbseg.app.recording.recording import Recording
 from nurbseg.drivers.errors import DriverError
@@ -44,19 +42,10 @@ class QueuedRecording(Recording):
         From when on, and how much space must stay free.
     lossless : bool
         Whether `put` waits for room: for a source that waits too.
-    free_bytes : callable
-        Returns the space that is left where a file is, bytes.
     """
 
-    def __init__(
-        self,
-        writer: PartedWriter,
-        config: RecordConfig,
-        *,
-        lossless: bool = False,
-        free_bytes: Callable[[Path], int] = free_space,
-    ) -> None:
-        super().__init__(writer.files[0], config, free_bytes)
+    def __init__(self, writer: PartedWriter, config: RecordConfig, *, lossless: bool = False) -> None:
+        super().__init__(writer.files[0], config)
         self._writer = writer
         self._lossless = lossless
         self._queue: BoundedQueue[RGBDFrame] = BoundedQueue(
@@ -102,7 +91,8 @@ class QueuedRecording(Recording):
             try:
                 while (frame := self._next()) is not None:
                     self._in_hand = 1
-                    self._check_space()
+                    if missing := self._shortage():
+                        raise DriverError(missing)
                     self._writer.write(frame)
                     self.frames += 1
                     self._in_hand = 0
@@ -117,11 +107,6 @@ class QueuedRecording(Recording):
         while True:
             with contextlib.suppress(TimeoutError):
                 return self._queue.take(_WAIT_S)
-
-    def _check_space(self) -> None:
-        missing = self._shortage()
-        if missing:
-            raise DriverError(missing)
 
     def _fail(self, err: Exception) -> None:
         reason = err.strerror if isinstance(err, OSError) and err.strerror else str(err)

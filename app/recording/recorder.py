@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
 from nurbseg.app.export.exporter import ExportError
+from nurbseg.app.recording import disk_space
 from nurbseg.app.recording.config import RecordConfig, dated
-from nurbseg.app.recording.disk_space import free_space, megabytes, shortage
 from nurbseg.app.recording.oni import OniRecording
 from nurbseg.app.recording.parts import PartedWriter
 from nurbseg.app.recording.queue import QueuedRecording
@@ -37,7 +37,6 @@ def open_recording(
     source: FrameSource,
     *,
     lossless: bool = False,
-    free_bytes: Callable[[Path], int] = free_space,
 ) -> Recording | None:
     """Begin the recording that the configuration asks for; None where it asks for none.
 
@@ -49,8 +48,6 @@ def open_recording(
         The camera or recording itself, without what limits or paces it.
     lossless : bool
         Whether the source waits for the recording.
-    free_bytes : callable
-        Returns the space that is left where a file is, bytes.
 
     Raises
     ------
@@ -60,17 +57,11 @@ def open_recording(
     """
     if config.file is None:
         return None
-    return _open(Path(config.file), config, source, lossless=lossless, free_bytes=free_bytes)
+    return _open(Path(config.file), config, source, lossless=lossless)
 
 
 def _open(
-    path: Path,
-    config: RecordConfig,
-    source: FrameSource,
-    *,
-    lossless: bool,
-    at_once: bool = True,
-    free_bytes: Callable[[Path], int] = free_space,
+    path: Path, config: RecordConfig, source: FrameSource, *, lossless: bool, at_once: bool = True
 ) -> Recording:
     """Begin a recording to a file; `at_once` says that nobody reads the source yet."""
 
@@ -80,33 +71,21 @@ def _open(
     try:
         check_absent(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        missing = shortage(path, config.space_min_mb, free_bytes)
+        missing = disk_space.shortage(disk_space.free_space(path), config.space_min_mb)
         if missing:
             raise RecordError(
                 f"{path}: {missing}, and recording stops at {config.space_min_mb} MB (--record-space-min)"
             )
         if path.suffix.lower() == ".oni":
-            return _open_oni(path, config, source, free_bytes, at_once=at_once)
+            if not isinstance(source, Recordable):
+                raise RecordError(f"{path}: only cameras record .oni; record this source as .mcap")
+            return OniRecording(path, source, config, at_once=at_once)
         writer = PartedWriter(path, open_file, config.split_s)
-    except OSError as err:
-        raise RecordError(f"{path}: cannot be written: {err.strerror}") from err
-    return QueuedRecording(writer, config, lossless=lossless, free_bytes=free_bytes)
-
-
-def _open_oni(
-    path: Path,
-    config: RecordConfig,
-    source: FrameSource,
-    free_bytes: Callable[[Path], int],
-    *,
-    at_once: bool,
-) -> OniRecording:
-    if not isinstance(source, Recordable):
-        raise RecordError(f"{path}: only cameras record .oni; record this source as .mcap")
-    try:
-        return OniRecording(path, source, config, at_once=at_once, free_bytes=free_bytes)
     except DriverError as err:
         raise RecordError(str(err)) from err
+    except OSError as err:
+        raise RecordError(f"{path}: cannot be written: {err.strerror}") from err
+    return QueuedRecording(writer, config, lossless=lossless)
 
 
 def log_recorded(recording: Recording) -> None:
@@ -120,7 +99,7 @@ def log_recorded(recording: Recording) -> None:
     if recording.failure:
         raise RecordError(f"{recording.failure}; the {recording.frames} frames before can be replayed")
     files = ", ".join(str(file) for file in recording.files)
-    size_mb = megabytes(recording.files)
+    size_mb = disk_space.megabytes(recording.files)
     _log.info(
         "recorded %d frames, %.1f s, %.1f MB to %s", recording.frames, recording.seconds, size_mb, files
     )

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from nurbseg.app.recording import disk_space
 from nurbseg.app.recording.config import RecordConfig
-from nurbseg.app.recording.disk_space import megabytes, shortage
 from nurbseg.drivers.closing import Closing
 from nurbseg.drivers.frame import RGBDFrame
 
@@ -25,8 +24,6 @@ class Recording(Closing):
         The first file.
     config : RecordConfig
         From when on, and how much space must stay free.
-    free_bytes : callable
-        Returns the space that is left where a file is, bytes.
 
     Attributes
     ----------
@@ -42,14 +39,13 @@ class Recording(Closing):
         How large the files are, and may still become together, units of 10^6 bytes; as of the last frame.
     """
 
-    def __init__(self, path: Path, config: RecordConfig, free_bytes: Callable[[Path], int]) -> None:
+    def __init__(self, path: Path, config: RecordConfig) -> None:
         self.path = path
         self.frames = self.lost = 0
         self.failure = ""
         self.size_mb = self.room_mb = 0.0
         self._delay_ns = round(config.delay_s * 1e9)
         self._space_min_mb = config.space_min_mb
-        self._free_bytes = free_bytes
         self._first_ns: int | None = None
         self.seconds = 0.0
         self._last_ns: int | None = None
@@ -90,7 +86,7 @@ class Recording(Closing):
             "files": [str(file) for file in files],
             "frames": self.frames,
             "lost": self.lost,
-            "megabytes": megabytes(files),
+            "megabytes": disk_space.megabytes(files),
             "failure": self.failure,
         }
 
@@ -108,7 +104,7 @@ class Recording(Closing):
 
     def _shortage(self) -> str:
         """Say that too little space is left, or nothing; for the thread that may wait for the disk."""
-        free_bytes = self._free_bytes(self.files[-1])
-        self.size_mb = megabytes(self.files)
+        free_bytes = disk_space.free_space(self.files[-1])
+        self.size_mb = disk_space.megabytes(self.files)
         self.room_mb = max(0.0, free_bytes / 1e6 - self._space_min_mb)
-        return shortage(self.files[-1], self._space_min_mb, lambda _: free_bytes)
+        return disk_space.shortage(free_bytes, self._space_min_mb)
