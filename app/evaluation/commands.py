@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib import import_module
+from typing import get_args
 
 from nurbseg.app.atomic_file import write_atomically
 from nurbseg.app.command.config_file import format_config, read_config
@@ -29,12 +30,12 @@ from nurbseg.app.evaluation.tuning import tunable, tune
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, grid_of, variants_of
 from nurbseg.drivers.calibration.file import read_camera_file
 from nurbseg.drivers.errors import FrameFormatError
+from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.points.registration import PointMap, register
 from nurbseg.segmentation.surfaces.noise import measure_noise
 
 #: Lines of the summary at the end, the verdict first.
 _SUMMARY_LINES = 10
-_METRICS = "mse,mae,ve,nle,vmxc,vmec,vgc,mmxc,nlc"
 
 
 def study_of(given: argparse.Namespace) -> Study:
@@ -68,7 +69,7 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
         study,
         variants=variants_of(
             methods,
-            metrics=_words(_METRICS if given.metrics == "all" else given.metrics),
+            metrics=get_args(Metric) if given.metrics == "all" else _words(given.metrics),
             thresholds=thresholds,
             grid=grid_of(given.grid),
             base=base_config(given),

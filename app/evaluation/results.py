@@ -98,6 +98,15 @@ class StudyResults:
         wanted = max(known) if SCORES[score][1] else min(known)
         return {name for name, value in means.items() if value == wanted}
 
+    def leaders(self) -> list[Variant]:
+        """Return the variant with the best mean covering of each method, in the order of the tables."""
+        best: dict[str, Variant] = {}
+        for each in self.variants:
+            known = best.setdefault(each.method, each)
+            if self.mean(each, "gtrc") > self.mean(known, "gtrc"):
+                best[each.method] = each
+        return [each for each in self.variants if best[each.method] is each]
+
     def worst_frames(self, variant: Variant) -> tuple[dict[str, Any], ...]:
         """Return the frames by ground-truth region covering, the worst first."""
         return tuple(

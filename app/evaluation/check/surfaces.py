@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
+from scipy.ndimage import find_objects
 
 from nurbseg.app.evaluation.check.exported import ExportedFrame, ExportedSurface, Finding
 
@@ -74,20 +75,12 @@ def _boxes(frame: ExportedFrame) -> dict[str, tuple[int, int, int, int]]:
     """Return first row and column of each segment's pixels, and one past the last of each."""
     leaf_of = {leaf.leaf: leaf.name for leaf in frame.leaves() if leaf.leaf}
     boxes: dict[str, tuple[int, int, int, int]] = {}
-    rows, columns = np.nonzero(frame.leaf_image)
-    labels = frame.leaf_image[rows, columns]
-    for label in np.unique(labels).tolist():
-        of_it = labels == label
-        r, c = rows[of_it], columns[of_it]
-        name = leaf_of.get(label, "")
+    for label, found in enumerate(find_objects(frame.leaf_image), start=1):
+        name = leaf_of.get(label, "") if found is not None else ""
         for end in range(1, len(name) + 1):
-            box = boxes.get(name[:end], (*frame.shape, 0, 0))
-            boxes[name[:end]] = (
-                min(box[0], int(r.min())),
-                min(box[1], int(c.min())),
-                max(box[2], int(r.max()) + 1),
-                max(box[3], int(c.max()) + 1),
-            )
+            box, (rows, columns) = boxes.get(name[:end], (*frame.shape, 0, 0)), found
+            first = min(box[0], rows.start), min(box[1], columns.start)
+            boxes[name[:end]] = (*first, max(box[2], rows.stop), max(box[3], columns.stop))
     return boxes
 
 

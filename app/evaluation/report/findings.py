@@ -10,7 +10,6 @@ from nurbseg.app.evaluation.report.tables import digits, interval
 from nurbseg.app.evaluation.results import StudyResults
 from nurbseg.app.evaluation.scoring import SCORES
 from nurbseg.app.evaluation.statistics import bootstrap_gain
-from nurbseg.app.evaluation.variants import Variant
 
 
 def means_of(results: StudyResults) -> dict[str, dict[str, float]]:
@@ -26,12 +25,7 @@ def verdict(results: StudyResults) -> str:
     results : StudyResults
         Of at least one frame. The setting of each method is the one with the best mean GTRC.
     """
-    best: dict[str, Variant] = {}
-    for each in results.variants:
-        known = best.get(each.method)
-        if known is None or results.mean(each, "gtrc") > results.mean(known, "gtrc"):
-            best[each.method] = each
-    ranked = sorted(best.values(), key=lambda each: -results.mean(each, "gtrc"))
+    ranked = sorted(results.leaders(), key=lambda each: -results.mean(each, "gtrc"))
     first = f"{ranked[0].name} (GTRC {digits(results.mean(ranked[0], 'gtrc'))})"
     if len(ranked) == 1:
         return f"Verdict: {first} is the best setting that was tried, on {len(results.frames)} frames."

@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.app.view.drawing.palette import label_color
+
 _JPEG_QUALITY = 85
 
 
@@ -34,7 +36,7 @@ def label_colors(labels: NDArray[np.integer], truth: NDArray[np.integer] | None 
     if truth is not None:
         number = _matched(labels, truth, values)
     for value, place in number.items():
-        colors[labels == value] = _distinct_color(place)
+        colors[labels == value] = label_color(place + 1)
     return colors
 
 
@@ -58,31 +60,23 @@ def _matched(
     return number
 
 
-def _distinct_color(number: int) -> NDArray[np.uint8]:
-    """Color of a number: hues by the golden ratio, in three tones."""
-    hue = int(180 * (0.61 + number * 0.618034) % 180)
-    saturation, value = ((170, 235), (110, 250), (225, 170))[number // 3 % 3]
-    tone = np.array([[[hue, saturation, value]]], dtype=np.uint8)
-    return np.asarray(cv2.cvtColor(tone, cv2.COLOR_HSV2RGB)[0, 0], dtype=np.uint8)
-
-
 def depth_colors(depth_mm: NDArray[np.uint16]) -> NDArray[np.uint8]:
     """Color a depth image from near (yellow) to far (violet), (H, W, 3) uint8 RGB; black without depth."""
     known = depth_mm > 0
     if not known.any():
         return np.zeros((*depth_mm.shape, 3), np.uint8)
     near, far = np.percentile(depth_mm[known], (1, 99))
-    share = np.clip((far - depth_mm.astype(np.float32)) / max(far - near, 1.0), 0.0, 1.0)
-    colors = cv2.applyColorMap((255 * share).astype(np.uint8), cv2.COLORMAP_VIRIDIS)[:, :, ::-1].copy()
-    colors[~known] = 0
-    return np.asarray(colors, dtype=np.uint8)
+    return _mapped((far - depth_mm.astype(np.float32)) / max(far - near, 1.0), known, cv2.COLORMAP_VIRIDIS)
 
 
 def error_colors(residual_m: NDArray[np.floating[Any]], most_m: float) -> NDArray[np.uint8]:
     """Color residuals as the paper's figure 2, blue at 0 to red at `most_m`; black where NaN."""
-    known = np.isfinite(residual_m)
-    share = np.clip(np.nan_to_num(residual_m) / most_m, 0.0, 1.0)
-    colors = cv2.applyColorMap((255 * share).astype(np.uint8), cv2.COLORMAP_JET)[:, :, ::-1].copy()
+    return _mapped(np.nan_to_num(residual_m) / most_m, np.isfinite(residual_m), cv2.COLORMAP_JET)
+
+
+def _mapped(share: NDArray[np.floating], known: NDArray[np.bool_], colormap: int) -> NDArray[np.uint8]:
+    """Color shares from 0 to 1 by a map of OpenCV's, RGB; black where they are not known."""
+    colors = cv2.applyColorMap((255 * np.clip(share, 0.0, 1.0)).astype(np.uint8), colormap)[:, :, ::-1].copy()
     colors[~known] = 0
     return np.asarray(colors, dtype=np.uint8)
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from nurbseg.app.evaluation.results import StudyResults
 from nurbseg.app.evaluation.scoring import SCORES
-from nurbseg.app.evaluation.variants import TREE_METHODS, Variant
+from nurbseg.app.evaluation.variants import TREE_METHODS
 from nurbseg.app.view.drawing.palette import STOP_COLORS
+from nurbseg.app.view.drawing.tree_layout import tree_positions
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.vocabulary import StopReason
 
@@ -71,7 +72,7 @@ def threshold_plot(results: StudyResults) -> bytes | None:
 def category_plot(results: StudyResults) -> bytes | None:
     """Plot the covering of each variant by category as bars with intervals; None for one category."""
     categories = results.categories()
-    shown = leaders(results)
+    shown = results.leaders()
     if len(categories) < 2:
         return None
     pyplot = _plotter()
@@ -98,7 +99,7 @@ def time_plot(results: StudyResults, seconds: Mapping[str, float]) -> bytes | No
 
     pyplot = _plotter()
     figure, axis = pyplot.subplots(figsize=(6.5, 4))
-    named = {each.name for each in leaders(results)}
+    named = {each.name for each in results.leaders()}
     for variant in timed:
         at = 1000 * seconds[variant.name], results.mean(variant, "gtrc")
         axis.plot(*at, "o", color=method_color(results, variant.method))
@@ -125,16 +126,6 @@ def metric_line(metric: Metric) -> dict[str, str]:
     return {"linestyle": _LINES[number % len(_LINES)], "marker": _MARKS[number // len(_LINES)]}
 
 
-def leaders(results: StudyResults) -> list[Variant]:
-    """Return the variant with the best covering of each method, in the order of the tables."""
-    best: dict[str, Variant] = {}
-    for variant in results.variants:
-        held = best.get(variant.method)
-        if held is None or (results.mean(variant, "gtrc") > results.mean(held, "gtrc")):
-            best[variant.method] = variant
-    return [each for each in results.variants if best[each.method] is each]
-
-
 def stop_color(stop: str) -> str:
     """Return the viewer's color of a leaf that stopped for this reason, as ``#rrggbb``."""
     return "#{:02x}{:02x}{:02x}".format(*STOP_COLORS[StopReason(stop)])
@@ -149,13 +140,11 @@ def tree_plot(segments: Sequence[Mapping[str, Any]]) -> bytes:
         ``name`` ("" for the root), ``stop`` and ``size`` of each segment.
     """
     pyplot = _plotter()
-    names = [each["name"] for each in segments]
-    leaves = sorted(name for name in names if f"{name}0" not in names)
-    x = {name: float(place) for place, name in enumerate(leaves)}
-    for name in sorted(set(names) - set(leaves), key=len, reverse=True):
-        x[name] = (x[f"{name}0"] + x[f"{name}1"]) / 2
-    deepest = max(map(len, names))
-    figure, axis = pyplot.subplots(figsize=(max(4.0, 0.62 * len(leaves)), 0.7 * (deepest + 1.4)))
+    names = {each["name"] for each in segments}
+    children = {name: (f"{name}0", f"{name}1") for name in names if f"{name}0" in names}
+    x = {name: place for name, (place, _) in tree_positions(children, "").items()}
+    leaves, deepest = len(names) - len(children), max(map(len, names))
+    figure, axis = pyplot.subplots(figsize=(max(4.0, 0.62 * leaves), 0.7 * (deepest + 1.4)))
     for each in segments:
         name = each["name"]
         if name:

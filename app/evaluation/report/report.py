@@ -70,7 +70,7 @@ def write_report(
 
     folder = store.folder / "pictures"
     folder.mkdir(exist_ok=True)
-    shown = plots.leaders(results)
+    shown = results.leaders()
     best = max(shown, key=lambda each: results.mean(each, "gtrc"))
     drawn_plots = []
     for caption, name, image in (
