@@ -20,6 +20,11 @@ ControlPoints = Literal["adaptive", "fixed"]
 LeastSquares = Literal["auto", "svd", "ridge"]
 DepthSmoothing = Literal["none", "median", "bilateral"]
 
+#: Settings in pixels are for images of this width, or of so many pixels; they are scaled for others.
+REFERENCE_WIDTH, REFERENCE_PIXELS = 640, 640 * 480
+#: A surface or plane explains a point that lies within so many standard deviations of it.
+OUTLIER_DEVIATIONS = 4.0
+
 
 @dataclass(frozen=True, slots=True)
 class DepthConfig(Settings):

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import I32, compiled
+from nurbseg.segmentation.config import REFERENCE_WIDTH
+from nurbseg.segmentation.points.normals import plane_normals
 from nurbseg.segmentation.points.rays import Rays
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
@@ -89,7 +91,7 @@ def border_statistics(
     BorderStatistics
         Of all pairs of labels whose borders meet. Samples are places of this image.
     """
-    unit = labels.shape[1] / 640.0
+    unit = labels.shape[1] / REFERENCE_WIDTH
     crossings = np.empty((5, 2 * labels.size), dtype=np.int32)
     count = _find_crossings(np.ascontiguousarray(labels), max(1, round(_REACH_PX * unit)), crossings)
     if count == 0:
@@ -112,14 +114,11 @@ def border_statistics(
         planes = inverse_depth + slope_u * (middle_u - u) + slope_v * (middle_v - v)
         apart = np.abs(planes[0] - planes[1]) / gap_per_m
         touching = apart < 1.0
-        points = np.stack([x / inverse_depth, y / inverse_depth, 1.0 / inverse_depth])
-        normals = np.stack([slope_u * rays.focal_px[0], slope_v * rays.focal_px[1], inverse_depth])
-        normals[2] -= normals[0] * x
-        normals[2] -= normals[1] * y
-        normals *= -1.0 / np.maximum(np.sqrt(np.square(normals).sum(axis=0)), 1e-12)
-        chord = points[:, 1] - points[:, 0]
-        turn = -((normals[:, 1] - normals[:, 0]) * chord).sum(axis=0)
-        concavity = turn / np.maximum(np.sqrt(np.square(chord).sum(axis=0)), 1e-9)
+        points = np.stack([x / inverse_depth, y / inverse_depth, 1.0 / inverse_depth], axis=-1)
+        normals = plane_normals(inverse_depth, slope_u, slope_v, x, y, rays.focal_px)
+        chord = points[1] - points[0]
+        turn = -((normals[1] - normals[0]) * chord).sum(axis=1)
+        concavity = turn / np.maximum(np.sqrt(np.square(chord).sum(axis=1)), 1e-9)
     counted = np.where(touching & np.isfinite(concavity), concavity, 0.0)
     apart = np.where(apart < _APART_MOST, apart, _APART_MOST)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nurbseg.drivers.compiled import F32, I32, Bool, Intp, compiled
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import REFERENCE_PIXELS, SegmentationConfig
 from nurbseg.segmentation.labels.regions import connected_components, pixel_adjacency
 from nurbseg.segmentation.labels.spreading import spread_in_place
 from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST
@@ -312,7 +312,7 @@ def _severed(
     found = connected_components(
         labels, pixel_adjacency(inverse_depth, labels > 0, config.extended.inverse_depth_gap)
     )
-    unit = labels.size / (640.0 * 480.0)
+    unit = labels.size / REFERENCE_PIXELS
     small = ~found.large(config.extended.piece_pixels_min * unit, int(labels.max()))
     small[0] = False
     return np.flatnonzero(small.take(found.numbers)) if small.any() else np.zeros(0, dtype=np.intp)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, F64, I32, Bool, Intp, compiled
-from nurbseg.segmentation.config import Metric, SegmentationConfig
+from nurbseg.segmentation.config import OUTLIER_DEVIATIONS, Metric, SegmentationConfig
 from nurbseg.segmentation.extended.parts import Part
 from nurbseg.segmentation.labels.segment_pixels import by_label
 from nurbseg.segmentation.live.follow import inner_pixels
@@ -18,7 +18,7 @@ from nurbseg.segmentation.segments import Node, Trial
 from nurbseg.segmentation.surfaces.curvature import all_metrics
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
-from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, SQUARE_MOST
+from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS
 from nurbseg.segmentation.surfaces.noise import noise_floors
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.vocabulary import StopReason
@@ -128,7 +128,7 @@ def misfit(
     # Of the rim and of the inner pixels: how many, not reached, and sum of squares.
     sums = np.zeros((size, 2, 3))
     explained, inner = lattice.image(labels), inner_pixels(labels)
-    _sum_misfits(labels, grid.inverse_depth, 1.0 / noise_per_m, SQUARE_MOST**0.5, explained, inner, sums)
+    _sum_misfits(labels, grid.inverse_depth, 1.0 / noise_per_m, OUTLIER_DEVIATIONS, explained, inner, sums)
     every = sums.sum(axis=1)
     thin = sums[:, 1, 0] < _INNER_SHARE * every[:, 0]
     judged = np.where(thin[:, np.newaxis], every, sums[:, 1])
@@ -194,7 +194,7 @@ def update_residuals(
         grid.inverse_depth.reshape(-1),
         grid.distances_m.reshape(-1),
         # What is far off is not the leaf's own, and does not make room for more of its kind.
-        SQUARE_MOST**0.5 * config.extended.inverse_depth_noise,
+        OUTLIER_DEVIATIONS * config.extended.inverse_depth_noise,
         config.large_error_m,
         (labels.shape[1], width, grid.step),
         residuals_m,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.blas import one_blas_thread
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import OUTLIER_DEVIATIONS, SegmentationConfig
 from nurbseg.segmentation.extended.borders import own_deviations
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.parts import fit_segment
@@ -36,8 +36,6 @@ from nurbseg.segmentation.vocabulary import TRIED, Division, StopReason
 _CHANGED_SHARE = 0.4
 #: So many leaves waiting for a trial, over so many frames, are more than updates can do.
 _WAITING_MOST, _WAITING_FRAMES = 6, 15
-#: A leaf's own residuals, in units of their root mean square, beyond which a grid pixel is not its own.
-_OWN_DEVIATIONS = 4.0
 
 
 class LiveTree:
@@ -274,7 +272,7 @@ class LiveTree:
 
     def _limits_per_m(self) -> NDArray[np.float32]:
         """Return from which residual on a grid pixel is not a leaf's own, by label."""
-        own = [_OWN_DEVIATIONS * leaf.rms_per_m for leaf in self._leaves]
+        own = [OUTLIER_DEVIATIONS * leaf.rms_per_m for leaf in self._leaves]
         limits = np.maximum(np.array([0.0, *own]), self._config.extended.inverse_depth_gap)
         return np.asarray(limits, dtype=np.float32)
 

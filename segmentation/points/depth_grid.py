@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, Bool, compiled
+from nurbseg.segmentation.config import REFERENCE_WIDTH
 from nurbseg.segmentation.points.grid import PixelGrid, decimated_grid
 from nurbseg.segmentation.points.rays import Rays
 from nurbseg.segmentation.points.registration import PointMap
@@ -53,7 +54,7 @@ class DepthGrid:
     @property
     def unit_px(self) -> float:
         """Pixels of this image for each one of an image 640 wide, in which settings are given."""
-        return self.points.image_shape[1] / 640.0
+        return self.points.image_shape[1] / REFERENCE_WIDTH
 
 
 @compiled

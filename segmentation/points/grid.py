@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, Bool, Intp, compiled
+from nurbseg.segmentation.config import REFERENCE_PIXELS
 from nurbseg.segmentation.points.registration import PointMap
 
 Window = tuple[int, int, int, int]
@@ -43,7 +44,7 @@ class PixelGrid:
     @property
     def pixel_share(self) -> float:
         """Grid pixels for each pixel of a 640x480 image, the unit of the paper's thresholds."""
-        return self.image_shape[0] * self.image_shape[1] / (640 * 480) / self.step**2
+        return self.image_shape[0] * self.image_shape[1] / REFERENCE_PIXELS / self.step**2
 
     def locate(self, grid_pixels: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], Window]:
         """Return rows, columns and the tight window (one past the last) of ascending flat grid pixels."""

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, F64, Bool, compiled
+from nurbseg.segmentation.config import OUTLIER_DEVIATIONS
 from nurbseg.segmentation.points.rays import Rays
 
 #: A window needs points on this share of its pixels to have a plane of its own.
 _FILLED_SHARE = 0.3
 #: A neighbour's plane is preferred where its variance is below this share of the pixel's own.
 _PREFERENCE = np.float32(1.0 / 1.5)
-#: A plane explains a pixel that lies within this many standard deviations of it.
-_OWN_DEVIATIONS = 4.0
 _UNUSABLE = np.float32(1e3)
 
 
@@ -58,7 +59,7 @@ def facet_slopes(
         zeros = np.zeros(valid.shape, dtype=np.float32)
         return zeros, zeros.copy(), zeros.copy()
     planes, cost = _window_planes(inverse_depth, valid, window, noise_per_m)
-    chosen = _chosen_planes(inverse_depth, valid, planes, cost, window // 2, _OWN_DEVIATIONS * noise_per_m)
+    chosen = _chosen_planes(inverse_depth, valid, planes, cost, window // 2, OUTLIER_DEVIATIONS * noise_per_m)
     smoothed, slope_u, slope_v = chosen
     return slope_u, slope_v, smoothed
 
@@ -236,25 +237,58 @@ def facet_normals(
     rows = np.arange(height, dtype=np.float64) * step
     # Along an image one pixel wide or high nothing tells the focal length, nor how a surface slopes.
     fx, fy = (focal if np.isfinite(focal) else 0.0 for focal in rays.focal_px)
-    return _normals(slope_u, slope_v, smoothed, *rays.lattice(columns, rows), fx / step, fy / step)
+    ray_x, ray_y = rays.lattice(columns, rows)
+    return plane_normals(smoothed, slope_u, slope_v, ray_x, ray_y, (fx / step, fy / step))
+
+
+def plane_normals(
+    inverse_depth: NDArray[Any],
+    slope_u: NDArray[Any],
+    slope_v: NDArray[Any],
+    ray_x: NDArray[np.float64],
+    ray_y: NDArray[np.float64],
+    focal_px: tuple[float, float],
+) -> NDArray[Any]:
+    """Return the unit normals of planes, of which the inverse depth in the image is known.
+
+    The plane n . p = 1 is seen as inverse depth n . (ray_x, ray_y, 1), so that n is the slope times the
+    focal length along u and v, and what is left of the inverse depth along z.
+
+    Parameters
+    ----------
+    inverse_depth, slope_u, slope_v : (...) float32 or float64
+        At some pixels, 1/m, and its change from pixel to pixel along rows and along columns.
+    ray_x, ray_y : (...) float64
+        x / z and y / z of what these pixels see.
+    focal_px : (float, float)
+        Focal lengths in the pixels of the slopes.
+
+    Returns
+    -------
+    (..., 3) float32 or float64
+        Unit vectors towards the camera; 0 where the inverse depth is 0.
+    """
+    normals = np.empty((*inverse_depth.shape, 3), dtype=inverse_depth.dtype)
+    slopes, rays = (slope_u.ravel(), slope_v.ravel()), (ray_x.ravel(), ray_y.ravel())
+    _normals(inverse_depth.ravel(), *slopes, *rays, *focal_px, normals.reshape(-1, 3))
+    return normals
 
 
 @compiled
 def _normals(
-    slope_u: F32, slope_v: F32, inverse_depth: F32, ray_x: F64, ray_y: F64, fx: float, fy: float
-) -> F32:
-    """Turn slopes of inverse depth into unit normals, where there is an inverse depth.
-
-    The plane n . p = 1 is seen as inverse depth n . (ray_x, ray_y, 1), so that n is the slope times the
-    focal length along u and v, and what is left of the inverse depth along z.
-    """
-    height, width = inverse_depth.shape
-    normals = np.empty((height, width, 3), dtype=np.float32)
-    for y in range(height):
-        for x in range(width):
-            nx, ny = slope_u[y, x] * fx, slope_v[y, x] * fy
-            nz = inverse_depth[y, x] - nx * ray_x[y, x] - ny * ray_y[y, x]
-            towards = -1.0 / max(np.sqrt(nx * nx + ny * ny + nz * nz), 1e-12)
-            towards = towards if inverse_depth[y, x] != 0.0 else 0.0
-            normals[y, x, 0], normals[y, x, 1], normals[y, x, 2] = nx * towards, ny * towards, nz * towards
-    return normals
+    inverse_depth: NDArray[Any],
+    slope_u: NDArray[Any],
+    slope_v: NDArray[Any],
+    ray_x: F64,
+    ray_y: F64,
+    fx: float,
+    fy: float,
+    normals: NDArray[Any],
+) -> None:
+    """Fill in what `plane_normals` returns."""
+    for n in range(inverse_depth.size):
+        nx, ny = slope_u[n] * fx, slope_v[n] * fy
+        nz = inverse_depth[n] - nx * ray_x[n] - ny * ray_y[n]
+        towards = -1.0 / max(np.sqrt(nx * nx + ny * ny + nz * nz), 1e-12)
+        towards = towards if inverse_depth[n] != 0.0 else 0.0
+        normals[n, 0], normals[n, 1], normals[n, 2] = nx * towards, ny * towards, nz * towards

@@ -18,10 +18,8 @@ def principal_curvatures(
 
     Parameters
     ----------
-    surface : NurbsSurface
-        The surface.
-    u, v : (N,) float
-        Parameters: column and row, pixels.
+    surface, u, v
+        As for `nurbseg.segmentation.surfaces.surface.evaluate`.
 
     Returns
     -------

@@ -86,29 +86,6 @@ def fit_window(
     return Fit(surface, residuals_m, metrics, "", pixels, rms_per_m=rms_per_m), residuals_per_m
 
 
-def residuals_of_fit(
-    grid: DepthGrid, window: Window, mask: NDArray[np.bool_], config: SegmentationConfig
-) -> NDArray[np.float64]:
-    """Return the residuals of inverse depth of `fit_window` without making the surface.
-
-    Parameters
-    ----------
-    grid, window, mask, config
-        As for `fit_window`.
-
-    Returns
-    -------
-    (N,) float64
-        1/m, in row order.
-    """
-    mask = np.ascontiguousarray(mask)
-    try:
-        spline = _fitted_spline(grid, window, mask, config)
-    except LinAlgError:
-        return np.full(np.count_nonzero(mask), np.inf)
-    return spline.residuals(grid, window, mask, config)[0]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Spline:
     """Positive control values of inverse depth, and the functions at the rows and columns of a window."""

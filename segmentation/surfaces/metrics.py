@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F64, compiled
-from nurbseg.segmentation.config import Metric, SegmentationConfig
+from nurbseg.segmentation.config import OUTLIER_DEVIATIONS, Metric, SegmentationConfig
 
 METRICS: tuple[Metric, ...] = get_args(Metric)
 #: Metrics that are numbers of points; the others are means and variances.
@@ -19,7 +19,7 @@ CURVATURE_METRICS: frozenset[Metric] = frozenset({"vmxc", "vmec", "vgc", "mmxc",
 #: Residuals that are rounding: points are stored in single precision, 24 bits of a few metres.
 ROUNDING_M = 1e-6
 #: A squared residual in units of the noise counts as no more than this, so that flying pixels do not decide.
-SQUARE_MOST = 16.0
+SQUARE_MOST = OUTLIER_DEVIATIONS**2
 
 
 def residual_metrics(residuals_m: NDArray[np.float64], config: SegmentationConfig) -> dict[Metric, float]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, F64, compiled
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import OUTLIER_DEVIATIONS, SegmentationConfig
 from nurbseg.segmentation.points.depth_grid import DepthGrid, inverse_depth_image
 from nurbseg.segmentation.points.grid import Window
 from nurbseg.segmentation.points.registration import PointMap
@@ -234,8 +234,6 @@ _TRIALS = 300
 #: Half width of the slab in which the largest plane is counted, 1/m, and the share of points it must hold.
 _SLAB_PER_M = 0.02
 _PLANE_SHARE = 0.1
-#: Residuals kept in each of the refits, in units of their own median deviation (a normal one's sigma).
-_KEPT_DEVIATIONS = 4.0
 _REFITS = 10
 
 
@@ -323,7 +321,7 @@ def _largest_plane(
         kept = np.abs(terms @ plane - d) < limit
         plane = np.linalg.lstsq(terms[kept], d[kept], rcond=None)[0]
         deviation = 1.4826 * float(np.median(np.abs(terms[kept] @ plane - d[kept])))
-        limit = min(_SLAB_PER_M, _KEPT_DEVIATIONS * deviation)
+        limit = min(_SLAB_PER_M, OUTLIER_DEVIATIONS * deviation)
         if limit == 0.0:
             break
     kept = np.abs(terms @ plane - d) <= max(limit, 1e-12)

@@ -133,10 +133,8 @@ def normals(surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64
 
     Parameters
     ----------
-    surface : NurbsSurface
-        The surface.
-    u, v : (N,) float
-        Parameters: column and row, pixels.
+    surface, u, v
+        As for `evaluate`.
 
     Returns
     -------

@@ -8,11 +8,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import REFERENCE_PIXELS, SegmentationConfig
 from nurbseg.segmentation.cut.features import features
 from nurbseg.segmentation.points.registration import PointMap
 
 Labels = NDArray[np.integer]
+
+#: Smallest region of the graph-based methods, pixels of a 640x480 image.
+_SMALLEST_PX = 750
 
 
 def _filled_depth(cloud: PointMap) -> NDArray[np.float32]:
@@ -43,7 +46,7 @@ def fh04_color(cloud: PointMap, rng: np.random.Generator) -> Labels:
     """
     from skimage.segmentation import felzenszwalb
 
-    smallest = max(1, round(750 * cloud.valid.size / (640 * 480)))
+    smallest = max(1, round(_SMALLEST_PX * cloud.valid.size / REFERENCE_PIXELS))
     return np.asarray(felzenszwalb(cloud.color, scale=1000, sigma=0.8, min_size=smallest)) + 1
 
 
@@ -55,7 +58,7 @@ def fh04_color_depth(cloud: PointMap, rng: np.random.Generator) -> Labels:
     """
     from skimage.segmentation import felzenszwalb
 
-    smallest = max(1, round(750 * cloud.valid.size / (640 * 480)))
+    smallest = max(1, round(_SMALLEST_PX * cloud.valid.size / REFERENCE_PIXELS))
     depth = 3.0 * _as_unit_range(_filled_depth(cloud))
     image = np.dstack([cloud.color / 255.0, depth])
     with warnings.catch_warnings():

@@ -12,7 +12,7 @@ from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.frame import Moment, TreeNode, ViewFrame
 from nurbseg.app.view.drawing.surface_mesh import surface_mesh
 from nurbseg.drivers.frame import Calibration
-from nurbseg.segmentation.config import Metric
+from nurbseg.segmentation.config import REFERENCE_PIXELS, Metric
 from nurbseg.segmentation.labels.lookup import apply_lookup_table
 from nurbseg.segmentation.live.identity import event_text
 
@@ -53,7 +53,7 @@ def drawn(
     objects = apply_lookup_table(result.object_of_leaf, labels) if tree.objects else None
     things = surfaces if objects is None else objects
     points_m, point_labels = _some_points(result.cloud.points_m, things, view.points_max)
-    mesh = surface_mesh(tree, labels, view.mesh_step_px * np.sqrt(labels.size / (640 * 480)))
+    mesh = surface_mesh(tree, labels, view.mesh_step_px * np.sqrt(labels.size / REFERENCE_PIXELS))
     registered = frame.calibration.is_registered
     return ViewFrame(
         moment=moment,
