@@ -16,6 +16,7 @@ from nurbseg.app.live.config import LiveConfig
 from nurbseg.app.recording.config import RecordConfig
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.drivers.openni2.options import DeviceOptions
+from nurbseg.drivers.options import ASSOCIATION_LIMIT_S
 from nurbseg.drivers.settings import Settings, setting, subsections
 from nurbseg.segmentation.config import DepthConfig, SegmentationConfig
 
@@ -71,7 +72,10 @@ class SourceConfig(Settings):
         None, "depth units per metre of images that do not say it", unit="1/m", above=0.0
     )
     association_limit_s: float = setting(
-        0.02, "largest difference in time between a depth image and its color image", unit="s", above=0.0
+        ASSOCIATION_LIMIT_S,
+        "largest difference in time between a depth image and its color image",
+        unit="s",
+        above=0.0,
     )
 
     def __post_init__(self) -> None:

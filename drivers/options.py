@@ -11,6 +11,9 @@ if TYPE_CHECKING:
     from nurbseg.drivers.frame import Calibration
     from nurbseg.drivers.openni2.options import DeviceOptions
 
+#: Largest difference between the stamps of a depth image and its color image, where none is set; seconds.
+ASSOCIATION_LIMIT_S = 0.02
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SourceOptions:
@@ -39,7 +42,7 @@ class SourceOptions:
 
     intrinsics: tuple[float, float, float, float] | None = None
     depth_scale: float | None = None
-    association_limit_s: float = 0.02
+    association_limit_s: float = ASSOCIATION_LIMIT_S
     calibration: Calibration | CameraFile | None = None
     device: DeviceOptions | None = None
 

@@ -90,18 +90,18 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
 
 
 def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
-    from nurbseg.drivers.datasets.folders import FolderSource
+    from nurbseg.drivers.datasets.folders import open_folder
     from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, find_pairs
-    from nurbseg.drivers.datasets.scenes import ScenesSource, scene_folders
+    from nurbseg.drivers.datasets.scenes import open_scenes, scene_folders
     from nurbseg.drivers.datasets.tum import TumSource, is_tum
 
     if is_tum(path):
         return TumSource(path, options)
     pairs, single = find_pairs(path)
     if pairs:
-        return FolderSource(path, options)
+        return open_folder(path, options)
     if scene_folders(path):
-        return ScenesSource(path, options)
+        return open_scenes(path, options)
     if any(path.glob("*.pcd")):
         return _open_with("datasets.pcd:PcdSource", path, options)
     if any(path.glob("nyu_v2_*.mat")):
@@ -112,7 +112,7 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
         return _open_file(recordings[0], options)
     if single:
         # Says which names are expected.
-        return FolderSource(path, options)
+        return open_folder(path, options)
     if recordings:
         raise RecordingFormatError(f"{path}: holds {len(recordings)} recordings; name one of them")
     found = "is empty" if not any(path.iterdir()) else "holds nothing that can be replayed"

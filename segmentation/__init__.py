@@ -6,60 +6,43 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from nurbseg.segmentation.config import SegmentationConfig
-    from nurbseg.segmentation.cut.ncut import Cut, normalized_cut
-    from nurbseg.segmentation.live.tree import LiveTree
-    from nurbseg.segmentation.methods import segment
-    from nurbseg.segmentation.points.registration import PointMap, register
-    from nurbseg.segmentation.segments import Segment, SegmentationTree
-    from nurbseg.segmentation.surfaces.curvature import all_metrics, principal_curvatures
-    from nurbseg.segmentation.surfaces.fit import Fit, fit_surface
-    from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate, normals
-    from nurbseg.segmentation.vocabulary import StopReason
+    from nurbseg.segmentation.config import SegmentationConfig as SegmentationConfig
+    from nurbseg.segmentation.cut.ncut import Cut as Cut
+    from nurbseg.segmentation.cut.ncut import normalized_cut as normalized_cut
+    from nurbseg.segmentation.live.tree import LiveTree as LiveTree
+    from nurbseg.segmentation.methods import segment as segment
+    from nurbseg.segmentation.points.registration import PointMap as PointMap
+    from nurbseg.segmentation.points.registration import register as register
+    from nurbseg.segmentation.segments import Segment as Segment
+    from nurbseg.segmentation.segments import SegmentationTree as SegmentationTree
+    from nurbseg.segmentation.surfaces.curvature import all_metrics as all_metrics
+    from nurbseg.segmentation.surfaces.curvature import principal_curvatures as principal_curvatures
+    from nurbseg.segmentation.surfaces.fit import Fit as Fit
+    from nurbseg.segmentation.surfaces.fit import fit_surface as fit_surface
+    from nurbseg.segmentation.surfaces.surface import NurbsSurface as NurbsSurface
+    from nurbseg.segmentation.surfaces.surface import evaluate as evaluate
+    from nurbseg.segmentation.surfaces.surface import normals as normals
+    from nurbseg.segmentation.vocabulary import StopReason as StopReason
 
-__all__ = [
-    "Cut",
-    "Fit",
-    "LiveTree",
-    "NurbsSurface",
-    "PointMap",
-    "Segment",
-    "SegmentationConfig",
-    "SegmentationTree",
-    "StopReason",
-    "all_metrics",
-    "evaluate",
-    "fit_surface",
-    "normalized_cut",
-    "normals",
-    "principal_curvatures",
-    "register",
-    "segment",
-]
-
-_MODULES = {
-    "SegmentationConfig": "config",
-    "all_metrics": "surfaces.curvature",
-    "principal_curvatures": "surfaces.curvature",
-    "Cut": "cut.ncut",
-    "normalized_cut": "cut.ncut",
-    "PointMap": "points.registration",
-    "register": "points.registration",
-    "Fit": "surfaces.fit",
-    "NurbsSurface": "surfaces.surface",
-    "evaluate": "surfaces.surface",
-    "fit_surface": "surfaces.fit",
-    "normals": "surfaces.surface",
-    "Segment": "segments",
-    "SegmentationTree": "segments",
-    "StopReason": "vocabulary",
-    "LiveTree": "live.tree",
-    "segment": "methods",
+# Imported on use, so that a command's --help need not wait for numpy and OpenCV.
+_NAMES = {
+    "config": "SegmentationConfig",
+    "cut.ncut": "Cut normalized_cut",
+    "live.tree": "LiveTree",
+    "methods": "segment",
+    "points.registration": "PointMap register",
+    "segments": "Segment SegmentationTree",
+    "surfaces.curvature": "all_metrics principal_curvatures",
+    "surfaces.fit": "Fit fit_surface",
+    "surfaces.surface": "NurbsSurface evaluate normals",
+    "vocabulary": "StopReason",
 }
+_HOME = {name: module for module, names in _NAMES.items() for name in names.split()}
+
+__all__ = sorted(_HOME)
 
 
 def __getattr__(name: str) -> Any:
-    # Late, so that a command's --help need not wait for numpy and OpenCV.
-    if name in _MODULES:
-        return getattr(import_module(f"nurbseg.segmentation.{_MODULES[name]}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

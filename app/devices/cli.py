@@ -10,8 +10,10 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import get_args
 
 from nurbseg.app.parser import command_parser
+from nurbseg.drivers.doctor.kinect_motor import TILT_MAX_DEG, KinectMotor, LedColor
 
 READY, NOT_READY = 0, 1
 
@@ -25,9 +27,6 @@ move a Kinect's motor. Without a command, the cameras are listed."""
 _EPILOG = """\
 exit codes: 0 a camera is ready (list, doctor) or it was done; 1 not; 2 usage
 example: nurbseg-devices doctor --device kinect"""
-
-_LED_COLORS = ("off", "green", "red", "yellow", "blink-green", "blink-red-yellow")
-_TILT_MAX_DEG = 31.0
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -83,13 +82,14 @@ def _parser() -> argparse.ArgumentParser:
         "angle_deg",
         type=_angle,
         metavar="DEG",
-        help=f"angle above the horizon, degrees, -{_TILT_MAX_DEG:g} to {_TILT_MAX_DEG:g}",
+        help=f"angle above the horizon, degrees, -{TILT_MAX_DEG} to {TILT_MAX_DEG}",
     )
     _add_number(command)
 
+    colors = get_args(LedColor)
     command = commands.add_parser("led", help="set a Kinect v1's light")
     command.set_defaults(run=_motor)
-    command.add_argument("color", choices=_LED_COLORS, metavar="COLOR", help=", ".join(_LED_COLORS))
+    command.add_argument("color", choices=colors, metavar="COLOR", help=", ".join(colors))
     _add_number(command)
 
     command = commands.add_parser("accelerometer", help="read a Kinect v1's accelerometer and tilt")
@@ -114,9 +114,9 @@ def _angle(text: str) -> float:
         angle_deg = float(text)
     except ValueError:
         angle_deg = float("nan")
-    if not -_TILT_MAX_DEG <= angle_deg <= _TILT_MAX_DEG:
+    if not -TILT_MAX_DEG <= angle_deg <= TILT_MAX_DEG:
         raise argparse.ArgumentTypeError(
-            f"expected degrees from -{_TILT_MAX_DEG:g} to {_TILT_MAX_DEG:g}, got {text!r}"
+            f"expected degrees from -{TILT_MAX_DEG} to {TILT_MAX_DEG}, got {text!r}"
         )
     return angle_deg
 
@@ -216,7 +216,6 @@ def _quiet() -> Iterator[None]:
 
 def _motor(arguments: argparse.Namespace) -> int:
     from nurbseg.app.devices import report as device_report
-    from nurbseg.drivers.doctor.kinect_motor import KinectMotor
 
     with KinectMotor(number=arguments.number) as motor:
         if arguments.command == "tilt":

@@ -31,7 +31,7 @@ _STOP_TIMEOUT_S = 5.0
 #: Damaged frames that are logged one by one; the others are counted.
 _DAMAGED_NAMED_MAX = 20
 #: Time between two looks whether a pause is over, seconds.
-_PAUSE_LOOK_S = 0.05
+PAUSE_LOOK_S = 0.05
 #: Periods of which the median is taken for the rate of the source.
 _PERIODS = 15
 
@@ -197,7 +197,7 @@ class CaptureThread:
                     while True:
                         self._requests.get_nowait()()
                 if self._paused and not self._steps:
-                    self._stop.wait(_PAUSE_LOOK_S)
+                    self._stop.wait(PAUSE_LOOK_S)
                     continue
                 try:
                     frame = self._source.read(_READ_TIMEOUT_S)

@@ -6,15 +6,13 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
+from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS
 from nurbseg.drivers.errors import EndOfRecordingError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.source import FrameSource, Wrapped
 
-#: Distance of two passes where a recording has one frame only, and so no period of its own.
-_PERIOD_NS = 33_333_333
 
-
-class Looped(FrameSource):
+class Looped(Wrapped):
     """A recording that may start again at its end; frame numbers and timestamps then go on rising.
 
     Parameters
@@ -35,15 +33,12 @@ class Looped(FrameSource):
     def __init__(
         self, source: FrameSource, reopen: Callable[[], FrameSource], *, repeats: bool = True
     ) -> None:
-        super().__init__()
-        self.calibration = source.calibration
-        self.metadata = source.metadata
-        self.seekable = source.seekable
+        super().__init__(source)
         self.repeats = repeats
-        self._source = source
         self._reopen = reopen
         self._last: RGBDFrame | None = None
-        self._period_ns = _PERIOD_NS
+        # Until two frames tell the recording's own.
+        self._period_ns = FRAME_INTERVAL_NS
         self._index_offset = 0
         self._time_offset_ns = 0
         #: Number in the recording of each pass's first frame, and the frames of a pass; 0 in the first one.
@@ -99,9 +94,6 @@ class Looped(FrameSource):
         self._source.seek(index)
         self._index_offset = self._time_offset_ns = 0
         self._seam = None
-
-    def _close(self) -> None:
-        self._source.close()
 
 
 class Limited(Wrapped):

@@ -93,7 +93,7 @@ class Shot:
 
 
 class PairSource(SequenceSource):
-    """Replays image files, which subclasses find.
+    """Replays image files.
 
     Parameters
     ----------
@@ -154,8 +154,8 @@ class PairSource(SequenceSource):
         )
 
 
-class FolderSource(PairSource):
-    """Replays a folder of image pairs in the natural order of their names.
+def open_folder(folder: Path, options: SourceOptions) -> PairSource:
+    """Open a folder of image pairs, to be replayed in the natural order of their names.
 
     Depth is in millimetres unless the folder or the user says otherwise. A calibration of one camera
     (intrinsics.txt and the like) stands for both images, which are taken to be registered. Images of
@@ -176,51 +176,33 @@ class FolderSource(PairSource):
     CalibrationError
         If there is no calibration, or an unusable one.
     """
-
-    def __init__(self, folder: Path, options: SourceOptions) -> None:
-        pairs, single = find_pairs(folder)
-        if not pairs:
-            alone = f" ({len(single)} images lack their partner)" if single else ""
-            raise RecordingFormatError(f"{folder}: no image pairs{alone}; expected {NAMES_EXPECTED}")
-        shots = _shots(pairs, folder_camera(folder, options))
-        super().__init__(folder, shots, "folder of image pairs", dropped=len(single))
+    pairs, single = find_pairs(folder)
+    if not pairs:
+        alone = f" ({len(single)} images lack their partner)" if single else ""
+        raise RecordingFormatError(f"{folder}: no image pairs{alone}; expected {NAMES_EXPECTED}")
+    shots = _shots(pairs, folder_camera(folder, options))
+    return PairSource(folder, shots, "folder of image pairs", dropped=len(single))
 
 
-class PatternSource(PairSource):
-    """Replays the images that match two patterns; a calibration is looked for in the folder that holds all.
+def open_patterns(rest: str, options: SourceOptions) -> PairSource:
+    """Open what follows ``images:``, ``?color=GLOB&depth=GLOB``: the images that match two patterns.
 
-    Parameters
-    ----------
-    color, depth : str
-        As for `nurbseg.drivers.datasets.pairs.match_patterns`.
-    options : SourceOptions
-        As for a `FolderSource`.
-
-    Raises
-    ------
-    RecordingFormatError, CalibrationError
-        As `match_patterns` and a `FolderSource` do.
-    """
-
-    def __init__(self, color: str, depth: str, options: SourceOptions) -> None:
-        pairs, dropped = match_patterns(color, depth)
-        files = [file.absolute() for pair in pairs for file in (pair.color, pair.depth)]
-        folder = Path(os.path.commonpath([file.parent for file in files]))
-        super().__init__(folder, _shots(pairs, folder_camera(folder, options)), "image pairs", dropped)
-
-
-def open_patterns(rest: str, options: SourceOptions) -> PatternSource:
-    """Open what follows ``images:``, ``?color=GLOB&depth=GLOB``.
+    A calibration is looked for in the folder that holds all of them.
 
     Raises
     ------
     RecordingFormatError
-        If a pattern is missing, or as a `PatternSource` does.
+        If a pattern is missing, or as `nurbseg.drivers.datasets.pairs.match_patterns` and `open_folder` do.
+    CalibrationError
+        As `open_folder` does.
     """
     patterns = dict(parse_qsl(rest.removeprefix("?")))
     if patterns.keys() != {"color", "depth"}:
         raise RecordingFormatError(f"images:{rest}: expected images:?color=GLOB&depth=GLOB")
-    return PatternSource(patterns["color"], patterns["depth"], options)
+    pairs, dropped = match_patterns(**patterns)
+    files = [file.absolute() for pair in pairs for file in (pair.color, pair.depth)]
+    folder = Path(os.path.commonpath([file.parent for file in files]))
+    return PairSource(folder, _shots(pairs, folder_camera(folder, options)), "image pairs", dropped)
 
 
 def _shots(pairs: list[ImagePair], camera: FolderCamera) -> list[Shot]:

@@ -29,8 +29,8 @@ def scene_folders(folder: Path) -> list[Path]:
     return sorted(found, key=lambda path: natural_key(path.name))
 
 
-class ScenesSource(PairSource):
-    """Replays a data set of scenes, one after the other; each scene brings its own calibration.
+def open_scenes(folder: Path, options: SourceOptions) -> PairSource:
+    """Open a data set of scenes, one after the other; each scene brings its own calibration.
 
     Parameters
     ----------
@@ -46,17 +46,15 @@ class ScenesSource(PairSource):
     CalibrationError
         If a scene has no calibration, or an unusable one.
     """
-
-    def __init__(self, folder: Path, options: SourceOptions) -> None:
-        shots: list[Shot] = []
-        for scene in scene_folders(folder):
-            pairs, _ = find_pairs(scene)
-            if not pairs:
-                raise RecordingFormatError(f"{scene}: no image pairs; expected {NAMES_EXPECTED}")
-            camera = folder_camera(scene, options)
-            for pair in pairs:
-                name = f"{scene.name}_{pair.name}" if pair.name else scene.name
-                shots.append(Shot(replace(pair, name=name), camera, len(shots) * FRAME_INTERVAL_NS))
-        if not shots:
-            raise RecordingFormatError(f"{folder}: no scenes; expected the folders scene1, scene2, ...")
-        super().__init__(folder, shots, "folder of scenes")
+    shots: list[Shot] = []
+    for scene in scene_folders(folder):
+        pairs, _ = find_pairs(scene)
+        if not pairs:
+            raise RecordingFormatError(f"{scene}: no image pairs; expected {NAMES_EXPECTED}")
+        camera = folder_camera(scene, options)
+        for pair in pairs:
+            name = f"{scene.name}_{pair.name}" if pair.name else scene.name
+            shots.append(Shot(replace(pair, name=name), camera, len(shots) * FRAME_INTERVAL_NS))
+    if not shots:
+        raise RecordingFormatError(f"{folder}: no scenes; expected the folders scene1, scene2, ...")
+    return PairSource(folder, shots, "folder of scenes")

@@ -8,7 +8,7 @@ from collections.abc import Generator, Iterator
 from contextlib import nullcontext
 from dataclasses import replace
 
-from nurbseg.app.live.capture import Captured, CaptureThread
+from nurbseg.app.live.capture import PAUSE_LOOK_S, Captured, CaptureThread
 from nurbseg.app.live.control.console import Control, open_console
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.live.interruption import Interruption
@@ -18,8 +18,6 @@ _log = logging.getLogger(__name__)
 
 #: Time between two looks whether the run was interrupted, seconds.
 _TAKE_TIMEOUT_S = 0.5
-#: Time between two looks for commands while paused, seconds.
-_PAUSE_LOOK_S = 0.05
 
 
 def controlled_frames(
@@ -62,7 +60,7 @@ def captured_frames(
         interruption.check()
         progress.draw(paused=controls is not None and controls.paused)
         if controls is not None and controls.paused and not controls.steps:
-            time.sleep(_PAUSE_LOOK_S)
+            time.sleep(PAUSE_LOOK_S)
             yield None
             continue
         try:

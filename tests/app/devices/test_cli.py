@@ -282,11 +282,6 @@ def test_tilt_and_light_reach_the_motor(motor, capsys):
     assert capsys.readouterr().out == "turning to -10 degrees\nlight: blink-green\n"
 
 
-def test_every_color_that_the_motor_knows_is_offered():
-    assert set(devices._LED_COLORS) == set(kinect_motor._LED_VALUES)
-    assert devices._TILT_MAX_DEG == kinect_motor.TILT_MAX_DEG
-
-
 def test_the_accelerometer_is_told_in_both_units(motor, capsys):
     assert devices.main(["accelerometer"]) == 0
     lines = capsys.readouterr().out.splitlines()
