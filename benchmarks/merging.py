@@ -28,10 +28,11 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.border_statistics import border_statistics
 from nurbseg.segmentation.extended.evidence import BASE, DIGITS, GAP, TERMS, pair_features
 from nurbseg.segmentation.extended.merge import agglomerated
-from nurbseg.segmentation.extended.settling import settled_surfaces
+from nurbseg.segmentation.extended.refitting import refit_surfaces
 from nurbseg.segmentation.extended.surface_statistics import surface_statistics
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.depth_grid import depth_grid
+from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.scoring.scores import Contingency
 
@@ -65,12 +66,12 @@ def surfaces_of(number: int, frame: RGBDFrame, config: SegmentationConfig) -> Su
     tree = segment(cloud, config)
     labels = tree.labels("surfaces").astype(np.int32)
     leaves = tree.leaves()
-    grid, extended = depth_grid(cloud, config.decimation), config.extended
+    grid, extended = depth_grid(cloud, grid_step(cloud.valid, config.decimation)), config.extended
     on_grid = np.zeros(grid.valid.shape, dtype=np.int32)
     for label, leaf in enumerate(leaves, start=1):
         rows, columns = np.divmod(leaf.fit.pixels, labels.shape[1])
         on_grid[rows // grid.step, columns // grid.step] = label
-    surfaces = settled_surfaces(on_grid, [leaf.fit for leaf in leaves], grid, config).surfaces
+    surfaces = refit_surfaces(on_grid, [leaf.fit for leaf in leaves], grid, config).surfaces
     borders = border_statistics(labels, surfaces, grid.rays, gap_per_m=extended.inverse_depth_gap)
     measured = surface_statistics(labels[:: grid.step, :: grid.step], len(leaves), grid)
     common = np.zeros((len(leaves) + 1, int(truth.max()) + 1), dtype=np.int64)

@@ -226,9 +226,10 @@ class SegmentationConfig(Settings):
         10.0, "T_c: curvature over which a point counts for NLC", unit="1/m", above=0.0
     )
     decimation: int = setting(
-        2,
-        "pixel step of the grid on which splits are decided; borders are refined on every pixel",
-        least=1,
+        0,
+        "pixel step of the grid on which splits are decided, 0 for 2 or, up to 320 columns, 1; "
+        "borders are refined on every pixel",
+        least=0,
         most=8,
     )
     seed: int = setting(0, "seed of the random sample; the same seed gives the same tree", least=0)

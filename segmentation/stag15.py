@@ -22,7 +22,7 @@ from nurbseg.segmentation.cut.ncut import Cut, normalized_cut
 from nurbseg.segmentation.growth import Clock, grow, time_limit
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
 from nurbseg.segmentation.labels.upsample import Split, upsample_labels
-from nurbseg.segmentation.points.grid import PixelGrid, decimated_grid, step_with_points
+from nurbseg.segmentation.points.grid import PixelGrid, decimated_grid, grid_step
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, SegmentationTree, Trial, depth_first
 from nurbseg.segmentation.surfaces.curvature import all_metrics
@@ -114,7 +114,7 @@ def segment_stag15(
        STAG 2015.
     """
     time_is_over = time_limit(config, clock)
-    step = step_with_points(cloud.valid, config.decimation)
+    step = grid_step(cloud.valid, config.decimation)
     config = replace(config, method="stag15", decimation=step)
     grid = decimated_grid(cloud, step)
     grid_pixels = np.flatnonzero(grid.valid)

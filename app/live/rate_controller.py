@@ -13,8 +13,6 @@ _log = logging.getLogger(__name__)
 #: Pixels by which the step of the grid may exceed the usual one; more saves nothing. The budget of revisions
 #: stays: what is put off piles up until a frame is segmented from scratch, which costs more than was saved.
 _COARSER = (0, 1, 2)
-#: Coarsest grid, pixels.
-_DECIMATION_MOST = 8
 #: Share of its period beyond which a frame costs too much, and below which it has to stay on a finer grid.
 _FULL, _SPARE = 0.9, 0.8
 #: Frames of which the median is taken.
@@ -32,8 +30,6 @@ class RateController:
     ----------
     target_hz : float
         Wanted frames per second, over 0.
-    decimation : int
-        The usual step of the grid, pixels.
 
     Attributes
     ----------
@@ -41,12 +37,11 @@ class RateController:
         What is given up: 0 for nothing.
     """
 
-    def __init__(self, target_hz: float, decimation: int) -> None:
+    def __init__(self, target_hz: float) -> None:
         if not target_hz > 0:
             raise ValueError(f"target_hz: expected more than 0, got {target_hz}")
         self.level = 0
         self._target_hz = target_hz
-        self._decimation = decimation
         self._took_ms: deque[float] = deque(maxlen=_FRAMES)
         self._since = 0
         # Before the last change, and how many times as much a frame costs on the next finer grid, by level.
@@ -57,7 +52,7 @@ class RateController:
     @property
     def budget(self) -> Budget:
         """What the next frame may cost."""
-        return Budget(decimation=min(_DECIMATION_MOST, self._decimation + _COARSER[self.level]))
+        return Budget(coarser=_COARSER[self.level])
 
     def took(self, frame_ms: float, *, source_hz: float = 0.0, cold: bool = False) -> None:
         """Take note of what a frame cost.
@@ -102,11 +97,10 @@ class RateController:
         self._since = 0
         self._before_ms = usual_ms
         self._took_ms.clear()
-        step = self.budget.decimation
         _log.info(
-            "%s to hold %.3g frames/s (a frame took %.0f ms): every %s pixel",
+            "%s to hold %.3g frames/s (a frame took %.0f ms): the grid's step is %s",
             "doing less" if by > 0 else "doing more",
             hz,
             usual_ms,
-            {1: "", 2: "2nd", 3: "3rd"}.get(step or 1, f"{step}th"),
+            f"{_COARSER[self.level]} px more than usual" if self.level else "as usual",
         )

@@ -48,7 +48,7 @@ class Segmenter:
     ) -> None:
         self.config = config = config or SegmentationConfig()
         self._every_surface = every_surface
-        self._rate_controller = RateController(target_hz, config.decimation) if target_hz > 0 else None
+        self._rate_controller = RateController(target_hz) if target_hz > 0 else None
         self._temporal = temporal
         self._live = LiveTree(config) if temporal and lives(config) else None
         self._surfaces: Identities | None = None

@@ -11,6 +11,7 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import Normalization, lab, normalization, raw_vectors
 from nurbseg.segmentation.labels.regions import PixelAdjacency, pixel_adjacency
 from nurbseg.segmentation.points.depth_grid import DepthGrid, depth_grid
+from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.normals import facet_normals
 from nurbseg.segmentation.points.registration import PointMap
 
@@ -40,7 +41,7 @@ class GridFeatures:
 
 def grid_features(cloud: PointMap, config: SegmentationConfig) -> GridFeatures:
     """Lay a frame out on the grid that is set: inverse depth, adjacency and raw vectors."""
-    grid = depth_grid(cloud, config.decimation)
+    grid = depth_grid(cloud, grid_step(cloud.valid, config.decimation))
     color = lab(cloud.color[:: grid.step, :: grid.step].reshape(-1, 3))
     normals = _normals(grid, 0, 0, *grid.points.shape, config)
     points_m = grid.points.coordinates_m.reshape(3, -1).T

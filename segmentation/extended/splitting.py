@@ -23,7 +23,7 @@ from nurbseg.segmentation.labels.regions import large_components
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
 from nurbseg.segmentation.labels.upsample import upsample_by_depth
 from nurbseg.segmentation.points.depth_grid import inverse_depth_image
-from nurbseg.segmentation.points.grid import step_with_points
+from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first
 from nurbseg.segmentation.vocabulary import Division, StopReason
@@ -52,7 +52,7 @@ def segment_nurbseg(
         Its leaves are surfaces; its objects, none where merging is off, are merged leaves.
     """
     time_is_over = time_limit(config, clock)
-    config = replace(config, decimation=step_with_points(cloud.valid, config.decimation))
+    config = replace(config, decimation=grid_step(cloud.valid, config.decimation))
     features = grid_features(cloud, config)
     root = grown_tree(features, config, time_is_over)
     nodes = depth_first(root)

@@ -25,7 +25,7 @@ from nurbseg.segmentation.live.objects import ObjectMemory
 from nurbseg.segmentation.live.renewal import give_reasons, renew_splits
 from nurbseg.segmentation.live.updater import Budget, TreeUpdater
 from nurbseg.segmentation.points.depth_grid import DepthGrid, inverse_depth_image
-from nurbseg.segmentation.points.grid import decimated_grid
+from nurbseg.segmentation.points.grid import decimated_grid, grid_step
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, history
 from nurbseg.segmentation.surfaces.fit import Fit
@@ -36,6 +36,8 @@ from nurbseg.segmentation.vocabulary import TRIED, Division, StopReason
 _CHANGED_SHARE = 0.4
 #: So many leaves waiting for a trial, over so many frames, are more than updates can do.
 _WAITING_MOST, _WAITING_FRAMES = 6, 15
+#: Step of the coarsest grid that a budget may ask for, pixels.
+_STEP_MOST = 8
 
 
 class LiveTree:
@@ -69,7 +71,7 @@ class LiveTree:
         if not lives(config):
             raise ValueError(f"method: expected nurbseg, got {config.method}")
         self._config = config
-        self._configs = {config.decimation: config}
+        self._configs: dict[int, SegmentationConfig] = {}
         self.report = UpdateReport()
         self._leaves: list[LiveLeaf] = []
         self._root = Node(
@@ -83,7 +85,7 @@ class LiveTree:
         self._restart = ""
         self._rejected: tuple[Node, ...] = ()
         self._frame = -1
-        self._lattice = SurfaceLattice([], config.decimation)
+        self._lattice = SurfaceLattice([], 1)
         self.labels_before = self._labels
 
     def restart(self, reason: str) -> None:
@@ -122,7 +124,8 @@ class LiveTree:
             return self._segmented(cloud, budget or Budget(), every_surface)
 
     def _segmented(self, cloud: PointMap, budget: Budget, every_surface: bool) -> SegmentationTree:
-        config = self._config_on(budget.decimation or self._config.decimation)
+        usual_step = grid_step(cloud.valid, self._config.decimation)
+        config = self._config_on(min(usual_step + budget.coarser, _STEP_MOST))
         reason = self._no_continuation(cloud)
         if not reason:
             tree = self._followed(cloud, config, budget, every_surface)

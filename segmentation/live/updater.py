@@ -49,14 +49,14 @@ class Budget:
         Leaves that are cut to try a split, the worst first; a large one counts as all.
     merges : int
         Pairs of leaves that are compared with one surface for both.
-    decimation : int or None
-        Pixels from one grid pixel to the next; None for what the configuration says.
+    coarser : int
+        Pixels by which the step of the grid exceeds the usual one.
     """
 
     refits: int = 6
     trials: int = 3
     merges: int = 2
-    decimation: int | None = None
+    coarser: int = 0
 
 
 class TreeUpdater:

@@ -11,6 +11,9 @@ from nurbseg.drivers.compiled import F32, Bool, Intp, compiled
 from nurbseg.segmentation.config import REFERENCE_PIXELS
 from nurbseg.segmentation.points.registration import PointMap
 
+#: Step of the grid where none is set, and the width up to which images have no pixels to spare: half of 640.
+_USUAL_STEP, _SMALL_IMAGE_PX = 2, 320
+
 Window = tuple[int, int, int, int]
 
 
@@ -167,14 +170,20 @@ def full_grid(cloud: PointMap) -> PixelGrid:
     return PixelGrid(1, (height, width), np.moveaxis(cloud.points_m, -1, 0), cloud.valid)
 
 
-def step_with_points(valid: NDArray[np.bool_], step: int) -> int:
-    """Return the step of a grid that holds a point where the image does: 1 where that asked for holds none.
+def grid_step(valid: NDArray[np.bool_], decimation: int) -> int:
+    """Return the step of the grid on which splits are decided, pixels.
 
     Parameters
     ----------
     valid : (H, W) bool
         Pixels that have a point.
-    step : int
-        Pixels from one row or column of the grid to the next.
+    decimation : int
+        The setting: the step, or 0 for one that gives small images as many grid pixels as they have.
+
+    Returns
+    -------
+    int
+        1 where the grid that is asked for holds no point and the image does.
     """
+    step = decimation or (1 if valid.shape[1] <= _SMALL_IMAGE_PX else _USUAL_STEP)
     return step if valid[::step, ::step].any() or not valid.any() else 1

@@ -21,7 +21,9 @@ from nurbseg.segmentation.vocabulary import Division
 
 #: A segment has at least 25 places of the grid of every second pixel.
 CONFIG = SegmentationConfig(
-    samples=60, extended=ExtendedConfig(level="surfaces", inverse_depth_noise=5e-4, piece_pixels_min=1600)
+    decimation=2,
+    samples=60,
+    extended=ExtendedConfig(level="surfaces", inverse_depth_noise=5e-4, piece_pixels_min=1600),
 )
 GRID = SHAPE[0] // 2, SHAPE[1] // 2
 #: The frame before the one that is looked at.

@@ -44,6 +44,7 @@ def parts_of(tree: SegmentationTree, each: Segment) -> list[Segment]:
 def test_ratios_follow_from_the_surfaces_and_the_pixels_that_were_fitted(cloud_of, box_on_table, method):
     cloud = cloud_of(box_on_table((240, 320), noise_per_m=1.5e-3, seed=1)[0])
     config = SegmentationConfig(
+        decimation=2,
         method=method,
         splits_max=8,
         stag15=Stag15Config(segment_pixels_min=600),

@@ -214,7 +214,8 @@ class ExportedFrame:
     @cached_property
     def step(self) -> int:
         """Step of the grid on which splits were decided; the leaves were measured on every point of it."""
-        valid, asked = self.images["labels"] > 0, self.settings.config.decimation
+        valid = self.images["labels"] > 0
+        asked = self.settings.config.decimation or (2 if self.shape[1] > 320 else 1)
         if not valid[::asked, ::asked].any() and valid.any():
             return 1
         if self.settings.target_fps > 0:

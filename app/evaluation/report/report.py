@@ -23,6 +23,7 @@ from nurbseg.app.evaluation.store import StudyStore
 from nurbseg.app.evaluation.study import FrameRef, Study, label_path, read_frame, tree_path
 from nurbseg.app.evaluation.variants import TREE_METHODS, Variant
 from nurbseg.app.view.drawing.palette import STOP_COLORS
+from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.segments import Segment, SegmentationTree
 
@@ -192,7 +193,8 @@ def _error_tiles(
         residual_m = np.full(cloud.valid.size, np.nan)
         for each in segments:
             residual_m[each.fit.pixels] = each.fit.residuals_m
-        image = _spread(residual_m.reshape(cloud.valid.shape), variant.config.decimation)
+        step = grid_step(cloud.valid, variant.config.decimation)
+        image = _spread(residual_m.reshape(cloud.valid.shape), step)
         tiles.append((caption, pictures.error_colors(image, _ERROR_M)))
     return tiles
 

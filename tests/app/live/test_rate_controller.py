@@ -13,55 +13,53 @@ from nurbseg.segmentation.live.updater import Budget
 
 def test_nothing_is_given_up_while_the_rate_holds(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, logger="nurbseg")
-    controller = RateController(30.0, 2)
+    controller = RateController(30.0)
     for _ in range(200):
         controller.took(25.0)
     assert controller.level == 0
-    assert controller.budget == Budget(decimation=2)
+    assert controller.budget == Budget()
     assert not caplog.messages
 
 
 def test_less_is_done_step_by_step_until_the_rate_holds(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, logger="nurbseg")
-    controller = RateController(30.0, 2)
+    controller = RateController(30.0)
     budgets = []
     for _ in range(200):
         # Half of the time goes with the places of the grid.
         budget = controller.budget
-        assert budget.decimation is not None
         budgets.append(budget)
-        controller.took(20.0 + 25.0 * (2 / budget.decimation) ** 2)
-    steps = [budget.decimation for budget in budgets]
+        controller.took(20.0 + 25.0 * (2 / (2 + budget.coarser)) ** 2)
+    steps = [2 + budget.coarser for budget in budgets]
     assert steps == sorted(steps)
     assert steps[0] == 2 < steps[-1]
     assert 20.0 + 25.0 * (2 / steps[-1]) ** 2 < 1000 / 30
     # What is to be revised is revised: otherwise the frame is segmented from scratch before long.
-    assert {replace(each, decimation=None) for each in budgets} == {Budget()}
+    assert {replace(each, coarser=0) for each in budgets} == {Budget()}
     assert all("doing less to hold 30 frames/s" in message for message in caplog.messages)
     assert len(caplog.messages) == controller.level
 
 
 def test_a_single_slow_frame_changes_nothing() -> None:
-    controller = RateController(30.0, 2)
+    controller = RateController(30.0)
     for frame in range(100):
         controller.took(60.0 if frame == 50 else 20.0)
     assert controller.level == 0
 
 
 def test_the_slow_first_frames_change_nothing() -> None:
-    controller = RateController(30.0, 2)
+    controller = RateController(30.0)
     for frame in range(100):
         controller.took(80.0 / (1 + frame) + 20.0)
     assert controller.level == 0
 
 
 def test_a_computer_that_is_slow_for_a_while_does_less_for_as_long() -> None:
-    controller = RateController(30.0, 2)
+    controller = RateController(30.0)
     levels = []
     for frame in range(1200):
         factor = 1.5 if 200 <= frame < 600 else 1.0
-        assert controller.budget.decimation is not None
-        controller.took(factor * (14.0 + 12.0 * (2 / controller.budget.decimation) ** 2))
+        controller.took(factor * (14.0 + 12.0 * (2 / (2 + controller.budget.coarser)) ** 2))
         levels.append(controller.level)
     assert set(levels[:200]) == {0}
     assert min(levels[230:600]) > 0
@@ -70,14 +68,14 @@ def test_a_computer_that_is_slow_for_a_while_does_less_for_as_long() -> None:
 
 
 def test_frames_segmented_anew_tell_nothing() -> None:
-    controller = RateController(30.0, 2)
+    controller = RateController(30.0)
     for _ in range(100):
         controller.took(500.0, cold=True)
     assert controller.level == 0
 
 
 def test_more_is_done_again_when_there_is_time_but_not_over_and_over() -> None:
-    controller = RateController(30.0, 2)
+    controller = RateController(30.0)
     for _ in range(30):
         controller.took(100.0)
     assert controller.level > 0
@@ -96,7 +94,7 @@ def test_more_is_done_again_when_there_is_time_but_not_over_and_over() -> None:
 
 def test_it_holds_no_more_than_the_rate_of_the_source() -> None:
     # 40 ms are too much for 30 frames/s, and leave half of the time of 12 frames/s.
-    controller = RateController(30.0, 2)
+    controller = RateController(30.0)
     for _ in range(2000):
         controller.took(40.0, source_hz=12.0)
     assert controller.level == 0
@@ -108,7 +106,7 @@ def test_it_holds_no_more_than_the_rate_of_the_source() -> None:
 @pytest.mark.parametrize("costs_ms", [(40, 24, 18), (30, 24, 21), (33, 26, 22), (27, 20, 17)])
 def test_costs_near_the_limit_make_it_change_seldom(costs_ms: tuple[float, ...]) -> None:
     rng = np.random.default_rng(1)
-    controller, levels = RateController(30.0, 2), []
+    controller, levels = RateController(30.0), []
     for _ in range(4500):  # two and a half minutes
         controller.took(costs_ms[controller.level] * rng.uniform(0.8, 1.3))
         levels.append(controller.level)
@@ -117,4 +115,4 @@ def test_costs_near_the_limit_make_it_change_seldom(costs_ms: tuple[float, ...])
 
 def test_a_rate_is_more_than_0() -> None:
     with pytest.raises(ValueError, match="target_hz"):
-        RateController(0.0, 2)
+        RateController(0.0)

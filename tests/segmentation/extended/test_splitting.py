@@ -10,7 +10,7 @@ from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.methods import segment
-from nurbseg.segmentation.points.registration import register
+from nurbseg.segmentation.points.registration import PointMap, register
 from nurbseg.segmentation.scoring.scores import Contingency
 from nurbseg.segmentation.surfaces.surface import evaluate
 from nurbseg.segmentation.vocabulary import StopReason
@@ -60,6 +60,21 @@ def test_a_box_on_a_table_is_two_objects_of_four_surfaces(cloud_of, box_on_table
         on_face = np.bincount(truth.ravel()[leaf.pixels])
         assert on_face.max() > 0.95 * leaf.pixels.size
     assert StopReason.NOISE in {leaf.stop for leaf in tree.leaves()}
+
+
+def test_an_image_of_half_the_size_is_decided_on_the_same_points(cloud_of, box_on_table):
+    cloud = cloud_of(box_on_table((480, 640), noise_per_m=1.5e-3)[0])
+    points_m, color, colored = (
+        np.ascontiguousarray(each[::2, ::2]) for each in (cloud.points_m, cloud.color, cloud.colored)
+    )
+    whole, half = segment(cloud, CONFIG), segment(PointMap(points_m, color, colored), CONFIG)
+    assert len(half.leaves()) > 3
+    assert [each.name for each in half.segments] == [each.name for each in whole.segments]
+    for each, same in zip(half.segments, whole.segments, strict=True):
+        rows, columns = np.divmod(same.fit.pixels, 640)
+        assert np.array_equal(each.fit.pixels, rows // 2 * 320 + columns // 2)
+        assert each.fit.values == pytest.approx(same.fit.values, rel=1e-4)
+    assert np.mean(half.labels() == whole.labels()[::2, ::2]) > 0.99
 
 
 def test_the_level_says_what_a_label_is(cloud_of, box_on_table):

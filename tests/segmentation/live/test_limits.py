@@ -18,7 +18,9 @@ from nurbseg.segmentation.surfaces.surface import evaluate
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
 CONFIG = SegmentationConfig(
-    samples=60, extended=ExtendedConfig(level="surfaces", inverse_depth_noise=5e-4, piece_pixels_min=1600)
+    decimation=2,
+    samples=60,
+    extended=ExtendedConfig(level="surfaces", inverse_depth_noise=5e-4, piece_pixels_min=1600),
 )
 Seen = tuple[PointMap, SegmentationTree, UpdateReport]
 

@@ -248,17 +248,17 @@ def test_a_frame_is_segmented_anew_on_demand_and_once(tree: LiveTree) -> None:
     assert tree.report.reset == ""
 
 
-@pytest.mark.parametrize("step", [1, 3])
-def test_a_frame_is_segmented_anew_on_the_grid_of_the_budget(tree: LiveTree, step: int) -> None:
+@pytest.mark.parametrize("coarser", [1, 2])
+def test_a_frame_is_segmented_anew_on_the_grid_of_the_budget(tree: LiveTree, coarser: int) -> None:
     other = scene((10, 10, 120, 90), noise=5, wall_m=3.0)
-    found = tree.segment(other, Budget(decimation=step))
-    assert (tree.report.reset, tree.report.step) == ("another scene", step)
-    alone = segment(other, replace(CONFIG, decimation=step))
+    found = tree.segment(other, Budget(coarser=coarser))
+    assert (tree.report.reset, tree.report.step) == ("another scene", 1 + coarser)
+    alone = segment(other, replace(CONFIG, decimation=1 + coarser))
     assert np.array_equal(found.labels("surfaces"), alone.labels("surfaces"))
     # The tree lives on from there, on that grid and on another one.
-    for following in (step, 2):
-        again = tree.segment(other, Budget(decimation=following))
-        assert (tree.report.reset, tree.report.step) == ("", following)
+    for following in (coarser, 0):
+        again = tree.segment(other, Budget(coarser=following))
+        assert (tree.report.reset, tree.report.step) == ("", 1 + following)
         assert np.mean(again.labels("surfaces") == found.labels("surfaces")) > 0.98
 
 

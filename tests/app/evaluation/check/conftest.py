@@ -25,7 +25,11 @@ from nurbseg.segmentation.methods import segment
 RECORDING = "synthetic:?width=160&height=120&frames=2"
 CONFIGS = {
     "stag15": SegmentationConfig(
-        method="stag15", depth_max=3, splits_max=5, stag15=Stag15Config(segment_pixels_min=600)
+        method="stag15",
+        decimation=2,
+        depth_max=3,
+        splits_max=5,
+        stag15=Stag15Config(segment_pixels_min=600),
     ),
     "curvature": SegmentationConfig(
         method="stag15",
@@ -46,7 +50,7 @@ CONFIGS = {
         ratio_max=0.3, depth_max=3, extended=ExtendedConfig(inverse_depth_noise=1e-3, piece_pixels_min=240)
     ),
     "floored": SegmentationConfig(metric="nle", large_error_m=0.02, splits_max=4),
-    "hurried": SegmentationConfig(budget_ms=3500.0),
+    "hurried": SegmentationConfig(budget_ms=3500.0, decimation=2),
     "surfaces": SegmentationConfig(splits_max=4, decimation=3, extended=ExtendedConfig(level="surfaces")),
 }
 
