@@ -26,11 +26,13 @@ def test_a_stuck_thread_keeps_no_session_from_ending(
     (tmp_path / "test_it.py").write_text(_LEAVES_A_THREAD.format(daemon=daemon, passes=passes))
     done = subprocess.run(
         [
-            *[sys.executable, "-m", "pytest", "-q", "-p", "session_end", "-p", "no:cacheprovider"],
-            *["-n", str(processes)],
+            *[sys.executable, "-m", "pytest", "-q", "-p", "xdist.plugin", "-p", "session_end"],
+            *["-p", "no:cacheprovider", "-n", str(processes)],
         ],
         cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(Path(__file__).parent / "fakes")},
+        # Loading all plugins that are installed would take longer than the rest.
+        env=os.environ
+        | {"PYTHONPATH": str(Path(__file__).parent / "fakes"), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"},
         capture_output=True,
         text=True,
         timeout=120,
