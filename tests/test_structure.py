@@ -1,5 +1,6 @@
 """The project's folders: short enough to be read, all of them packaged, and described as they are."""
 
+import ast
 import re
 import tomllib
 from pathlib import Path
@@ -30,3 +31,26 @@ def test_files_that_a_page_names_exist(page: Path):
     text = page.read_text()
     named = set(re.findall(r"`((?:app|drivers|segmentation|tests|benchmarks)/[\w./]*)`", text))
     assert not {name for name in named if not (ROOT / name).exists()}
+
+
+def is_number(value: ast.expr) -> bool:
+    """Whether an expression is a number, or some, perhaps of single precision."""
+    if isinstance(value, ast.Call) and ast.unparse(value.func) == "np.float32":
+        value = value.args[0]
+    try:
+        found = ast.literal_eval(value)
+    except ValueError:
+        return False
+    return all(isinstance(each, int | float) for each in (found if isinstance(found, tuple) else [found]))
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "segmentation").rglob("*.py")), ids=lambda path: path.stem)
+def test_a_number_that_is_no_setting_says_what_it_is(path: Path):
+    lines = path.read_text().splitlines()
+    said: set[int] = set()
+    for node in ast.parse(path.read_text()).body:
+        before = node.lineno - 2
+        if isinstance(node, ast.Assign) and is_number(node.value):
+            # One comment may be for several that stand together.
+            assert lines[before].startswith("#:") or before in said, f"{path}: {lines[node.lineno - 1]}"
+            said.add(node.end_lineno - 1)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import I32, Bool, compiled
 
+#: Neighbours of a pixel that belong to its component where they are on its side of the cut.
 _CONNECTIVITY = 8
 
 

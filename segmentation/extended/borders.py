@@ -23,6 +23,7 @@ _REACH = 2
 _VOTE = 0.7
 #: Vote of a neighbour across a gap in depth, in shares of another's.
 ACROSS_GAP = 0.25
+#: Passes over the pixels at borders.
 _SWEEPS = 4
 #: Pixels judged at once, so that what is found for them stays in the cache.
 _BLOCK = 4096

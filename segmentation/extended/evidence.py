@@ -43,6 +43,7 @@ ITEMS = ("base", *(term.name for term in TERMS), "gap")
 #: Evidence counts to so many digits, those that are exported.
 DIGITS = 3
 
+#: Concavity and its deviation count as no more than this, radians.
 _CONCAVITY_MOST, _DEVIATION_MOST = 1.0, 0.6
 
 

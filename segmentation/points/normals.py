@@ -15,6 +15,7 @@ from nurbseg.segmentation.points.rays import Rays
 _FILLED_SHARE = 0.3
 #: A neighbour's plane is preferred where its variance is below this share of the pixel's own.
 _PREFERENCE = np.float32(1.0 / 1.5)
+#: Stands for the variance of a plane that is none, having too few points.
 _UNUSABLE = np.float32(1e3)
 
 

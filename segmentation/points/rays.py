@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 _ROUNDING = 2e-6
 #: Rows and columns of the lattice on which the rays are sampled, at most.
 _SAMPLES = 60
+#: Powers of column and row in the polynomials of a camera without a lens.
 _LINEAR = ((0, 0), (1, 0), (0, 1))
 #: Lenses are described by polynomials of this degree.
 _DEGREE = 5
