@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from child_python import run_python
 
 pytest.importorskip("skimage")
 ALL = Path(__file__).parent.parent / "benchmarks" / "all.py"
@@ -73,3 +74,19 @@ def test_the_time_of_each_stage_is_measured(method: str) -> None:
     stages = ["cut", "fit", *(["borders", "merge"] if method == "nurbseg" else ["clean-up", "every_pixel"])]
     assert all(float(values[each]) > 0 for each in stages), values
     assert int(row.split()[-3]) > 10
+
+
+def test_benchmarks_find_what_they_import_of_the_project() -> None:
+    script = """
+import importlib, pathlib, sys
+for path in sorted(pathlib.Path().glob("*.py")):
+    try:
+        importlib.import_module(path.stem)
+    except ModuleNotFoundError as error:
+        if error.name.partition(".")[0] == "nurbseg":
+            raise
+        print(error.name)
+"""
+    missing = run_python(script, cwd=ALL.parent).stdout.split()
+    # What only some of them need may not be installed.
+    assert set(missing) <= {"cosmic_ray", "sklearn", "skimage"}
