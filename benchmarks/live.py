@@ -9,7 +9,7 @@ Examples
 The rendered scene, then a folder that is replayed over and over for ten minutes::
 
     python benchmarks/live.py "synthetic:?frames=600"
-    python benchmarks/live.py FOLDER --duration 600 --runs 1
+    python benchmarks/live.py FOLDER --duration 600 --runs 1 -- --intrinsics 585,585,320,240
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=20.0, help="seconds of each run (20)")
     parser.add_argument("--runs", type=int, default=5, help="runs of which medians are taken (5)")
     parser.add_argument("options", nargs="*", help="further options of nurbseg-live, after --")
-    arguments = parser.parse_args()
+    arguments = parser.parse_intermixed_args()
     reports = [
         one_run(arguments.source, arguments.duration, arguments.options) for _ in range(arguments.runs)
     ]

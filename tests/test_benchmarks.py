@@ -1,4 +1,4 @@
-"""The comparison of two measurements of speed."""
+"""Benchmarks: what they import and measure, and the comparison of two measurements of speed."""
 
 import json
 import subprocess
