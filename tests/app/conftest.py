@@ -1,7 +1,9 @@
-"""The installed command as a process of its own, small recordings for it, and one result of a frame."""
+"""The command in this process and as one of its own, small recordings for it, and one result of a frame."""
 
 from __future__ import annotations
 
+import gc
+import logging
 import os
 import queue
 import signal
@@ -19,6 +21,7 @@ import numpy as np
 import pytest
 from fair_clock import FairClock
 
+from nurbseg.app.command.cli import main
 from nurbseg.app.live.tracking import process_frame
 from nurbseg.app.result import FrameResult
 from nurbseg.drivers.registry import open_source
@@ -35,8 +38,34 @@ def small_result() -> FrameResult:
 
 
 @pytest.fixture
-def live(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """Run nurbseg-live to its end, in an empty folder."""
+def live(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> Iterator[Callable[..., subprocess.CompletedProcess[str]]]:
+    """Run nurbseg-live to its end in this process, in an empty folder: it need not be loaded each time."""
+    log, ours = logging.getLogger(), logging.getLogger("nurbseg")
+    level = ours.level
+
+    def run(*words: str) -> subprocess.CompletedProcess[str]:
+        capfd.readouterr()
+        try:
+            code = main(words)
+        except SystemExit as err:
+            code = err.code if isinstance(err.code, int) else 0
+        return subprocess.CompletedProcess(words, code, *capfd.readouterr())
+
+    with monkeypatch.context() as patch:
+        patch.chdir(tmp_path)
+        patch.setattr(log, "handlers", [])
+        patch.setenv("OPENBLAS_NUM_THREADS", "1")
+        yield run
+    ours.setLevel(level)
+    logging.captureWarnings(False)
+    gc.unfreeze()
+
+
+@pytest.fixture
+def live_process(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Run nurbseg-live to its end as a process of its own, in an empty folder."""
 
     def run(*words: str, **options: Any) -> subprocess.CompletedProcess[str]:
         return subprocess.run(

@@ -27,10 +27,10 @@ SMALL = "synthetic:?width=96&height=72&frames={}"
 FAST = ("--speed", "0", "--view", "none")
 
 
-def test_help_is_there_in_a_third_of_a_second(live: Live) -> None:
+def test_help_is_there_in_a_third_of_a_second(live_process: Live) -> None:
     def took_s() -> float:
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        assert live("--help").returncode == 0
+        assert live_process("--help").returncode == 0
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
@@ -38,7 +38,7 @@ def test_help_is_there_in_a_third_of_a_second(live: Live) -> None:
     assert min(took_s() for _ in range(5)) < 0.3
 
 
-def test_the_printed_configuration_can_be_fed_back(live: Live, tmp_path: Path) -> None:
+def test_the_printed_configuration_can_be_fed_back(live_process: Live, tmp_path: Path) -> None:
     words = (
         "--metric",
         "vmxc",
@@ -50,10 +50,10 @@ def test_the_printed_configuration_can_be_fed_back(live: Live, tmp_path: Path) -
         "none",
         "--print-config",
     )
-    first = live(*words)
+    first = live_process(*words)
     assert first.returncode == 0
     (tmp_path / "run.toml").write_text(first.stdout)
-    second = live("--config", "run.toml", "--print-config")
+    second = live_process("--config", "run.toml", "--print-config")
     assert second.stdout == first.stdout
     assert 'metric = "vmxc"' in second.stdout
 
@@ -85,16 +85,18 @@ def test_a_crop_beside_the_depth_image_is_refused(live: Live) -> None:
     assert "Traceback" not in done.stderr
 
 
-def test_version(live: Live) -> None:
+def test_version(live_process: Live) -> None:
     try:
         version = importlib.metadata.version("nurbseg")
     except importlib.metadata.PackageNotFoundError:
         pytest.skip("nurbseg is on the path, but not installed as a package")
-    assert live("--version").stdout == f"nurbseg-live {version}\n"
+    assert live_process("--version").stdout == f"nurbseg-live {version}\n"
 
 
-def test_every_frame_of_a_recording_is_segmented_exported_and_reported(live: Live, tmp_path: Path) -> None:
-    done = live(
+def test_every_frame_of_a_recording_is_segmented_exported_and_reported(
+    live_process: Live, tmp_path: Path
+) -> None:
+    done = live_process(
         "--replay", SMALL.format(4), *FAST, "--export", "out", "--export-surfaces", "--report", "report.json"
     )
     assert done.returncode == 0, done.stderr
@@ -330,9 +332,9 @@ def test_results_reports_and_viewer_files_are_replaced_by_force_alone(live: Live
     assert all(path.stat().st_mtime_ns > stamp for path, stamp in before.items())
 
 
-def test_what_shows_the_cameras_images_is_for_this_user_alone(live: Live, tmp_path: Path) -> None:
+def test_what_shows_the_cameras_images_is_for_this_user_alone(live_process: Live, tmp_path: Path) -> None:
     words = ("--save", "new/a.rrd", "--record", "other/a.mcap")
-    done = live("--replay", SMALL.format(2), *FAST, *words, umask=0)
+    done = live_process("--replay", SMALL.format(2), *FAST, *words, umask=0)
     assert done.returncode == 0, done.stderr
     for name in ("new/a.rrd", "other/a.mcap"):
         assert (tmp_path / name).stat().st_mode & 0o777 == 0o600
@@ -367,12 +369,12 @@ def test_the_fallback_is_said_and_replayed(live: Live) -> None:
     assert f"replaying {SMALL.format(1)} instead" in done.stderr
 
 
-def test_a_full_disk_ends_with_1_and_says_what_is_kept(live: Live, tmp_path: Path) -> None:
+def test_a_full_disk_ends_with_1_and_says_what_is_kept(live_process: Live, tmp_path: Path) -> None:
     def nearly_full() -> None:
         # Enough for the settings, too little for the labels of a frame.
         resource.setrlimit(resource.RLIMIT_FSIZE, (1200, 1200))
 
-    done = live("--replay", SMALL.format(3), *FAST, "--export", "out", preexec_fn=nearly_full)
+    done = live_process("--replay", SMALL.format(3), *FAST, "--export", "out", preexec_fn=nearly_full)
     assert done.returncode == 1, done.stderr
     assert "cannot be written: File too large; the 0 frames before are kept in out" in done.stderr
     assert "Traceback" not in done.stderr
