@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,9 +37,15 @@ class Case:
     frames: int | None
 
 
+@pytest.fixture(scope="session")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Callable[[Path], Path]], Path]:
+    """Each recording, written once: nothing here changes it."""
+    return functools.cache(lambda write: write(tmp_path_factory.mktemp("recorded") / "recording"))
+
+
 def recorded(write: Callable[[Path], Path]) -> Callable[[pytest.FixtureRequest], Case]:
     def case(request: pytest.FixtureRequest) -> Case:
-        path = write(request.getfixturevalue("tmp_path") / "recording")
+        path = request.getfixturevalue("written")(write)
         return Case(lambda: open_source(str(path)), FRAMES)
 
     return case
@@ -54,8 +61,12 @@ def synthetic(request: pytest.FixtureRequest) -> Case:
     return Case(lambda: open_source(f"synthetic:?frames={FRAMES}&width=64&height=48"), FRAMES)
 
 
+def registered_pairs(folder: Path) -> Path:
+    return write_pairs(folder, scenes(FRAMES))
+
+
 def images(request: pytest.FixtureRequest) -> Case:
-    folder = write_pairs(request.getfixturevalue("tmp_path") / "recording", scenes(FRAMES))
+    folder = request.getfixturevalue("written")(registered_pairs)
     patterns = urlencode({each: folder / f"*_{each}.png" for each in ("color", "depth")})
     return Case(lambda: open_source(f"images:?{patterns}"), FRAMES)
 
@@ -69,7 +80,7 @@ CASES = {
     "mcap": recorded(lambda path: write_mcap(path, scenes(FRAMES))),
     "mcap-jpeg": recorded(lambda path: write_mcap(path, scenes(FRAMES), "jpeg95")),
     "mcap-raw-apart": recorded(lambda path: write_mcap(path, scenes(FRAMES, APART), "raw")),
-    "pairs": recorded(lambda path: write_pairs(path, scenes(FRAMES))),
+    "pairs": recorded(registered_pairs),
     "pairs-apart": recorded(lambda path: write_pairs(path, scenes(FRAMES, APART))),
     "tum": recorded(lambda path: write_tum(path, scenes(FRAMES))),
     "pcd": recorded(pcd_folder),
