@@ -153,13 +153,13 @@ class ExtendedConfig(Settings):
         17, "side of the windows for normals, in pixels of a 640-wide image", unit="px", least=3
     )
     knot_spacing_px: float = setting(
-        50.0,
+        40.0,
         "distance of the knots of a surface, in pixels of a 640-wide image",
         unit="px",
         least=8.0,
     )
     smoothness: float = setting(
-        1.0,
+        0.1,
         "weight of the squared second differences of a surface's control values, against those of "
         "residuals at every second row and column",
         least=0.0,

@@ -19,11 +19,17 @@ from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, Trial
 from nurbseg.segmentation.vocabulary import Division
 
-#: A segment has at least 25 places of the grid of every second pixel.
+#: A segment has at least 25 places of the grid of every second pixel. Surfaces are too stiff for a step.
 CONFIG = SegmentationConfig(
     decimation=2,
     samples=60,
-    extended=ExtendedConfig(level="surfaces", inverse_depth_noise=5e-4, piece_pixels_min=1600),
+    extended=ExtendedConfig(
+        level="surfaces",
+        inverse_depth_noise=5e-4,
+        piece_pixels_min=1600,
+        knot_spacing_px=50.0,
+        smoothness=1.0,
+    ),
 )
 GRID = SHAPE[0] // 2, SHAPE[1] // 2
 #: The frame before the one that is looked at.

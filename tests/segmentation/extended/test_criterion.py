@@ -21,7 +21,12 @@ from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.surface import evaluate
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
-CONFIG = SegmentationConfig(method="nurbseg", decimation=1, extended=ExtendedConfig(refine_borders=False))
+# Surfaces so stiff that none follows a shallow roof.
+CONFIG = SegmentationConfig(
+    method="nurbseg",
+    decimation=1,
+    extended=ExtendedConfig(refine_borders=False, knot_spacing_px=50.0, smoothness=1.0),
+)
 SIZE = (120, 160)
 
 

@@ -7,6 +7,12 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.methods import segment
+from nurbseg.segmentation.points.registration import register
+from nurbseg.segmentation.scoring.scores import Contingency
+
 FACES = Path(__file__).parents[2] / "faces"
 NAMES = sorted(path.stem for path in FACES.glob("*.png"))
 
@@ -35,3 +41,32 @@ def test_a_face_is_one_part_of_one_object(real_data, name):
         pieces = ndimage.label(faces == face, np.ones((3, 3)))[1]
         assert pieces == 1 or not (faces[(objects == of[0]) & (faces > 0)] != face).any()
     assert divided >= 4
+
+
+def test_most_faces_are_one_surface(real_data):
+    found = faces = surfaces = 0
+    for name in NAMES:
+        folder = real_data("mosd_learn" if name.startswith("learn") else "mosd_clutter")
+        depth, color, truth = (
+            cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+            for path in (folder / f"{name}_depth.png", folder / f"{name}_color.png", FACES / f"{name}.png")
+        )
+        frame = RGBDFrame.from_arrays(depth, color[..., ::-1], 525.0, 525.0, 319.5, 239.5)
+        table = Contingency.between(segment(register(frame), SegmentationConfig()).labels("surfaces"), truth)
+        found += table.found_regions(0.6)
+        surfaces, faces = surfaces + table.pixels.shape[0], faces + table.pixels.shape[1]
+    assert found > 0.8 * faces
+    assert surfaces < 1.25 * faces
+
+
+def test_a_cylinder_is_one_surface(cloud_of, rays_of_size):
+    # Upright, 10 cm wide, 90 cm away before a wall: 51 pixels wide.
+    x, y, _ = np.moveaxis(rays_of_size((480, 640)), -1, 0)
+    a, half_b, c = x**2 + 1.0, -0.95, 0.95**2 - 0.05**2
+    inside = half_b**2 - a * c
+    hit = (inside > 0) & (np.abs(y) < 0.15)
+    depth = np.where(hit, (-half_b - np.sqrt(np.maximum(inside, 0.0))) / a, 1.4)
+    noise_per_m = 2e-3 * np.random.default_rng(0).standard_normal(depth.shape)
+    tree = segment(cloud_of(1 / (1 / depth + noise_per_m)), SegmentationConfig())
+    (_, cylinder) = Contingency.between(tree.labels("surfaces"), 1 + hit.astype(int)).pixels.T
+    assert cylinder.max() > 0.95 * cylinder.sum()
