@@ -50,6 +50,7 @@ STAGES: tuple[tuple[str, dict[str, Any]], ...] = (
     ("metrics no less than noise", {"noise_floor": 0.0}),
     ("further eigenvectors", {"cuts": 1}),
     ("border refinement", {"refine_borders": False}),
+    ("folding of surfaces", {"fold_surfaces": False}),
 )
 #: Metrics and thresholds of the table of decisions.
 METRICS: tuple[Metric, ...] = ("mse", "nle", "vmec")

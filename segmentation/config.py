@@ -164,6 +164,9 @@ class ExtendedConfig(Settings):
         "residuals at every second row and column",
         least=0.0,
     )
+    fold_surfaces: bool = setting(
+        True, "whether surfaces that meet smoothly, and that one surface explains as well, become one"
+    )
     refine_borders: bool = setting(
         True, "whether pixels at borders go to the surface that explains them best"
     )

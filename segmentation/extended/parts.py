@@ -67,6 +67,13 @@ def fit_segment(features: GridFeatures, grid_pixels: NDArray[np.intp], config: S
     return Part(grid_pixels, fit, StopReason.NOISE if at_noise_floor(fit, config) else None)
 
 
+def fit_together(
+    features: GridFeatures, grid_pixels: Sequence[NDArray[np.intp]], config: SegmentationConfig
+) -> Part:
+    """Fit one surface to several parts, as `fit_segment` does to one."""
+    return fit_segment(features, np.sort(np.concatenate(grid_pixels), kind="stable"), config)
+
+
 def at_noise_floor(fit: Fit, config: SegmentationConfig) -> bool:
     """Say whether a fit is so near to what noise leaves that no split can have a ratio (eq. 5) below T."""
     # The floors of parts weigh no less than that of the whole: no ratio is below floor over value.

@@ -14,6 +14,7 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import Normalization, normalized
 from nurbseg.segmentation.cut.ncut import Cut, normalized_cuts
 from nurbseg.segmentation.extended.borders import refine_borders
+from nurbseg.segmentation.extended.folding import fold_leaves
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features, segment_normalization
 from nurbseg.segmentation.extended.merge import merge_surfaces
 from nurbseg.segmentation.extended.parts import Part, chain_components, children_of, fit_segment, judge_split
@@ -79,7 +80,7 @@ def segment_nurbseg(
 
 
 def grown_tree(features: GridFeatures, config: SegmentationConfig, time_is_over: Callable[[], bool]) -> Node:
-    """Grow the tree of surfaces on the grid.
+    """Grow the tree of surfaces on the grid, and fold what one surface explains.
 
     Parameters
     ----------
@@ -111,6 +112,8 @@ def grown_tree(features: GridFeatures, config: SegmentationConfig, time_is_over:
     ]
     root = chain_components("", [fit_segment(features, part, config) for part in parts], 0)
     grow(root, split, features.grid_pixels_min(config), config, time_is_over)
+    if config.extended.fold_surfaces and not time_is_over():
+        fold_leaves(root, features, config)
     return root
 
 

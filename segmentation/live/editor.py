@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, I32, I64, U16, Bool, compiled
+from nurbseg.segmentation.extended.folding import take_out
 from nurbseg.segmentation.extended.parts import Part
 from nurbseg.segmentation.labels.regions import PixelAdjacency
 from nurbseg.segmentation.live.leaf import LiveLeaf
@@ -19,19 +20,6 @@ from nurbseg.segmentation.vocabulary import Division
 
 #: Why what was divided without a cut has no surface.
 NOT_CUT = "parts that no cut made"
-#: What a node takes over from the one that takes its place.
-_TAKEN_OVER = (
-    "grid_pixels",
-    "fit",
-    "children",
-    "division",
-    "trial",
-    "stop",
-    "cut",
-    "measured",
-    "judged",
-    "age",
-)
 
 
 @dataclass(slots=True)
@@ -230,7 +218,10 @@ class TreeEditor:
         leaf = self.by_number.pop(gone)
         self.labels[self.labels == gone] = kept
         self._merged_into[gone] = kept
-        self._remove(leaf.node)
+        other, place = take_out(self._root, leaf.node)
+        for each in self.by_number.values():
+            if each.node is other:
+                each.node = place
 
     def around(self, mask: NDArray[np.bool_]) -> int | None:
         """Return the leaf that surrounds some grid pixels, if there is one."""
@@ -263,19 +254,6 @@ class TreeEditor:
         self.done.final = final
         return self.done
 
-    def _remove(self, gone: Node) -> None:
-        """Let the other part of a split take the place of the whole."""
-        for node in depth_first(self._root):
-            if node.children and gone in node.children:
-                (kept,) = (child for child in node.children if child is not gone)
-                holder = next((leaf for leaf in self.by_number.values() if leaf.node is kept), None)
-                for name in _TAKEN_OVER:
-                    setattr(node, name, getattr(kept, name))
-                if holder is not None:
-                    holder.node = node
-                _rename(node)
-                return
-
 
 @compiled
 def _count_contacts(labels: I32, right: Bool, down: Bool, contacts: I64) -> None:
@@ -290,11 +268,3 @@ def _count_contacts(labels: I32, right: Bool, down: Bool, contacts: I64) -> None
                 contacts[number, labels[r, c + 1]] += 1
             if down[r, c] and labels[r + 1, c] != number:
                 contacts[number, labels[r + 1, c]] += 1
-
-
-def _rename(top: Node) -> None:
-    """Give all below a node names that begin with its own, and count the cuts above them."""
-    for node in depth_first(top):
-        for place, child in enumerate(node.children):
-            child.name = f"{node.name}{place}"
-            child.cuts_above = node.cuts_above + (node.division is Division.CUT)

@@ -10,8 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.extended.folding import MEETING_LEAST
 from nurbseg.segmentation.extended.grid_features import GridFeatures, with_features_at
-from nurbseg.segmentation.extended.parts import Part, at_noise_floor, children_of, fit_segment, judge_split
+from nurbseg.segmentation.extended.parts import (
+    Part,
+    at_noise_floor,
+    children_of,
+    fit_segment,
+    fit_together,
+    judge_split,
+)
 from nurbseg.segmentation.extended.splitting import best_split
 from nurbseg.segmentation.labels.lookup import apply_lookup_table
 from nurbseg.segmentation.live.editor import TreeEditor, TreeUpdate
@@ -23,8 +31,6 @@ from nurbseg.segmentation.vocabulary import Division, StopReason
 
 #: A leaf is tried again for a split when its mean square is this much more than at the last trial.
 _WORSE_FACTOR, _WORSE_BY = 1.5, 0.5
-#: Grid pixels along which two leaves that may be merged meet.
-_MEETING_LEAST = 4
 #: Grid pixels cut in one frame, unless one leaf has more.
 _CUT_PIXELS = 2000
 #: A leaf with fewer grid pixels than this share of the smallest has vanished.
@@ -272,7 +278,7 @@ class _Update:
             one, two = (editor.by_number[n].number for n in pair)
             return (one, two) if one < two else (two, one)
 
-        neighbors = editor.neighbors(self._features.adjacency, _MEETING_LEAST) if most else []
+        neighbors = editor.neighbors(self._features.adjacency, MEETING_LEAST) if most else []
         candidates = [pair for pair in neighbors if pair_of(pair) in same_object]
         pairs = sorted((asked.get(pair_of(pair), 0), pair) for pair in candidates)
         for _, pair in pairs[:most]:
@@ -291,7 +297,7 @@ class _Update:
     ) -> tuple[Part, Trial]:
         """Compare one surface with nodes as they are and, if these are no better, with fits to each part."""
         config = self._config
-        whole = fit_segment(self._features, np.sort(np.concatenate(grid_pixels), kind="stable"), config)
+        whole = fit_together(self._features, grid_pixels, config)
         if nodes:
             as_they_are = [
                 (node.value(config), own.size) for node, own in zip(nodes, grid_pixels, strict=True)

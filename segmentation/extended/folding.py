@@ -1,0 +1,210 @@
+"""Leaves of different branches that meet smoothly, and that one surface explains as well: they become one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, replace
+
+import numpy as np
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.extended.grid_features import GridFeatures
+from nurbseg.segmentation.extended.parts import Part, fit_segment, fit_together, judge_split
+from nurbseg.segmentation.growth import stop_without_cut
+from nurbseg.segmentation.segments import Node, Trial, depth_first
+from nurbseg.segmentation.vocabulary import Division, StopReason
+
+#: Pairs of adjacent grid pixels along which two leaves meet, at least.
+MEETING_LEAST = 4
+#: Mean cosine of the angle between the normals on both sides of a border without a crease: of 15 degrees.
+_SMOOTH_COSINE = 0.966
+#: Leaves of these reasons say that the tree has not grown to its end.
+_UNFINISHED = {StopReason.SPLITS, StopReason.BUDGET}
+#: What a node takes over from the one that takes its place.
+_TAKEN_OVER = (
+    "grid_pixels",
+    "fit",
+    "children",
+    "division",
+    "trial",
+    "stop",
+    "cut",
+    "measured",
+    "judged",
+    "age",
+)
+
+_Pair = tuple[int, int]
+
+
+def fold_leaves(root: Node, features: GridFeatures, config: SegmentationConfig) -> None:
+    """Make one leaf of every two that meet smoothly and that the ratio does not keep apart.
+
+    The first cuts of a frame go through surfaces whose parts then never meet again in the tree. Two leaves
+    meet smoothly where the normals on both sides of their border agree on the mean. If the ratio (eq. 5)
+    would reject a split of one surface for both into the two, the smaller leaf is taken out of the tree and
+    the larger one gets its grid pixels. The segments above them are fitted and judged again; if the ratio
+    does not keep all of their splits, the two stay apart. The pair with the largest ratio goes first.
+
+    Parameters
+    ----------
+    root : Node
+        Of a tree that has grown, which is changed. One that a limit stopped is left as it is.
+    features : GridFeatures
+        The frame, with the normals of all its grid pixels.
+    config : SegmentationConfig
+        The metric, T and T_d.
+    """
+    leaves = dict(enumerate((node for node in depth_first(root) if not node.children), start=1))
+    if any(leaf.stop in _UNFINISHED for leaf in leaves.values()):
+        return
+    meetings = _meetings(leaves, features)
+    judged: dict[_Pair, tuple[Part, Trial]] = {}
+    while True:
+        for pair, (places, cosines) in meetings.items():
+            if pair not in judged and places >= MEETING_LEAST and cosines > _SMOOTH_COSINE * places:
+                judged[pair] = _judged([leaves[number] for number in pair], features, config)
+        rejected = [pair for pair, (whole, trial) in judged.items() if whole.fit.surface and not trial.kept]
+        if not rejected:
+            return
+        pair = max(rejected, key=lambda each: (judged[each][1].ratio, each))
+        kept, gone = sorted(pair, key=lambda number: -leaves[number].grid_pixels.size)
+        if not _fold(root, leaves, kept, gone, judged[pair], features, config):
+            del judged[pair], meetings[pair]
+            continue
+        judged = {each: found for each, found in judged.items() if kept not in each and gone not in each}
+        for each in [each for each in meetings if gone in each]:
+            places, cosines = meetings.pop(each)
+            other = each[0] if each[1] == gone else each[1]
+            if other != kept:
+                joint = min(kept, other), max(kept, other)
+                more_places, more_cosines = meetings.get(joint, (0, 0.0))
+                meetings[joint] = places + more_places, cosines + more_cosines
+
+
+def take_out(root: Node, gone: Node) -> tuple[Node, Node]:
+    """Take a part out of a tree: the other part of the split takes the place of the whole.
+
+    Returns
+    -------
+    (Node, Node)
+        The other part, which is no longer in the tree, and the node that is now what it was.
+    """
+    place = next(node for node in depth_first(root) if gone in node.children)
+    (other,) = (child for child in place.children if child is not gone)
+    for name in _TAKEN_OVER:
+        setattr(place, name, getattr(other, name))
+    for node in depth_first(place):
+        for number, child in enumerate(node.children):
+            child.name = f"{node.name}{number}"
+            child.cuts_above = node.cuts_above + (node.division is Division.CUT)
+    return other, place
+
+
+def _meetings(leaves: Mapping[int, Node], features: GridFeatures) -> dict[_Pair, tuple[int, float]]:
+    """Count the adjacent grid pixels of every two leaves, and sum the cosines between their normals."""
+    labels = np.zeros(features.grid.valid.shape, dtype=np.int64)
+    for number, leaf in leaves.items():
+        labels.reshape(-1)[leaf.grid_pixels] = number
+    normals = features.raw[:, 6:].reshape(*labels.shape, 3)
+    size = len(leaves) + 1
+    sums = np.zeros((2, size * size))
+    for adjacent, before, after in (
+        (features.adjacency.right[:, :-1], np.s_[:, :-1], np.s_[:, 1:]),
+        (features.adjacency.down[:-1], np.s_[:-1], np.s_[1:]),
+    ):
+        border = adjacent & (labels[before] != labels[after])
+        one, other = labels[before][border], labels[after][border]
+        pairs = np.minimum(one, other) * size + np.maximum(one, other)
+        cosines = (normals[before][border] * normals[after][border]).sum(axis=1)
+        sums[0] += np.bincount(pairs, minlength=size * size)
+        sums[1] += np.bincount(pairs, weights=cosines, minlength=size * size)
+    return {
+        divmod(pair, size): (int(sums[0, pair]), float(sums[1, pair]))
+        for pair in np.flatnonzero(sums[0]).tolist()
+    }
+
+
+def _judged(parts: list[Node], features: GridFeatures, config: SegmentationConfig) -> tuple[Part, Trial]:
+    """Fit one surface to leaves, and judge a split of it into them."""
+    whole = fit_together(features, [part.grid_pixels for part in parts], config)
+    weighed = [(part.value(config), part.grid_pixels.size) for part in parts]
+    return whole, judge_split(whole.weighed(config), weighed, config)
+
+
+def _fold(
+    root: Node,
+    leaves: dict[int, Node],
+    kept: int,
+    gone: int,
+    judged: tuple[Part, Trial],
+    features: GridFeatures,
+    config: SegmentationConfig,
+) -> bool:
+    """Give a leaf what another one has; False, and nothing changed, if a split above is kept no longer."""
+    before = [(node, replace(node)) for node in depth_first(root)]
+    above, above_gone = _way(root, leaves[kept]), _way(root, leaves[gone])
+    shared = sum(node is other for node, other in zip(above, above_gone, strict=False))
+    moved = leaves[gone].grid_pixels
+    for node in above[shared:]:
+        node.grid_pixels = np.sort(np.concatenate([node.grid_pixels, moved]), kind="stable")
+    for node in above_gone[shared:-1]:
+        node.grid_pixels = np.setdiff1d(node.grid_pixels, moved, assume_unique=True)
+    (_, leaves[kept].fit, stop), trial = judged
+    leaf_of = {id(leaf): number for number, leaf in leaves.items()}
+    other, place = take_out(root, leaves[gone])
+    at = {**leaves, **({leaf_of[id(other)]: place} if id(other) in leaf_of else {})}
+
+    leaf = at[kept]
+    leaf.stop = stop or stop_without_cut(leaf, 0, features.grid_pixels_min(config), config)
+    leaf.trial = None if leaf.stop else trial
+    leaf.stop = leaf.stop or StopReason.CRITERION
+    # The last segment that holds both has the same pixels as before; what took a place, what it had there.
+    changed = {id(node) for node in (*above[shared:], *above_gone[shared:])} - {id(place)}
+    if place is above[shared - 1]:
+        changed.add(id(place))
+    judged_again = changed | {id(node) for node in above[:shared]}
+    sound = True
+    for node in depth_first(root):
+        if not node.children:
+            sound &= node.stop is not StopReason.DEPTH or node.cuts_above >= config.depth_max
+        elif node.division is Division.GAP and id(node) in changed:
+            node.fit = replace(node.fit, pixels=features.grid.points.pixels(node.grid_pixels))
+        elif node.division is Division.CUT and id(node) in changed:
+            node.fit = fit_segment(features, node.grid_pixels, config).fit
+    for node in depth_first(root):
+        if node.division is Division.CUT and id(node) in judged_again:
+            weighed = [(part.value(config), part.grid_pixels.size) for part in _parts(node)]
+            node.trial = judge_split((node.value(config), node.grid_pixels.size), weighed, config)
+            sound &= node.trial.kept
+    if not sound:
+        for node, was in before:
+            for each in fields(Node):
+                setattr(node, each.name, getattr(was, each.name))
+        return False
+    leaves.update(at)
+    del leaves[gone]
+    return True
+
+
+def _way(root: Node, leaf: Node) -> list[Node]:
+    """Return the nodes from the root to a leaf, with both."""
+    way = [root]
+    while way[-1] is not leaf:
+        way.append(next(child for child in way[-1].children if leaf.name.startswith(child.name)))
+    return way
+
+
+def _parts(node: Node) -> list[Node]:
+    """Return the parts of a split: those that nodes without a surface hold together are parts themselves."""
+    found, waiting = [], list(node.children)
+    while waiting:
+        part = waiting.pop(0)
+        if part.division is Division.GAP:
+            waiting[:0] = part.children
+        else:
+            found.append(part)
+    return found
+
+
+__all__ = ["MEETING_LEAST", "fold_leaves", "take_out"]
