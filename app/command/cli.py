@@ -65,7 +65,6 @@ def main(words: Sequence[str] | None = None) -> int:
             if interruption.signal_number is None:
                 _log.exception("unexpected failure")
                 return FAILED
-        _log.info("interrupted")
         return interruption.exit_code
 
 

@@ -173,7 +173,7 @@ def _reported(report: RunReport, interruption: Interruption) -> Iterator[None]:
         cause = err.__cause__ if isinstance(err, SetupError) else err
         ended = "interrupted" if interruption.signal_number else f"{type(cause).__name__}: {cause}"
         if report.segmented + report.recorded_only:
-            _log.info("%s", report.summary())
+            _log.info("%s%s", "interrupted: " if interruption.signal_number else "", report.summary())
         try:
             report.write(ended)
         except ExportError as second:

@@ -16,7 +16,7 @@ from nurbseg.app.view.drawing.palette import STOP_COLORS
 from nurbseg.segmentation.config import SegmentationConfig
 
 #: Where the eye is and what it looks at, in the depth camera's frame, as shares of the scene's distance.
-_EYE, _TARGET = (-0.3, -0.4, -0.2), (0.0, 0.04, 1.0)
+_EYE, _TARGET = (-0.36, -0.42, -0.4), (-0.1, 0.02, 1.0)
 
 _STOP_TEXTS = {
     "criterion": "red: a split was tried and did not fit better",
@@ -89,9 +89,7 @@ def blueprint(
     worst = _plot("Worst metric", f"{entity.METRIC}/worst", legend=False)
     if layout == "compact":
         above = rrb.Horizontal(
-            rrb.Tabs(surfaces, points, residuals),
-            rrb.Vertical(rrb.Tabs(color, depth), rrb.Tabs(found, *rest)),
-            column_shares=[3, 2],
+            rrb.Tabs(surfaces, points, residuals), rrb.Tabs(color, depth), rrb.Tabs(found, *rest)
         )
         below = rrb.Horizontal(trees, rrb.Tabs(*texts, speed, counts, mean, worst))
     else:

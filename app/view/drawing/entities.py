@@ -227,7 +227,7 @@ def _space(frame: ViewFrame, view: ViewConfig) -> Entities:
             vertex_colors=packed(colors)[frame.vertex_surfaces],
         ),
     )
-    yield ISOLINES, rr.LineStrips3D(_strips(frame), colors=_LINE_COLOR, radii=rr.Radius.ui_points(0.6))
+    yield ISOLINES, rr.LineStrips3D(_strips(frame), colors=_LINE_COLOR, radii=rr.Radius.ui_points(0.4))
     residuals = rr.components.ColorBatch(residual_colors(frame.residuals_m, view.residual_max_m))
     archetype, component = RESIDUAL_COLORS.split(":")
     yield SURFACES, rr.DynamicArchetype(archetype, components={component: residuals})

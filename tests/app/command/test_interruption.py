@@ -1,6 +1,7 @@
 """Real signals to the real command: it ends within 2 s, and its files are whole."""
 
 import json
+import re
 import signal
 import socket
 from collections.abc import Callable, Iterator
@@ -39,6 +40,12 @@ def test_ctrl_c_between_frames(pace: tuple[str, ...], start_live: START, tmp_pat
     code, took_s = run.end_with(signal.SIGINT)
     assert (code, took_s < LIMIT_S) == (130, True), took_s
     assert_files_are_whole(tmp_path)
+    frames = json.loads((tmp_path / "report.json").read_text())["frames"]
+    run.wait_for("interrupted: ")
+    last = run.said[-1]
+    assert f"interrupted: {frames['segmented']} frames segmented" in last
+    lost = [int(each) for each in re.findall(r"(\d+) overwritten", last)]
+    assert sum(lost) == frames["dropped"]["overwritten_by_a_newer_frame"]
 
 
 def test_ctrl_c_at_the_start(start_live: START, tmp_path: Path) -> None:
