@@ -50,7 +50,7 @@ class ViewerSink:
         self._address = viewer_address(url)
         self._opening = opening
         self._starting = starting
-        self._absence_logged = False
+        self._absence_logged = self._stall_logged = False
         self.connections = 0
         self._queue: BoundedQueue[Item] = BoundedQueue(1, "drop oldest")
         self._stopping = threading.Event()
@@ -150,7 +150,8 @@ class ViewerSink:
                 if logged:
                     logger.info("the viewer at %s takes frames again", self._url)
                 return True
-            if not logged and time.monotonic() - began_s > _PATIENCE_S:
-                logged = True
+            # Once: a browser on a slow computer stalls again and again.
+            if not self._stall_logged and time.monotonic() - began_s > _PATIENCE_S:
+                logged = self._stall_logged = True
                 logger.warning("the viewer at %s takes nothing; frames are not shown for now", self._url)
         return False

@@ -30,6 +30,11 @@ class View:
     def __init__(self, how_to_look: str = "") -> None:
         self.how_to_look, self.serving = how_to_look, False
 
+    @property
+    def dropped(self) -> int:
+        """Frames that were not shown live because the viewer was slow, frozen or absent."""
+        return 0
+
     def peak_memory_mb(self) -> float:
         """Return the largest resident size of what shows and saves for this program, 10^6 bytes."""
         return 0.0

@@ -1,6 +1,7 @@
 import json
 import sys
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import pytest
 from scripted_source import ScriptedSource, small_frame
@@ -27,9 +28,10 @@ def test_every_frame_is_accounted_for() -> None:
         "without_a_partner": 3,
     }
     assert frames["damaged_frames"] == ["b: bad"]
-    report.late = 2
+    report.late, report.view = 2, MagicMock(dropped=5)
     assert report.summary() == (
-        "1 frames segmented, 0.00 frames/s; 3 overwritten by newer ones, 1 damaged, 2 too late to be shown"
+        "1 frames segmented, 0.00 frames/s; 3 overwritten by newer ones, 1 damaged, 2 too late to be shown, "
+        "5 not taken by the viewer"
     )
     report.segmented, report.recorded_only = 0, 4
     assert report.summary() == "4 frames recorded"

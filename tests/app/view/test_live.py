@@ -13,12 +13,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import psutil
 import pytest
 from rerun.experimental import ViewerClient
 
 from nurbseg.app.result import FrameResult
+from nurbseg.app.view import live
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.isolated import IsolatedView
 from nurbseg.app.view.opening import open_view
@@ -166,6 +168,22 @@ def test_a_viewer_that_thaws_is_shown_to_again(result: FrameResult, caplog: pyte
         viewer.resume()
         wait_until(lambda: "takes frames again" in caplog.text, "the viewer takes frames again")
         close_in_time(view)
+
+
+def test_a_viewer_that_stalls_again_and_again_is_named_once(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, logger="nurbseg")
+    monkeypatch.setattr(live, "_PATIENCE_S", -1.0)
+    stream = MagicMock(flush=MagicMock(side_effect=[RuntimeError("timed out"), None] * 3))
+    sink = live.ViewerSink(f"rerun+http://{LOCAL}:{free_port(LOCAL)}/proxy", MagicMock(), lambda: True)
+    assert all(sink._taken(stream) for _ in range(3))
+    sink.begin_close()
+    sink.finish_close(time.monotonic())
+    assert [each.split(" takes ")[1] for each in caplog.messages] == [
+        "nothing; frames are not shown for now",
+        "frames again",
+    ]
 
 
 def test_a_viewer_frozen_before_we_connect_does_no_harm(tmp_path: Path, result: FrameResult) -> None:
