@@ -2,7 +2,7 @@
 
 Needs a Vulkan driver; Debian's mesa-vulkan-drivers draws without a graphics card.
 
-Usage: python docs/render_viewer.py RECORDING.rrd PICTURE.png [--frame N] [--view NAME] [--wait SECONDS]
+Usage: python docs/render_viewer.py RECORDING.rrd PICTURE.png [--frame N] [--view NAME] [--size WxH]
        python docs/render_viewer.py RECORDING.rrd FILE.webp --frames FIRST,LAST,STEP [--fps N] [--width PX]
 """
 
@@ -29,7 +29,7 @@ _MENU_ROWS = 36
 
 
 @contextmanager
-def opened(recording: Path, wait_s: float) -> Iterator[ViewerClient]:
+def opened(recording: Path, wait_s: float, size: str) -> Iterator[ViewerClient]:
     """Open a recording in a viewer without a window; `wait_s` seconds are left to it to load and to lay out.
 
     Raises
@@ -38,7 +38,7 @@ def opened(recording: Path, wait_s: float) -> Iterator[ViewerClient]:
         If the viewer does not start.
     """
     port = free_port(_HOST)
-    process = start_viewer(ViewConfig(), port, headless=True)
+    process = start_viewer(ViewConfig(), port, headless=True, size=size)
     try:
         deadline_s = time.monotonic() + 30.0
         while not listens(_HOST, port):
@@ -105,11 +105,12 @@ def main() -> int:
     parser.add_argument(
         "--wait", type=float, default=5.0, metavar="SECONDS", help="time to load (default: 5)"
     )
+    parser.add_argument("--size", default="", metavar="WxH", help="the viewer's size, such as 1280x800")
     parser.add_argument("--frames", metavar="FIRST,LAST,STEP", help="write an animation of these frames")
     parser.add_argument("--fps", type=float, default=6.0, help="frames a second of an animation (default: 6)")
     parser.add_argument("--width", type=int, default=960, help="width of an animation, pixels (default: 960)")
     options = parser.parse_args()
-    with opened(options.recording, options.wait) as viewer:
+    with opened(options.recording, options.wait, options.size) as viewer:
         if options.frames is None:
             complaints = draw(viewer, options.picture, frame=options.frame, view=options.view)
         else:

@@ -61,9 +61,15 @@ def viewer_executable() -> Path:
     return path
 
 
-def start_viewer(config: ViewConfig, port: int, *, headless: bool = False) -> subprocess.Popen[bytes]:
-    """Open a viewer's window, which outlives this process and listens on `port` of `config.bind` only."""
+def start_viewer(
+    config: ViewConfig, port: int, *, headless: bool = False, size: str = ""
+) -> subprocess.Popen[bytes]:
+    """Open a viewer's window, which outlives this process and listens on `port` of `config.bind` only.
+
+    Its size may be given, such as 1280x800; without a window, that of its pictures.
+    """
     words = ["--expect-data-soon", *(["--headless"] if headless else [])]
+    words += ["--window-size", size] if size else []
     return _start(config, port, words, detached=True)
 
 
