@@ -129,10 +129,10 @@ def test_a_pipe_is_refused_without_waiting_for_it(tmp_path, capsys):
     assert "not a regular file" in capsys.readouterr().err
 
 
-def test_a_viewers_file_that_was_cut_short_is_repaired(tmp_path, live, capsys):
+def test_a_viewers_file_that_was_cut_short_is_repaired(tmp_path, live_process, capsys):
     path, cut = tmp_path / "a.rrd", tmp_path / "cut.rrd"
     words = ["--replay", "synthetic:?width=96&height=72&frames=30", "--speed", "0", "--view", "none"]
-    assert live(*words, "--save", str(path)).returncode == 0
+    assert live_process(*words, "--save", str(path)).returncode == 0
     code, told = found(capsys, "check", str(path))
     assert (code, told["frames"], told["opens_in_rerun"], told["end_written"]) == (0, 30, True, True)
     # In the middle of a message.
