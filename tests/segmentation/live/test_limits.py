@@ -17,10 +17,17 @@ from nurbseg.segmentation.segments import Segment, SegmentationTree
 from nurbseg.segmentation.surfaces.surface import evaluate
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
+# Surfaces are too stiff for the step to a plate.
 CONFIG = SegmentationConfig(
     decimation=2,
     samples=60,
-    extended=ExtendedConfig(level="surfaces", inverse_depth_noise=5e-4, piece_pixels_min=1600),
+    extended=ExtendedConfig(
+        level="surfaces",
+        inverse_depth_noise=5e-4,
+        piece_pixels_min=1600,
+        knot_spacing_px=50.0,
+        smoothness=1.0,
+    ),
 )
 Seen = tuple[PointMap, SegmentationTree, UpdateReport]
 
