@@ -79,13 +79,16 @@ def _run(method: str, cloud: PointMap) -> NDArray[np.uint16]:
         cloud.points_m.tofile(points)
         cloud.color.tofile(colors)
         command = [program(), method, str(width), str(height), points, colors, labels]
-        done = subprocess.run(
-            [str(word) for word in command],
-            capture_output=True,
-            text=True,
-            timeout=_RUN_TIMEOUT_S,
-            check=False,
-        )
+        try:
+            done = subprocess.run(
+                [str(word) for word in command],
+                capture_output=True,
+                text=True,
+                timeout=_RUN_TIMEOUT_S,
+                check=False,
+            )
+        except subprocess.TimeoutExpired as err:
+            raise RuntimeError(f"{method}: a frame took over {err.timeout:g} s") from err
         if done.returncode != 0:
             raise RuntimeError(f"{method}: exit code {done.returncode}: {done.stderr.strip()}")
         return np.fromfile(labels, np.uint16).reshape(height, width)

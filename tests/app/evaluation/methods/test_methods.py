@@ -29,6 +29,21 @@ def test_a_rival_labels_every_point_the_same_for_the_same_seed(name: str, frames
     assert len(np.unique(first[cloud.valid])) >= 1
 
 
+def test_a_rival_that_takes_too_long_is_an_error_of_one_line(
+    tmp_path: Path, frames: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slow = tmp_path / "slow"
+    slow.write_text("#!/bin/sh\nexec sleep 60\n")
+    slow.chmod(0o755)
+    monkeypatch.setattr(pcl, "program", lambda: slow)
+    monkeypatch.setattr(pcl, "_RUN_TIMEOUT_S", 0.1)
+    with (
+        open_source(str(frames)) as source,
+        pytest.raises(RuntimeError, match=r"^lccp: a frame took over 0\.1 s$"),
+    ):
+        pcl.lccp(register(source.read()), np.random.default_rng(0))
+
+
 def test_leaving_out_pixels_does_not_raise_a_score() -> None:
     truth = np.repeat(np.array([[1, 1, 2, 2]]), 4, axis=0)
     valid = np.ones_like(truth, dtype=bool)
