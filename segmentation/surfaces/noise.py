@@ -153,7 +153,7 @@ def _curvature_floor(
     """
     fx, fy = grid.rays.focal_px
     scale = deviation_per_m * fx * fy / grid.step**2
-    t = scale * scale * _mixed_derivative_variance(*knots_on(grid, config))
+    t = scale * scale * _second_derivative_variance(*knots_on(grid, config))
     if not 0.0 < t < np.inf:
         return 0.0
     if config.metric == "vmxc":
@@ -171,11 +171,13 @@ def _curvature_floor(
 
 
 @lru_cache(maxsize=16)
-def _mixed_derivative_variance(spacing: float, smoothness: float) -> float:
-    """Return the variance of d_uv of a smoothing spline through noise of variance 1, far from any border.
+def _second_derivative_variance(spacing: float, smoothness: float) -> float:
+    """Return a quarter of the variances of d_uu and d_uv together, of a smoothing spline through noise.
 
-    The normal equations of even knots on every grid pixel are a convolution, and diagonal in frequency: with
-    G the products of the basis functions and P the penalty, control values have the covariance G / (G + P)^2.
+    In an isotropic field these are three to one, and so this is the variance of d_uv. The noise has the
+    variance 1, and borders are far away. The normal equations of even knots on every grid pixel are a
+    convolution, and diagonal in frequency: with G the products of the basis functions and P the penalty,
+    control values have the covariance G / (G + P)^2.
 
     Parameters
     ----------
@@ -187,17 +189,18 @@ def _mixed_derivative_variance(spacing: float, smoothness: float) -> float:
     Returns
     -------
     float
-        One over grid pixels to the fourth power. The variances of d_uu and d_vv are three times that, and
-        their covariance is it, to a few per cent: the field is all but isotropic.
+        One over grid pixels to the fourth power, the mean over places between knots.
     """
     cosines = np.cos(np.outer(np.arange(4), 2.0 * np.pi * np.arange(64) / 64))
-    # Integrals of products of cubic B-splines, and of their first derivatives, 0 to 3 knots apart.
+    # Integrals of products of cubic B-splines and of their first and second derivatives, 0 to 3 knots apart.
     values = spacing * (np.array([2416.0, 2382.0, 240.0, 2.0]) / 5040.0) @ cosines
     slopes = (np.array([80.0, -30.0, -48.0, -2.0]) / 120.0) @ cosines / spacing
+    curvatures = (np.array([16.0, -18.0, 0.0, 2.0]) / 6.0) @ cosines / spacing**3
     penalty = (2.0 - 2.0 * cosines[1]) ** 2
     G = np.outer(values, values)
     covariance = G / (G + smoothness * (penalty[:, np.newaxis] + penalty)) ** 2
-    return float((covariance * np.outer(slopes, slopes)).mean() / spacing**2)
+    derivatives = np.outer(slopes, slopes) + np.outer(curvatures, values)
+    return float((covariance * derivatives).mean() / (4.0 * spacing**2))
 
 
 @dataclass(frozen=True, slots=True)
