@@ -76,10 +76,10 @@ def _frame(index: int) -> RGBDFrame:
     x, y = columns / _WIDTH - 0.5, rows / _HEIGHT - 0.6
     from_tip = np.hypot(x - 0.2 - 0.02 * index, y)
     cone = from_tip < 0.15
-    depth_mm = 1500.0 + 900.0 * np.abs(x) + 500.0 * np.abs(y)
-    depth_mm[cone] = 1000.0 + 2000.0 * from_tip[cone]
-    depth_mm += (7 * rows + 13 * columns) % 5
-    depth_mm[(31 * rows + 17 * columns) % 97 == 0] = 0.0
+    depth_mm = 600.0 + 1500.0 * np.abs(x) + 300.0 * np.abs(y)
+    depth_mm[cone] = 400.0 + 800.0 * from_tip[cone]
+    depth_mm += (7 * rows + 13 * columns) % 3
+    depth_mm[(31 * rows + 17 * columns) % 397 == 0] = 0.0
     depth_mm[:, :4] = 0.0
     color = np.stack([60 + 120 * (x > 0), 60 + 120 * (y > 0), np.full_like(rows, 128)], axis=-1)
     color[cone] = (210, 120, 40)
