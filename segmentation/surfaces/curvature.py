@@ -18,8 +18,10 @@ def principal_curvatures(
 
     Parameters
     ----------
-    surface, u, v
-        As for `nurbseg.segmentation.surfaces.surface.evaluate`.
+    surface : NurbsSurface
+        The surface.
+    u, v : (N,) float
+        Parameters: column and row, pixels.
 
     Returns
     -------

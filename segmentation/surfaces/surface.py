@@ -133,8 +133,10 @@ def normals(surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64
 
     Parameters
     ----------
-    surface, u, v
-        As for `evaluate`.
+    surface : NurbsSurface
+        The surface.
+    u, v : (N,) float
+        Parameters: column and row, pixels.
 
     Returns
     -------

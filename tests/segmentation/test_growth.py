@@ -28,14 +28,19 @@ PAPER = SegmentationConfig(
     large_error_m=0.02,
     stag15=Stag15Config(segment_pixels_min=_PIXELS_MIN),
 )
-#: With no floor of noise, and by the second eigenvector alone.
+#: With no floor of noise, by the second eigenvector alone, and as the tree has grown.
 EXTENDED = SegmentationConfig(
     method="nurbseg",
     decimation=1,
     samples=60,
     large_error_m=0.02,
     extended=ExtendedConfig(
-        piece_pixels_min=_PIXELS_MIN, inverse_depth_noise=1e-6, noise_floor=0.0, cuts=1, refine_borders=False
+        piece_pixels_min=_PIXELS_MIN,
+        inverse_depth_noise=1e-6,
+        noise_floor=0.0,
+        cuts=1,
+        fold_surfaces=False,
+        refine_borders=False,
     ),
 )
 

@@ -239,7 +239,7 @@ OTHER_SETTINGS = {
         ("segment_pixels_min", 1200, "trial parts"),
     ],
     "strict": [("piece_pixels_min", 2, "stop")],
-    "hurried": [("budget_ms", 0.0, "stop"), ("splits_max", 3, "stop")],
+    "hurried": [("budget_ms", 0.0, "stop"), ("splits_max", 2, "stop")],
     "nurbseg": [
         ("ratio_max", 1e-3, "trial"),
         ("depth_max", 2, "depth"),
