@@ -64,6 +64,7 @@ STAGES: dict[str, tuple[ModuleType, dict[str, str]]] = {
             "_continued": "cut",
             "_pieces": "pieces",
             "fit_segment": "fit",
+            "fold_leaves": "fold",
             "refit_surfaces": "borders",
             "upsample_by_depth": "borders",
             "refine_borders": "borders",
