@@ -15,7 +15,7 @@ from nurbseg.segmentation.segments import Node, Trial, depth_first
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
 #: Pairs of adjacent grid pixels along which two leaves meet, at least.
-MEETING_LEAST = 4
+BORDER_LEAST = 4
 #: Mean cosine of the angle between the normals on both sides of a border without a crease: of 15 degrees.
 _SMOOTH_COSINE = 0.966
 #: Leaves of these reasons say that the tree has not grown to its end.
@@ -58,11 +58,11 @@ def fold_leaves(root: Node, features: GridFeatures, config: SegmentationConfig) 
     leaves = dict(enumerate((node for node in depth_first(root) if not node.children), start=1))
     if any(leaf.stop in _UNFINISHED for leaf in leaves.values()):
         return
-    meetings = _meetings(leaves, features)
+    borders = _borders(leaves, features)
     judged: dict[_Pair, tuple[Part, Trial]] = {}
     while True:
-        for pair, (places, cosines) in meetings.items():
-            if pair not in judged and places >= MEETING_LEAST and cosines > _SMOOTH_COSINE * places:
+        for pair, (count, cosines) in borders.items():
+            if pair not in judged and count >= BORDER_LEAST and cosines > _SMOOTH_COSINE * count:
                 judged[pair] = _judged([leaves[number] for number in pair], features, config)
         rejected = [pair for pair, (whole, trial) in judged.items() if whole.fit.surface and not trial.kept]
         if not rejected:
@@ -70,16 +70,16 @@ def fold_leaves(root: Node, features: GridFeatures, config: SegmentationConfig) 
         pair = max(rejected, key=lambda each: (judged[each][1].ratio, each))
         kept, gone = sorted(pair, key=lambda number: -leaves[number].grid_pixels.size)
         if not _fold(root, leaves, kept, gone, judged[pair], features, config):
-            del judged[pair], meetings[pair]
+            del judged[pair], borders[pair]
             continue
         judged = {each: found for each, found in judged.items() if kept not in each and gone not in each}
-        for each in [each for each in meetings if gone in each]:
-            places, cosines = meetings.pop(each)
+        for each in [each for each in borders if gone in each]:
+            count, cosines = borders.pop(each)
             other = each[0] if each[1] == gone else each[1]
             if other != kept:
                 joint = min(kept, other), max(kept, other)
-                more_places, more_cosines = meetings.get(joint, (0, 0.0))
-                meetings[joint] = places + more_places, cosines + more_cosines
+                more_count, more_cosines = borders.get(joint, (0, 0.0))
+                borders[joint] = count + more_count, cosines + more_cosines
 
 
 def take_out(root: Node, gone: Node) -> tuple[Node, Node]:
@@ -101,7 +101,7 @@ def take_out(root: Node, gone: Node) -> tuple[Node, Node]:
     return other, place
 
 
-def _meetings(leaves: Mapping[int, Node], features: GridFeatures) -> dict[_Pair, tuple[int, float]]:
+def _borders(leaves: Mapping[int, Node], features: GridFeatures) -> dict[_Pair, tuple[int, float]]:
     """Count the adjacent grid pixels of every two leaves, and sum the cosines between their normals."""
     labels = np.zeros(features.grid.valid.shape, dtype=np.int64)
     for number, leaf in leaves.items():
@@ -143,7 +143,7 @@ def _fold(
 ) -> bool:
     """Give a leaf what another one has; False, and nothing changed, if a split above is kept no longer."""
     before = [(node, replace(node)) for node in depth_first(root)]
-    above, above_gone = _way(root, leaves[kept]), _way(root, leaves[gone])
+    above, above_gone = _path(root, leaves[kept]), _path(root, leaves[gone])
     shared = sum(node is other for node, other in zip(above, above_gone, strict=False))
     moved = leaves[gone].grid_pixels
     for node in above[shared:]:
@@ -187,7 +187,7 @@ def _fold(
     return True
 
 
-def _way(root: Node, leaf: Node) -> list[Node]:
+def _path(root: Node, leaf: Node) -> list[Node]:
     """Return the nodes from the root to a leaf, with both."""
     way = [root]
     while way[-1] is not leaf:
@@ -207,4 +207,4 @@ def _parts(node: Node) -> list[Node]:
     return found
 
 
-__all__ = ["MEETING_LEAST", "fold_leaves", "take_out"]
+__all__ = ["BORDER_LEAST", "fold_leaves", "take_out"]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.folding import MEETING_LEAST
+from nurbseg.segmentation.extended.folding import BORDER_LEAST
 from nurbseg.segmentation.extended.grid_features import GridFeatures, with_features_at
 from nurbseg.segmentation.extended.parts import (
     Part,
@@ -278,7 +278,7 @@ class _Update:
             one, two = (editor.by_number[n].number for n in pair)
             return (one, two) if one < two else (two, one)
 
-        neighbors = editor.neighbors(self._features.adjacency, MEETING_LEAST) if most else []
+        neighbors = editor.neighbors(self._features.adjacency, BORDER_LEAST) if most else []
         candidates = [pair for pair in neighbors if pair_of(pair) in same_object]
         pairs = sorted((asked.get(pair_of(pair), 0), pair) for pair in candidates)
         for _, pair in pairs[:most]:

@@ -147,7 +147,7 @@ def test_leaves_meet_along_places_with_the_cosines_of_their_normals(cloud_of):
             cosine = normals[row, column] @ normals[row + down, column + across]
             places, cosines = expected.get(pair, (0, 0.0))
             expected[pair] = places + 1, cosines + cosine
-    found = folding._meetings(leaves, scene.features)
+    found = folding._borders(leaves, scene.features)
     assert set(found) == set(expected)
     for pair, (places, cosines) in expected.items():
         assert found[pair] == (places, pytest.approx(cosines, rel=1e-5))

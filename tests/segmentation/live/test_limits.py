@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from designed_tree import CONFIG
 from plates import PLATES, plates
 
-from nurbseg.segmentation.config import ExtendedConfig, Metric, SegmentationConfig
+from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.live import renewal
 from nurbseg.segmentation.live import tree as tree_module
 from nurbseg.segmentation.live.editor import UpdateReport
@@ -17,18 +18,6 @@ from nurbseg.segmentation.segments import Segment, SegmentationTree
 from nurbseg.segmentation.surfaces.surface import evaluate
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
-# Surfaces are too stiff for the step to a plate.
-CONFIG = SegmentationConfig(
-    decimation=2,
-    samples=60,
-    extended=ExtendedConfig(
-        level="surfaces",
-        inverse_depth_noise=5e-4,
-        piece_pixels_min=1600,
-        knot_spacing_px=50.0,
-        smoothness=1.0,
-    ),
-)
 Seen = tuple[PointMap, SegmentationTree, UpdateReport]
 
 
