@@ -66,10 +66,11 @@ class FrameResult:
 
         Parameters
         ----------
-        level : {"surfaces", "objects"}, optional
-            What a label stands for; the tree's own level without it.
+        level : {"surfaces", "objects", "things"}, optional
+            What a label stands for; the tree's own level without it. In a tree of things
+            objects are things.
         """
-        objects = (level or self.tree.level) == "objects"
+        objects = (level or self.tree.level) != "surfaces"
         of_leaf = self.object_of_leaf if objects else self.surface_of_leaf
         return apply_lookup_table(of_leaf, self.tree.labels("surfaces"))
 
@@ -91,7 +92,7 @@ class FrameResult:
     @property
     def events(self) -> tuple[Event, ...]:
         """What happened to the segments, at the tree's level, since the frame before."""
-        by_object = self.tree.objects and self.tree.level == "objects"
+        by_object = self.tree.objects and self.tree.level != "surfaces"
         identities = self.object_identities if by_object else self.surface_identities
         return () if identities is None else identities.events
 

@@ -15,7 +15,7 @@ from nurbseg.drivers.settings import Settings, setting
 Method = Literal["stag15", "nurbseg"]
 Metric = Literal["mse", "mae", "ve", "nle", "vmxc", "vmec", "vgc", "mmxc", "nlc"]
 SplittingPoint = Literal["zero", "kmeans", "ncut"]
-Level = Literal["surfaces", "objects"]
+Level = Literal["surfaces", "objects", "things"]
 ControlPoints = Literal["adaptive", "fixed"]
 LeastSquares = Literal["auto", "svd", "ridge"]
 DepthSmoothing = Literal["none", "median", "bilateral"]
@@ -114,7 +114,8 @@ class ExtendedConfig(Settings):
 
     level: Level = setting(
         "objects",
-        "what a label stands for, a surface (leaf of the tree) or an object (merged leaves)",
+        "what a label stands for, a surface (leaf of the tree), an object (merged leaves) or a thing (object "
+        "whose pieces, cut apart on the image by what is before it, are one)",
         choices=get_args(Level),
     )
     inverse_depth_noise: float = setting(

@@ -16,6 +16,7 @@ from nurbseg.segmentation.vocabulary import Division, StopReason
 if TYPE_CHECKING:
     from nurbseg.segmentation.cut.ncut import Cut
     from nurbseg.segmentation.extended.merge import Contact, SceneObject
+    from nurbseg.segmentation.extended.things import Join
     from nurbseg.segmentation.surfaces.fit import Fit
 
 
@@ -124,13 +125,16 @@ class SegmentationTree:
     shape : (int, int)
         Rows and columns of the image.
     objects : tuple of SceneObject
-        Leaves that are one object, largest first, each leaf in one of them; none where nothing was merged.
+        Leaves that are one object, at the level "things" one thing, largest first, each leaf in one of
+        them; none where nothing was merged.
     contacts : tuple of Contact
         Every two leaves that meet, with what became of them and why.
-    level : {"surfaces", "objects"}
+    level : {"surfaces", "objects", "things"}
         What `labels` tells apart.
     image : (H, W) uint16, optional
         The label of every pixel, if it is known already.
+    joins : tuple of Join
+        What made objects one thing.
     """
 
     segments: tuple[Segment, ...]
@@ -139,6 +143,7 @@ class SegmentationTree:
     contacts: tuple[Contact, ...] = ()
     level: Level = "surfaces"
     image: NDArray[np.uint16] | None = None
+    joins: tuple[Join, ...] = ()
 
     def __post_init__(self) -> None:
         if self.image is not None:
@@ -158,8 +163,9 @@ class SegmentationTree:
 
         Parameters
         ----------
-        level : {"surfaces", "objects"}, optional
-            What a label stands for; the tree's own level without it.
+        level : {"surfaces", "objects", "things"}, optional
+            What a label stands for; the tree's own level without it. In a tree of things
+            objects are things.
 
         Returns
         -------
@@ -167,7 +173,7 @@ class SegmentationTree:
             0 where there is no depth. A surface's label is its place among the leaves plus one, an object's
             its place in `objects` plus one; without objects each surface is one.
         """
-        if (level or self.level) == "objects" and self.objects:
+        if (level or self.level) != "surfaces" and self.objects:
             number = {name: n for n, each in enumerate(self.objects, start=1) for name in each.leaves}
             of_label = np.array([0, *(number[leaf.name] for leaf in self.leaves())], dtype=np.uint16)
             return apply_lookup_table(of_label, self.labels("surfaces"))

@@ -50,13 +50,14 @@ def objects_document(result: FrameResult) -> dict[str, Any]:
         The frame and its tree.
     """
     frame = result.frame
+    merged = "things" if result.tree.level == "things" else "objects"
     return {
         "frame": frame.index,
         "name": frame.name,
         "timestamp_ns": frame.timestamp_ns,
         "coordinates": CONVENTION,
         "camera": _camera_document(frame.calibration.depth),
-        "level": "objects" if result.tree.objects else "surfaces",
+        "level": merged if result.tree.objects else "surfaces",
         "objects": [
             {
                 "object": each.label,

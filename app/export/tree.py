@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from typing import Any
 
 from nurbseg.app.result import FrameResult
 from nurbseg.segmentation.config import Metric
+from nurbseg.segmentation.extended.things import Join
 from nurbseg.segmentation.segments import Segment, Trial
 from nurbseg.segmentation.vocabulary import display_name
 
@@ -17,7 +19,7 @@ def tree_document(result: FrameResult, metric: Metric) -> dict[str, Any]:
     numbered = tuple(zip(result.object_labels, tree.objects, strict=True))
     object_of = {name: label for label, each in numbered for name in each.leaves}
     leaf_of = {leaf.name: label for label, leaf in zip(result.surface_labels, tree.leaves(), strict=True)}
-    label_of = object_of if tree.objects and tree.level == "objects" else leaf_of
+    label_of = object_of if tree.objects and tree.level != "surfaces" else leaf_of
     return {
         "frame": result.frame.index,
         "name": result.frame.name,
@@ -54,7 +56,12 @@ def tree_document(result: FrameResult, metric: Metric) -> dict[str, Any]:
             }
             for each in tree.contacts
         ],
+        **({"joins": [_join_document(each) for each in tree.joins]} if tree.level == "things" else {}),
     }
+
+
+def _join_document(each: Join) -> dict[str, Any]:
+    return {**asdict(each), "first": display_name(each.first), "second": display_name(each.second)}
 
 
 def _segment_document(each: Segment, metric: Metric, frame: int) -> dict[str, Any]:

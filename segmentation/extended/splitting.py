@@ -19,6 +19,7 @@ from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_featu
 from nurbseg.segmentation.extended.merge import merge_surfaces
 from nurbseg.segmentation.extended.parts import Part, chain_components, children_of, fit_segment, judge_split
 from nurbseg.segmentation.extended.refitting import refit_surfaces
+from nurbseg.segmentation.extended.things import join_objects
 from nurbseg.segmentation.growth import Clock, grow, time_limit
 from nurbseg.segmentation.labels.regions import large_components
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
@@ -73,10 +74,13 @@ def segment_nurbseg(
 
     image = labels.astype(np.uint16)
     segments = finished_segments(nodes, leaves, image)
-    objects, contacts = merge_surfaces(
-        labels, features.grid, [leaf.name for leaf in leaves], surfaces, config
+    names = [leaf.name for leaf in leaves]
+    objects, contacts = merge_surfaces(labels, features.grid, names, surfaces, config)
+    on_grid = labels[:: features.grid.step, :: features.grid.step]
+    objects, joins = join_objects(objects, contacts, on_grid, names, features.grid, cloud.color, config)
+    return SegmentationTree(
+        segments, cloud.valid.shape, objects, contacts, config.extended.level, image, joins
     )
-    return SegmentationTree(segments, cloud.valid.shape, objects, contacts, config.extended.level, image)
 
 
 def grown_tree(features: GridFeatures, config: SegmentationConfig, time_is_over: Callable[[], bool]) -> Node:

@@ -13,6 +13,7 @@ from nurbseg.segmentation.extended.border_statistics import BorderStatistics, bo
 from nurbseg.segmentation.extended.evidence import DIGITS, ITEMS, evidence
 from nurbseg.segmentation.extended.merge import Contact, SceneObject, WeighedBorders, merged_objects
 from nurbseg.segmentation.extended.surface_statistics import surface_statistics
+from nurbseg.segmentation.extended.things import Join, join_objects
 from nurbseg.segmentation.live.leaf import LiveLeaf
 from nurbseg.segmentation.points.depth_grid import DepthGrid
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
@@ -41,6 +42,7 @@ class ObjectMemory:
 
     def __init__(self) -> None:
         self._borders: dict[_Pair, _Border] = {}
+        self._joined: set[_Pair] = set()
         self._frame = 0
 
     @property
@@ -98,6 +100,29 @@ class ObjectMemory:
         for pair in forgotten:
             del self._borders[pair]
         return objects, contacts
+
+    def joined(
+        self,
+        objects: Sequence[SceneObject],
+        contacts: Sequence[Contact],
+        leaves: Sequence[LiveLeaf],
+        on_grid: NDArray[np.int32],
+        grid: DepthGrid,
+        color: NDArray[np.uint8],
+        config: SegmentationConfig,
+    ) -> tuple[tuple[SceneObject, ...], tuple[Join, ...]]:
+        """Join objects that others cut apart on the image; those that were joined before, more readily.
+
+        Parameters are as those of `merged` and `join_objects`.
+        """
+        number = {leaf.node.name: leaf.number for leaf in leaves}
+        name_of = {leaf.number: leaf.node.name for leaf in leaves}
+        kept = {frozenset(name_of.get(each, "") for each in pair) for pair in self._joined}
+        objects, joins = join_objects(
+            objects, contacts, on_grid, list(number), grid, color, config, kept=kept
+        )
+        self._joined = {(number[each.first], number[each.second]) for each in joins}
+        return objects, joins
 
     def _remembered(self, pair: _Pair, measured: NDArray[np.float64]) -> _Border:
         """Return a border with what was measured of it now among what was before."""

@@ -312,10 +312,15 @@ class LiveTree:
         )
         segments = finished_segments(nodes, [leaf.node for leaf in leaves], labels)
         objects, contacts = self._objects.merged(self._leaves, on_grid, self._lattice, grid, config)
+        objects, joins = self._objects.joined(
+            objects, contacts, self._leaves, on_grid, grid, cloud.color, config
+        )
         # What has no depth in this frame keeps its label for the next one.
         self._labels = self._updater.renumbered(before)
         np.copyto(self._labels, labels, where=labels > 0)
-        return SegmentationTree(segments, cloud.valid.shape, objects, contacts, config.extended.level, labels)
+        return SegmentationTree(
+            segments, cloud.valid.shape, objects, contacts, config.extended.level, labels, joins
+        )
 
 
 def lives(config: SegmentationConfig) -> bool:

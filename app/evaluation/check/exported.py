@@ -139,6 +139,14 @@ class ExportedContact:
 
 
 @dataclass(frozen=True, slots=True)
+class ExportedJoin:
+    """Two leaves whose objects are one thing."""
+
+    first: str
+    second: str
+
+
+@dataclass(frozen=True, slots=True)
 class ExportedTree:
     """The file of a frame's tree."""
 
@@ -152,6 +160,7 @@ class ExportedTree:
     segments: tuple[ExportedSegment, ...]
     objects: tuple[ExportedObject, ...]
     contacts: tuple[ExportedContact, ...]
+    joins: tuple[ExportedJoin, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

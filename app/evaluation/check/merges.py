@@ -77,7 +77,7 @@ def _crossings(labels: NDArray[np.uint16], reach: int) -> Counter[frozenset[int]
 
 
 def _check_objects(frame: ExportedFrame) -> Iterator[Finding]:
-    """Merge again: of all groups the two that are likeliest one, while they are likely enough."""
+    """Merge again: of all groups the two that are likeliest one, while they are likely enough; then join."""
     place = {leaf.name: n for n, leaf in enumerate(frame.leaves())}
     groups = {n: {name} for name, n in place.items()}
     # Between two groups, by their first leaves: log odds times places, exactly, and places.
@@ -101,6 +101,13 @@ def _check_objects(frame: ExportedFrame) -> Iterator[Finding]:
                 before = pooled.get((first, second), (Fraction(), 0))
                 pooled[first, second] = before[0] + odds, before[1] + places
         between = pooled
+    for join in frame.tree.joins:
+        pieces = [number for number, names in groups.items() if {join.first, join.second} & names]
+        if len(pieces) < 2:
+            leaves = f"{join.first}-{join.second}"
+            yield Finding(frame.tree_file, leaves, "joins", "leaves of two objects", "one object or none")
+            continue
+        groups[pieces[0]] |= groups.pop(pieces[1])
     told = {frozenset(names) for names in frame.objects.values()}
     for group in sorted(sorted(names) for names in groups.values() if frozenset(names) not in told):
         yield Finding(frame.tree_file, "", "objects", f"one of {', '.join(group)} by the log odds", "none")

@@ -102,11 +102,12 @@ def read_frame(folder: Path, stem: str, settings: RunSettings) -> ExportedFrame:
 
 
 def _filled_in(document: Any) -> Any:
-    """Fill in what earlier versions did not write: frames of values and trials, and evidence of contacts."""
+    """Fill in what earlier versions did not write: frames of values, evidence of contacts, joins."""
     for each in document.get("segments", ()):
         for key in ("measured", "judged"):
             if each.get(key) is None:
                 each[key] = document.get("frame")
+    document.setdefault("joins", [])
     for each in document.get("contacts", ()):
         for key in ("samples", "log_odds", "evidence"):
             each.setdefault(key, None)

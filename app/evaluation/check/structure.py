@@ -65,7 +65,7 @@ def check_partition(frame: ExportedFrame) -> Iterator[Finding]:
 
 def _labels_of(frame: ExportedFrame, each: ExportedSegment) -> Iterator[Finding]:
     """Say which of a segment's three labels are not what they follow from."""
-    by_object = bool(frame.objects) and frame.tree.level == "objects"
+    by_object = bool(frame.objects) and frame.tree.level != "surfaces"
     expected = each.object if by_object else each.leaf
     if each.label != expected:
         yield Finding(frame.tree_file, each.name, "label", str(expected), str(each.label))
@@ -93,7 +93,7 @@ def _check_objects(frame: ExportedFrame, in_order: bool) -> Iterator[Finding]:
             label_of[leaf.leaf] = object_of.get(leaf.name, 0)
     expected = {"objects": label_of[frame.leaf_image]} if frame.objects else {}
     if frame.objects:
-        expected["labels"] = expected["objects"] if frame.tree.level == "objects" else frame.leaf_image
+        expected["labels"] = expected["objects"] if frame.tree.level != "surfaces" else frame.leaf_image
     for kind, image in expected.items():
         wrong = np.argwhere(frame.images[kind] != image)
         if wrong.size:

@@ -42,7 +42,7 @@ COMMANDS = (
         {"t": "ratio"},
         "keep a split below another ratio; without a number by 0.05 more, from 0.7 to 1.3",
     ),
-    Command("level NAME", {"l": "level"}, "label surfaces or objects; without a name the other"),
+    Command("level NAME", {"l": "level"}, "label surfaces, objects or things; without a name the next"),
     Command("method NAME", {"e": "method"}, "segment by another method; without a name the other"),
     Command("snapshot", {"s": "snapshot"}, "write all of this frame into a new folder"),
     Command("help", {"h": "help"}, ""),

@@ -423,6 +423,17 @@ def test_objects_that_do_not_follow_from_the_evidence_are_found(export):
     assert [each for each in folder.findings() if " objects: expected one of " in each]
 
 
+def test_things_that_do_not_follow_from_the_joins_are_found(export):
+    assert export("things").findings() == []
+    folder = export("things")
+    document = json.loads((folder.folder / "000000_tree.json").read_text())
+    assert len(document["joins"]) == 1 and len(document["objects"]) == 2
+    folder.document(lambda tree: tree["joins"].append(tree["joins"][0]))
+    assert [each for each in folder.findings() if " joins: expected leaves of two objects" in each]
+    folder.document(lambda tree: tree["joins"].clear())
+    assert [each for each in folder.findings() if " objects: expected one of " in each]
+
+
 def test_contacts_of_earlier_versions_have_no_evidence_to_check(export):
     folder = export("nurbseg")
 

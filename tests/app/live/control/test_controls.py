@@ -59,7 +59,7 @@ def wait_until(condition: Callable[[], bool]) -> None:
         ("metric vgc", "metric", "vgc"),
         ("metric", "metric", "mae"),
         ("level surfaces", "level", "surfaces"),
-        ("level", "level", "surfaces"),
+        ("level", "level", "things"),
         ("method", "method", "stag15"),
         ("ratio 0.9", "ratio_max", 0.9),
         ("ratio", "ratio_max", 1.05),
