@@ -9,17 +9,7 @@ from pathlib import Path
 def write_atomically(path: Path, content: bytes) -> None:
     """Write a file under a temporary name and rename it, so that nobody ever reads a half of it.
 
-    Parameters
-    ----------
-    path : Path
-        The file; one of the same name is replaced.
-    content : bytes
-        What it shall hold.
-
-    Raises
-    ------
-    OSError
-        If it cannot be written (no space left, no permission); what was there before stays.
+    An OSError says that it cannot be written (no space left, no permission); what was there before stays.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:

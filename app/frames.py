@@ -19,15 +19,6 @@ _READ_TIMEOUT_S = 60.0
 def places(uri: str, options: SourceOptions, start: int = 0, most: int | None = None) -> range:
     """Return the places of a recording's frames, without decoding them.
 
-    Parameters
-    ----------
-    uri : str
-        Of the recording.
-    options : SourceOptions
-        For it.
-    start, most : int
-        First place, and the number of frames at the most.
-
     Raises
     ------
     nurbseg.drivers.errors.DriverError

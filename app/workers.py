@@ -48,19 +48,8 @@ def in_order(
 ) -> Iterator[tuple[Task, Future[Result]]]:
     """Do tasks, a bounded number at once, and yield each in its turn with its future, which is done.
 
-    Parameters
-    ----------
-    workers : Workers
-        Of `open_workers`.
-    function : callable
-        Of a module; what it returns or raises is the future's.
-    tasks : iterable
-        Taken as there is room for them.
-
-    Raises
-    ------
-    WorkerLostError
-        If nothing comes any more.
+    The function is one of a module; what it returns or raises is the future's. Tasks are taken as there is
+    room for them. Raises WorkerLostError if nothing comes any more.
     """
     pending: deque[tuple[Task, Future[Result]]] = deque()
 

@@ -26,7 +26,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nurbseg.app.evaluation.statistics import bootstrap_gain, bootstrap_mean
+from nurbseg.app.evaluation.statistics import bootstrap_mean
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
@@ -117,7 +117,7 @@ def line(name: str, values: NDArray[np.float64], reference: NDArray[np.float64] 
             estimate = bootstrap_mean(values[:, column])
             cells.append(f"{mean:.4f} [{estimate.low:.4f}, {estimate.high:.4f}]")
         else:
-            gain = bootstrap_gain(values[:, column], reference[:, column])
+            gain = bootstrap_mean(values[:, column] - reference[:, column])
             cells.append(f"{mean:.4f} ({gain.mean:+.4f} [{gain.low:+.4f}, {gain.high:+.4f}])")
     cells += [f"{values[:, 4].mean():.1f}", f"{values[:, 5].mean():.1f}", f"{np.median(values[:, 6]):.0f}"]
     return "| " + " | ".join(cells) + " |"

@@ -17,14 +17,7 @@ def open_regular(
 ) -> BinaryIO:
     """Open a regular file for reading; a pipe or device is refused without waiting for it.
 
-    Parameters
-    ----------
-    path : Path
-        The file; a link counts as what it leads to.
-    what : str
-        What an error calls it.
-    error : type
-        The error raised.
+    A link counts as what it leads to. An error of the given type calls the file what `what` says.
 
     Raises
     ------
@@ -48,13 +41,6 @@ def read_file(
 ) -> bytes:
     """Return the content of a regular file of at most `most` bytes.
 
-    Parameters
-    ----------
-    path, what, error
-        As for `open_regular`.
-    most : int
-        Largest size, bytes.
-
     Raises
     ------
     RecordingFormatError
@@ -75,13 +61,6 @@ def create_private(path: Path, buffering: int = -1) -> BinaryIO:
 
     What cameras see is nobody else's business, whatever the umask is. A device is opened as it is.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    buffering : int
-        As for `open`.
-
     Raises
     ------
     FileExistsError
@@ -96,13 +75,7 @@ def create_private(path: Path, buffering: int = -1) -> BinaryIO:
 
 
 def check_absent(path: Path) -> None:
-    """Raise if there is a file of this name, which would be overwritten.
-
-    Raises
-    ------
-    FileExistsError
-        Its `strerror` says what to do.
-    """
+    """Raise FileExistsError, whose `strerror` says what to do, if there is a file of this name."""
     if path.is_file() or path.is_symlink():
         raise FileExistsError(errno.EEXIST, "exists already; name another file or remove it", str(path))
 

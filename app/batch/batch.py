@@ -67,18 +67,9 @@ class Recording:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Batch:
-    """What is done to each recording.
+    """What is done to each recording, which gets a folder under `directory`.
 
-    Parameters
-    ----------
-    directory : Path
-        Under which each recording gets a folder.
-    config : SegmentationConfig
-        How frames are segmented.
-    options : SourceOptions
-        Of all recordings.
-    export : ExportConfig
-        What is written of each frame. Files of a run that was killed are replaced by the same.
+    Files of a run that was killed are replaced by the same.
     """
 
     directory: Path
@@ -124,21 +115,11 @@ def run_batch(
     workers: Workers,
     report: Callable[[Recording], None] = lambda recording: None,
 ) -> None:
-    """Segment what of each recording is not yet done.
+    """Segment what of each recording is not yet done, and count it in.
 
-    Results are written by this process alone, in the order of the frames, and do not depend on who
-    computed them. What is wrong with a recording is kept with it, and the run continues with the others.
-
-    Parameters
-    ----------
-    batch : Batch
-        What to do.
-    recordings : sequence of Recording
-        Of `recordings_of`; counted in as it goes.
-    workers : Workers
-        Who does it.
-    report : callable
-        Called with each recording when it is complete or has failed.
+    Results are written by this process alone, in the order of the frames, and do not depend on who computed
+    them. What is wrong with a recording is kept with it, and the run continues with the others. `report` is
+    called with each when it is complete or has failed.
     """
     exporters: dict[str, Exporter] = {}
 

@@ -14,11 +14,6 @@ def one_thread_for_products(environment: MutableMapping[str, str] = os.environ) 
     The segmentation's matrices are small: threads that wait for each other at every product take longer
     than one, and many times longer where the camera, the viewer or anything else wants the processor. This
     has an effect only before numpy is imported.
-
-    Parameters
-    ----------
-    environment : mapping
-        Where the libraries look.
     """
     if not any(name in environment for name in _VARIABLES):
         for name in _VARIABLES:

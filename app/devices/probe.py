@@ -15,15 +15,7 @@ _TIME_LIMIT_S = 20.0
 
 
 def probe(wanted: str = "any", *, time_limit_s: float = _TIME_LIMIT_S) -> Probe:
-    """Return which cameras OpenNI2 lists and opens.
-
-    Parameters
-    ----------
-    wanted : str
-        What `--device` was given: a kind of camera, or the URI or serial number of one.
-    time_limit_s : float
-        After so many seconds the answer is that there was none.
-    """
+    """Return which cameras OpenNI2 lists and opens, of those meant by what `--device` was given."""
     command = python_command("nurbseg.app.devices.cli", "list", "--json")
     try:
         done = subprocess.run(

@@ -69,16 +69,8 @@ def _judged_alike(config: SegmentationConfig, metric: Metric) -> SegmentationCon
 class Answers:
     """Segments one frame with one variant after the other; shares what they have in common.
 
-    Parameters
-    ----------
-    cloud : PointMap
-        The registered frame.
-    name : str
-        Its name, by which label images of other programs are found.
-    index : int
-        Its place in its source.
-    seed : int
-        With the frame's place, the state of the random generator of each variant.
+    `seed` and the frame's `index` in its source are the state of each variant's random generator; label
+    images of other programs are found by its `name`.
     """
 
     def __init__(self, cloud: PointMap, name: str, index: int, seed: int) -> None:
@@ -87,13 +79,7 @@ class Answers:
         self._lambdas: dict[tuple[Any, ...], float] = {}
 
     def of(self, variant: Variant) -> tuple[NDArray[np.integer], SegmentationTree | None]:
-        """Return a variant's labels, (H, W), and its tree if it has one.
-
-        Raises
-        ------
-        ValueError
-            If label images of another program lack this frame, or have another size.
-        """
+        """Return a variant's labels, (H, W), and its tree if it has one."""
         rng = np.random.default_rng([self._seed, self._index])
         if variant.method.startswith(LABELS_PREFIX):
             folder = Path(variant.method.removeprefix(LABELS_PREFIX))

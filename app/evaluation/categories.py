@@ -25,13 +25,6 @@ def category_of(name: str, uri: str) -> str:
     Frames of the Object Segmentation Database (``learn12``, ``test3``) have those of their data set;
     frames named ``scene2...`` are a category for each scene, as in the paper's tables; all others are
     one category for each source.
-
-    Parameters
-    ----------
-    name : str
-        The frame's name; may be empty.
-    uri : str
-        The source it is from.
     """
     match = re.fullmatch(r"(learn|test)(\d+)", name)
     if match:

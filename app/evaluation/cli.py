@@ -105,24 +105,13 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def command() -> int:
-    """Run the command in a process of its own, with the same matrix products on most processors.
-
-    Returns
-    -------
-    int
-        As `main`.
-    """
+    """Run the command in a process of its own, with the same matrix products on most processors."""
     same_products_everywhere()
     return main()
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run the command in this process.
-
-    Parameters
-    ----------
-    words : sequence of str, optional
-        The arguments; the process's own by default. Without a command the first is ``run``.
+    """Run the command in this process; without a command the first argument is ``run``.
 
     Returns
     -------

@@ -26,7 +26,7 @@ from nurbseg.app.evaluation.report.tables import all_tables, as_markdown, as_tex
 from nurbseg.app.evaluation.results import StudyResults, write_rows
 from nurbseg.app.evaluation.store import StudyStore, write_json
 from nurbseg.app.evaluation.study import Study, frame_refs, read_frame, run_study, times_per_frame
-from nurbseg.app.evaluation.tuning import tunable, tune
+from nurbseg.app.evaluation.tuning import searched_settings, tune
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, grid_of, variants_of
 from nurbseg.drivers.calibration.file import read_camera_file
 from nurbseg.drivers.errors import FrameFormatError
@@ -115,17 +115,7 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
 
 
 def _check_before(study: Study, *, report: bool) -> None:
-    """Raise what would end a study later, before anything is written or computed.
-
-    Raises
-    ------
-    nurbseg.drivers.errors.DriverError
-        If a source cannot be opened.
-    ModuleNotFoundError
-        If a library is missing that tables and reports are written with.
-    ValueError
-        If no frame has ground truth.
-    """
+    """Raise what would end a study later, before anything is written or computed."""
     for name in ("pyarrow", *(("jinja2", "matplotlib") if report else ())):
         import_module(name)
     for ref in frame_refs(study):
@@ -156,7 +146,7 @@ def search(given: argparse.Namespace, study: Study) -> None:
     )
     before = AppConfig() if given.config is None else read_config(given.config)
     write_atomically(given.out, format_config(replace(before, segmentation=found.config)).encode())
-    for name, value in tunable(found.config):
+    for name, value in searched_settings(found.config).items():
         print(f"{name} = {value}")
     gain = found.gain
     print(
@@ -194,20 +184,7 @@ def _words(text: str) -> list[str]:
 
 
 def check(given: argparse.Namespace) -> int:
-    """Print what is wrong with a folder of exports, one finding a line, and then what was checked.
-
-    Returns
-    -------
-    int
-        0 where nothing was found, else 1.
-
-    Raises
-    ------
-    ValueError
-        If the folder holds no export.
-    nurbseg.drivers.errors.DriverError
-        If the recording cannot be read.
-    """
+    """Print what is wrong with a folder of exports and what was checked; return 1 where something is."""
     options = source_options(given)
     if given.calibration is not None:
         options = replace(options, calibration=read_camera_file(given.calibration))

@@ -22,13 +22,6 @@ def same_products_everywhere(
     Newer processors have kernels of their own, which sum in another order. That is enough to send a pixel
     to the other side of a cut, and now and then a tree another way. What the user has set is overruled. This
     has an effect only before numpy is imported, on x86-64 with AVX2 and FMA, and on OpenBLAS.
-
-    Parameters
-    ----------
-    environment : mapping
-        Where OpenBLAS looks.
-    cpu_info : Path
-        Where Linux describes the processor.
     """
     if {"avx2", "fma"} <= set(_cpu_line("flags", cpu_info).split()):
         environment["OPENBLAS_CORETYPE"] = _COMMON_KERNEL

@@ -18,17 +18,7 @@ from nurbseg.app.evaluation.variants import Variant
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StudyResults:
-    """The finished frames of a study.
-
-    Parameters
-    ----------
-    variants : tuple of Variant
-        In the order of the tables.
-    frames : tuple of dict
-        Finished frames in the order of their keys, with the results of all variants.
-    skipped : tuple of dict
-        Frames without a score, with the reason.
-    """
+    """The finished frames of a study in the order of their keys, and those skipped, with the reason."""
 
     variants: tuple[Variant, ...]
     frames: tuple[dict[str, Any], ...]
@@ -59,17 +49,7 @@ class StudyResults:
         return tuple(dict.fromkeys(frame.get("computer", "a computer not recorded") for frame in self.frames))
 
     def values(self, variant: Variant, score: str, category: str | None = None) -> NDArray[np.float64]:
-        """Return a score of every frame, (N,) float64, NaN where a frame has none.
-
-        Parameters
-        ----------
-        variant : Variant
-            One of the study's.
-        score : str
-            A field of `FrameScores` or `ObjectScores`.
-        category : str, optional
-            Takes the frames of one category only.
-        """
+        """Return a score of every frame, or of one category's, (N,) float64, NaN where a frame has none."""
         return np.array(
             [
                 np.nan if (value := frame["results"][variant.key][score]) is None else value
@@ -131,13 +111,7 @@ class StudyResults:
 
 
 def write_rows(results: StudyResults, folder: Path) -> tuple[Path, Path]:
-    """Write ``results.parquet`` and ``results.csv``: a row for each frame and variant.
-
-    Returns
-    -------
-    tuple of Path
-        The two files.
-    """
+    """Write ``results.parquet`` and ``results.csv``, a row for each frame and variant; return their paths."""
     import pyarrow
     import pyarrow.csv
     import pyarrow.parquet

@@ -59,18 +59,3 @@ def bootstrap_mean(
         rng=np.random.default_rng(seed),
     ).confidence_interval
     return Estimate(mean, float(low), float(high), values.size)
-
-
-def bootstrap_gain(
-    ours: NDArray[np.float64], theirs: NDArray[np.float64], *, level: float = 0.95, draws: int = 2000
-) -> Estimate:
-    """Estimate the mean difference of two methods on the same frames, frame by frame.
-
-    Parameters
-    ----------
-    ours, theirs : (N,) float64
-        Values of the same frames in the same order; a frame that lacks one is left out.
-    level, draws
-        As for `bootstrap_mean`.
-    """
-    return bootstrap_mean(ours - theirs, level=level, draws=draws)

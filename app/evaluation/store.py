@@ -17,13 +17,6 @@ class StudyStore:
 
     Files appear whole or not at all: they are written beside their place and renamed into it.
 
-    Parameters
-    ----------
-    folder : Path
-        Made if it is not there.
-    description : mapping
-        What the results depend on (data, seed), as JSON values.
-
     Raises
     ------
     ValueError
@@ -64,17 +57,7 @@ class StudyStore:
             yield read_json(path)
 
     def keep(self, key: str, frame: Mapping[str, Any], images: Mapping[str, bytes]) -> None:
-        """Write a frame's results; its images and trees first, so that what is named is there.
-
-        Parameters
-        ----------
-        key : str
-            Name of the frame.
-        frame : mapping
-            What is known of it now, as JSON values.
-        images : mapping of str to bytes
-            Encoded files by their path within the folder.
-        """
+        """Write a frame's results; its images and trees, by their path within the folder, first."""
         for name, content in images.items():
             path = self.folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -91,13 +74,7 @@ def _flat(description: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON object.
-
-    Raises
-    ------
-    ValueError
-        If the file does not hold one; names the file.
-    """
+    """Read a JSON object; a ValueError names a file that holds none."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as err:

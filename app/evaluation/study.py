@@ -42,24 +42,10 @@ class FrameRef:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Study:
-    """What is compared on what.
+    """What is compared on what: `frames` at the most of each source, from `start` on.
 
-    Parameters
-    ----------
-    sources : tuple of str
-        URIs or paths of sources whose frames carry labels.
-    options : SourceOptions
-        For all sources.
-    variants : tuple of Variant
-        The rows of the tables.
-    seed : int
-        Of methods that draw random numbers; the tree methods have their own setting.
-    frames : int or None
-        Frames of each source at the most; None for all.
-    start : int
-        First frame of each source.
-    pieces : int
-        Of the ground truth, as that of `nurbseg.app.evaluation.scoring.score_objects`.
+    `seed` is that of methods that draw random numbers, but for the tree methods, which have a setting;
+    `pieces` that of `nurbseg.app.evaluation.scoring.score_objects`.
     """
 
     sources: tuple[str, ...]
@@ -87,15 +73,7 @@ class Study:
 
 
 def frame_refs(study: Study) -> list[FrameRef]:
-    """List the frames of a study without decoding them.
-
-    Raises
-    ------
-    nurbseg.drivers.errors.DriverError
-        If a source cannot be opened.
-    ValueError
-        If a source is a camera.
-    """
+    """List the frames of a study without decoding them."""
     refs = []
     for place, uri in enumerate(study.sources):
         found = places(uri, study.options, study.start, study.frames)
@@ -111,29 +89,11 @@ def run_study(
     scheduler: str | None = None,
     report: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[FrameRef]:
-    """Do what of a study is not yet on disk.
+    """Do what of a study is not yet on disk, and return its frames.
 
-    Frames are shared out to processes, of this computer or of a Dask cluster; results are written by this
-    process alone, a frame at a time, and do not depend on who computed them or in which order.
-
-    Parameters
-    ----------
-    study : Study
-        What to do.
-    store : StudyStore
-        Where results are kept.
-    jobs : int
-        Processes on this computer.
-    scheduler : str, optional
-        Address of a Dask scheduler (``tcp://HOST:8786``) to use instead; its workers must see the same
-        files under the same names.
-    report : callable
-        Called after each frame with the number of finished frames and of all.
-
-    Returns
-    -------
-    list of FrameRef
-        The study's frames, all of them in the store now.
+    Frames are shared out to the processes of `open_workers`; results are written by this process alone, a
+    frame at a time, and do not depend on who computed them or in which order. `report` is called after each
+    frame with the number of finished frames and of all.
 
     Raises
     ------
@@ -180,13 +140,7 @@ class FrameOutcome:
 
 
 def read_frame(ref: FrameRef, options: SourceOptions) -> RGBDFrame:
-    """Read one frame of a source by its place.
-
-    Raises
-    ------
-    FrameFormatError
-        If the frame is damaged.
-    """
+    """Read one frame of a source by its place; raises FrameFormatError if it is damaged."""
     with open_source(ref.uri, options) as source:
         source.skip(ref.index)
         return source.read(timeout_s=60.0)
@@ -197,24 +151,9 @@ def evaluate_frame(
 ) -> FrameOutcome:
     """Segment one frame with several variants and score each.
 
-    What the variants share (reading, registration, vectors, and every cut and fit that two settings of
-    one method both make) is done once.
-
-    Parameters
-    ----------
-    task : (FrameRef, sequence of Variant)
-        Which frame, and what to do with it.
-    options : SourceOptions
-        Of its source.
-    seed : int
-        With the frame's number, the state of the random generator of each variant.
-    pieces : int
-        Of the ground truth, as that of a study.
-
-    Returns
-    -------
-    FrameOutcome
-        A frame that is damaged, has no ground truth or no pixel that counts is recorded as skipped.
+    What the variants share (reading, registration, vectors, and every cut and fit that two settings of one
+    method both make) is done once. A frame that is damaged, has no ground truth or no pixel that counts is
+    recorded as skipped.
     """
     ref, variants = task
     cv2.setNumThreads(1)
@@ -251,19 +190,10 @@ def evaluate_frame(
 
 
 def times_per_frame(study: Study, frames: int) -> Mapping[str, float]:
-    """Measure each variant alone, one after the other, nothing shared; registration is not counted.
+    """Return the median seconds a frame of each variant by name, alone, nothing shared, without registration.
 
-    Parameters
-    ----------
-    study : Study
-        Its first frames are used; damaged ones are passed over.
-    frames : int
-        Number of frames; the first of each variant is done twice and counted once.
-
-    Returns
-    -------
-    mapping of str to float
-        Median seconds a frame, by the variant's name; label images of other programs have none.
+    The first frames that are not damaged are used; the first of each variant is done twice and counted once.
+    Label images of other programs have no time.
     """
     clouds: list[tuple[PointMap, str, int]] = []
     for ref in frame_refs(study):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, get_args
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.evaluation.scoring import score_frame
-from nurbseg.app.evaluation.statistics import Estimate, bootstrap_gain
+from nurbseg.app.evaluation.statistics import Estimate, bootstrap_mean
 from nurbseg.app.evaluation.study import FrameRef, Study, frame_refs, read_frame
 from nurbseg.app.workers import in_order, open_workers
 from nurbseg.drivers.errors import FrameFormatError
@@ -35,14 +35,11 @@ class Tuned:
     gain : Estimate
         Gain over the settings the search began with, on frames that had no part in the choice (each fold
         is judged by the settings chosen on the others), with its interval.
-    trials : int
-        Settings that were tried.
     """
 
     config: SegmentationConfig
     objective: float
     gain: Estimate
-    trials: int
 
 
 def objective_of(labels: NDArray[np.integer], truth: NDArray[np.integer], valid: NDArray[np.bool_]) -> float:
@@ -67,25 +64,9 @@ def tune(
 ) -> Tuned:
     """Search metric, T, lambda, T_p, affinity scale and splitting point with Optuna.
 
-    Every tried setting is scored on every frame; the winner of each fold is the best on the other folds.
-
-    Parameters
-    ----------
-    study : Study
-        Labelled frames; its variants are not used.
-    start : SegmentationConfig
-        Settings with which the search begins and against which the gain is measured; what is not
-        searched stays as it is here.
-    budget : int
-        Number of settings to try, the first among them, at least 2.
-    folds : int
-        Parts of the cross-validation; at most one for each frame.
-    jobs : int
-        Processes.
-    seed : int
-        The same seed tries the same settings.
-    report : callable
-        Called after each trial with the number of trials and the best mean.
+    Every tried setting, `start` first, is scored on every frame; the winner of each of `folds` parts is the
+    best on the other parts. What is not searched stays as in `start`. `report` is called after each of
+    `budget` trials with its number and the best mean.
 
     Raises
     ------
@@ -101,7 +82,7 @@ def tune(
     refs = frame_refs(study)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     search = optuna.create_study(direction="maximize", sampler=optuna.samplers.TPESampler(seed=seed))
-    search.enqueue_trial(_as_parameters(start))
+    search.enqueue_trial(searched_settings(start))
     tried: list[SegmentationConfig] = []
     scores: list[NDArray[np.float64]] = []
     with open_workers(jobs) as workers:
@@ -121,7 +102,7 @@ def tune(
             report(number + 1, max(float(np.nanmean(each)) for each in scores))
     table = np.array(scores)[:, np.isfinite(scores[0])]
     best = int(table.mean(axis=1).argmax())
-    return Tuned(tried[best], float(table[best].mean()), _cross_validated_gain(table, folds, seed), budget)
+    return Tuned(tried[best], float(table[best].mean()), _cross_validated_gain(table, folds, seed))
 
 
 def _cross_validated_gain(table: NDArray[np.float64], folds: int, seed: int) -> Estimate:
@@ -132,7 +113,7 @@ def _cross_validated_gain(table: NDArray[np.float64], folds: int, seed: int) -> 
         held_out = fold == part
         winner = int(table[:, ~held_out].mean(axis=1).argmax())
         chosen[held_out] = table[winner, held_out]
-    return bootstrap_gain(chosen, table[0])
+    return bootstrap_mean(chosen - table[0])
 
 
 _Labelled = tuple[PointMap, NDArray[np.uint16]]
@@ -176,7 +157,8 @@ _SMALLEST = {
 }
 
 
-def _as_parameters(config: SegmentationConfig) -> dict[str, Any]:
+def searched_settings(config: SegmentationConfig) -> dict[str, Any]:
+    """Return the settings of a configuration that are searched, by name."""
     names = ("metric", "ratio_max", "geometry_weight", "affinity_scale", "splitting_point")
     section, smallest, _, _ = _SMALLEST[config.method]
     return {name: getattr(config, name) for name in names} | {
@@ -196,8 +178,3 @@ def _suggested(trial: Any, start: SegmentationConfig) -> SegmentationConfig:
         **{section: {smallest: trial.suggest_int(smallest, least, most, log=True)}},
     )
     return result
-
-
-def tunable(config: SegmentationConfig) -> Sequence[tuple[str, Any]]:
-    """Return the searched settings of a configuration, by name."""
-    return tuple(_as_parameters(config).items())

@@ -67,14 +67,7 @@ class Variant:
 
 
 def setting_value(name: str, text: str) -> Any:
-    """Turn the text of one setting into its value.
-
-    Parameters
-    ----------
-    name : str
-        A setting of `SegmentationConfig` or its symbol (``lambda``).
-    text : str
-        As written by the user.
+    """Turn the text of a setting, by its name or symbol (``lambda``), into its value.
 
     Raises
     ------
@@ -91,13 +84,7 @@ def setting_value(name: str, text: str) -> Any:
 
 
 def path_named(name: str) -> str:
-    """Return the path (``stag15.control_points``) of the setting that a name or symbol stands for.
-
-    Raises
-    ------
-    ValueError
-        If there is none.
-    """
+    """Return the path (``stag15.control_points``) of the setting that a name or symbol stands for."""
     wanted = name.replace("-", "_")
     for path, each in setting_paths(SegmentationConfig):
         if wanted in (path, each.name, each.metadata["symbol"], each.metadata["formerly"]):
@@ -140,17 +127,8 @@ def variants_of(
 ) -> tuple[Variant, ...]:
     """Spell out a study's variants: every method with every combination of the settings that it uses.
 
-    Parameters
-    ----------
-    methods : sequence of str
-        Names of methods; the metric and threshold grids apply to the tree methods but ``pz14``,
-        whose metric is MSE by definition.
-    metrics, thresholds : sequence
-        Metrics and values of T; empty takes the base configuration's.
-    grid : mapping of str to sequence, optional
-        Further settings (see `grid_of`), for the methods of this project.
-    base : SegmentationConfig, optional
-        Settings that no grid names.
+    Metrics and thresholds, the configured ones where there are none, apply to the tree methods but ``pz14``,
+    whose metric is MSE by definition; the grid (see `grid_of`) to the methods of this project.
 
     Raises
     ------

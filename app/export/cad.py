@@ -25,22 +25,8 @@ def cad_file(result: FrameResult) -> bytes:
     """Return the surfaces of a frame's leaves, a layer for each object, with the outlines of their pixels.
 
     A 3DM file of rhino3dm cannot hold trimmed surfaces that are made from nothing. So a surface spans the
-    rectangle of its segment's pixels, and beside it, on it, are the curves to trim it by.
-
-    Parameters
-    ----------
-    result : FrameResult
-        The frame and its tree.
-
-    Returns
-    -------
-    bytes
-        Metres in the depth camera's frame: x right, y down, z forward.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        If rhino3dm is not installed.
+    rectangle of its segment's pixels, and beside it, on it, are the curves to trim it by. Metres in the depth
+    camera's frame: x right, y down, z forward.
     """
     # Its type hints are not those of the library itself.
     rhino3dm: Any = import_module("rhino3dm")
@@ -79,15 +65,9 @@ def clamped(surface: NurbsSurface, window: tuple[int, int, int, int]) -> NurbsSu
     """Return a part of a surface, exactly the same there, whose knots are clamped at its borders.
 
     Other programs want a surface to begin and end at control points; ours go on over the border of the data.
-    The part has the same knots between its borders, so that its control points follow from as many points
-    of the surface, in homogeneous coordinates.
-
-    Parameters
-    ----------
-    surface : NurbsSurface
-        The surface.
-    window : (int, int, int, int)
-        The part: first row, first column, and one past the last of each; it ends where the knots do.
+    The part (first row, first column, and one past the last of each; it ends where the knots do) has the same
+    knots between its borders, so that its control points follow from as many points of the surface, in
+    homogeneous coordinates.
     """
     from scipy.interpolate import make_interp_spline
 

@@ -13,20 +13,11 @@ from nurbseg.segmentation.surfaces.surface import evaluate_lattice
 
 
 def cloud_file(result: FrameResult, form: CloudForm) -> bytes:
-    """Return the points of a frame with all that is known of each.
+    """Return the points of a frame with all that is known of each, binary, little endian.
 
-    Parameters
-    ----------
-    result : FrameResult
-        The frame and its tree.
-    form : {"ply", "pcd"}
-        PLY holds the points alone, PCD is organised: a point for each pixel, NaN where there is none.
-
-    Returns
-    -------
-    bytes
-        Binary, little endian. Points are in metres in the depth camera's frame; `label` is that of the
-        level, `surface` and `object` are those of both.
+    PLY holds the points alone, PCD is organised: a point for each pixel, NaN where there is none. Points are
+    in metres in the depth camera's frame; `label` is that of the level, `surface` and `object` are those of
+    both.
     """
     vectors = np.concatenate([result.cloud.points_m, surface_normals(result.tree)], axis=2)
     labels = [result.labels(), result.labels("surfaces"), result.labels("objects")]
@@ -44,17 +35,9 @@ def cloud_file(result: FrameResult, form: CloudForm) -> bytes:
 
 
 def surface_normals(tree: SegmentationTree) -> NDArray[np.float32]:
-    """Return the normal of the fitted surface at each pixel.
+    """Return the normal of the fitted surface at each pixel, (H, W, 3) float32.
 
-    Parameters
-    ----------
-    tree : SegmentationTree
-        The segments.
-
-    Returns
-    -------
-    (H, W, 3) float32
-        Unit vectors towards the camera; 0 where no surface explains the pixel.
+    Unit vectors towards the camera; 0 where no surface explains the pixel.
     """
     height, width = tree.shape
     image = np.zeros((height * width, 3), dtype=np.float32)

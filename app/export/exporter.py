@@ -52,20 +52,9 @@ def run_settings(
 ) -> dict[str, Any]:
     """Return what ``settings.json`` holds: all that the frames of one export have in common.
 
-    Parameters
-    ----------
-    config : SegmentationConfig
-        How frames are segmented.
-    source : str
-        Where they come from.
-    temporal : bool
-        Whether a frame continues the one before it.
-    target_fps : float
-        Rate that is held by a coarser grid, 1/s; 0 where the grid is always that of `config`.
-    surfaces : bool
-        Whether the fitted surfaces are written.
-    depth : DepthConfig, optional
-        What is done to depth images before.
+    `temporal` says whether a frame continues the one before it; `target_fps` is the rate that is held by a
+    coarser grid, 1/s, or 0 where the grid is always that of `config`; `depth` is what is done to depth images
+    before.
     """
     return {
         "source": source,
@@ -137,13 +126,7 @@ class Exporter:
             raise ExportError(f"{directory / SETTINGS_FILE}: cannot be written: {err.strerror}") from err
 
     def write(self, result: FrameResult) -> None:
-        """Write the files of one frame.
-
-        Raises
-        ------
-        ExportError
-            If one cannot be written, or exists already and may not be replaced.
-        """
+        """Write the files of one frame; raises as `write_files` does."""
         self.write_files(frame_files(result, self._metric, self.export))
 
     def write_files(self, files: Mapping[str, bytes]) -> None:
@@ -174,16 +157,7 @@ class Exporter:
 
 
 def frame_files(result: FrameResult, metric: Metric, export: ExportConfig) -> dict[str, bytes]:
-    """Return the files of a frame by name, the tree last.
-
-    Parameters
-    ----------
-    result : FrameResult
-        The frame and its tree.
-    metric : str
-        Which metric decided the splits.
-    export : ExportConfig
-        Which files are wanted, and how they are named.
+    """Return the files of a frame by name, the tree last; `metric` decided the splits.
 
     Raises
     ------

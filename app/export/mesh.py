@@ -37,20 +37,10 @@ class _ObjectMesh:
 
 
 def mesh_file(result: FrameResult, form: MeshForm) -> bytes:
-    """Return the fitted surfaces of a frame as triangles.
+    """Return the fitted surfaces of a frame as triangles, metres in the depth camera's frame.
 
-    Parameters
-    ----------
-    result : FrameResult
-        The frame and its tree.
-    form : {"glb", "obj", "ply"}
-        In GLB and OBJ each object has a name (``object 3``), in PLY its label is with each vertex. The color
-        is the object's mean color.
-
-    Returns
-    -------
-    bytes
-        Metres in the depth camera's frame (x right, y down, z forward); GLB turns it as glTF wants it.
+    In GLB and OBJ each object has a name (``object 3``), in PLY its label is with each vertex. The color is
+    the object's mean color. GLB turns the frame (x right, y down, z forward) as glTF wants it.
     """
     kind = "object" if result.tree.objects else "surface"
     meshes = [_object_mesh(each, kind) for each in result.objects]

@@ -42,13 +42,7 @@ COLUMNS = (
 
 
 def objects_document(result: FrameResult) -> dict[str, Any]:
-    """Return what is measured of a frame's objects, its camera and the convention of its coordinates.
-
-    Parameters
-    ----------
-    result : FrameResult
-        The frame and its tree.
-    """
+    """Return what is measured of a frame's objects, its camera and the convention of its coordinates."""
     frame = result.frame
     merged = "things" if result.tree.level == "things" else "objects"
     return {
@@ -88,14 +82,9 @@ def _rounded(values: NDArray[np.floating], digits: int = 6) -> list[float]:
 
 
 class ObjectTable:
-    """A table of the objects of all frames, a row for each, to which frames are added one by one.
+    """A CSV table of the objects of all frames, a row for each, to which frames are added one by one.
 
     Rows of a table that is there already are kept up to the first frame that is added.
-
-    Parameters
-    ----------
-    path : Path
-        The CSV file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -103,18 +92,7 @@ class ObjectTable:
         self._begun = False
 
     def add(self, document: Mapping[str, Any]) -> None:
-        """Add the objects of a frame.
-
-        Parameters
-        ----------
-        document : mapping
-            Of `objects_document`.
-
-        Raises
-        ------
-        OSError
-            If it cannot be written.
-        """
+        """Add the objects of a frame, of its `objects_document`."""
         if not self._begun:
             self._begin(int(document["frame"]))
             self._begun = True

@@ -24,21 +24,9 @@ class FrameWriter(Protocol):
 
 
 class PartedWriter:
-    """Writes frames to a file, and after some time goes on in another one.
+    """Writes frames to a file, and after some time by their own clock goes on in another, ``NAME-2.mcap``.
 
-    Parameters
-    ----------
-    path : Path
-        The first file, which must not exist; the others are ``NAME-2.mcap`` and so on.
-    open_file : callable
-        Begins a file.
-    split_s : float, optional
-        Time in each file by the frames' own clock, seconds; None for one file.
-
-    Attributes
-    ----------
-    files : tuple of Path
-        Those begun so far.
+    `files` are those begun so far, none of which existed.
 
     Raises
     ------
@@ -78,11 +66,5 @@ class PartedWriter:
         self._writer.write(frame)
 
     def close(self) -> None:
-        """Finish the file that is open.
-
-        Raises
-        ------
-        OSError
-            If it cannot be written.
-        """
+        """Finish the file that is open; an OSError says that it cannot be written."""
         self._writer.close()

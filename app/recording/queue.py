@@ -30,18 +30,10 @@ _LAST_FRAME_S = 10.0
 class QueuedRecording(Recording):
     """Takes frames from the thread that captures them and writes them on a thread of its own.
 
-    A frame that finds the queue full is lost and counted; before that, from `behind` on, the capture
-    thread keeps frames from being segmented, which leaves the processor to the recording. When the disk
-    is nearly full, or a write fails, the file is closed, to be read up to there, and `failure` says why.
-
-    Parameters
-    ----------
-    writer : PartedWriter
-        Open; closed by this one.
-    config : RecordConfig
-        From when on, and how much space must stay free.
-    lossless : bool
-        Whether `put` waits for room: for a source that waits too.
+    A frame that finds the queue full is lost and counted, or waits if nothing is to be lost; before that,
+    from `behind` on, the capture thread keeps frames from being segmented, which leaves the processor to the
+    recording. When the disk is nearly full, or a write fails, the file is closed, to be read up to there, and
+    `failure` says why. The writer is closed with this.
     """
 
     def __init__(self, writer: PartedWriter, config: RecordConfig, *, lossless: bool = False) -> None:
@@ -119,13 +111,7 @@ class QueuedRecording(Recording):
         self._queue.close()
 
     def close(self, timeout_s: float = _DRAIN_S) -> None:
-        """Write what waits and finish the file; safe to call twice.
-
-        Parameters
-        ----------
-        timeout_s : float
-            What still waits after so many seconds is lost and counted.
-        """
+        """Write what waits and finish the file, once. What waits too long is lost, and counted."""
         self.finish()
         self._thread.join(timeout_s)
         if self._thread.is_alive():

@@ -89,13 +89,7 @@ def _open(
 
 
 def log_recorded(recording: Recording) -> None:
-    """Say in the log what was recorded.
-
-    Raises
-    ------
-    RecordError
-        If the recording ended before the run did.
-    """
+    """Say in the log what was recorded; a RecordError says that it ended before the run did."""
     if recording.failure:
         raise RecordError(f"{recording.failure}; the {recording.frames} frames before can be replayed")
     files = ", ".join(str(file) for file in recording.files)
@@ -189,13 +183,7 @@ class Recorder:
             _log.error("%s", err)
 
     def log_all(self) -> None:
-        """Say what was recorded, when all is closed.
-
-        Raises
-        ------
-        RecordError
-            If the last recording ended before the run did.
-        """
+        """Say what was recorded, when all is closed, as `log_recorded` does."""
         for each in self._ending:
             self._log_ended(each)
         self._ending.clear()
@@ -204,13 +192,7 @@ class Recorder:
 
     @contextmanager
     def logged(self) -> Iterator[None]:
-        """Say after the block what was recorded, also where Ctrl-C ended it.
-
-        Raises
-        ------
-        RecordError
-            As `log_all` does.
-        """
+        """Say after the block what was recorded, as `log_all` does, also where Ctrl-C ended it."""
         try:
             yield
         except KeyboardInterrupt:

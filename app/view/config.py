@@ -92,13 +92,7 @@ def bracketed(host: str) -> str:
 
 
 def viewer_address(url: str) -> tuple[str, int]:
-    """Return host and port of a viewer.
-
-    Raises
-    ------
-    ValueError
-        If it is neither ``HOST``, ``HOST:PORT`` nor ``rerun+http://HOST:PORT/proxy``.
-    """
+    """Return host and port of a viewer: ``HOST``, ``HOST:PORT`` or ``rerun+http://HOST:PORT/proxy``."""
     parts = urlsplit(url if "://" in url else f"rerun+http://{url}/proxy")
     expected = f"HOST, HOST:{DEFAULT_PORT} or rerun+http://HOST:{DEFAULT_PORT}/proxy"
     try:

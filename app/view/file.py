@@ -29,19 +29,8 @@ _LOOK_S = 0.1
 class FileSink:
     """Saves a recording; every frame that it is given is in the file.
 
-    Parameters
-    ----------
-    path : Path
-        The .rrd file, which must not exist.
-    opening : Opening
-        What it begins with.
-    index : bool
-        Whether it ends with an index; what Rerun keeps for that grows with each frame.
-
-    Raises
-    ------
-    ViewError
-        If the file cannot be created.
+    With an index, what Rerun keeps for it grows with each frame. A ViewError says that the file, which must
+    not exist, cannot be created.
     """
 
     def __init__(self, path: Path, opening: Opening, *, index: bool = True) -> None:
@@ -62,13 +51,7 @@ class FileSink:
         self._thread.start()
 
     def put(self, frame: FrameEntities) -> None:
-        """Save a frame; waits where the disk is slow.
-
-        Raises
-        ------
-        ViewError
-            If the file can no longer be written.
-        """
+        """Save a frame; waits where the disk is slow, and raises ViewError where the file is stuck."""
         self._check()
         try:
             self._queue.put(frame, _TIMEOUT_S)
@@ -85,19 +68,10 @@ class FileSink:
         self._queue.close()
 
     def finish_close(self, limit_s: float, on_progress: Callable[[], None] = lambda: None) -> None:
-        """Wait until the file is whole.
+        """Wait until the file is whole, and raise ViewError if it does not get so.
 
-        Parameters
-        ----------
-        limit_s : float
-            Longest time without anything written, seconds: a busy computer writes late, a stuck disk never.
-        on_progress : callable
-            Called now and then while something is written.
-
-        Raises
-        ------
-        ViewError
-            If the file is not whole.
+        The limit is for the time without anything written: a busy computer writes late, a stuck disk never.
+        `on_progress` is called now and then while something is written.
         """
         written, deadline_s = self._written, time.monotonic() + limit_s
         while self._thread.is_alive() and time.monotonic() < deadline_s:

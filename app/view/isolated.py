@@ -71,19 +71,12 @@ class IsolatedView(View):
         From `begin_view`; ended with this view.
     config : ViewConfig
         Where, and how fine.
-    segmentation : SegmentationConfig
-        Kept with the recording; names the metric that is shown.
-    metadata : mapping of str to str
-        What is known of the device; kept with the recording.
+    segmentation, metadata : SegmentationConfig and mapping of str to str
+        Of the run and of its device; kept with the recording.
     name : str
         What the recording is called.
     logger : logging.Logger
         Its messages are shown too.
-
-    Attributes
-    ----------
-    connections : int
-        How often a viewer was connected to; more than 1 where one was lost and came back.
 
     Raises
     ------
@@ -183,15 +176,7 @@ class IsolatedView(View):
     def close(self, *, file_limit_s: float = FILE_CLOSE_S) -> None:
         """End within 2 s, or 10 s while the file grows: it is whole then; a viewer's window stays.
 
-        Parameters
-        ----------
-        file_limit_s : float
-            Longest wait for a disk, seconds. A block that ends by itself waits longer for a slow one.
-
-        Raises
-        ------
-        ViewError
-            If the file is not whole.
+        A block that ends by itself waits longer for a slow disk. Raises ViewError if the file is not whole.
         """
         if self._closed:
             return

@@ -27,22 +27,9 @@ _RETRY_S = 0.5
 class ViewerSink:
     """Shows the newest frames in a viewer, for as long as there is one; never makes anybody wait.
 
-    At most one frame is on its way: the next is logged when the viewer's side took the one before.
-    Without that bound Rerun would block in `log` for as long as a viewer is frozen.
-
-    Parameters
-    ----------
-    url : str
-        The viewer, ``rerun+http://HOST:PORT/proxy``.
-    opening : Opening
-        What each connection begins with.
-    starting : callable, optional
-        Returns whether a viewer is being started, which is then waited for without a message.
-
-    Attributes
-    ----------
-    connections : int
-        How often a viewer was connected to.
+    At most one frame is on its way: the next is logged when the viewer's side took the one before. Without
+    that bound Rerun would block in `log` for as long as a viewer is frozen. A viewer that is being started
+    (`starting`) is waited for without a message.
     """
 
     def __init__(self, url: str, opening: Opening, starting: Callable[[], bool] = lambda: False) -> None:

@@ -40,11 +40,6 @@ def begin_view(config: ViewConfig) -> ChildProcess | None:
 
     What it does for a frame is Python for the most part, and only one thread of a process runs Python at a
     time: in the process that segments it would hold up what is computed.
-
-    Raises
-    ------
-    ViewError
-        If it cannot be started.
     """
     if chosen_mode(config) == "none" and config.save is None:
         return None
@@ -63,27 +58,10 @@ def open_view(
     logger: logging.Logger | None = None,
     process: ChildProcess | None = None,
 ) -> View:
-    """Open the view that a configuration asks for.
+    """Open the view that a configuration asks for, in a process from `begin_view` if one was started.
 
-    Parameters
-    ----------
-    config : ViewConfig
-        Where to show and to save.
-    segmentation : SegmentationConfig
-        Of the run; kept with the recording.
-    metadata : mapping of str to str, optional
-        What is known of the device.
-    name : str
-        What the recording is called.
-    logger : logging.Logger, optional
-        Whose messages are shown too; the package's by default.
-    process : ChildProcess, optional
-        Which was started for this configuration before.
-
-    Returns
-    -------
-    View
-        Its `how_to_look` is for a person who wants to see it.
+    `metadata` is what is known of the device; the messages of a logger, the package's by default, are shown
+    too.
 
     Raises
     ------

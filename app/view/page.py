@@ -23,25 +23,9 @@ _PASSED_ON = ("Content-Type", "Content-Encoding", "rerun-final-length")
 class PageServer:
     """Hands the files of Rerun's own web server on, with a policy that the browser enforces.
 
-    Rerun's page asks for fonts, for news of releases and for examples, and sends usage statistics. The
-    policy (Content-Security-Policy) names the only addresses that the page may speak to: this server, and
-    the port that frames come from.
-
-    Parameters
-    ----------
-    bind : str
-        Address to listen on.
-    port : int
-        Port to listen on.
-    rerun : (str, int)
-        Host and port of Rerun's own web server.
-    stream_port : int
-        Where frames come from, on the host that the browser asked for the page.
-
-    Raises
-    ------
-    OSError
-        If the port is taken.
+    Rerun's page asks for fonts, for news of releases and for examples, and sends usage statistics. The policy
+    (Content-Security-Policy) names the only addresses that the page may speak to: this server, and the port
+    that frames come from, on the host that the browser asked for the page.
     """
 
     def __init__(self, bind: str, port: int, rerun: tuple[str, int], stream_port: int) -> None:

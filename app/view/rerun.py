@@ -58,28 +58,8 @@ _LEVELS = {
 class RerunView:
     """Shows and saves frames, each sink in its own thread with its own stream of the same recording.
 
-    It runs in a process of its own: `nurbseg.app.view.program`.
-
-    Parameters
-    ----------
-    config : ViewConfig
-        Where, and how fine.
-    segmentation : SegmentationConfig
-        Kept with the recording.
-    properties : mapping of str to mapping of str to str
-        What else is kept with the recording, by subject.
-    name : str
-        What the recording is called.
-
-    Attributes
-    ----------
-    how_to_look : str
-        What a person does to see it; empty where a window opens by itself.
-
-    Raises
-    ------
-    ViewError
-        If the file cannot be created, a port is taken, or the viewer cannot be started.
+    It runs in a process of its own: `nurbseg.app.view.program`. Its parameters and errors are those of
+    `IsolatedView`; `properties` is what is kept with the recording, by subject.
     """
 
     def __init__(
@@ -132,13 +112,7 @@ class RerunView:
         return sum(viewer.dropped for viewer in self._viewers)
 
     def show(self, frame: ViewFrame) -> None:
-        """Show a frame and save it: a viewer that is behind gets the newest one only, the file every one.
-
-        Raises
-        ------
-        ViewError
-            If the file can no longer be written.
-        """
+        """Show a frame and save it: a viewer that is behind gets the newest one only, the file every one."""
         self._calibration = frame.calibration or self._calibration
         if self._calibration is None:
             raise ValueError("calibration: expected one with the first frame")
@@ -160,15 +134,7 @@ class RerunView:
     def close(
         self, *, file_limit_s: float = FILE_CLOSE_S, on_progress: Callable[[], None] = lambda: None
     ) -> None:
-        """Close all sinks, in the time and with the error that `IsolatedView.close` tells.
-
-        Parameters
-        ----------
-        file_limit_s : float
-            Longest wait for a disk, seconds.
-        on_progress : callable
-            Called now and then while something is written.
-        """
+        """Close all sinks, in the time and with the error that `IsolatedView.close` tells."""
         if self._closed:
             return
         self._closed = True

@@ -28,22 +28,8 @@ _LASTING_S = 5.0
 class WebServer:
     """Serves frames and the viewer to browsers, by a process of its own: a stalled browser stalls only that.
 
-    Parameters
-    ----------
-    config : ViewConfig
-        Address, ports, and how much may be kept for browsers that come late.
-
-    Attributes
-    ----------
-    url : str
-        Where frames are sent to.
-    page_url : str
-        What to open in a browser.
-
-    Raises
-    ------
-    ViewError
-        If a port is taken, or the process cannot be started.
+    Frames are sent to its `url`, a browser opens its `page_url`. A ViewError says that a port is taken, or
+    the process cannot be started.
     """
 
     def __init__(self, config: ViewConfig) -> None:

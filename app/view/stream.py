@@ -21,16 +21,8 @@ APPLICATION = "nurbseg"
 class Opening:
     """What every recording begins with.
 
-    Parameters
-    ----------
-    recording_id : str
-        The same for all sinks of a run, so that a viewer takes what they hold for one recording.
-    name : str
-        What the recording is called.
-    properties : mapping of str to entity
-        Of the device, the configuration and the versions.
-    static : sequence of (path, entity)
-        What holds at all times.
+    All sinks of a run have one `recording_id`, so that a viewer takes what they hold for one recording;
+    `properties` are by subject, `static` is what holds at all times, with its path.
     """
 
     recording_id: str
@@ -52,15 +44,7 @@ class Opening:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogLine:
-    """One line of the program's log.
-
-    Parameters
-    ----------
-    moment : Moment
-        The frame at which it was logged.
-    level, text : str
-        Rerun's name of the severity, and the message.
-    """
+    """One line of the program's log, with the moment of its frame and Rerun's name of the severity."""
 
     moment: Moment
     level: str

@@ -47,11 +47,6 @@ def viewer_executable() -> Path:
     """Return the native viewer that came with the package.
 
     The ``rerun`` script is a wrapper in Python that would stand between us and the viewer's end.
-
-    Raises
-    ------
-    ViewError
-        If it is not there.
     """
     import rerun_cli  # type: ignore[import-untyped]
 
@@ -111,13 +106,7 @@ def private_environment() -> dict[str, str]:
 
 
 def free_port(bind: str) -> int:
-    """Return a TCP port that nothing listens on.
-
-    Raises
-    ------
-    ViewError
-        If nothing can listen on that address.
-    """
+    """Return a TCP port that nothing listens on; raises ViewError where nothing can listen there."""
     try:
         return _bound(bind, 0)
     except OSError as err:
@@ -125,13 +114,7 @@ def free_port(bind: str) -> int:
 
 
 def is_taken(bind: str, port: int) -> bool:
-    """Whether something listens on a port already, so that nothing else can.
-
-    Raises
-    ------
-    ViewError
-        If nothing can listen on that port for another reason.
-    """
+    """Whether something listens on a port already; raises ViewError where nothing can for another reason."""
     try:
         _bound(bind, port)
     except OSError as err:

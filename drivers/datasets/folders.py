@@ -40,16 +40,9 @@ _MOMENT = re.compile(r"(\d{8}T\d{6}\.\d{1,6})")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FolderCamera:
-    """The calibration and depth scale that a folder's images are read with.
+    """The calibration, of open sizes perhaps, and depth scale that a folder's images are read with.
 
-    Parameters
-    ----------
-    camera : CameraFile
-        Both cameras; sizes may be open.
-    units_per_metre : float
-        Of 16-bit depth images.
-    origin : str
-        Where the calibration came from, for a person.
+    `origin` is where the calibration came from, for a person.
     """
 
     camera: CameraFile
@@ -93,18 +86,10 @@ class Shot:
 
 
 class PairSource(SequenceSource):
-    """Replays image files.
+    """Replays image files, in the order of `shots`.
 
-    Parameters
-    ----------
-    folder : Path
-        Holds the images.
-    shots : list of Shot
-        In the order in which they are played.
-    form : str
-        What kind of recording it is, for a person.
-    dropped : int
-        Number of images left out because they have no partner.
+    `form` is what kind of recording it is, for a person; `dropped` counts images left out because they have
+    no partner.
 
     Raises
     ------
@@ -158,16 +143,9 @@ def open_folder(folder: Path, options: SourceOptions) -> PairSource:
     """Open a folder of image pairs, to be replayed in the natural order of their names.
 
     Depth is in millimetres unless the folder or the user says otherwise. A calibration of one camera
-    (intrinsics.txt and the like) stands for both images, which are taken to be registered. Images of
-    other sizes than calibrated are right where they have the same shape: the intrinsics are scaled. Time
-    is taken from names like ``frame_20121214T142255.814212``, else frames are 1/30 s apart.
-
-    Parameters
-    ----------
-    folder : Path
-        Holds the images, and the calibration unless `options` do.
-    options : SourceOptions
-        Intrinsics and depth scale that the user gives.
+    (intrinsics.txt and the like) stands for both images, which are taken to be registered. Images of other
+    sizes than calibrated are right where they have the same shape: the intrinsics are scaled. Time is taken
+    from names like ``frame_20121214T142255.814212``, else frames are 1/30 s apart.
 
     Raises
     ------

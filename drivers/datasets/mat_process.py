@@ -23,16 +23,7 @@ class MatProcess:
         self._running: tuple[ChildProcess, Channel] | None = None
 
     def read(self, path: Path, form: MatForm, index: int | None = None) -> Answer:
-        """Return what the program answers.
-
-        Parameters
-        ----------
-        path : Path
-            The file.
-        form : {"hdf5", "matlab5"}
-            The labelled set or a single frame.
-        index : int, optional
-            Frame of the labelled set; None asks for the shapes of the sets.
+        """Return what the program answers; without a frame of the labelled set, the shapes of the sets.
 
         Raises
         ------

@@ -53,16 +53,10 @@ def _calibration(given: CameraFile | None, width: int, height: int) -> Calibrati
 
 
 class NyuLabelledSource(SequenceSource):
-    """``nyu_depth_v2_labeled.mat``: 1449 frames, of which one at a time is in memory.
+    """``nyu_depth_v2_labeled.mat``: 1449 frames [1]_, of which one at a time is in memory.
 
-    The ground truth of a frame has a region for each pair of class and instance.
-
-    Parameters
-    ----------
-    path : Path
-        The HDF5 file.
-    options : SourceOptions
-        A calibration takes the place of the data set's own; intrinsics are for images that have none.
+    The ground truth of a frame has a region for each pair of class and instance. A calibration in `options`
+    takes the place of the data set's own; intrinsics are for images that have none.
 
     Raises
     ------
@@ -129,16 +123,10 @@ class NyuLabelledSource(SequenceSource):
 class NyuFrameSource(SequenceSource):
     """Single NYU Depth v2 frames in MATLAB 5 files, with 13-class labels beside them where present.
 
-    Labels are taken from ``new_nyu_class13_NNNN.png`` beside ``nyu_v2_N.mat`` and sampled at the nearest
-    pixel where they are larger than the frame. Connected parts of a class are one region each, since
-    a class does not distinguish one chair from the next.
-
-    Parameters
-    ----------
-    path : Path
-        One file, or a folder with files ``nyu_v2_N.mat``, which are played in the order of their numbers.
-    options : SourceOptions
-        A calibration takes the place of the data set's own; intrinsics are for images that have none.
+    `path` is one file, or a folder with files ``nyu_v2_N.mat``, which are played in the order of their
+    numbers. Labels are taken from ``new_nyu_class13_NNNN.png`` beside ``nyu_v2_N.mat`` and sampled at the
+    nearest pixel where they are larger than the frame. Connected parts of a class are one region each, since
+    a class does not distinguish one chair from the next. `options` count as for `NyuLabelledSource`.
 
     Raises
     ------

@@ -36,17 +36,7 @@ NAMES_EXPECTED = (
 
 @dataclass(frozen=True, slots=True)
 class ImagePair:
-    """The files of one frame.
-
-    Parameters
-    ----------
-    name : str
-        What the names have in common; may be empty.
-    color, depth : Path
-        The two images.
-    labels : Path or None
-        Ground truth, where there is one.
-    """
+    """The files of one frame; its name is what theirs have in common, and may be empty."""
 
     name: str
     color: Path
@@ -105,20 +95,11 @@ def key_and_role(stem: str) -> tuple[str, str | None]:
 
 
 def match_patterns(color: str, depth: str) -> tuple[list[ImagePair], int]:
-    """Pair the files that match two patterns, by what stands in the place of the wildcards.
+    """Pair the files that match two patterns of the shell, by what stands in the place of the wildcards.
 
-    Parameters
-    ----------
-    color, depth : str
-        Patterns of the shell: ``*``, ``?``, ``[0-9]``, ``**`` for any folders.
-
-    Returns
-    -------
-    pairs : list of ImagePair
-        In natural order, each named as its color image. Where no two names have the same in the place of the
-        wildcards, and there are as many color images as depth images, they are paired in natural order.
-    dropped : int
-        Images that lack their partner.
+    Returns the pairs in natural order, each named as its color image, and the number of images that lack
+    their partner. Where no two names have the same in the place of the wildcards, and there are as many color
+    images as depth images, they are paired in natural order.
 
     Raises
     ------

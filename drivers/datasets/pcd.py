@@ -72,12 +72,8 @@ def fit_camera(points_m: NDArray[np.float32], name: str) -> Intrinsics:
 class PcdSource(SequenceSource):
     """Replays PCD files of organised clouds, 1/30 s apart; depth is z, color is gray where there is none.
 
-    Parameters
-    ----------
-    path : Path
-        One file, or a folder of files, which are played in the natural order of their names.
-    options : SourceOptions
-        Calibration or intrinsics, which are found from the points otherwise.
+    `path` is one file, or a folder of files, which are played in the natural order of their names. Where
+    `options` have neither calibration nor intrinsics, they are found from the points.
 
     Raises
     ------

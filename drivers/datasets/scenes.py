@@ -32,13 +32,6 @@ def scene_folders(folder: Path) -> list[Path]:
 def open_scenes(folder: Path, options: SourceOptions) -> PairSource:
     """Open a data set of scenes, one after the other; each scene brings its own calibration.
 
-    Parameters
-    ----------
-    folder : Path
-        Holds the scenes' folders.
-    options : SourceOptions
-        Intrinsics and depth scale count for every scene.
-
     Raises
     ------
     RecordingFormatError

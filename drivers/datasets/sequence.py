@@ -28,16 +28,8 @@ def natural_key(text: str) -> tuple[tuple[int, str], ...]:
 class SequenceSource(FrameSource):
     """A recording of a known number of frames; subclasses fill in `_load` and set `calibration`.
 
-    Parameters
-    ----------
-    path : Path
-        What the recording is called in messages.
-    frames : int
-        Number of frames.
-    form : str
-        What kind of recording it is, for a person.
-    dropped : int
-        Number of images left out because they have no partner.
+    `form` is what kind of recording it is, for a person; `dropped` counts images left out because they have
+    no partner.
     """
 
     seekable = True

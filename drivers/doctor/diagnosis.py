@@ -72,11 +72,6 @@ def explain_no_camera(wanted: str = "any") -> str:
     """Return in a few lines why the camera asked for is not there and what to do; never raises.
 
     Looks at USB and the file system only, which takes some tens of milliseconds.
-
-    Parameters
-    ----------
-    wanted : str
-        What `--device` was given.
     """
     try:
         errors = [each for each in diagnose(describe(), wanted) if each.severity == "error"]

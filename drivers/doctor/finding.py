@@ -50,16 +50,10 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """What OpenNI2 itself returned when its cameras were listed.
+    """What OpenNI2 itself returned when its cameras were listed: those that it opened, and why not.
 
-    Parameters
-    ----------
-    cameras : tuple of str
-        Those that it opened.
-    refused : tuple of (str, str)
-        Those that it lists but could not open, each with OpenNI2's words.
-    error : str
-        Why they could not be listed; empty where they could.
+    Of each that it lists but could not open, `refused` has its words; `error` is why they could not be
+    listed.
     """
 
     cameras: tuple[str, ...] = ()
@@ -69,17 +63,7 @@ class Probe:
 
 @dataclass(frozen=True, slots=True)
 class System:
-    """A computer as far as depth cameras are concerned.
-
-    Parameters
-    ----------
-    usb : UsbScan
-        What is plugged in.
-    host : Host
-        What was found in the file system.
-    probe : Probe or None
-        What OpenNI2 itself returned; None where its cameras were not listed.
-    """
+    """A computer as far as depth cameras are concerned; `probe` is None where OpenNI2 was not asked."""
 
     usb: UsbScan
     host: Host

@@ -66,14 +66,7 @@ class Installation:
 class Host:
     """The computer around the USB bus.
 
-    Parameters
-    ----------
-    kind : {"computer", "container", "wsl"}
-        Where this program runs.
-    rules : frozenset of (int, int or None)
-        Vendor and product ids that some udev rule names; None for all of a vendor's products.
-    installation : Installation
-        OpenNI2.
+    `rules` are the vendor and product ids that some udev rule names, None for all of a vendor's products.
     """
 
     kind: HostKind = "computer"
@@ -86,15 +79,7 @@ class Host:
 
 
 def read_host(root: Path = Path("/"), environ: Mapping[str, str] | None = None) -> Host:
-    """Read the facts from the file system.
-
-    Parameters
-    ----------
-    root : Path
-        Where the file system starts.
-    environ : mapping, optional
-        Environment variables; None takes the program's own.
-    """
+    """Read the facts from the file system that starts at `root`."""
     environ = os.environ if environ is None else environ
     return Host(
         kind=_kind(root, environ), rules=_ruled_ids(root), installation=find_installation(root, environ)

@@ -115,27 +115,13 @@ class KinectMotor(Closing):
         self._transfer("turning the motor", _OUT, _SET_TILT, round(2 * angle_deg) & 0xFFFF)
 
     def led(self, color: LedColor) -> None:
-        """Set the light.
-
-        Raises
-        ------
-        ValueError
-            If there is no such color.
-        DriverError
-            If the motor unit does not take the command.
-        """
+        """Set the light, to one of the colors of `LedColor`."""
         if color not in _LED_VALUES:
             raise ValueError(f"color: expected one of {', '.join(_LED_VALUES)}, got {color!r}")
         self._transfer("setting the light", _OUT, _SET_LED, _LED_VALUES[color])
 
     def state(self) -> MotorState:
-        """Return the readings of the accelerometer and the motor.
-
-        Raises
-        ------
-        DriverError
-            If there is no answer, or not a whole one.
-        """
+        """Return the readings of the accelerometer and the motor."""
         answer = bytes(self._transfer("reading the accelerometer", _IN, _GET_STATE, 0, _STATE_LENGTH))
         if len(answer) != _STATE_LENGTH:
             raise DriverError(

@@ -109,12 +109,7 @@ def driver_findings(part: Part, installation: Installation) -> Iterator[Finding]
 def probe_findings(probe: Probe, found: Sequence[Finding]) -> Iterator[Finding]:
     """Report what OpenNI2 returned when its cameras were listed.
 
-    Parameters
-    ----------
-    probe : Probe
-        The answer.
-    found : sequence of Finding
-        What was found without asking; an error among it explains an empty or failed answer.
+    An error among what was found without asking explains an empty or failed answer.
     """
     for name in probe.cameras:
         yield Finding("ready", "ok", f"Ready: {name}", "OpenNI2 opens it, and images come.")

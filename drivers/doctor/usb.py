@@ -137,16 +137,8 @@ def scan_usb(
 ) -> UsbScan:
     """List the USB devices and try to open those that belong to depth cameras.
 
-    Parameters
-    ----------
-    backend : usb.backend.IBackend, optional
-        What pyusb works through; None takes libusb.
-    root : Path
-        Folder that holds ``dev`` and ``sys``.
-    budget_s : float
-        After so many seconds no further device is tried; each try has a time limit of its own.
-    clock : callable
-        Monotonic seconds.
+    After `budget_s` no further device is tried; each try has a time limit of its own. `root` holds ``dev``
+    and ``sys``; `backend` is what pyusb works through, libusb by default.
     """
     listed = {(device.bus, device.address): device for device in read_sysfs(root)}
     libusb, problem = True, ""

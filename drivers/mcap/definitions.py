@@ -54,19 +54,10 @@ def _decoders() -> dict[str, Callable[[bytes], Any]]:
 def decode(content: bytes, schema: str, name: str) -> Any:
     """Decode a message by our definition of its schema, which `check_schema` found to be the recording's.
 
-    Parameters
-    ----------
-    content : bytes
-        The message, in CDR.
-    schema : str
-        One of `DEFINITIONS`.
-    name : str
-        What an error calls it.
-
     Raises
     ------
     FrameFormatError
-        If the message is damaged.
+        If the message is damaged; calls it `name`.
     """
     try:
         return _decoders()[schema](content)
@@ -75,14 +66,7 @@ def decode(content: bytes, schema: str, name: str) -> Any:
 
 
 def check_schema(schema: Schema, name: str) -> None:
-    """Find out whether a recording means by a schema what ROS 2 does.
-
-    Parameters
-    ----------
-    schema : Schema
-        Has the name of one of `DEFINITIONS`.
-    name : str
-        What an error calls the recording.
+    """Find out whether a recording means by a schema, of the name of one of `DEFINITIONS`, what ROS 2 does.
 
     Raises
     ------

@@ -118,12 +118,8 @@ class McapFile:
     ) -> Iterator[McapMessage | FrameFormatError]:
         """Yield the messages in the file's order; an error in place of a chunk that is damaged.
 
-        Parameters
-        ----------
-        most_bytes : int, optional
-            Ends after this many bytes of messages, decompressed.
-        first : int
-            Number of the entry to begin with, which `entry` was before.
+        Ends after `most_bytes` of messages, decompressed. `first` is the entry to begin with, which `entry`
+        was before.
         """
         left = math.inf if most_bytes is None else most_bytes
         for entry, (opcode, place, length) in enumerate(self._entries[first:], start=first):

@@ -16,12 +16,7 @@ from nurbseg.drivers.mcap.file import McapFile
 def rewrite(path: Path, output: BinaryIO) -> int:
     """Copy the messages of a recording, as they are, and its metadata; return how many chunks were damaged.
 
-    Parameters
-    ----------
-    path : Path
-        An MCAP file, whole or not, whoever wrote it.
-    output : file
-        Where the new file is written to. Attachments do not come with it.
+    It may be whole or not, whoever wrote it. Attachments do not come with it.
 
     Raises
     ------

@@ -38,14 +38,7 @@ class Topics:
 
 
 def choose_topics(path: Path, samples: Mapping[str, TopicSample]) -> Topics:
-    """Choose the topics by schema and encoding, and by name where there are several.
-
-    Parameters
-    ----------
-    path : Path
-        The recording, for messages.
-    samples : mapping of str to TopicSample
-        The first message of each topic.
+    """Choose the topics by schema and encoding of their first messages, and by name where there are several.
 
     Raises
     ------

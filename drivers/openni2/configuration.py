@@ -45,13 +45,7 @@ class AppliedSettings:
 
 
 def set_modes(depth: Stream, color: Stream, options: DeviceOptions) -> None:
-    """Set sizes, rates and formats, before the streams start.
-
-    Raises
-    ------
-    DriverError
-        If the camera does not have a mode, or refuses it.
-    """
+    """Set sizes, rates and formats, before the streams start; raises as `Stream.set_mode` does."""
     depth.set_mode(*parse_mode(options.depth_mode), _DEPTH_FORMATS[options.depth_unit])
     color.set_mode(*parse_mode(options.color_mode), _COLOR_FORMATS)
     for stream in (depth, color):
@@ -63,14 +57,7 @@ def set_modes(depth: Stream, color: Stream, options: DeviceOptions) -> None:
 def configure(device: OpenedDevice, options: DeviceOptions, name: str) -> AppliedSettings:
     """Set everything else, after the streams have started: some devices silently ignore it before.
 
-    Parameters
-    ----------
-    device : OpenedDevice
-        With its depth and its color stream, both started.
-    options : DeviceOptions
-        What is wanted.
-    name : str
-        What messages call the camera.
+    `name` is what messages call the camera.
     """
     depth, color = device.streams
     # With two rates OpenNI2 would find no two images of the same number, and deliver none.

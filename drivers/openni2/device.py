@@ -33,30 +33,10 @@ _SETTLING_PAIRS = 2
 class DeviceSource(FrameSource):
     """Frames of a camera, each a depth image and the color image taken with it.
 
-    Frames are not queued: a late reader gets the newest, and `missed` counts the others.
-
-    Parameters
-    ----------
-    wanted : str
-        Which camera, as `nurbseg.drivers.openni2.selection.choose` reads it.
-    options : DeviceOptions, optional
-        Its settings.
-    pairing_limit_s : float
-        Largest difference between the times of a depth image and its color image, seconds. Where it
-        is longer than half a period of the faster stream, that is the limit.
-
-    Attributes
-    ----------
-    missed : int
-        Depth images that the camera numbered but that were never seen here.
-    half_pairs : int
-        Images whose other half never came.
-
-    Raises
-    ------
-    DriverError
-        As `nurbseg.drivers.openni2.isolated.source.IsolatedCamera`, which reads one of these in a process of
-        its own.
+    Frames are not queued: a late reader gets the newest, and `missed` counts the others. Parameters,
+    attributes and errors are those of `nurbseg.drivers.openni2.isolated.source.IsolatedCamera`, which reads
+    one of these in a process of its own. Where `pairing_limit_s` is longer than half a period of the faster
+    stream, that is the limit.
     """
 
     live = True
@@ -153,13 +133,7 @@ class DeviceSource(FrameSource):
             self._last_number = None
 
     def stop_recording(self) -> None:
-        """Finish the recording, if there is one.
-
-        Raises
-        ------
-        RecordingFormatError
-            If the file could not be finished.
-        """
+        """Finish the recording, if there is one; RecordingFormatError says that it could not be finished."""
         recorder, self._recorder = self._recorder, None
         if recorder is not None:
             recorder.close(

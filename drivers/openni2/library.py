@@ -40,17 +40,7 @@ _INSTALL_HINT = (
 
 @dataclass(frozen=True, slots=True)
 class DeviceListing:
-    """A device as the library lists it, before it is opened.
-
-    Parameters
-    ----------
-    uri : str
-        What opens it; for USB cameras usually vendor/product@bus/address.
-    vendor, name : str
-        Who made it, and what the driver calls it.
-    usb_vendor, usb_product : int
-        USB ids; 0 for a device that is not on USB.
-    """
+    """A device as the library lists it, before it is opened; the USB ids are 0 for one that is not on USB."""
 
     uri: str
     vendor: str
@@ -147,14 +137,9 @@ class Library:
                 listener(event)
 
     def listen(self, uri: str, listener: Callable[[str], None]) -> object:
-        """Have `listener` called with "disconnected" or "state N" when that happens to a device.
+        """Have `listener` called with "disconnected" or "state N"; return what `unlisten` wants.
 
         It runs on a thread of the library's, so it must be quick and wait for nothing.
-
-        Returns
-        -------
-        object
-            What `unlisten` wants.
         """
         token = object()
         self._listeners[token] = (uri, listener)

@@ -27,15 +27,7 @@ def _pinhole(width: int, height: int, focal_px: float) -> Intrinsics:
 
 
 def from_field_of_view(width: int, height: int, horizontal_fov: float | None) -> Intrinsics:
-    """Return a camera's intrinsics, by its field of view.
-
-    Parameters
-    ----------
-    width, height : int
-        Size of its images, pixels.
-    horizontal_fov : float or None
-        Radians; the nominal value is taken where it is unknown or makes no sense.
-    """
+    """Return intrinsics by the field of view, radians; by the nominal one where that makes no sense."""
     known = horizontal_fov is not None and math.isfinite(horizontal_fov) and 0.1 < horizontal_fov < 3.0
     fov = horizontal_fov if known and horizontal_fov is not None else DEPTH_FOV
     return _pinhole(width, height, width / (2 * math.tan(fov / 2)))
@@ -54,15 +46,7 @@ def color_from_depth() -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
 
 
 def fitted(camera: Intrinsics, width: int, height: int) -> Intrinsics:
-    """Return a calibrated camera for images of another size, knowing how 5:4 and 4:3 modes overlap.
-
-    Parameters
-    ----------
-    camera : Intrinsics
-        As calibrated.
-    width, height : int
-        Size of the images it is wanted for, pixels.
-    """
+    """Return a calibrated camera for images of another size, knowing how 5:4 and 4:3 modes overlap."""
     scaled = camera.scaled_to(width, round(camera.height * width / camera.width))
     return Intrinsics(width, height, scaled.fx, scaled.fy, scaled.cx, scaled.cy, scaled.distortion)
 

@@ -21,21 +21,9 @@ _DEPTH_TO_COLOR = 1
 
 
 class OpenedDevice(Closing):
-    """A device that is open until `close`.
+    """A device that is open until `close`, and the library in use for as long.
 
-    Parameters
-    ----------
-    uri : str
-        Of the device.
-    on_event : callable, optional
-        Called with "disconnected" or "state N", on a thread of the library's.
-
-    Attributes
-    ----------
-    library : Library
-        In use for as long as the device is open.
-    streams : tuple of Stream
-        Those made by `add_stream`, in that order.
+    `on_event` is called with "disconnected" or "state N", on a thread of the library's.
 
     Raises
     ------
@@ -87,13 +75,7 @@ class OpenedDevice(Closing):
         return bool(self.library.native.oniDeviceGetSensorInfo(self._handle, sensor))
 
     def add_stream(self, sensor: Sensor) -> Stream:
-        """Make the stream of a sensor.
-
-        Raises
-        ------
-        DriverError
-            If the device does not give it.
-        """
+        """Make the stream of a sensor; raises DriverError where the device does not give it."""
         if not self.has(sensor):
             raise DriverError(f"{self.uri}: the camera has no {sensor.name.lower()} stream")
         stream = Stream(self.library, self._handle, sensor)

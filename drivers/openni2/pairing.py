@@ -6,18 +6,7 @@ from nurbseg.drivers.openni2.stream import Image
 
 
 class Pairing:
-    """Keeps what waits for its other half.
-
-    Parameters
-    ----------
-    limit_us : int
-        Largest difference between the two times, microseconds.
-
-    Attributes
-    ----------
-    half_pairs : int
-        Images that were given up because their other half never came.
-    """
+    """Keeps what waits for its other half; `half_pairs` counts what was given up because that never came."""
 
     def __init__(self, limit_us: int) -> None:
         self._limit_us = limit_us

@@ -12,13 +12,8 @@ from nurbseg.drivers.process.child import ChildProcess
 class Reopening:
     """Asks each time whether the camera is back, of one process that looks for it meanwhile.
 
-    Parameters
-    ----------
-    begin : callable
-        Starts such a process. One is kept ready: to start Python takes longer than all else that is done
-        when a camera is plugged in again.
-    open_patiently : callable
-        Opens an `IsolatedCamera` with patience, by that process.
+    One such process is kept ready: to start Python takes longer than all else that is done when a camera is
+    plugged in again.
     """
 
     def __init__(
@@ -32,13 +27,7 @@ class Reopening:
         self._waiting: IsolatedCamera | None = None
 
     def __call__(self) -> IsolatedCamera:
-        """Return the camera, open; the caller closes it.
-
-        Raises
-        ------
-        DriverError
-            If it is not back, or cannot be opened.
-        """
+        """Return the camera, open, for the caller to close; a DriverError says why it is not back."""
         if self._waiting is None:
             process, self._ready = self._ready or self._begin(), None
             self._waiting = self._open_patiently(process)

@@ -47,22 +47,7 @@ class Image(NamedTuple):
 
 
 class Stream:
-    """A stream of one sensor of a device.
-
-    Parameters
-    ----------
-    library : Library
-        Acquired by the caller.
-    device : ctypes.c_void_p
-        An opened device's handle.
-    sensor : Sensor
-        Which of its sensors.
-
-    Raises
-    ------
-    DriverError
-        If the device does not give the stream.
-    """
+    """A stream of one sensor of an opened device; raises DriverError where the device does not give it."""
 
     def __init__(self, library: Library, device: ctypes.c_void_p, sensor: Sensor) -> None:
         self._library = library
@@ -152,13 +137,7 @@ class Stream:
         return status
 
     def start(self) -> None:
-        """Have frames delivered.
-
-        Raises
-        ------
-        DriverError
-            If the device refuses.
-        """
+        """Have frames delivered."""
         self._library.check(
             self._library.native.oniStreamStart(self.handle),
             f"starting the {self.sensor.name.lower()} stream",
@@ -252,16 +231,7 @@ def frame_images(
 ) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
     """Return the images of a frame, of what a device or a recording delivers.
 
-    Parameters
-    ----------
-    depth : (H, W) uint16
-        Millimetres, or tenths of them.
-    color : (H, W, 3) uint8
-        RGB.
-    tenths : bool
-        Whether depth is in tenths of a millimetre, and is to be rounded.
-    flip_depth, flip_color : bool
-        Whether an image is to be mirrored.
+    Depth in tenths of a millimetre is rounded to whole ones; an image is mirrored where that is asked.
     """
     if tenths:
         depth = ((depth.astype(np.uint32) + 5) // 10).astype(np.uint16)
@@ -273,13 +243,8 @@ def frame_images(
 def wait_for_any(library: Library, streams: tuple[Stream, ...], timeout_s: float) -> Stream | None:
     """Return a stream that has an image, or None if none came in time.
 
-    Of several, the one whose image is oldest. A recording that is played step by step advances by one
-    image with each call that finds none.
-
-    Raises
-    ------
-    DeviceLostError
-        If the library cannot wait.
+    Of several, the one whose image is oldest. A recording that is played step by step advances by one image
+    with each call that finds none. Raises DeviceLostError where the library cannot wait.
     """
     return _any(library, library.native, streams, timeout_s)
 
@@ -288,11 +253,6 @@ def find_any(library: Library, streams: tuple[Stream, ...]) -> Stream | None:
     """Return a stream that has an image already, without releasing Python's lock.
 
     The second image of a pair is often there: polling is cheaper than waiting for Python's lock.
-
-    Raises
-    ------
-    DeviceLostError
-        If the library cannot look.
     """
     return _any(library, library.quick, streams, 0.0)
 

@@ -56,17 +56,7 @@ class Family:
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """What a vendor and product id stand for: a camera, or another part of one.
-
-    Parameters
-    ----------
-    family : Family
-        The family it belongs to.
-    role : {"camera", "motor", "audio"}
-        Which part of the camera it is.
-    name : str
-        What a person calls it.
-    """
+    """What a vendor and product id stand for: a camera, or another part of one, with its name."""
 
     family: Family
     role: Role
@@ -177,12 +167,7 @@ _MODELS = {
 def identify(vendor_id: int, product_id: int, product: str = "") -> Model | None:
     """Return which camera, or part of one, a USB device is; None where it is neither.
 
-    Parameters
-    ----------
-    vendor_id, product_id : int
-        The device's ids.
-    product : str
-        The device's own name, where it could be read; an Xtion 2 is recognised by it.
+    An Xtion 2 is recognised by its own name, where that could be read.
     """
     model = _MODELS.get((vendor_id, product_id))
     if model is not None:

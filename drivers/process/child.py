@@ -21,17 +21,7 @@ _KILLED_S = 10.0
 def end_group(process: subprocess.Popen[bytes], limit_s: float) -> int | None:
     """Wait until a process that leads a session ends, or end it, with all that it started.
 
-    Parameters
-    ----------
-    process : subprocess.Popen
-        The process.
-    limit_s : float
-        How long it may take by itself, seconds.
-
-    Returns
-    -------
-    int or None
-        Its exit code; None if it does not even end when it is killed.
+    Returns its exit code; None if it does not even end when it is killed.
     """
     if process.returncode is None:
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -87,13 +77,7 @@ class ChildProcess(Closing):
         return self._channel
 
     def end(self, limit_s: float) -> int:
-        """Wait until the process ends, or end it, with all that it started; return its exit code.
-
-        Parameters
-        ----------
-        limit_s : float
-            How long it may take by itself, seconds.
-        """
+        """Wait until the process ends, or end it, with all that it started; return its exit code."""
         return end_group(self._process, limit_s) or 0
 
     def close(self, limit_s: float = 0.0) -> None:

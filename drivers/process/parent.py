@@ -16,14 +16,7 @@ def connect(codec: Codec, *, limit_s: float) -> Channel:
     """Return the channel to the process that started this one; for programs that `ChildProcess` runs.
 
     When that process has finished or died, the channel raises ChannelClosedError, and this process should
-    end. Where it hangs instead, it is ended.
-
-    Parameters
-    ----------
-    codec : Codec
-        Of the messages.
-    limit_s : float
-        How long this process may take to end, seconds.
+    end. Where it hangs instead for longer than the limit, it is ended.
     """
     descriptor, memory, slots = map(int, sys.argv[1:4])
     channel = Channel(socket.socket(fileno=descriptor), memory, slots, codec)

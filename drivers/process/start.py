@@ -15,20 +15,10 @@ if os.getppid() == int(sys.argv[1]):
 
 
 def python_command(module: str, *words: str) -> list[str]:
-    """Return the command that runs a module as a program of its own.
+    """Return the command that runs a module, such as ``nurbseg.app.devices.cli``, as a program of its own.
 
-    Parameters
-    ----------
-    module : str
-        Name of the module, as ``nurbseg.app.devices.cli``.
-    *words : str
-        Its arguments.
-
-    Returns
-    -------
-    list of str
-        With ``-P``: Python would otherwise look for modules in the current folder first, and run what a
-        stranger called ``json.py`` there.
+    With ``-P``: Python would otherwise look for modules in the current folder first, and run what a stranger
+    called ``json.py`` there.
     """
     return [sys.executable, "-P", "-m", module, *words]
 
@@ -36,9 +26,6 @@ def python_command(module: str, *words: str) -> list[str]:
 def dying_with_parent(command: list[str]) -> list[str]:
     """Return a command that does the same, but is killed when the thread that starts it ends.
 
-    Parameters
-    ----------
-    command : list of str
-        The path of a program that cannot take care of that itself, and its arguments.
+    It is for programs that cannot take care of that themselves.
     """
     return [sys.executable, "-I", "-S", "-c", _BECOME, str(os.getpid()), *command]

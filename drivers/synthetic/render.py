@@ -38,15 +38,7 @@ class Rendering:
 
 
 class Renderer:
-    """Casts a ray through every pixel of one camera.
-
-    Parameters
-    ----------
-    scene : RenderedScene
-        What there is to see.
-    camera : Intrinsics
-        The camera, with its lens.
-    """
+    """Casts a ray through every pixel of one camera, with its lens."""
 
     def __init__(self, scene: RenderedScene, camera: Intrinsics) -> None:
         self._scene, self._camera = scene, camera

@@ -102,12 +102,12 @@ class SensorModel:
         self._lost = rng.random(bank, dtype=np.float32) < _EDGE_LOSS
 
     def measure(self, depth_m: NDArray[np.float32], index: int) -> NDArray[np.uint16]:
-        """Return what the sensor would deliver, millimetres, 0 where it measures nothing.
+        """Return what the sensor would deliver of perfect depth, millimetres, 0 where it measures nothing.
 
         Parameters
         ----------
         depth_m : (H, W) float32
-            Perfect depth; inf where there is nothing.
+            Inf where there is nothing.
         index : int
             Number of the frame.
         """

@@ -68,13 +68,7 @@ class SyntheticOptions(Settings):
 
 
 class SyntheticSource(SequenceSource):
-    """Frames of a rendered scene; the same options give the same frames.
-
-    Parameters
-    ----------
-    options : SyntheticOptions
-        Size, length, seed, faults.
-    """
+    """Frames of a rendered scene; the same options give the same frames."""
 
     def __init__(self, options: SyntheticOptions | None = None) -> None:
         self.options = options or SyntheticOptions()
@@ -161,14 +155,7 @@ class SyntheticSource(SequenceSource):
 
 
 def open_uri(rest: str, options: SourceOptions) -> SyntheticSource:
-    """Open what follows ``synthetic:``.
-
-    Parameters
-    ----------
-    rest : str
-        Empty, or ``?key=value&key=value`` with the fields of `SyntheticOptions`.
-    options : SourceOptions
-        Not used: the scene has its own calibration.
+    """Open what follows ``synthetic:``: nothing, or ``?key=value&...`` with fields of `SyntheticOptions`.
 
     Raises
     ------

@@ -81,18 +81,7 @@ class FolderCheck:
         self._preparation = DepthPreparation(self._settings.depth, noise)
 
     def findings(self) -> Iterator[Finding]:
-        """Check frame after frame.
-
-        Yields
-        ------
-        Finding
-            What is wrong.
-
-        Raises
-        ------
-        nurbseg.drivers.errors.DriverError
-            If the recording cannot be read.
-        """
+        """Check frame after frame, and yield what is wrong."""
         with ExitStack() as stack:
             source = None
             if self._recording is not None:

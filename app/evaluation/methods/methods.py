@@ -42,17 +42,13 @@ def _dmzc12(
     return best_lambda(cloud, config or SegmentationConfig(), clusters=CLUSTERS, seed=seed)[1]
 
 
-def _kmeans(cloud: PointMap, rng: np.random.Generator) -> NDArray[np.integer]:
-    return rivals.kmeans(cloud, rng, clusters=CLUSTERS)
-
-
 #: Rivals by name; the tree methods, which share work between their settings, are not among them.
 METHODS: Mapping[str, LabelMethod] = {
     "dmzc12": _dmzc12,
     "fh04": rivals.fh04_color,
     "fh04-depth": rivals.fh04_color_depth,
     "slic-ncut": rivals.slic_ncut,
-    "kmeans": _kmeans,
+    "kmeans": partial(rivals.kmeans, clusters=CLUSTERS),
     "lccp": pcl.lccp,
     "pcl-organized": pcl.organized,
 }
@@ -80,24 +76,10 @@ def check_method(name: str) -> None:
 
 
 def labels_on_disk(folder: Path, frame_name: str, index: int) -> NDArray[np.integer]:
-    """Read what another program found in a frame.
+    """Read what another program found in a frame, (H, W) labels as they are.
 
-    ``NAME_labels.png``, ``NAME_label.png``, ``NAME.png`` and ``NNNNNN_labels.png`` (the frame's number)
-    are looked for in this order.
-
-    Parameters
-    ----------
-    folder : Path
-        Where the label images are.
-    frame_name : str
-        The frame's name; may be empty.
-    index : int
-        Its number.
-
-    Returns
-    -------
-    (H, W) integer
-        Labels as they are.
+    ``NAME_labels.png``, ``NAME_label.png``, ``NAME.png`` and ``NNNNNN_labels.png`` (the frame's number) are
+    looked for in this order.
 
     Raises
     ------

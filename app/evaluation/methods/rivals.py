@@ -78,7 +78,7 @@ def slic_ncut(cloud: PointMap, rng: np.random.Generator) -> Labels:
     return np.asarray(graph.cut_normalized(superpixels, adjacency, rng=rng)) + 1
 
 
-def kmeans(cloud: PointMap, rng: np.random.Generator, *, clusters: int = 8) -> Labels:
+def kmeans(cloud: PointMap, rng: np.random.Generator, *, clusters: int) -> Labels:
     """2-means' flat sibling: k-means of the 6-D vectors of color and position (eq. 3), by scikit-learn."""
     from sklearn.cluster import MiniBatchKMeans
 

@@ -9,7 +9,7 @@ import numpy as np
 from nurbseg.app.evaluation.report.tables import digits, interval
 from nurbseg.app.evaluation.results import StudyResults
 from nurbseg.app.evaluation.scoring import SCORES
-from nurbseg.app.evaluation.statistics import bootstrap_gain
+from nurbseg.app.evaluation.statistics import bootstrap_mean
 
 
 def means_of(results: StudyResults) -> dict[str, dict[str, float]]:
@@ -18,19 +18,13 @@ def means_of(results: StudyResults) -> dict[str, dict[str, float]]:
 
 
 def verdict(results: StudyResults) -> str:
-    """Say in a sentence which method is ahead, of how many frames, and whether that is sure.
-
-    Parameters
-    ----------
-    results : StudyResults
-        Of at least one frame. The setting of each method is the one with the best mean GTRC.
-    """
+    """Say in a sentence which method is ahead by its best setting, and how sure that is."""
     ranked = sorted(results.leaders(), key=lambda each: -results.mean(each, "gtrc"))
     first = f"{ranked[0].name} (GTRC {digits(results.mean(ranked[0], 'gtrc'))})"
     if len(ranked) == 1:
         return f"Verdict: {first} is the best setting that was tried, on {len(results.frames)} frames."
     ours, theirs = (results.values(each, "gtrc") for each in ranked[:2])
-    gain = bootstrap_gain(ours, theirs)
+    gain = bootstrap_mean(ours - theirs)
     sure = "is ahead of" if gain.low > 0 else "cannot be told apart from"
     return (
         f"Verdict: {first} {sure} {ranked[1].name} ({digits(results.mean(ranked[1], 'gtrc'))}): better on "
@@ -42,15 +36,7 @@ def verdict(results: StudyResults) -> str:
 def findings(means: Mapping[str, Mapping[str, float]]) -> list[str]:
     """Describe how the methods rank by each score, and the range of each method with several settings.
 
-    Parameters
-    ----------
-    means : mapping of str to mapping of str to float
-        For each of `SCORES` the mean of each variant. A variant's name begins with its method.
-
-    Returns
-    -------
-    list of str
-        One sentence for each score, and one for each method with several settings.
+    `means` holds for each of `SCORES` the mean of each variant, whose name begins with its method.
     """
     methods: dict[str, list[str]] = {}
     for name in means["ri"]:

@@ -15,20 +15,10 @@ _JPEG_QUALITY = 85
 
 
 def label_colors(labels: NDArray[np.integer], truth: NDArray[np.integer] | None = None) -> NDArray[np.uint8]:
-    """Color a label map; segments that overlap a ground-truth region most bear its color.
+    """Color a label map, (H, W, 3) uint8 RGB; 0 becomes black.
 
-    Parameters
-    ----------
-    labels : (H, W) integer
-        0 becomes black.
-    truth : (H, W) integer, optional
-        With it, the largest overlap of a region and a segment shares the region's color; other segments
-        get colors that no region has.
-
-    Returns
-    -------
-    (H, W, 3) uint8
-        RGB.
+    With a ground truth, the largest overlap of a region and a segment shares the region's color; other
+    segments get colors that no region has.
     """
     colors = np.zeros((*labels.shape, 3), np.uint8)
     values = np.unique(labels[labels > 0])
@@ -94,20 +84,7 @@ def jpeg(image: NDArray[np.uint8]) -> bytes:
 
 
 def strip_png(tiles: Sequence[tuple[str, NDArray[np.uint8]]], width: int = 240) -> bytes:
-    """Put captioned pictures side by side, as a row of the paper's figure 4.
-
-    Parameters
-    ----------
-    tiles : sequence of (str, (H, W, 3) uint8)
-        Captions and RGB images of one shape.
-    width : int
-        Of each, pixels.
-
-    Returns
-    -------
-    bytes
-        PNG.
-    """
+    """Put captioned RGB pictures of one shape, `width` wide, side by side, as the paper's figure 4 does."""
     columns = []
     for caption, image in tiles:
         small = tile(image, width)

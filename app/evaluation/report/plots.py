@@ -134,10 +134,7 @@ def stop_color(stop: str) -> str:
 def tree_plot(segments: Sequence[Mapping[str, Any]]) -> bytes:
     """Draw a segmentation tree as the paper's figure 3: leaves filled by the reason why they are leaves.
 
-    Parameters
-    ----------
-    segments : sequence of mapping
-        ``name`` ("" for the root), ``stop`` and ``size`` of each segment.
+    Each segment has a ``name`` ("" for the root), ``stop`` and ``size``.
     """
     pyplot = _plotter()
     names = {each["name"] for each in segments}

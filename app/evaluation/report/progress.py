@@ -11,15 +11,7 @@ _LOG_S = 60.0
 
 
 class Progress:
-    """Tells on stderr how far a command is: in a line that grows in a terminal, in a few lines in a log.
-
-    Parameters
-    ----------
-    unit : str
-        What is counted, in the plural.
-    clock_s : callable
-        Returns the time, seconds.
-    """
+    """Tells on stderr how far a command is: in a line that grows in a terminal, in a few lines in a log."""
 
     def __init__(self, unit: str, clock_s: Callable[[], float] = time.monotonic) -> None:
         self._unit = unit

@@ -45,27 +45,10 @@ def write_report(
     date: str,
     frames_shown: int = 200,
 ) -> Path:
-    """Write ``report.html`` and ``pictures/*.png`` into the study's folder.
+    """Write ``report.html`` and ``pictures/*.png`` into the study's folder; return the former's path.
 
-    Parameters
-    ----------
-    study : Study
-        What was done.
-    store : StudyStore
-        Where label images and trees are kept.
-    results : StudyResults
-        Scores.
-    seconds : mapping of str to float
-        Time per frame by variant; may be empty.
-    title, command, date : str
-        Shown at the head of the report.
-    frames_shown : int
-        Frames of which there are pictures, the worst ones.
-
-    Returns
-    -------
-    Path
-        The HTML file.
+    There are pictures of the worst frames, `frames_shown` at the most. `seconds`, the time per frame by
+    variant, may be empty.
     """
     import jinja2
 

@@ -12,20 +12,7 @@ from nurbseg.segmentation.scoring.objects import ObjectScores
 
 
 def score_rows(results: StudyResults, score: str) -> list[list[str]]:
-    """Lay out one score: variant, categories, mean and its interval; the best of a column in ``*``.
-
-    Parameters
-    ----------
-    results : StudyResults
-        What was found.
-    score : str
-        One of `SCORES`.
-
-    Returns
-    -------
-    list of list of str
-        The first row is the heading.
-    """
+    """Lay out one score: variant, categories, mean and its interval; the best of a column in ``*``."""
     categories = results.categories()
     columns: list[str | None] = [*categories, None] if len(categories) > 1 else [None]
     heading = ["variant", *("mean" if each is None else each for each in columns), "95 % interval"]

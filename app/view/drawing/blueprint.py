@@ -45,22 +45,10 @@ def blueprint(
 ) -> rrb.Blueprint:
     """Return the layout: space above, pictures beside it, tree, tables and figures below.
 
-    Parameters
-    ----------
-    registered : bool
-        Whether depth and color have one camera; otherwise the color camera's own picture is shown too.
-    ground_truth : bool
-        Whether frames have one, which is then shown beside the segments.
-    objects : bool
-        Whether surfaces are merged into objects; both are then shown, the objects in front.
-    layout : {"full", "compact"}
-        Everything side by side, or less of it, with the rest in tabs.
-    distance_m : float
-        How far away the scene is, metres.
-    residual_max_m : float
-        The largest residual that has a color of its own, metres.
-    timeline : str
-        What the viewer follows to its end.
+    Where depth and color have not one camera, the color camera's own picture is shown too; a ground truth
+    beside the segments; objects in front of the surfaces that they consist of. "compact" shows less at once,
+    with the rest in tabs. The eye's place follows from how far away the scene is; the viewer follows
+    `timeline` to its end.
     """
     surfaces, points, residuals = _spaces("object" if objects else "segment", distance_m, residual_max_m)
     color: rrb.View | rrb.Tabs = _picture("Color", entity.COLOR)

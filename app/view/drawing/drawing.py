@@ -27,24 +27,10 @@ def drawn(
     rate_hz: float,
     known: Calibration | None,
 ) -> ViewFrame:
-    """Return what views show of a frame.
+    """Return what views show of a frame, drawn as fine as `view` says.
 
-    Parameters
-    ----------
-    result : FrameResult
-        The frame.
-    view : ViewConfig
-        How fine everything is drawn.
-    metric : str
-        Which of the metrics is shown.
-    moment : Moment
-        When it was.
-    elapsed_ms : mapping of str to float
-        Time that each stage took until now, milliseconds; the run may go on timing in `result`.
-    rate_hz : float
-        Frames shown in a second; 0 where it is not known yet.
-    known : Calibration or None
-        Of the frame before; left out where it is this frame's as well.
+    `elapsed_ms` is the time of each stage until now, as the run may go on timing in `result`. A calibration
+    is left out where it is `known` from the frame before.
     """
     frame, tree = result.frame, result.tree
     # Meshes go with the tree's own labels; what is seen bears those that last.

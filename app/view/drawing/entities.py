@@ -58,17 +58,7 @@ _SHADED_LABELS = 255
 
 @dataclass(slots=True, eq=False)
 class FrameEntities:
-    """One frame for all sinks: built by the first thread that needs it, shared with the others.
-
-    Parameters
-    ----------
-    frame : ViewFrame
-        The frame.
-    calibration : Calibration
-        Of its cameras.
-    view : ViewConfig
-        How fine everything is drawn.
-    """
+    """One frame for all sinks: built by the first thread that needs it, shared with the others."""
 
     frame: ViewFrame
     calibration: Calibration

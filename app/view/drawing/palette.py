@@ -114,10 +114,7 @@ def label_colors() -> NDArray[np.uint8]:
 def shades_of_surfaces(object_of_surface: Mapping[int, int]) -> dict[int, int]:
     """Return which shade of its object's color each surface has, 0 to `SHADES` - 1, by label.
 
-    Parameters
-    ----------
-    object_of_surface : mapping of int to int
-        Label of the object of each surface. The surface of lowest label has shade 0, the object's own color.
+    The surface of lowest label has shade 0, the object's own color.
     """
     shades: dict[int, int] = {}
     surfaces_of: dict[int, int] = {}

@@ -41,21 +41,14 @@ def tree_positions(children: Mapping[str, Sequence[str]], root: str) -> dict[str
 def fitted(
     positions: Sequence[tuple[float, int]], width: float, height: float, spacing_max: float, level_max: float
 ) -> tuple[NDArray[np.float32], float]:
-    """Scale a layout into a box that stays the same from frame to frame.
+    """Scale a layout of `tree_positions` into a box that stays the same from frame to frame.
 
-    Parameters
-    ----------
-    positions : sequence of (x, level)
-        As of `tidy_positions`.
-    width, height : float
-        The box, from (0, 0), y downwards.
-    spacing_max, level_max : float
-        Largest distance of neighbours and of levels, for small trees.
+    Neighbours and levels of small trees are apart by `spacing_max` and `level_max`.
 
     Returns
     -------
     places : (N, 2) float32
-        x and y, centred across the box.
+        x and y, centred across the box, which begins at (0, 0), y downwards.
     spacing : float
         Distance of neighbours on a level.
     """

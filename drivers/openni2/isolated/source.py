@@ -39,13 +39,7 @@ _DEPTH_S, _MORE = 1.0, 4
 
 
 def begin_process(options: DeviceOptions) -> ChildProcess:
-    """Start a process that will read a camera, once an `IsolatedCamera` tells it which.
-
-    Raises
-    ------
-    OSError
-        If it cannot be started.
-    """
+    """Start a process that will read a camera, once an `IsolatedCamera` tells it which."""
     return ChildProcess("nurbseg.drivers.openni2.isolated.program", slots=_slots(options))
 
 
@@ -153,26 +147,12 @@ class IsolatedCamera(FrameSource):
         return {"missed": self.missed, "half_pairs": self.half_pairs}
 
     def start_recording(self, path: Path, *, lossy: bool = False) -> None:
-        """Record with OpenNI2's recorder, as `DeviceSource.start_recording` does.
-
-        Raises
-        ------
-        DriverError
-            If it cannot be recorded to, or a recording is being made already.
-        DeviceLostError
-            If the camera is gone.
-        """
+        """Record with OpenNI2's recorder, as `DeviceSource.start_recording` does."""
         self._ask(Record(str(path.absolute()), lossy))
         self._wait_until_done()
 
     def stop_recording(self) -> None:
-        """Finish the recording, if there is one.
-
-        Raises
-        ------
-        RecordingFormatError
-            If the file could not be finished.
-        """
+        """Finish the recording, as `DeviceSource.stop_recording` does."""
         self._ask(StopRecording())
         self._wait_until_done()
 

@@ -52,20 +52,7 @@ class StoredFrame(NamedTuple):
 class StoredStream:
     """One stream of a recording.
 
-    Parameters
-    ----------
-    sensor : Sensor
-        What took it.
-    codec : bytes
-        Four letters: how the pixels are packed.
-    size : (width, height)
-        Pixels; (0, 0) until the record of the mode is read.
-    fps : int
-        Frames a second, of the mode.
-    pixel_format : int
-        As in `PixelFormat`.
-    frames : list of StoredFrame
-        In the order of the file.
+    The `codec` of its pixels has four letters; the `size` is (0, 0) until the record of the mode is read.
     """
 
     sensor: Sensor

@@ -21,13 +21,7 @@ _SLOTS = 4
 
 
 class PlayerProcess:
-    """The process that plays a file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    """
+    """The process that plays a file."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

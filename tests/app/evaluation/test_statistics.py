@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nurbseg.app.evaluation.statistics import bootstrap_gain, bootstrap_mean
+from nurbseg.app.evaluation.statistics import bootstrap_mean
 
 
 def test_the_interval_is_that_of_the_means_of_resampled_frames() -> None:
@@ -26,11 +26,3 @@ def test_frames_without_a_value_are_left_out() -> None:
     assert found.frames == 2
     assert found.mean == pytest.approx(0.6)
     assert np.isnan(bootstrap_mean(np.array([np.nan])).mean)
-
-
-def test_a_gain_on_the_same_frames_is_surer_than_the_means() -> None:
-    rng = np.random.default_rng(0)
-    hard = rng.uniform(0, 1, 40)
-    gain = bootstrap_gain(hard + 0.05, hard)
-    assert gain.mean == pytest.approx(0.05)
-    assert gain.low == pytest.approx(0.05)
