@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import ParamSpec, TypeAlias, TypeVar
+from typing import Any, ParamSpec, TypeAlias, TypeVar
 
 import numba
 import numpy as np
@@ -30,9 +30,15 @@ U8: TypeAlias = NDArray[np.uint8]
 U16: TypeAlias = NDArray[np.uint16]
 Bool: TypeAlias = NDArray[np.bool_]
 
-#: What the compiler may reorder: sums, and products within them. Comparisons know a NaN and an infinity, but
-#: `isfinite` of a sum does not: it looks at the number less itself, which is then 0.
-_FASTMATH = {"reassoc", "contract", "nsz"}
+#: How all is compiled. Sums may be reordered, and products within them. Comparisons know a NaN and an
+#: infinity, but `isfinite` of a sum does not: it looks at the number less itself, which is then 0.
+_SETTINGS: dict[str, Any] = {
+    "nogil": True,
+    "error_model": "numpy",
+    "fastmath": {"reassoc", "contract", "nsz"},
+    # Nothing calls these functions through a pointer: a twentieth of the compiler's time.
+    "no_cfunc_wrapper": True,
+}
 #: What marks a file whose functions are compiled.
 _MARKS = (b"\n@compiled", b"\n@inlined")
 _PACKAGES = Path(__file__).resolve().parent.parent
@@ -71,11 +77,19 @@ def inlined(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
     A call hands arrays over one by one, which can cost more than a short step itself.
     """
-    return numba.njit(nogil=True, error_model="numpy", fastmath=_FASTMATH, forceinline=True)(function)
+    return numba.njit(forceinline=True, **_SETTINGS)(function)
+
+
+def inlined_once(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Compile a step into the one compiled function that calls it, and nothing on its own.
+
+    Compiled on its own, a long step is optimized twice: once alone and once as a part of its caller.
+    """
+    return numba.njit(inline="always", **_SETTINGS)(function)
 
 
 def _compiled(function: Callable[_P, _R], *, cache: bool) -> Callable[_P, _R]:
-    return numba.njit(cache=cache, nogil=True, error_model="numpy", fastmath=_FASTMATH)(function)
+    return numba.njit(cache=cache, **_SETTINGS)(function)
 
 
 @contextmanager

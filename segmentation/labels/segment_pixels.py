@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import I64, Intp, compiled
+from nurbseg.drivers.compiled import I64, U16, Intp, compiled
 from nurbseg.segmentation.labels.boxes import bounding_boxes
 from nurbseg.segmentation.points.grid import Window
 from nurbseg.segmentation.segments import Node, Segment, history
@@ -32,12 +32,12 @@ def by_label(labels: NDArray[np.integer], count: int) -> tuple[NDArray[np.intp],
         Where those of each label begin in `order`, and its length.
     """
     order, bounds = np.empty(labels.size, dtype=np.intp), np.zeros(count + 1, dtype=np.int64)
-    _sort_by_label(labels, order, bounds)
+    _sort_by_label(labels.astype(np.uint16, copy=False), order, bounds)
     return order, bounds
 
 
 @compiled
-def _sort_by_label(labels: NDArray[np.integer], order: Intp, bounds: I64) -> None:
+def _sort_by_label(labels: U16, order: Intp, bounds: I64) -> None:
     """Count labels, and put each pixel where those of its label are, run by run of equal labels."""
     starts, runs = np.empty(labels.size + 1, dtype=np.int64), 0
     for pixel in range(labels.size):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, I32, U16, compiled
+from nurbseg.drivers.compiled import F32, I32, U16, compiled, inlined_once
 from nurbseg.segmentation.extended.borders import ACROSS_GAP, Deviations
 from nurbseg.segmentation.surfaces.lattice import Samples, SurfaceLattice
 from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST
@@ -147,7 +147,7 @@ def _relax(
                     relaxed[r, c] = label
 
 
-@compiled
+@inlined_once
 def _explained(samples: Samples, label: np.int64, at: tuple[int, int, float, float]) -> float:
     """Return a surface's inverse depth at and beyond a grid pixel, linear in between; inf where it ends."""
     values, windows = samples

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, Bool, compiled
+from nurbseg.drivers.compiled import F32, F64, Bool, compiled, inlined_once
 from nurbseg.segmentation.config import OUTLIER_DEVIATIONS
 from nurbseg.segmentation.points.rays import Rays
 
@@ -115,7 +115,7 @@ def _window_planes(inverse_depth: F32, valid: Bool, window: int, noise_per_m: fl
     return planes, cost
 
 
-@compiled
+@inlined_once
 def _mean(inverse_depth: F32, valid: Bool) -> float:
     total, count = 0.0, 0
     for y in range(valid.shape[0]):
@@ -139,7 +139,7 @@ def _add_row(below: F64, inverse_depth: F32, valid: Bool, offset: float, v: floa
         below[5, x] += sign * d * d
 
 
-@compiled
+@inlined_once
 def _add_columns(below: F64, half: int, sums: F64) -> None:
     """Add up columns in windows: of 1, v, v^2, d, d v, d^2 and, with u, of u, u^2, u v, d u."""
     width = below.shape[1]

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, I32, U8, U16, Bool, compiled
+from nurbseg.drivers.compiled import F32, I32, U8, U16, Bool, compiled, inlined_once
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.segmentation.points.color_fill import fill_colors
 from nurbseg.segmentation.points.rays import Rays, rays_through
@@ -271,7 +271,7 @@ def _limited(x: np.float32, least: np.float32, most: np.float32) -> np.float32:
     return x if x < most else most
 
 
-@compiled
+@inlined_once
 def _distort_row(along_x: F32, along_y: F32, k: F32, fold_square: np.float32, tilt: F32) -> None:
     """Distort a row of image coordinates, in place, by OpenCV's model."""
     one, two = np.float32(1.0), np.float32(2.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nurbseg.drivers.compiled import F64, compiled
+from nurbseg.drivers.compiled import F64, compiled, inlined_once
 
 
 @compiled
@@ -16,7 +16,7 @@ def dot(a: F64, b: F64) -> float:
     return total
 
 
-@compiled
+@inlined_once
 def factorize(band: F64) -> bool:
     """Replace a symmetric band by its Cholesky factor.
 
@@ -48,7 +48,7 @@ def factorize(band: F64) -> bool:
     return True
 
 
-@compiled
+@inlined_once
 def substitute(factor: F64, x: F64) -> None:
     """Solve a system in place.
 

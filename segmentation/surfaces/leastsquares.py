@@ -6,7 +6,7 @@ import numpy as np
 from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, Bool, Intp, compiled
+from nurbseg.drivers.compiled import F32, F64, Bool, Intp, compiled, inlined_once
 from nurbseg.segmentation.surfaces.banded import dot, factorize, substitute
 from nurbseg.segmentation.surfaces.bspline import SpanBasis, pixel_basis
 
@@ -139,7 +139,7 @@ def _fit(
     return solved, control, held
 
 
-@compiled
+@inlined_once
 def _some_values(images: F32, mask: Bool, corner: tuple[int, int]) -> F64:
     """Value of each image at the first marked pixel, about which sums lose little to rounding."""
     for y in range(mask.shape[0]):
@@ -149,7 +149,7 @@ def _some_values(images: F32, mask: Bool, corner: tuple[int, int]) -> F64:
     return np.zeros(images.shape[0])
 
 
-@compiled
+@inlined_once
 def _center(band: F64, right: F64, centers: F64) -> None:
     """Turn right sides about some values into those about the mean of each image, and say the means.
 
@@ -171,7 +171,7 @@ def _center(band: F64, right: F64, centers: F64) -> None:
             right[c, n] -= offset * ones[n]
 
 
-@compiled
+@inlined_once
 def _add_points(
     images: F32,
     mask: Bool,
@@ -255,7 +255,7 @@ def span_edges(starts: Intp) -> tuple[Intp, int]:
     return edges, spans
 
 
-@compiled
+@inlined_once
 def _scatter(matrix: F64, sides: F64, origin: int, steps: tuple[int, int], band: F64, right: F64) -> None:
     """Add the sums of one span of rows and columns, whose first control point is number `origin`."""
     step_v, step_u = steps

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, compiled
+from nurbseg.drivers.compiled import F32, F64, I32, compiled
 from nurbseg.segmentation.config import OUTLIER_DEVIATIONS, SegmentationConfig
 from nurbseg.segmentation.points.depth_grid import DepthGrid, inverse_depth_image
 from nurbseg.segmentation.points.grid import Window
@@ -47,7 +47,7 @@ def noise_floor(
     float
         In the unit of the metric.
     """
-    return float(_floors(grid, window[:2], np.ascontiguousarray(mask).view(np.uint8), 2, config)[1])
+    return float(_floors(grid, window[:2], mask.astype(np.int32), 2, config)[1])
 
 
 def noise_floors(
@@ -79,7 +79,7 @@ def noise_floors(
 def _floors(
     grid: DepthGrid,
     first: tuple[int, int],
-    labels: NDArray[np.integer],
+    labels: NDArray[np.int32],
     size: int,
     config: SegmentationConfig,
 ) -> NDArray[np.float64]:
@@ -102,7 +102,7 @@ def _floors(
 def _noise_sums(
     inverse_depth: F32,
     distances_m: F32,
-    labels: NDArray[np.integer],
+    labels: I32,
     top: int,
     left: int,
     deviation_per_m: float,
