@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import gc
 import importlib.util
 import logging
 from pathlib import Path
@@ -8,6 +9,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 from child_python import run_python
+from numba.core import event
 
 from nurbseg.app.command import compilation
 from nurbseg.app.command.compilation import logged_compilation
@@ -56,6 +58,22 @@ def test_progress_is_told_from_time_to_time(
             loops.total(value)
     said = [record.getMessage() for record in caplog.records if "done" in record.getMessage()]
     assert said == ["compiling: 2 functions done", "compiling: 3 functions done"]
+
+
+def test_garbage_is_searched_for_less_often_while_code_is_compiled(tmp_path: Path) -> None:
+    loops, thresholds, during = _loaded(tmp_path), gc.get_threshold(), []
+
+    class Spy(event.Listener):
+        def on_start(self, event: event.Event) -> None:
+            during.append(gc.get_threshold())
+
+        def on_end(self, event: event.Event) -> None:
+            pass
+
+    with logged_compilation(), event.install_listener("numba:compile", Spy()):
+        loops.total(5)
+        assert gc.get_threshold() == thresholds
+    assert [threshold[0] for threshold in during] == [100_000]
 
 
 def test_what_is_found_on_disk_is_not_told(tmp_path: Path) -> None:
