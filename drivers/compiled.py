@@ -30,15 +30,9 @@ U8: TypeAlias = NDArray[np.uint8]
 U16: TypeAlias = NDArray[np.uint16]
 Bool: TypeAlias = NDArray[np.bool_]
 
-#: How all is compiled. Sums may be reordered, and products within them. Comparisons know a NaN and an
-#: infinity, but `isfinite` of a sum does not: it looks at the number less itself, which is then 0.
-_SETTINGS: dict[str, Any] = {
-    "nogil": True,
-    "error_model": "numpy",
-    "fastmath": {"reassoc", "contract", "nsz"},
-    # Nothing calls these functions through a pointer: a twentieth of the compiler's time.
-    "no_cfunc_wrapper": True,
-}
+#: What the compiler may reorder: sums, and products within them. Comparisons know a NaN and an infinity, but
+#: `isfinite` of a sum does not: it looks at the number less itself, which is then 0.
+_FASTMATH = {"reassoc", "contract", "nsz"}
 #: What marks a file whose functions are compiled.
 _MARKS = (b"\n@compiled", b"\n@inlined")
 _PACKAGES = Path(__file__).resolve().parent.parent
@@ -77,7 +71,7 @@ def inlined(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
     A call hands arrays over one by one, which can cost more than a short step itself.
     """
-    return numba.njit(forceinline=True, **_SETTINGS)(function)
+    return _compiled(function, forceinline=True)
 
 
 def inlined_once(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -85,11 +79,19 @@ def inlined_once(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
     Compiled on its own, a long step is optimized twice: once alone and once as a part of its caller.
     """
-    return numba.njit(inline="always", **_SETTINGS)(function)
+    return _compiled(function, inline="always")
 
 
-def _compiled(function: Callable[_P, _R], *, cache: bool) -> Callable[_P, _R]:
-    return numba.njit(cache=cache, **_SETTINGS)(function)
+def _compiled(function: Callable[_P, _R], **options: Any) -> Callable[_P, _R]:
+    options |= {
+        "nogil": True,
+        "error_model": "numpy",
+        "fastmath": _FASTMATH,
+        # Nothing calls a function through a pointer: that saves a twentieth of the compiler's time.
+        "no_cfunc_wrapper": True,
+    }
+    decorated: Callable[_P, _R] = numba.njit(**options)(function)
+    return decorated
 
 
 @contextmanager
