@@ -23,6 +23,8 @@ Result = TypeVar("Result")
 _TASK_LIMIT_S = 3600.0
 #: Longest wait beyond that of a task that is done twice, and for a cluster's first worker, seconds.
 _SPARE_S, _WORKER_TIMEOUT_S = 10.0, 20.0
+#: Longest wait for a scheduler's answer, seconds.
+_SCHEDULER_TIMEOUT_S = 10.0
 #: What a process that is lost may take to end by itself, seconds.
 _LAST_WORDS_S = 1.0
 
@@ -231,7 +233,7 @@ def _cluster(scheduler: str) -> Iterator[_Cluster]:
     from distributed import Client
 
     try:
-        client = Client(scheduler, timeout="10s", set_as_default=False)  # type: ignore[no-untyped-call]
+        client = Client(scheduler, timeout=_SCHEDULER_TIMEOUT_S, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, TimeoutError, ValueError) as err:
         raise ValueError(f"--scheduler {scheduler}: no Dask scheduler answers there ({err})") from err
     with client:

@@ -16,6 +16,10 @@ import pytest
 from hypothesis import HealthCheck, settings
 from session_end import pytest_sessionfinish, pytest_unconfigure
 
+# As in the commands, and before numpy is imported: on a busy computer, threads that wait for each other at
+# every small product take many times as long.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 from nurbseg.drivers.source import FrameSource
 
 __all__ = ["nothing_is_left_open", "pytest_sessionfinish", "pytest_unconfigure", "real_data"]

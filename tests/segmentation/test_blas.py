@@ -1,5 +1,5 @@
 from child_python import run_python
-from threadpoolctl import threadpool_info
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from nurbseg.segmentation.blas import one_blas_thread
 
@@ -31,7 +31,9 @@ def test_the_number_of_threads_is_what_it_was_afterwards():
     def threads() -> list[int]:
         return [each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"]
 
-    before = threads()
-    with one_blas_thread():
-        assert set(threads()) == {1}
-    assert threads() == before
+    with threadpool_limits(2, user_api="blas"):
+        before = threads()
+        assert set(before) == {2}
+        with one_blas_thread():
+            assert set(threads()) == {1}
+        assert threads() == before

@@ -30,3 +30,9 @@ def write_frames(folder: Path, count: int, *, size: tuple[int, int] = (96, 72)) 
 @pytest.fixture
 def frames(tmp_path: Path) -> Path:
     return write_frames(tmp_path / "frames", 5)
+
+
+@pytest.fixture(scope="session")
+def lasting_frames(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same frames, for tests that change none of them."""
+    return write_frames(tmp_path_factory.mktemp("lasting") / "frames", 5)

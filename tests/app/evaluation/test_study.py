@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,14 +21,23 @@ from nurbseg.drivers.synthetic.source import SyntheticSource
 METHODS = "stag15,pz14,fh04,kmeans"
 
 
+@pytest.fixture(scope="module")
+def study(lasting_frames: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, str]:
+    """Frames, the folder of their whole study by this process alone, and its tables."""
+    folder = tmp_path_factory.mktemp("study") / "whole"
+    return lasting_frames, folder, evaluate(lasting_frames, folder)
+
+
 def evaluate(frames: Path, out: Path, *more: str) -> str:
     words = ["run", str(frames), "--methods", METHODS, "--metrics", "mse,nlc", "--thresholds", "1,0.9"]
     assert main([*words, "--out", str(out), "--time-frames", "0", "--no-report", *more]) == 0
     return (out / "tables.md").read_text()
 
 
-def test_a_killed_run_goes_on_where_it_was_and_gives_the_same_tables(frames: Path, tmp_path: Path) -> None:
-    whole = evaluate(frames, tmp_path / "whole")
+def test_a_killed_run_goes_on_where_it_was_and_gives_the_same_tables(
+    study: tuple[Path, Path, str], tmp_path: Path
+) -> None:
+    frames, _, whole = study
     out = tmp_path / "killed"
     # In this process's way, which leaves the kernel of matrix products as it is.
     program = "import sys; from nurbseg.app.evaluation.cli import main; sys.exit(main(sys.argv[1:]))"
@@ -48,14 +58,19 @@ def test_a_killed_run_goes_on_where_it_was_and_gives_the_same_tables(frames: Pat
     assert len(kept) == 5
 
 
-def test_the_table_does_not_depend_on_the_number_of_workers(frames: Path, tmp_path: Path) -> None:
-    assert evaluate(frames, tmp_path / "one") == evaluate(frames, tmp_path / "four", "--jobs", "4")
+def test_the_table_does_not_depend_on_the_number_of_workers(
+    study: tuple[Path, Path, str], tmp_path: Path
+) -> None:
+    frames, _, tables = study
+    assert evaluate(frames, tmp_path / "two", "--jobs", "2") == tables
 
 
 @pytest.mark.filterwarnings("default")
-def test_a_dask_cluster_of_two_workers_gives_the_same_table(frames: Path, tmp_path: Path) -> None:
+def test_a_dask_cluster_of_two_workers_gives_the_same_table(
+    study: tuple[Path, Path, str], tmp_path: Path
+) -> None:
     distributed = pytest.importorskip("distributed")
-    alone = evaluate(frames, tmp_path / "alone")
+    frames, _, alone = study
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
     ) as cluster:
@@ -64,16 +79,19 @@ def test_a_dask_cluster_of_two_workers_gives_the_same_table(frames: Path, tmp_pa
 
 
 def test_no_scheduler_at_the_address_is_a_usage_error(
-    frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("nurbseg.app.workers._SCHEDULER_TIMEOUT_S", 0.2)
     words = ["run", str(frames), "--methods", "fh04", "--out", str(tmp_path / "out")]
     assert main([*words, "--scheduler", "tcp://127.0.0.1:9"]) == 2
     assert "no Dask scheduler answers" in capsys.readouterr().err
 
 
-def test_a_second_run_with_more_settings_does_only_the_new_ones(frames: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    evaluate(frames, out)
+def test_a_second_run_with_more_settings_does_only_the_new_ones(
+    study: tuple[Path, Path, str], tmp_path: Path
+) -> None:
+    frames, whole, _ = study
+    out = Path(shutil.copytree(whole, tmp_path / "out"))
     labels = {path: path.stat().st_mtime_ns for path in out.glob("labels/*/*.png")}
     evaluate(frames, out, "--grid", "lambda=1,2")
     assert all(path.stat().st_mtime_ns == moment for path, moment in labels.items())

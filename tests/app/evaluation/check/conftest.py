@@ -96,6 +96,13 @@ class Export:
         target[last] = value
         path.write_text(json.dumps(settings))
 
+    def keep_first_tree_alone(self) -> None:
+        """Remove the second frame, and the surfaces."""
+        for path in (*self.folder.glob("000001_*"), self.folder / "000000_surfaces.npz"):
+            path.unlink()
+        path = self.folder / "settings.json"
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"surfaces": False}))
+
     def findings(self, recording: str | None = None) -> list[str]:
         """Return what the check finds."""
         return [str(each) for each in FolderCheck(self.folder, recording).findings()]
