@@ -194,7 +194,7 @@ def test_ctrl_c_ends_a_recording_which_is_then_told(start_live: Callable[..., An
 
 
 def test_what_is_too_old_is_not_saved_and_counted(live: Live, tmp_path: Path) -> None:
-    words = ("--replay", SMALL.format(40), "--view", "none", "--report", "report.json")
+    words = ("--replay", SMALL.format(15), "--view", "none", "--report", "report.json")
     done = live(*words, "--speed", "1", "--age-max-ms", "0.001", "--export", "out", "--save", "a.rrd")
     assert done.returncode == 0, done.stderr
     frames = json.loads((tmp_path / "report.json").read_text())["frames"]
@@ -205,7 +205,7 @@ def test_what_is_too_old_is_not_saved_and_counted(live: Live, tmp_path: Path) ->
     done = live(*words, "--speed", "0", "--age-max-ms", "0.001", "--save", "b.rrd", "--force")
     assert done.returncode == 0, done.stderr
     assert json.loads((tmp_path / "report.json").read_text())["frames"]["late"] == 0
-    assert read_saved_view(tmp_path / "b.rrd").frames("tree") == list(range(40))
+    assert read_saved_view(tmp_path / "b.rrd").frames("tree") == list(range(15))
 
 
 def test_limits_and_loops(live: Live, tmp_path: Path) -> None:

@@ -140,8 +140,13 @@ def test_other_settings_are_refused(at_home: Path, write_pairs: Pairs) -> None:
     ],
 )
 def test_wrong_arguments_end_with_2_and_name_themselves(
-    at_home: Path, words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    at_home: Path,
+    words: list[str],
+    said: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr("nurbseg.app.workers._SCHEDULER_TIMEOUT_S", 0.2)
     assert main([*words, "--export", "out"]) == 2
     assert said in capsys.readouterr().err
 
