@@ -15,6 +15,8 @@ _log = logging.getLogger(__name__)
 _COARSER = (0, 1, 2)
 #: Share of its period beyond which a frame costs too much, and below which it has to stay on a finer grid.
 _FULL, _SPARE = 0.9, 0.8
+#: Share of its period beyond which the first frames are reason enough, slow as they are.
+_HOPELESS = 1.25
 #: Frames of which the median is taken.
 _FRAMES = 30
 #: Frames between two changes: down, and up.
@@ -70,14 +72,16 @@ class RateController:
         if cold:
             return
         self._took_ms.append(frame_ms)
-        full = len(self._took_ms) == _FRAMES
-        # The first frames take longer: they are no reason to change.
-        if not full and (len(self._took_ms) < _DOWN_AFTER or not self._before_ms):
+        if len(self._took_ms) < _DOWN_AFTER:
             return
         hz = min(self._target_hz, source_hz or self._target_hz)
         period_ms = 1e3 / hz
         # The median: nor is a single frame that takes longer.
         usual_ms = statistics.median(self._took_ms)
+        full = len(self._took_ms) == _FRAMES
+        # The first frames take longer: by a little, they are no reason to change.
+        if not (full or self._before_ms or usual_ms > _HOPELESS * period_ms):
+            return
         costs_too_much = usual_ms > _FULL * period_ms and self.level + 1 < len(_COARSER)
         if self._was_finer is not None and (full or costs_too_much):
             finer_ms, coarser_ms = sorted((usual_ms, self._before_ms), reverse=True)

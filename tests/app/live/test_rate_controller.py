@@ -54,6 +54,14 @@ def test_the_slow_first_frames_change_nothing() -> None:
     assert controller.level == 0
 
 
+def test_first_frames_far_too_slow_are_reason_enough() -> None:
+    controller, levels = RateController(60.0), []
+    for _ in range(10):
+        controller.took(23.0)
+        levels.append(controller.level)
+    assert levels == [0] * 7 + [1] * 3
+
+
 def test_a_computer_that_is_slow_for_a_while_does_less_for_as_long() -> None:
     controller = RateController(30.0)
     levels = []
