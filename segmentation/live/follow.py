@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,7 +82,7 @@ def _moved(surface: NurbsSurface, change: NDArray[np.float64], step: int) -> Nur
     weights, points = _moved_net(
         surface.weights, surface.control_points_m, surface.knots_u, surface.knots_v, linear
     )
-    return replace(surface, control_points_m=points, weights=weights)
+    return NurbsSurface(surface.degree, surface.knots_u, surface.knots_v, points, weights, surface.window)
 
 
 def kept_labels(
@@ -163,6 +162,8 @@ def split_off_new(
     unlabelled = (cleaned == 0) & grid.valid
     if unlabelled.any():
         cleaned = spread_labels(cleaned, unlabelled, grid.inverse_depth, config.extended.inverse_depth_gap)
+    if not new.size:
+        return cleaned, np.zeros_like(cleaned)
     is_new = cleaned >= open_label
     numbers = np.where(is_new, cleaned - np.int32(count), 0)
     cleaned[is_new] = 0

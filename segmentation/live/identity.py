@@ -189,15 +189,15 @@ def _overlaps(
     """Count common pixels of identities (rows) and labels (columns); the first of either is 0, "none"."""
     identities, rows = _numbered(before)
     present, columns = _numbered(now)
-    counts = np.bincount(
-        (rows[before] * present.size + columns[now]).reshape(-1), minlength=identities.size * present.size
-    )
+    cells = (rows * present.size).take(before) + columns.take(now)
+    counts = np.bincount(cells.reshape(-1), minlength=identities.size * present.size)
     return counts.reshape(identities.size, present.size), identities, present
 
 
 def _numbered(image: NDArray[np.uint16]) -> tuple[NDArray[np.uint16], NDArray[np.int64]]:
     """Return the values of an image, 0 among them, and the place among these of each value."""
-    values = np.union1d(labels_present(image), [0]).astype(np.uint16)
+    found = labels_present(image)
+    values = np.concatenate([[0], found[found > 0]]).astype(np.uint16)
     place = np.zeros(int(values[-1]) + 1, dtype=np.int64)
     place[values] = np.arange(values.size)
     return values, place

@@ -91,11 +91,13 @@ def _floors(
     sums = np.zeros((size, 4))
     limit_m = config.large_error_m if config.metric == "nle" else 0.0
     _noise_sums(grid.inverse_depth, grid.distances_m, labels, *first, deviation_per_m, limit_m, sums)
-    _, total, squares, _ = sums.T / np.maximum(sums[:, 0], 1.0)
+    count, total, squares, large = sums.T
+    if config.metric == "nle":
+        return large
     # The absolute value of a normal variable: its mean, and its variance, in units of the deviation.
-    mean, variance = np.sqrt(2.0 / np.pi), 1.0 - 2.0 / np.pi
-    floors = {"mse": squares, "mae": mean * total, "ve": variance * squares, "nle": sums[:, 3]}
-    return np.asarray(floors[config.metric], dtype=np.float64)
+    mean, variance = math.sqrt(2.0 / math.pi), 1.0 - 2.0 / math.pi
+    per_point = (total if config.metric == "mae" else squares) / np.maximum(count, 1.0)
+    return per_point * {"mse": 1.0, "mae": mean, "ve": variance}[config.metric]
 
 
 @compiled
