@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import Any, Protocol, TypeVar
 
-from nurbseg.drivers.process.child import end_group
+from nurbseg.drivers.process.child import end_group, how_it_ended
 from nurbseg.drivers.process.start import python_command
 
 Task = TypeVar("Task")
@@ -210,8 +210,7 @@ class _Process:
 
     def _end(self, limit_s: float) -> str:
         """End the process, if it does not within a time, and return how it ended."""
-        code = end_group(self._process, limit_s)
-        return f"ended by signal {-code}" if code is not None and code < 0 else f"ended with code {code}"
+        return how_it_ended(end_group(self._process, limit_s))
 
 
 class _Cluster:

@@ -23,7 +23,7 @@ from nurbseg.app.view.viewer import FILE_CLOSE_S, FILE_PATIENCE_S, ViewError
 from nurbseg.drivers.frame import Calibration
 from nurbseg.drivers.process.bounded_queue import BoundedQueue
 from nurbseg.drivers.process.channel import ChannelClosedError
-from nurbseg.drivers.process.child import ChildProcess
+from nurbseg.drivers.process.child import ChildProcess, how_it_ended
 from nurbseg.drivers.settings import setting_paths
 from nurbseg.segmentation.config import SegmentationConfig
 
@@ -245,9 +245,7 @@ class IsolatedView(View):
         raise ViewError(f"the process that shows and saves has not begun within {_OPEN_S:g} s")
 
     def _how_it_ended(self) -> str:
-        code = self._process.end(_END_S)
-        how = f"by signal {-code}" if code < 0 else f"with code {code}"
-        return f"the process that shows and saves ended {how}"
+        return f"the process that shows and saves {how_it_ended(self._process.end(_END_S))}"
 
     def _send(self) -> None:
         """Draw and send what is shown, then ask the process to end."""

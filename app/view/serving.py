@@ -18,6 +18,7 @@ from nurbseg.app.view.viewer import (
     start_web_server,
     warn_beyond_loopback,
 )
+from nurbseg.drivers.process.child import how_it_ended
 
 logger = logging.getLogger(__name__)
 
@@ -68,12 +69,13 @@ class WebServer:
         code = self._process.poll()
         if code is None or self._given_up:
             return
-        how = f"by signal {-code}" if code < 0 else f"with code {code}"
         self._given_up = time.monotonic() - self._started_s < _LASTING_S
         if self._given_up:
-            logger.warning("the web server ended %s soon after its start and is not started again", how)
+            logger.warning(
+                "the web server %s soon after its start and is not started again", how_it_ended(code)
+            )
             return
-        logger.warning("the web server ended %s and is started again; reload the page", how)
+        logger.warning("the web server %s and is started again; reload the page", how_it_ended(code))
         try:
             self._start()
         except ViewError as err:

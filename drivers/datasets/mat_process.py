@@ -8,7 +8,7 @@ from pathlib import Path
 from nurbseg.drivers.datasets.mat_program import CODEC, Answer, MatForm, Request
 from nurbseg.drivers.errors import BackendMissingError, FrameFormatError, quoted
 from nurbseg.drivers.process.channel import Channel, ChannelClosedError
-from nurbseg.drivers.process.child import ChildProcess
+from nurbseg.drivers.process.child import ChildProcess, how_it_ended
 
 #: Longest wait for an answer, seconds; the first comes after the libraries are loaded.
 _ANSWER_S = 60.0
@@ -43,9 +43,8 @@ class MatProcess:
             while not isinstance(answer, Answer) and (left_s := deadline_s - time.monotonic()) > 0:
                 answer = channel.receive(left_s)
         except ChannelClosedError:
-            code = child.end(_END_S)
+            how = how_it_ended(child.end(_END_S))
             self.close()
-            how = f"ended by signal {-code}" if code < 0 else f"ended with {code}"
             raise FrameFormatError(f"{path}: cannot be read: the process that reads it {how}") from None
         if not isinstance(answer, Answer):
             self.close()

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from typing import Literal
+
+Kind = Literal["depth", "color", "labels"]
 
 #: Waiting messages of one kind, after which the oldest cannot find a partner any more.
 _WAITING_MAX = 64
@@ -20,13 +23,7 @@ class StampedPair:
 
 
 class StampPairing:
-    """Puts together what belongs together; a stamp that fits exactly is taken at once.
-
-    Parameters
-    ----------
-    limit_ns : int
-        Largest difference of a pair, nanoseconds.
-    """
+    """Puts together what belongs together; a stamp that fits exactly is taken at once."""
 
     def __init__(self, limit_ns: int) -> None:
         self.dropped = 0
@@ -40,17 +37,14 @@ class StampPairing:
         """How many messages wait for their partners."""
         return len(self._depth) + len(self._color) + len(self._labels)
 
-    def add_depth(self, stamp_ns: int, content: bytes) -> None:
-        """Take a depth message."""
-        self._add(self._depth, stamp_ns, content)
-
-    def add_color(self, stamp_ns: int, content: bytes) -> None:
-        """Take a color message."""
-        self._add(self._color, stamp_ns, content)
-
-    def add_labels(self, stamp_ns: int, content: bytes) -> None:
-        """Take a message of labels."""
-        self._labels.append((stamp_ns, content))
+    def add(self, kind: Kind, stamp_ns: int, content: bytes) -> None:
+        """Take a message."""
+        waiting = {"depth": self._depth, "color": self._color, "labels": self._labels}[kind]
+        waiting.append((stamp_ns, content))
+        # Labels may be missing, and their queue forgets the oldest by itself.
+        if kind != "labels" and len(waiting) > _WAITING_MAX:
+            waiting.popleft()
+            self.dropped += 1
 
     def take(self, *, at_end: bool = False) -> StampedPair | None:
         """Return the next pair, or None while it is not certain; `at_end` says that nothing follows."""
@@ -78,12 +72,6 @@ class StampPairing:
             self._depth.clear()
             self._color.clear()
         return None
-
-    def _add(self, waiting: deque[tuple[int, bytes]], stamp_ns: int, content: bytes) -> None:
-        waiting.append((stamp_ns, content))
-        if len(waiting) > _WAITING_MAX:
-            waiting.popleft()
-            self.dropped += 1
 
     def _take_labels(self, stamp_ns: int) -> bytes | None:
         found = next((content for ns, content in self._labels if ns == stamp_ns), None)

@@ -15,7 +15,7 @@ from nurbseg.drivers.limits import SCAN_BYTES_MAX, STAMP_END_NS
 from nurbseg.drivers.mcap import definitions, names
 from nurbseg.drivers.mcap import messages as ros
 from nurbseg.drivers.mcap.file import McapFile, McapMessage
-from nurbseg.drivers.mcap.pairing import StampedPair, StampPairing
+from nurbseg.drivers.mcap.pairing import Kind, StampedPair, StampPairing
 from nurbseg.drivers.mcap.topics import Topics, TopicSample, choose_topics, recorded_cameras
 from nurbseg.drivers.source import FrameSource
 
@@ -87,7 +87,12 @@ class RecordingReader(FrameSource):
         self._file = McapFile(path)
         try:
             samples, transforms = self._scan_topics()
-            self._topics = self._choose(samples)
+            self._topics = topics = self._choose(samples)
+            self._kind_of_topic: dict[str | None, Kind] = {
+                topics.labels: "labels",
+                topics.color: "color",
+                topics.depth: "depth",
+            }
             self._schemas = {names.LABELS_TOPIC: definitions.COMPRESSED_IMAGE} | {
                 topic: sample.schema for topic, sample in samples.items()
             }
@@ -203,17 +208,13 @@ class RecordingReader(FrameSource):
 
     def _enter(self, message: McapMessage) -> None:
         topic, content = message.channel.topic, message.content
-        if len(content) < 12 or topic not in (self._topics.depth, self._topics.color, self._topics.labels):
+        kind = self._kind_of_topic.get(topic)
+        if len(content) < 12 or kind is None:
             return
         stamp_ns = ros.stamp_ns(content)
         if not 0 <= stamp_ns < STAMP_END_NS:
             raise FrameFormatError(f"{self._path}: {topic}: stamp: expected 1970 to 2038, got {stamp_ns} ns")
-        if topic == self._topics.depth:
-            self._pairing.add_depth(stamp_ns, content)
-        elif topic == self._topics.color:
-            self._pairing.add_color(stamp_ns, content)
-        else:
-            self._pairing.add_labels(stamp_ns, content)
+        self._pairing.add(kind, stamp_ns, content)
 
     def _decode(self, content: bytes, topic: str, name: str) -> Any:
         return definitions.decode(content, self._schemas[topic], f"{name}: {topic}")

@@ -187,18 +187,13 @@ class DeviceSource(FrameSource):
             raise DeviceLostError(f"{name}: no depth and color for {limit_s:g} s")
 
     def _add(self, stream: Stream, image: Image) -> tuple[Image, Image] | None:
-        recorder = self._recorder
-        if stream.sensor == Sensor.COLOR:
-            if recorder is not None:
-                recorder.seen.setdefault(Sensor.COLOR, image)
-            return self._pairing.add_color(image)
-        if recorder is not None:
-            recorder.seen.setdefault(Sensor.DEPTH, image)
-            recorder.beyond_limit += int(image.pixels.max()) >= recorder.depth_limit
-        if self._last_number is not None and not self._settling:
-            self.missed += max(0, image.number - self._last_number - 1)
-        self._last_number = image.number
-        return self._pairing.add_depth(image)
+        if self._recorder is not None:
+            self._recorder.see(stream.sensor, image)
+        if stream.sensor == Sensor.DEPTH:
+            if self._last_number is not None and not self._settling:
+                self.missed += max(0, image.number - self._last_number - 1)
+            self._last_number = image.number
+        return self._pairing.add(stream.sensor, image)
 
     def _frame(self, depth: Image, color: Image) -> RGBDFrame:
         depth_mm, rgb = frame_images(

@@ -18,6 +18,11 @@ from nurbseg.drivers.process.start import python_command
 _KILLED_S = 10.0
 
 
+def how_it_ended(code: int | None) -> str:
+    """Say how a process ended, of its exit code."""
+    return f"ended by signal {-code}" if code is not None and code < 0 else f"ended with code {code}"
+
+
 def end_group(process: subprocess.Popen[bytes], limit_s: float) -> int | None:
     """Wait until a process that leads a session ends, or end it, with all that it started.
 

@@ -261,9 +261,11 @@ def test_any_frame_is_found_in_any_order_without_beginning_at_the_start(
     with open_source(path) as source:
         assert len(list(source)) == 50
         entered: list[int] = []
-        add_depth = StampPairing.add_depth
+        add = StampPairing.add
         monkeypatch.setattr(
-            StampPairing, "add_depth", lambda *given: (entered.append(given[1]), add_depth(*given))
+            StampPairing,
+            "add",
+            lambda *given: (given[1] == "depth" and entered.append(given[2]), add(*given)),
         )
         for index in np.random.default_rng(1).permutation(50):
             entered.clear()

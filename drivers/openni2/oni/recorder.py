@@ -25,8 +25,6 @@ logger = logging.getLogger(__name__)
 
 #: The recorder starts on its own thread; longer than this, and it never will, seconds.
 _START_LIMIT_S = 5.0
-
-
 #: The player starts within this time, seconds.
 _PLAY_LIMIT_S = 15.0
 #: The first image that is seen here is among so many at the file's beginning.
@@ -58,15 +56,14 @@ class OniRecorder:
 
     def __init__(self, device: OpenedDevice, path: Path, *, lossy: bool = False) -> None:
         self.path = path
-        #: The first image of each stream that was seen here.
-        self.seen: dict[Sensor, Image] = {}
+        self._seen: dict[Sensor, Image] = {}
         self._device = device
         self._handle = ctypes.c_void_p()
         library = device.library
         largest = device.streams[0].find(StreamProperty.MAX_VALUE, ctypes.c_int)
         #: Depth from here on comes out wrong; no limit where the device reports none.
-        self.depth_limit: int = largest or 1 << 16
-        self.beyond_limit = 0
+        self._depth_limit: int = largest or 1 << 16
+        self._beyond_limit = 0
         try:
             # OpenNI2 gives no reason where it cannot make a file; this does.
             create_private(path).close()
@@ -102,6 +99,12 @@ class OniRecorder:
         # Waits until everything that was delivered is written.
         native.oniRecorderDestroy(ctypes.byref(self._handle))
 
+    def see(self, sensor: Sensor, image: Image) -> None:
+        """Take note of an image that the driver delivers, which the recorder writes too."""
+        self._seen.setdefault(sensor, image)
+        if sensor == Sensor.DEPTH:
+            self._beyond_limit += int(image.pixels.max()) >= self._depth_limit
+
     def close(self, note: dict[str, Any]) -> None:
         """Finish the file; must come before the streams are destroyed.
 
@@ -116,12 +119,12 @@ class OniRecorder:
             If the file could not be finished: the disk was full.
         """
         self._destroy()
-        if self.beyond_limit:
+        if self._beyond_limit:
             logger.warning(
                 "%s: %d depth images held depth of %d or more, which .oni keeps wrong",
                 self.path,
-                self.beyond_limit,
-                self.depth_limit,
+                self._beyond_limit,
+                self._depth_limit,
             )
         finish(self.path, note)
         finish(self.path, note | {"color_delay_us": self._color_delay_us()})
@@ -132,7 +135,7 @@ class OniRecorder:
         The file forgets it: the times of each stream begin at 0 there. The device's times are known for
         the images that were seen here; which ones of the file these are is found by comparing pixels.
         """
-        if len(self.seen) < 2:
+        if len(self._seen) < 2:
             return 0
         differences: dict[Sensor, list[float]] = {Sensor.DEPTH: [], Sensor.COLOR: []}
         player = PlayerProcess(self.path)
@@ -141,8 +144,8 @@ class OniRecorder:
                 message = player.receive(_PLAY_LIMIT_S)
                 if message is None or isinstance(message, End | Failure):
                     break
-                if isinstance(message, PlayedImage) and message.sensor in self.seen:
-                    difference = message.pixels.astype(np.int32) - self.seen[message.sensor].pixels
+                if isinstance(message, PlayedImage) and message.sensor in self._seen:
+                    difference = message.pixels.astype(np.int32) - self._seen[message.sensor].pixels
                     differences[message.sensor].append(float(np.abs(difference).mean()))
         finally:
             player.close()
@@ -151,5 +154,5 @@ class OniRecorder:
         for kind, stream in ((Sensor.DEPTH, structure.depth), (Sensor.COLOR, structure.color)):
             # Lossy color is not quite the same, so the likest is taken.
             position = int(np.argmin(differences[kind])) if differences[kind] else 0
-            begun_us[kind] = self.seen[kind].timestamp_us - stream.frames[position].timestamp_us
+            begun_us[kind] = self._seen[kind].timestamp_us - stream.frames[position].timestamp_us
         return begun_us[Sensor.COLOR] - begun_us[Sensor.DEPTH]
