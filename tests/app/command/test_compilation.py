@@ -3,6 +3,9 @@ from __future__ import annotations
 import gc
 import importlib.util
 import logging
+import os
+import sys
+import time
 from pathlib import Path
 from types import ModuleType
 
@@ -74,6 +77,21 @@ def test_garbage_is_searched_for_less_often_while_code_is_compiled(tmp_path: Pat
         loops.total(5)
         assert gc.get_threshold() == thresholds
     assert [threshold[0] for threshold in during] == [100_000]
+
+
+def test_what_is_compiled_beside_a_run_ends_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    script = "import os, sys, time; os.symlink(str(os.getpid()), sys.argv[1]); time.sleep(60)"
+    monkeypatch.setattr(compilation, "_BESIDE", [sys.executable, "-c", script, str(tmp_path / "process")])
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    loops = _loaded(tmp_path)
+    with logged_compilation():
+        loops.total(5)
+        deadline_s = time.monotonic() + 30.0
+        while not os.path.lexists(tmp_path / "process") and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+    process = int(str((tmp_path / "process").readlink()))
+    with pytest.raises(ProcessLookupError):
+        os.kill(process, 0)
 
 
 def test_what_is_found_on_disk_is_not_told(tmp_path: Path) -> None:
