@@ -75,13 +75,10 @@ class FrameSource(Closing):
         return {}
 
     def skip(self, frames: int) -> int:
-        """Go past the next frames; return how many there were to pass.
-
-        A damaged frame counts as one. Subclasses that can do this without decoding override it.
-        """
+        """Go past the next frames; return how many there were to pass. A damaged frame counts as one."""
         for passed in range(frames):
             try:
-                self.read()
+                self._pass_frame()
             except FrameFormatError:
                 continue
             except EndOfRecordingError:
@@ -108,6 +105,10 @@ class FrameSource(Closing):
 
     @abstractmethod
     def _read(self, timeout_s: float) -> RGBDFrame: ...
+
+    def _pass_frame(self) -> None:
+        """Go past one frame, raising what `read` does; for subclasses that need not decode it."""
+        self.read()
 
     def _seek(self, index: int) -> None:
         """Do what `seek` says; for subclasses that are seekable."""

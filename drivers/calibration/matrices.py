@@ -54,7 +54,11 @@ def from_xml(path: Path, text: str) -> CameraFile:
         raise CalibrationError(f"{path}: not valid XML ({err})") from err
     if root.tag != "opencv_storage":
         raise CalibrationError(f"{path}: expected OpenCV's <opencv_storage>, got {quoted(root.tag)}")
-    return _cameras(path, {node.tag: _storage_node(node) for node in root})
+    # As YAML would give it: a matrix as a dict, its numbers as a list.
+    table = {
+        node.tag: {child.tag: _value(child) for child in node} if len(node) else _value(node) for node in root
+    }
+    return _cameras(path, table)
 
 
 def from_yaml(path: Path, text: str) -> CameraFile:
@@ -76,10 +80,7 @@ def from_yaml(path: Path, text: str) -> CameraFile:
     return _cameras(path, table)
 
 
-def _storage_node(node: Element) -> Any:
-    """Return an element as YAML would give it: a matrix as a dict, its numbers as a list."""
-    if len(node):
-        return {child.tag: _storage_node(child) for child in node}
+def _value(node: Element) -> Any:
     words = (node.text or "").split()
     return [scalar(word) for word in words] if node.tag == "data" else scalar(" ".join(words))
 

@@ -15,7 +15,7 @@ import math
 import shlex
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -136,21 +136,17 @@ class McapFile:
             except OSError as err:
                 raise RecordingFormatError(f"{name}: cannot be read ({err.strerror})") from err
             left -= length
-            if opcode == Opcode.MESSAGE:
-                message = self._message(content)
-                if message is not None:
-                    yield message
-                continue
             try:
-                content = _chunk_content(content, name)
-                left -= len(content)
-                for kind, record in _records(content, name):
-                    if kind == Opcode.MESSAGE:
-                        message = self._message(record)
-                        if message is not None:
-                            yield message
-                    else:
+                records: Iterable[tuple[int, bytes]] = [(opcode, content)]
+                if opcode == Opcode.CHUNK:
+                    content = _chunk_content(content, name)
+                    left -= len(content)
+                    records = _records(content, name)
+                for kind, record in records:
+                    if kind != Opcode.MESSAGE:
                         self._register(kind, record)
+                    elif (message := self._message(record)) is not None:
+                        yield message
             except FrameFormatError as err:
                 yield err
 

@@ -42,6 +42,9 @@ _TO_RGB = {
 _COMPRESSED_DEPTH_HEADER = 12
 _FAR_M = 1e6
 
+#: The names of two frames, parent and child, and the (4, 4) parent_from_child.
+Transform = tuple[str, str, NDArray[np.float64]]
+
 
 def header(stamp_ns: int, frame_id: str) -> dict[str, Any]:
     """Return a std_msgs/Header."""
@@ -110,8 +113,8 @@ def transform_message(
     }
 
 
-def transforms_of(message: Any) -> list[tuple[str, str, NDArray[np.float64]]]:
-    """Return the (parent, child, parent_from_child) of a tf2_msgs/TFMessage."""
+def transforms_of(message: Any) -> list[Transform]:
+    """Return the transforms of a tf2_msgs/TFMessage."""
     from scipy.spatial.transform import Rotation
 
     found = []
@@ -150,7 +153,9 @@ def camera_of(message: Any, path: Path, topic: str) -> CameraModel:
     return camera_of_matrix(path, f"{topic}: k", matrix, np.array(message.d, dtype=np.float64), size)
 
 
-def depth_of(message: Any, schema: str, name: str, units_per_metre: float | None) -> NDArray[np.uint16]:
+def depth_of(
+    message: Any, schema: str, name: str, units_per_metre: float | None = None
+) -> NDArray[np.uint16]:
     """Return the (H, W) uint16 millimetres of a depth message.
 
     `units_per_metre` is 1000 for 16-bit and 1 for floating-point images where it is None, as ROS has it.

@@ -20,9 +20,7 @@ from nurbseg.drivers.mcap.topics import Topics, TopicSample, choose_topics, reco
 from nurbseg.drivers.source import FrameSource
 
 if TYPE_CHECKING:
-    import numpy as np
     from mcap.records import Schema
-    from numpy.typing import NDArray
 
     from nurbseg.drivers.options import SourceOptions
 
@@ -77,14 +75,15 @@ class RecordingReader(FrameSource):
         super().__init__()
         self._path = path
         self._units_per_metre = options.depth_scale
-        self._not_decodable: dict[int, str] = {}
-        self._decodable: set[int] = set()
+        #: Why messages of a schema cannot be decoded, "" where they can.
+        self._complaints: dict[int, str] = {}
         self._limit_ns = round(options.association_limit_s * 1e9)
         self._pairing = StampPairing(self._limit_ns)
         self._index = 0
         self._position = _Place(0, 0, 0, 0)
         self._places = [self._position]
         self._file = McapFile(path)
+        self._is_ours = names.RECORDING_RECORD in self._file.metadata
         try:
             samples, transforms = self._scan_topics()
             self._topics = topics = self._choose(samples)
@@ -96,8 +95,10 @@ class RecordingReader(FrameSource):
             self._schemas = {names.LABELS_TOPIC: definitions.COMPRESSED_IMAGE} | {
                 topic: sample.schema for topic, sample in samples.items()
             }
-            self._cameras = self._camera_file(options, samples, transforms)
-            self.calibration = self._calibration(samples)
+            cameras = options.given_cameras()
+            self.calibration = self._calibration(
+                cameras or recorded_cameras(path, self._topics, samples, transforms), samples
+            )
             self.metadata = self._metadata()
             self._messages = self._file.messages()
         except BaseException:
@@ -109,16 +110,8 @@ class RecordingReader(FrameSource):
         """Images left out so far because they had no partner."""
         return self._pairing.dropped
 
-    def skip(self, frames: int) -> int:
-        """Go past the next frames without decoding their images; return how many there were to pass."""
-        for passed in range(frames):
-            try:
-                self._next_pair()
-            except FrameFormatError:
-                continue
-            except EndOfRecordingError:
-                return passed
-        return frames
+    def _pass_frame(self) -> None:
+        self._next_pair()
 
     def _seek(self, index: int) -> None:
         # A frame that was not read yet takes as long as skipping to it.
@@ -146,23 +139,17 @@ class RecordingReader(FrameSource):
     def _read(self, timeout_s: float) -> RGBDFrame:
         pair = self._next_pair()
         index = self._index - 1
-        name = f"{self._path}: frame {index}"
         topics = self._topics
-        depth_mm = ros.depth_of(
-            self._decode(pair.depth, topics.depth, name),
-            self._schemas[topics.depth],
-            f"{name}: {topics.depth}",
-            self._units_per_metre,
-        )
-        color = ros.color_of(
-            self._decode(pair.color, topics.color, name),
-            self._schemas[topics.color],
-            f"{name}: {topics.color}",
-        )
+
+        def decoded(content: bytes, topic: str) -> tuple[Any, str, str]:
+            schema, name = self._schemas[topic], f"{self._path}: frame {index}: {topic}"
+            return definitions.decode(content, schema, name), schema, name
+
+        depth_mm = ros.depth_of(*decoded(pair.depth, topics.depth), self._units_per_metre)
+        color = ros.color_of(*decoded(pair.color, topics.color))
         labels = None
         if pair.labels is not None and topics.labels is not None:
-            message = self._decode(pair.labels, topics.labels, name)
-            labels = ros.labels_of(message, self._schemas[topics.labels], f"{name}: {topics.labels}")
+            labels = ros.labels_of(*decoded(pair.labels, topics.labels))
         try:
             return RGBDFrame(
                 index=index,
@@ -173,7 +160,7 @@ class RecordingReader(FrameSource):
                 labels=labels,
             )
         except ValueError as err:
-            raise FrameFormatError(f"{name}: {err}") from err
+            raise FrameFormatError(f"{self._path}: frame {index}: {err}") from err
 
     def _close(self) -> None:
         self._file.close()
@@ -216,32 +203,30 @@ class RecordingReader(FrameSource):
             raise FrameFormatError(f"{self._path}: {topic}: stamp: expected 1970 to 2038, got {stamp_ns} ns")
         self._pairing.add(kind, stamp_ns, content)
 
-    def _decode(self, content: bytes, topic: str, name: str) -> Any:
-        return definitions.decode(content, self._schemas[topic], f"{name}: {topic}")
-
     def _is_decodable(self, schema: Schema) -> bool:
         """Whether messages of a schema can be decoded; says once why not."""
-        if schema.id not in self._decodable and schema.id not in self._not_decodable:
+        if schema.id not in self._complaints:
+            self._complaints[schema.id] = ""
             try:
                 definitions.check_schema(schema, str(self._path))
-                self._decodable.add(schema.id)
             except RecordingFormatError as err:
-                self._not_decodable[schema.id] = str(err)
-                _log.warning("%s; its messages are passed over", self._not_decodable[schema.id])
-        return schema.id in self._decodable
+                self._complaints[schema.id] = str(err)
+                _log.warning("%s; its messages are passed over", err)
+        return not self._complaints[schema.id]
 
-    def _scan_topics(self) -> tuple[dict[str, TopicSample], list[tuple[str, str, NDArray[np.float64]]]]:
+    def _scan_topics(self) -> tuple[dict[str, TopicSample], list[ros.Transform]]:
         """Return the first message of each topic and the transforms, of the recording's first seconds."""
         samples: dict[str, TopicSample] = {}
-        transforms: list[tuple[str, str, NDArray[np.float64]]] = []
+        transforms: list[ros.Transform] = []
         start_ns: int | None = None
         for item in self._file.messages(SCAN_BYTES_MAX):
             if isinstance(item, FrameFormatError):
                 continue
             start_ns = item.log_time_ns if start_ns is None else start_ns
-            if self._is_complete(samples) or (
-                item.log_time_ns - start_ns > _SCAN_NS and self._has_images(samples)
-            ):
+            # Our own recordings say everything with the first frame.
+            if self._is_ours and names.DEPTH_TOPIC in samples:
+                break
+            if item.log_time_ns - start_ns > _SCAN_NS and self._has_images(samples):
                 break
             topic = item.channel.topic
             schema = self._file.schemas.get(item.channel.schema_id)
@@ -261,13 +246,6 @@ class RecordingReader(FrameSource):
             samples.setdefault(topic, TopicSample(schema.name, message))
         return samples, transforms
 
-    def _is_complete(self, samples: dict[str, TopicSample]) -> bool:
-        # Our own recordings say everything with the first frame.
-        return self._is_ours() and names.DEPTH_TOPIC in samples
-
-    def _is_ours(self) -> bool:
-        return names.RECORDING_RECORD in self._file.metadata
-
     def _has_images(self, samples: dict[str, TopicSample]) -> bool:
         try:
             topics = choose_topics(self._path, samples)
@@ -280,37 +258,28 @@ class RecordingReader(FrameSource):
             raise RecordingFormatError(f"{self._path}: the recording is cut off before its first frame")
         try:
             topics = choose_topics(self._path, samples)
-            if topics.labels is None and self._is_ours():
+            if topics.labels is None and self._is_ours:
                 # Perhaps later frames have ground truth.
                 topics = replace(topics, labels=names.LABELS_TOPIC)
             return topics
         except RecordingFormatError as err:
-            if self._not_decodable:
-                raise RecordingFormatError(f"{err}; {next(iter(self._not_decodable.values()))}") from err
+            if complaint := next(filter(None, self._complaints.values()), ""):
+                raise RecordingFormatError(f"{err}; {complaint}") from err
             if self._file.whole:
                 raise
             raise RecordingFormatError(f"{err}; the recording is cut off, perhaps before them") from err
 
-    def _camera_file(
-        self,
-        options: SourceOptions,
-        samples: dict[str, TopicSample],
-        transforms: list[tuple[str, str, NDArray[np.float64]]],
-    ) -> CameraFile:
-        given = options.given_cameras()
-        return given or recorded_cameras(self._path, self._topics, samples, transforms)
-
-    def _calibration(self, samples: dict[str, TopicSample]) -> Calibration:
+    def _calibration(self, cameras: CameraFile, samples: dict[str, TopicSample]) -> Calibration:
         """Return the calibration for the sizes of the images that there are."""
         topics, name = self._topics, str(self._path)
         depth, color = samples[topics.depth], samples[topics.color]
         try:
-            depth_shape = ros.depth_of(depth.message, depth.schema, name, None).shape
+            depth_shape = ros.depth_of(depth.message, depth.schema, name).shape
             color_shape = ros.color_of(color.message, color.schema, name).shape
         except FrameFormatError:
             # The first image is damaged; CameraInfo has the sizes.
-            return self._cameras.calibration()
-        return self._cameras.calibration(
+            return cameras.calibration()
+        return cameras.calibration(
             depth_size=(depth_shape[1], depth_shape[0]), color_size=(color_shape[1], color_shape[0])
         )
 

@@ -14,8 +14,12 @@ from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel
 from nurbseg.drivers.errors import CalibrationError, RecordingFormatError
 from nurbseg.drivers.mcap import definitions
 from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap.pairing import Kind
 
-_IMAGES = (definitions.IMAGE, definitions.COMPRESSED_IMAGE)
+_EXPECTED: dict[Kind, str] = {
+    "depth": "Image 16UC1 or 32FC1, or CompressedImage compressedDepth",
+    "color": "Image rgb8, bgr8 or mono8, or CompressedImage jpeg or png",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,26 +49,24 @@ def choose_topics(path: Path, samples: Mapping[str, TopicSample]) -> Topics:
     RecordingFormatError
         If there are no depth or no color images; says which topics there are.
     """
-    images = {topic: sample for topic, sample in samples.items() if sample.schema in _IMAGES}
-    labels = [topic for topic, sample in images.items() if _is_labels(topic, sample)]
-    depths = [t for t, sample in images.items() if t not in labels and _is_depth(t, sample)]
-    colors = [t for t, sample in images.items() if t not in labels + depths and _is_color(t, sample)]
-    for kind, found, expected in (
-        ("depth", depths, "Image 16UC1 or 32FC1, or CompressedImage compressedDepth"),
-        ("color", colors, "Image rgb8, bgr8 or mono8, or CompressedImage jpeg or png"),
-    ):
-        if not found:
+    found: dict[Kind | None, list[str]] = {"depth": [], "color": [], "labels": []}
+    for topic, sample in samples.items():
+        found.setdefault(_kind(topic, sample), []).append(topic)
+    for kind, expected in _EXPECTED.items():
+        if not found[kind]:
             present = ", ".join(f"{t} ({_form(sample)})" for t, sample in samples.items()) or "none"
             raise RecordingFormatError(f"{path}: no topic of {kind} images ({expected}); topics: {present}")
-    depth = min(depths, key=lambda topic: (_rank(topic, ("aligned", "registered"), ("depth",)), topic))
-    color = min(colors, key=lambda topic: (_rank(topic, ("color", "rgb"), ("image",)), topic))
+    depth = min(
+        found["depth"], key=lambda topic: (_rank(topic, ("aligned", "registered"), ("depth",)), topic)
+    )
+    color = min(found["color"], key=lambda topic: (_rank(topic, ("color", "rgb"), ("image",)), topic))
     infos = [topic for topic, sample in samples.items() if sample.schema == definitions.CAMERA_INFO]
     return Topics(
         depth=depth,
         color=color,
-        labels=min(labels, default=None),
-        depth_info=_camera_topic(depth, images[depth], infos, samples),
-        color_info=_camera_topic(color, images[color], infos, samples),
+        labels=min(found["labels"], default=None),
+        depth_info=_camera_topic(depth, samples[depth], infos, samples),
+        color_info=_camera_topic(color, samples[color], infos, samples),
     )
 
 
@@ -72,7 +74,7 @@ def recorded_cameras(
     path: Path,
     topics: Topics,
     samples: Mapping[str, TopicSample],
-    transforms: list[tuple[str, str, NDArray[np.float64]]],
+    transforms: list[ros.Transform],
 ) -> CameraFile:
     """Return the cameras of the recording itself.
 
@@ -89,10 +91,7 @@ def recorded_cameras(
             f"{path}: no sensor_msgs/CameraInfo beside {topics.depth} or {topics.color}: "
             "give --intrinsics fx,fy,cx,cy (pixels)"
         )
-    models: list[CameraModel] = [
-        ros.camera_of(samples[info].message, path, info) for info in (present[0], present[-1])
-    ]
-    depth, color = models
+    depth, color = (ros.camera_of(samples[info].message, path, info) for info in (present[0], present[-1]))
     depth_frame, color_frame = (_frame_id(samples[info]) for info in (present[0], present[-1]))
     if present[0] == present[-1] or depth_frame == color_frame:
         same = _same_camera(depth, color)
@@ -112,26 +111,24 @@ def _form(sample: TopicSample) -> str:
     return f"{name} {encoding}" if encoding else name
 
 
-def _is_labels(topic: str, sample: TopicSample) -> bool:
-    named = "label" in topic.lower() or "segmentation" in topic.lower()
-    if sample.schema == definitions.COMPRESSED_IMAGE:
-        return named and "png" in sample.message.format.lower()
-    return named and sample.message.encoding in ros.LABEL_ENCODINGS
-
-
-def _is_depth(topic: str, sample: TopicSample) -> bool:
-    if sample.schema == definitions.COMPRESSED_IMAGE:
-        return "compressedDepth" in sample.message.format
-    encoding = sample.message.encoding
-    # An infrared image is "mono16" too.
-    return encoding in ("16UC1", "32FC1") or (encoding == "mono16" and "depth" in topic.lower())
-
-
-def _is_color(topic: str, sample: TopicSample) -> bool:
+def _kind(topic: str, sample: TopicSample) -> Kind | None:
+    """Return what the images of a topic are; None where it has none that can be used."""
+    name = topic.lower()
+    for_labels = "label" in name or "segmentation" in name
+    is_labels = is_depth = is_color = False
     if sample.schema == definitions.COMPRESSED_IMAGE:
         text = sample.message.format.lower()
-        return ("jpeg" in text or "jpg" in text or "png" in text) and not text.startswith(("16uc1", "32fc1"))
-    return sample.message.encoding in ros.COLOR_ENCODINGS
+        is_labels = for_labels and "png" in text
+        is_depth = "compressedDepth" in sample.message.format
+        is_color = any(each in text for each in ("jpeg", "jpg", "png"))
+        is_color &= not text.startswith(("16uc1", "32fc1"))
+    elif sample.schema == definitions.IMAGE:
+        encoding = sample.message.encoding
+        is_labels = for_labels and encoding in ros.LABEL_ENCODINGS
+        # An infrared image is "mono16" too.
+        is_depth = encoding in ("16UC1", "32FC1") or (encoding == "mono16" and "depth" in name)
+        is_color = encoding in ros.COLOR_ENCODINGS
+    return "labels" if is_labels else "depth" if is_depth else "color" if is_color else None
 
 
 def _rank(topic: str, *wanted: tuple[str, ...]) -> int:
@@ -163,10 +160,8 @@ def _same_camera(one: CameraModel, other: CameraModel) -> bool:
     return same_lens and one.size == other.size
 
 
-def _transform(
-    target: str, source: str, transforms: list[tuple[str, str, NDArray[np.float64]]]
-) -> NDArray[np.float64] | None:
-    """Return target_from_source by way of a tree of (parent, child, parent_from_child)."""
+def _transform(target: str, source: str, transforms: list[ros.Transform]) -> NDArray[np.float64] | None:
+    """Return target_from_source by way of a tree of transforms."""
     steps: dict[str, list[tuple[str, NDArray[np.float64]]]] = {}
     for parent, child, matrix in transforms:
         steps.setdefault(child, []).append((parent, matrix))

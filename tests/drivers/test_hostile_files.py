@@ -202,6 +202,7 @@ CALIBRATIONS = {
     "long.yaml": "k: [" + "1," * 200_000 + "1]",
     "nested.xml": "<?xml version='1.0'?><opencv_storage>" + "<a>" * 100_000,
     "nested_rgb.xml": "<rgb>" * 50_000,
+    "nested_whole.xml": f"<opencv_storage>{'<a>' * 30_000}{'</a>' * 30_000}</opencv_storage>",
     "overlap.xml": "<?xml version='1.0'?><opencv_storage><M1 type_id='opencv-matrix'><rows>300000</rows>"
     "<cols>300</cols><dt>d</dt><data>1. 2.</data></M1></opencv_storage>",
     "entities.xml": "<!DOCTYPE a [<!ENTITY a 'aaaaaaaaaa'>]><rgb>&a;</rgb>",
