@@ -25,10 +25,7 @@ from nurbseg.segmentation.config import DepthConfig, SegmentationConfig
 class SourceConfig(Settings):
     """Where frames come from, and which of them are taken.
 
-    Raises
-    ------
-    ValueError
-        If more than one source is named, or a value is out of its bounds.
+    Raises ValueError if more than one source is named, or a value is out of its bounds.
     """
 
     device: str | None = setting(

@@ -19,12 +19,7 @@ _READ_TIMEOUT_S = 60.0
 def places(uri: str, options: SourceOptions, start: int = 0, most: int | None = None) -> range:
     """Return the places of a recording's frames, without decoding them.
 
-    Raises
-    ------
-    nurbseg.drivers.errors.DriverError
-        If it cannot be opened.
-    ValueError
-        If it is a camera.
+    Raises DriverError if it cannot be opened, and ValueError if it is a camera.
     """
     with open_source(uri, options) as source:
         if source.live:
@@ -47,10 +42,7 @@ class Reader:
     def read(self, uri: str, options: SourceOptions, run: range) -> Iterator[RGBDFrame | FrameFormatError]:
         """Yield the frames at successive places, or what is wrong with each that is damaged.
 
-        Raises
-        ------
-        nurbseg.drivers.errors.DriverError
-            If the recording cannot be read.
+        Raises DriverError if the recording cannot be read.
         """
         if self._source is None or self._opened != (uri, options) or self._next > run.start:
             self.close()

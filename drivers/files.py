@@ -17,12 +17,9 @@ def open_regular(
 ) -> BinaryIO:
     """Open a regular file for reading; a pipe or device is refused without waiting for it.
 
-    A link counts as what it leads to. An error of the given type calls the file what `what` says.
-
-    Raises
-    ------
-    RecordingFormatError
-        Or what `error` is, if there is no such file, it cannot be opened or is not a regular one.
+    A link counts as what it leads to. An error of the given type calls the file what `what` says. Raises
+    RecordingFormatError or what `error` is, if there is no such file, it cannot be opened or is not a regular
+    one.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -41,10 +38,7 @@ def read_file(
 ) -> bytes:
     """Return the content of a regular file of at most `most` bytes.
 
-    Raises
-    ------
-    RecordingFormatError
-        Or what `error` is, as for `open_regular`, or if the file is larger.
+    Raises RecordingFormatError or what `error` is, as for `open_regular`, or if the file is larger.
     """
     with open_regular(path, what=what, error=error) as stream:
         try:
@@ -59,14 +53,8 @@ def read_file(
 def create_private(path: Path, buffering: int = -1) -> BinaryIO:
     """Create a file that only this user may read, and open it for writing.
 
-    What cameras see is nobody else's business, whatever the umask is. A device is opened as it is.
-
-    Raises
-    ------
-    FileExistsError
-        If there is a file of this name already.
-    OSError
-        If it cannot be created.
+    What cameras see is nobody else's business, whatever the umask is. A device is opened as it is. Raises
+    FileExistsError if there is a file of this name already, and OSError if it cannot be created.
     """
     check_absent(path)
     new = not path.exists()

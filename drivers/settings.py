@@ -71,10 +71,7 @@ def setting(
 class Settings:
     """A configuration of described fields and of sections; its dataclasses are frozen.
 
-    Raises
-    ------
-    ValueError
-        If a value is out of its bounds; names the field, the value and what is expected.
+    Raises ValueError if a value is out of its bounds; names the field, the value and what is expected.
     """
 
     __slots__ = ()
@@ -294,10 +291,7 @@ class ValueKind:
 def value_kinds(section: type[Any]) -> dict[str, ValueKind]:
     """Return the kind of each field of a section.
 
-    Raises
-    ------
-    TypeError
-        If a field's annotation is none that a flag and a TOML value can express.
+    Raises TypeError if a field's annotation is none that a flag and a TOML value can express.
     """
     hints = get_type_hints(section)
     return {

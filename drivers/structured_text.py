@@ -24,13 +24,7 @@ _YAML_NUMBERS = {".nan": float("nan"), ".inf": float("inf"), "+.inf": float("inf
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Return the tables of a TOML text.
-
-    Raises
-    ------
-    ValueError
-        If it is not TOML, or exceeds the limits.
-    """
+    """Return the tables of a TOML text; raises ValueError if it is not TOML, or exceeds the limits."""
     if any(len(line) > _TOML_LINE_MAX for line in text.splitlines()):
         raise ValueError(f"expected lines of {_TOML_LINE_MAX} characters at most")
     _check_length(text)
@@ -45,12 +39,8 @@ def parse_toml(text: str) -> dict[str, Any]:
 def parse_yaml(text: str) -> Any:
     """Return the first document of a YAML text: dicts, lists, numbers, texts and None.
 
-    Tags are passed over. Scalars that read as numbers are numbers, all others are texts.
-
-    Raises
-    ------
-    ValueError
-        If it is not YAML, has aliases, or exceeds the limits.
+    Tags are passed over. Scalars that read as numbers are numbers, all others are texts. Raises ValueError if
+    it is not YAML, has aliases, or exceeds the limits.
     """
     _check_length(text)
     loader = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
@@ -97,10 +87,7 @@ def scalar(text: str) -> int | float | str | None:
 def parse_xml(text: str) -> Element:
     """Return the root of an XML text, which may be nested to any depth.
 
-    Raises
-    ------
-    ValueError
-        If it is not XML, has a document type, or exceeds the limits.
+    Raises ValueError if it is not XML, has a document type, or exceeds the limits.
     """
     _check_length(text)
     if "<!DOCTYPE" in text:

@@ -94,10 +94,7 @@ _Outcome = dict[str, bytes] | str
 def recordings_of(uris: Sequence[str], directory: Path) -> list[Recording]:
     """Return recordings with their folders, which are called as they are.
 
-    Raises
-    ------
-    ValueError
-        If two would have the same folder.
+    Raises ValueError if two would have the same folder.
     """
     found: dict[Path, str] = {}
     for uri in uris:
@@ -204,10 +201,7 @@ def segment_run(
 ) -> list[_Outcome]:
     """Segment successive frames of a recording, each for itself; return the files of each.
 
-    Raises
-    ------
-    nurbseg.drivers.errors.DriverError
-        If the recording cannot be read, or ends before its time.
+    Raises DriverError if the recording cannot be read, or ends before its time.
     """
     outcomes: list[_Outcome] = []
     for frame in _reader().read(task.uri, options, task.run):

@@ -73,11 +73,8 @@ class _Version(argparse.Action):
 def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
     """Read the process's arguments, or others.
 
-    Raises
-    ------
-    SystemExit
-        With code 2 and a message on stderr if an argument or the configuration file is wrong; with
-        code 0 after ``--help`` and ``--version``.
+    Raises SystemExit with code 2 and a message on stderr if an argument or the configuration file is wrong;
+    with code 0 after ``--help`` and ``--version``.
     """
     parser = _parser()
     given = vars(parser.parse_args(words))

@@ -132,10 +132,7 @@ class Exporter:
     def write_files(self, files: Mapping[str, bytes]) -> None:
         """Write the files of one frame that `frame_files` has made, in their order.
 
-        Raises
-        ------
-        ExportError
-            If one cannot be written, or exists already and may not be replaced.
+        Raises ExportError if one cannot be written, or exists already and may not be replaced.
         """
         for name, content in files.items():
             path = self.directory / name
@@ -159,10 +156,7 @@ class Exporter:
 def frame_files(result: FrameResult, metric: Metric, export: ExportConfig) -> dict[str, bytes]:
     """Return the files of a frame by name, the tree last; `metric` decided the splits.
 
-    Raises
-    ------
-    ExportError
-        If the labels cannot be a PNG.
+    Raises ExportError if the labels cannot be a PNG.
     """
     tree = result.tree
     files = {"labels.png": _png(result.labels())}

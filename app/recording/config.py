@@ -22,10 +22,7 @@ def dated(name: str) -> str:
 class RecordConfig(Settings):
     """Settings of the recording that is made while a run goes on.
 
-    Raises
-    ------
-    ValueError
-        If a value is out of its bounds, or the file is of neither kind.
+    Raises ValueError if a value is out of its bounds, or the file is of neither kind.
     """
 
     file: str | None = setting(

@@ -77,10 +77,7 @@ class Inspection:
 def form_of(path: Path) -> Form:
     """Return of which form a file is, by its first bytes.
 
-    Raises
-    ------
-    RecordingFormatError
-        If it cannot be read, or is of none.
+    Raises RecordingFormatError if it cannot be read, or is of none.
     """
     with open_regular(path) as file:
         head = file.read(8)
@@ -93,10 +90,7 @@ def form_of(path: Path) -> Form:
 def inspect(path: Path) -> Inspection:
     """Read a recording to its end, and compare it with what it should be.
 
-    Raises
-    ------
-    DriverError
-        If nothing of it can be read.
+    Raises DriverError if nothing of it can be read.
     """
     form = form_of(path)
     found = Inspection(str(path), form)

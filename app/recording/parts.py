@@ -26,12 +26,7 @@ class FrameWriter(Protocol):
 class PartedWriter:
     """Writes frames to a file, and after some time by their own clock goes on in another, ``NAME-2.mcap``.
 
-    `files` are those begun so far, none of which existed.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be made.
+    `files` are those begun so far, none of which existed. Raises OSError if the file cannot be made.
     """
 
     def __init__(
@@ -46,12 +41,8 @@ class PartedWriter:
     def write(self, frame: RGBDFrame) -> None:
         """Add one frame.
 
-        Raises
-        ------
-        OSError
-            If it cannot be written, or the next file cannot be made.
-        DriverError
-            If the file was deleted meanwhile, which the disk would not give back before it is closed.
+        Raises OSError if it cannot be written, or the next file cannot be made; DriverError if the file was
+        deleted meanwhile, which the disk would not give back before it is closed.
         """
         if not self.files[-1].exists():
             raise DriverError(f"{self.files[-1]} was deleted or moved")

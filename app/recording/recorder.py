@@ -147,10 +147,7 @@ class Recorder:
     def begin(self) -> Recording:
         """Begin a recording while the source is read.
 
-        Raises
-        ------
-        RecordError
-            If there is one already, or the file cannot be made.
+        Raises RecordError if there is one already, or the file cannot be made.
         """
         if self.recording is not None and self.is_recording:
             raise RecordError(f"{self.recording.path} is being recorded already")

@@ -33,12 +33,7 @@ def complaint(*words: str) -> str:
 def rewrite(path: Path, output: Path) -> None:
     """Write what can be read of a file, with an index, to a new one.
 
-    Raises
-    ------
-    DriverError
-        If Rerun cannot.
-    OSError
-        If the new one cannot be created.
+    Raises DriverError if Rerun cannot, and OSError if the new one cannot be created.
     """
     create_private(output).close()
     problem = complaint("rrd", "optimize", "--continue-on-error", str(path), "-o", str(output))
@@ -49,10 +44,7 @@ def rewrite(path: Path, output: Path) -> None:
 def stamps_ns(path: Path) -> list[int]:
     """Return the stamps of the frames that a file holds, in their order.
 
-    Raises
-    ------
-    RuntimeError
-        If its last message is cut off.
+    Raises RuntimeError if its last message is cut off.
     """
     # Late: that imports Rerun, which recordings do not need.
     from rerun.chunk import RrdReader

@@ -46,10 +46,7 @@ class CameraModel:
     def intrinsics(self, size: tuple[int, int] | None, base: tuple[int, int] | None = None) -> Intrinsics:
         """Return the camera of images of `size`; `base` is its own size where the file does not say.
 
-        Raises
-        ------
-        CalibrationError
-            If no size is known, the shapes differ or a value is unusable.
+        Raises CalibrationError if no size is known, the shapes differ or a value is unusable.
         """
         own = self.size or base or size
         if own is None:
@@ -112,13 +109,9 @@ class CameraFile:
     ) -> Calibration:
         """Return the calibration for images of these sizes (width, height).
 
-        Intrinsics are scaled to another size of the same shape. One camera without a size, standing for
-        both, is that of the depth images.
-
-        Raises
-        ------
-        CalibrationError
-            If a size is missing, a shape does not fit or a value is unusable.
+        Intrinsics are scaled to another size of the same shape. One camera without a size, standing for both,
+        is that of the depth images. Raises CalibrationError if a size is missing, a shape does not fit or a
+        value is unusable.
         """
         base = depth_size if self.color is self.depth else None
         depth = self.depth.intrinsics(depth_size)
@@ -130,13 +123,7 @@ class CameraFile:
 
 
 def number(path: Path, field: str, value: Any) -> float:
-    """Return a finite number of a calibration file.
-
-    Raises
-    ------
-    CalibrationError
-        If it is not one.
-    """
+    """Return a finite number of a calibration file; raises CalibrationError if it is not one."""
     try:
         if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
             return float(value)
@@ -149,10 +136,7 @@ def number(path: Path, field: str, value: Any) -> float:
 def image_size(path: Path, fields: tuple[str, str], values: tuple[Any, Any]) -> tuple[int, int]:
     """Return the width and height that a calibration file says.
 
-    Raises
-    ------
-    CalibrationError
-        If they are not whole numbers of pixels, or too many.
+    Raises CalibrationError if they are not whole numbers of pixels, or too many.
     """
     for field, value in zip(fields, values, strict=True):
         if isinstance(value, bool) or not isinstance(value, int | float) or not 1 <= value <= PIXELS_MAX:
@@ -175,13 +159,7 @@ def camera_of_matrix(
     distortion: NDArray[np.float64] | None = None,
     size: tuple[int, int] | None = None,
 ) -> CameraModel:
-    """Return the camera of a (3, 3) camera matrix.
-
-    Raises
-    ------
-    CalibrationError
-        If it is not one.
-    """
+    """Return the camera of a (3, 3) camera matrix; raises CalibrationError if it is not one."""
     if matrix.shape != (3, 3):
         raise CalibrationError(f"{path}: {field}: expected a 3 x 3 camera matrix, got {matrix.shape}")
     if not np.isfinite(matrix).all():

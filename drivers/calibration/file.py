@@ -56,10 +56,7 @@ def read_calibration(
 def read_camera_file(path: Path) -> CameraFile:
     """Read what a calibration file says, image sizes possibly being open, and its depth scale.
 
-    Raises
-    ------
-    CalibrationError
-        As for `read_calibration`.
+    Raises CalibrationError as for `read_calibration`.
     """
     content = read_file(path, TEXT_BYTES_MAX, what="calibration", error=CalibrationError)
     try:
@@ -77,13 +74,7 @@ def read_camera_file(path: Path) -> CameraFile:
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
-    """Write a calibration as TOML.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
-    """
+    """Write a calibration as TOML; raises OSError if the file cannot be written."""
     path.write_text(_to_toml(calibration))
 
 

@@ -41,13 +41,7 @@ _LONGEST_BASELINE_M = 1.0
 
 
 def from_xml(path: Path, text: str) -> CameraFile:
-    """Read OpenCV's XML.
-
-    Raises
-    ------
-    CalibrationError
-        If it is not that, or a field is missing or unusable.
-    """
+    """Read OpenCV's XML; raises CalibrationError if it is not that, or a field is missing or unusable."""
     try:
         root = parse_xml(text)
     except ValueError as err:
@@ -64,10 +58,7 @@ def from_xml(path: Path, text: str) -> CameraFile:
 def from_yaml(path: Path, text: str) -> CameraFile:
     """Read OpenCV's YAML or a ``camera_info``.
 
-    Raises
-    ------
-    CalibrationError
-        If it is neither, or a field is missing or unusable.
+    Raises CalibrationError if it is neither, or a field is missing or unusable.
     """
     # OpenCV's first line, "%YAML:1.0", is not YAML's. A printed message may be followed by more, after "---".
     head, _, rest = text.partition("\n")

@@ -56,12 +56,8 @@ def folder_camera(
     """Return how to read a folder's images: the user's word, else a calibration file in it.
 
     The files looked for are, in this order, ``camera.toml``, OpenCV's ``calib*.xml|yml|yaml``, ROS's
-    ``camera_info.yaml``, ``intrinsics.txt`` and ``camera-intrinsics.txt``.
-
-    Raises
-    ------
-    CalibrationError
-        If there is none, or it is unusable.
+    ``camera_info.yaml``, ``intrinsics.txt`` and ``camera-intrinsics.txt``. Raises CalibrationError if there
+    is none, or it is unusable.
     """
     camera, origin = options.given_cameras(), "given"
     if camera is None:
@@ -89,12 +85,7 @@ class PairSource(SequenceSource):
     """Replays image files, in the order of `shots`.
 
     `form` is what kind of recording it is, for a person; `dropped` counts images left out because they have
-    no partner.
-
-    Raises
-    ------
-    RecordingFormatError
-        If none can be used.
+    no partner. Raises RecordingFormatError if none can be used.
     """
 
     def __init__(self, folder: Path, shots: list[Shot], form: str, dropped: int = 0) -> None:
@@ -145,14 +136,9 @@ def open_folder(folder: Path, options: SourceOptions) -> PairSource:
     Depth is in millimetres unless the folder or the user says otherwise. A calibration of one camera
     (intrinsics.txt and the like) stands for both images, which are taken to be registered. Images of other
     sizes than calibrated are right where they have the same shape: the intrinsics are scaled. Time is taken
-    from names like ``frame_20121214T142255.814212``, else frames are 1/30 s apart.
-
-    Raises
-    ------
-    RecordingFormatError
-        If there is no pair, or none that can be used.
-    CalibrationError
-        If there is no calibration, or an unusable one.
+    from names like ``frame_20121214T142255.814212``, else frames are 1/30 s apart. Raises
+    RecordingFormatError if there is no pair, or none that can be used; CalibrationError if there is no
+    calibration, or an unusable one.
     """
     pairs, single = find_pairs(folder)
     if not pairs:
@@ -165,14 +151,9 @@ def open_folder(folder: Path, options: SourceOptions) -> PairSource:
 def open_patterns(rest: str, options: SourceOptions) -> PairSource:
     """Open what follows ``images:``, ``?color=GLOB&depth=GLOB``: the images that match two patterns.
 
-    A calibration is looked for in the folder that holds all of them.
-
-    Raises
-    ------
-    RecordingFormatError
-        If a pattern is missing, or as `nurbseg.drivers.datasets.pairs.match_patterns` and `open_folder` do.
-    CalibrationError
-        As `open_folder` does.
+    A calibration is looked for in the folder that holds all of them. Raises RecordingFormatError if a pattern
+    is missing, or as `nurbseg.drivers.datasets.pairs.match_patterns` and `open_folder` do; CalibrationError
+    as `open_folder` does.
     """
     patterns = dict(parse_qsl(rest.removeprefix("?")))
     if patterns.keys() != {"color", "depth"}:

@@ -25,10 +25,7 @@ _TIFF_TYPES = {3: "H", 4: "I"}
 def pnm_header(content: bytes, name: str) -> tuple[int, int, int, int]:
     """Return the width, height, maximum and length of the header of a binary PGM or PPM.
 
-    Raises
-    ------
-    FrameFormatError
-        If it has no such header.
+    Raises FrameFormatError if it has no such header.
     """
     header = _PNM_HEADER.match(content[:_PNM_HEADER_BYTES])
     if header is None:
@@ -40,11 +37,8 @@ def pnm_header(content: bytes, name: str) -> tuple[int, int, int, int]:
 def check_size(content: bytes, name: str) -> None:
     """Refuse an encoded image that is of no known form, or too large to be decoded.
 
-    Raises
-    ------
-    FrameFormatError
-        If it is not PNG, JPEG, TIFF, PGM, PPM or BMP, its header is damaged, or it has more pixels than
-        `nurbseg.drivers.limits.PIXELS_MAX`.
+    Raises FrameFormatError if it is not PNG, JPEG, TIFF, PGM, PPM or BMP, its header is damaged, or it has
+    more pixels than `nurbseg.drivers.limits.PIXELS_MAX`.
     """
     try:
         width, height = _size(content, name)

@@ -166,10 +166,7 @@ def decode_depth(content: bytes, name: str, *, units_per_metre: float = 1000.0) 
 def decode_labels(content: bytes, name: str) -> NDArray[np.uint16]:
     """Decode a label image of one channel of 8 or 16 bits to (H, W) uint16.
 
-    Raises
-    ------
-    FrameFormatError
-        If the image is cut off, damaged or has more than one channel.
+    Raises FrameFormatError if the image is cut off, damaged or has more than one channel.
     """
     image = _decode(content, cv2.IMREAD_UNCHANGED, name)
     if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):

@@ -25,12 +25,8 @@ class MatProcess:
     def read(self, path: Path, form: MatForm, index: int | None = None) -> Answer:
         """Return what the program answers; without a frame of the labelled set, the shapes of the sets.
 
-        Raises
-        ------
-        FrameFormatError
-            If the file cannot be used, or has ended the process.
-        BackendMissingError
-            If a library that it needs is not installed.
+        Raises FrameFormatError if the file cannot be used, or has ended the process; BackendMissingError if a
+        library that it needs is not installed.
         """
         if self._running is None:
             child = ChildProcess("nurbseg.drivers.datasets.mat_program", slots=1)

@@ -126,12 +126,8 @@ class NyuFrameSource(SequenceSource):
     `path` is one file, or a folder with files ``nyu_v2_N.mat``, which are played in the order of their
     numbers. Labels are taken from ``new_nyu_class13_NNNN.png`` beside ``nyu_v2_N.mat`` and sampled at the
     nearest pixel where they are larger than the frame. Connected parts of a class are one region each, since
-    a class does not distinguish one chair from the next. `options` count as for `NyuLabelledSource`.
-
-    Raises
-    ------
-    RecordingFormatError
-        If no file has usable ``data.rgb`` and ``data.realDepth``.
+    a class does not distinguish one chair from the next. `options` count as for `NyuLabelledSource`. Raises
+    RecordingFormatError if no file has usable ``data.rgb`` and ``data.realDepth``.
     """
 
     def __init__(self, path: Path, options: SourceOptions) -> None:

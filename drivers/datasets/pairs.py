@@ -99,12 +99,8 @@ def match_patterns(color: str, depth: str) -> tuple[list[ImagePair], int]:
 
     Returns the pairs in natural order, each named as its color image, and the number of images that lack
     their partner. Where no two names have the same in the place of the wildcards, and there are as many color
-    images as depth images, they are paired in natural order.
-
-    Raises
-    ------
-    RecordingFormatError
-        If a pattern matches nothing, two files of one are alike, or the files cannot be paired.
+    images as depth images, they are paired in natural order. Raises RecordingFormatError if a pattern matches
+    nothing, two files of one are alike, or the files cannot be paired.
     """
     colors, depths = _by_wildcards(color), _by_wildcards(depth)
     keys = sorted(colors.keys() & depths.keys())

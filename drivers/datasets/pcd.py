@@ -73,14 +73,8 @@ class PcdSource(SequenceSource):
     """Replays PCD files of organised clouds, 1/30 s apart; depth is z, color is gray where there is none.
 
     `path` is one file, or a folder of files, which are played in the natural order of their names. Where
-    `options` have neither calibration nor intrinsics, they are found from the points.
-
-    Raises
-    ------
-    RecordingFormatError
-        If no file can be used.
-    CalibrationError
-        If the camera cannot be found.
+    `options` have neither calibration nor intrinsics, they are found from the points. Raises
+    RecordingFormatError if no file can be used, and CalibrationError if the camera cannot be found.
     """
 
     def __init__(self, path: Path, options: SourceOptions) -> None:

@@ -38,10 +38,7 @@ class OrganisedCloud:
 def read_pcd(path: Path) -> OrganisedCloud:
     """Read an organised cloud.
 
-    Raises
-    ------
-    FrameFormatError
-        If the file is damaged or the cloud has no rows and columns; names the field.
+    Raises FrameFormatError if the file is damaged or the cloud has no rows and columns; names the field.
     """
     content = read_file(path, FRAME_BYTES_MAX, what="cloud", error=FrameFormatError)
     fields, start = _header(path, content)

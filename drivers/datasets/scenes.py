@@ -32,12 +32,8 @@ def scene_folders(folder: Path) -> list[Path]:
 def open_scenes(folder: Path, options: SourceOptions) -> PairSource:
     """Open a data set of scenes, one after the other; each scene brings its own calibration.
 
-    Raises
-    ------
-    RecordingFormatError
-        If there is no scene, or one without a pair of images.
-    CalibrationError
-        If a scene has no calibration, or an unusable one.
+    Raises RecordingFormatError if there is no scene, or one without a pair of images; CalibrationError if a
+    scene has no calibration, or an unusable one.
     """
     shots: list[Shot] = []
     for scene in scene_folders(folder):

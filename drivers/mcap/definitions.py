@@ -54,10 +54,7 @@ def _decoders() -> dict[str, Callable[[bytes], Any]]:
 def decode(content: bytes, schema: str, name: str) -> Any:
     """Decode a message by our definition of its schema, which `check_schema` found to be the recording's.
 
-    Raises
-    ------
-    FrameFormatError
-        If the message is damaged; calls it `name`.
+    Raises FrameFormatError if the message is damaged; calls it `name`.
     """
     try:
         return _decoders()[schema](content)
@@ -68,10 +65,7 @@ def decode(content: bytes, schema: str, name: str) -> Any:
 def check_schema(schema: Schema, name: str) -> None:
     """Find out whether a recording means by a schema, of the name of one of `DEFINITIONS`, what ROS 2 does.
 
-    Raises
-    ------
-    RecordingFormatError
-        If a message of it lacks a field or has another; names the field.
+    Raises RecordingFormatError if a message of it lacks a field or has another; names the field.
     """
     name = f"{name}: schema {schema.name}"
     if schema.encoding != "ros2msg":

@@ -135,10 +135,7 @@ def transforms_of(message: Any) -> list[Transform]:
 def camera_of(message: Any, path: Path, topic: str) -> CameraModel:
     """Return the camera of a sensor_msgs/CameraInfo.
 
-    Raises
-    ------
-    CalibrationError
-        If it is not calibrated, or its lens model is another than OpenCV's.
+    Raises CalibrationError if it is not calibrated, or its lens model is another than OpenCV's.
     """
     model = message.distortion_model
     if model and model not in DISTORTION_MODELS:
@@ -159,11 +156,7 @@ def depth_of(
     """Return the (H, W) uint16 millimetres of a depth message.
 
     `units_per_metre` is 1000 for 16-bit and 1 for floating-point images where it is None, as ROS has it.
-
-    Raises
-    ------
-    FrameFormatError
-        If it is not a whole depth image.
+    Raises FrameFormatError if it is not a whole depth image.
     """
     if schema == COMPRESSED_IMAGE:
         content = bytes(message.data)

@@ -210,8 +210,8 @@ class RecordingReader(FrameSource):
             try:
                 definitions.check_schema(schema, str(self._path))
             except RecordingFormatError as err:
-                self._complaints[schema.id] = str(err)
-                _log.warning("%s; its messages are passed over", err)
+                self._complaints[schema.id] = complaint = str(err)
+                _log.warning("%s; its messages are passed over", complaint)
         return not self._complaints[schema.id]
 
     def _scan_topics(self) -> tuple[dict[str, TopicSample], list[ros.Transform]]:

@@ -16,14 +16,8 @@ from nurbseg.drivers.mcap.file import McapFile
 def rewrite(path: Path, output: BinaryIO) -> int:
     """Copy the messages of a recording, as they are, and its metadata; return how many chunks were damaged.
 
-    It may be whole or not, whoever wrote it. Attachments do not come with it.
-
-    Raises
-    ------
-    RecordingFormatError
-        If it is not an MCAP file.
-    OSError
-        If the new one cannot be written.
+    It may be whole or not, whoever wrote it. Attachments do not come with it. Raises RecordingFormatError if
+    it is not an MCAP file, and OSError if the new one cannot be written.
     """
     damaged = 0
     source = McapFile(path)

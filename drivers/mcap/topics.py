@@ -44,10 +44,7 @@ class Topics:
 def choose_topics(path: Path, samples: Mapping[str, TopicSample]) -> Topics:
     """Choose the topics by schema and encoding of their first messages, and by name where there are several.
 
-    Raises
-    ------
-    RecordingFormatError
-        If there are no depth or no color images; says which topics there are.
+    Raises RecordingFormatError if there are no depth or no color images; says which topics there are.
     """
     found: dict[Kind | None, list[str]] = {"depth": [], "color": [], "labels": []}
     for topic, sample in samples.items():
@@ -78,12 +75,8 @@ def recorded_cameras(
 ) -> CameraFile:
     """Return the cameras of the recording itself.
 
-    One CameraInfo stands for both cameras, the images being registered.
-
-    Raises
-    ------
-    CalibrationError
-        If there is no CameraInfo, an unusable one, or no transform between two cameras.
+    One CameraInfo stands for both cameras, the images being registered. Raises CalibrationError if there is
+    no CameraInfo, an unusable one, or no transform between two cameras.
     """
     present = [info for info in (topics.depth_info, topics.color_info) if info is not None]
     if not present:

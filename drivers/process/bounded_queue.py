@@ -105,12 +105,8 @@ class BoundedQueue(Generic[Item]):
     def take(self, timeout_s: float) -> Item | None:
         """Take the oldest note, or else the oldest item; None after the last one.
 
-        Raises
-        ------
-        TimeoutError
-            If nothing came in time.
-        Exception
-            The error with which the producer closed the queue, after its last item.
+        Raises TimeoutError if nothing came in time, and after the last item the error with which the
+        producer closed the queue.
         """
         with self._changed:
             if not self._changed.wait_for(lambda: self._notes or self._items or self._closed, timeout_s):

@@ -81,14 +81,8 @@ class Channel:
     def send(self, message: Any, timeout_s: float = _STUCK_S) -> bool:
         """Send a message; return whether there was room for it within `timeout_s` seconds.
 
-        Slots for arrays come free in `receive`, called by another thread or between two tries.
-
-        Raises
-        ------
-        ChannelClosedError
-            If nobody can receive it any more.
-        OSError
-            If there is no memory for its arrays.
+        Slots for arrays come free in `receive`, called by another thread or between two tries. Raises
+        ChannelClosedError if nobody can receive it any more, and OSError if there is no memory for arrays.
         """
         text, arrays = self._codec.encode(message)
         size = sum(aligned(each.nbytes) for each in arrays)
@@ -122,10 +116,7 @@ class Channel:
     def receive(self, timeout_s: float) -> Any | None:
         """Return the next message; None if none came within `timeout_s` seconds, or something else did.
 
-        Raises
-        ------
-        ChannelClosedError
-            If none can come any more.
+        Raises ChannelClosedError if none can come any more.
         """
         deadline_s = time.monotonic() + timeout_s
         header = self._buffered(_HEADER.size, deadline_s)

@@ -63,10 +63,7 @@ class Codec:
     def encode(self, message: Any) -> tuple[bytes, list[NDArray[Any]]]:
         """Return a message as JSON, and its arrays, but for very small ones, in their order.
 
-        Raises
-        ------
-        TypeError
-            If it holds a value of another kind.
+        Raises TypeError if it holds a value of another kind.
         """
         arrays: list[NDArray[Any]] = []
 
@@ -92,10 +89,7 @@ class Codec:
     def decode(self, text: bytes, body: memoryview) -> Any:
         """Return the message that was encoded; its arrays are copied from `body`.
 
-        Raises
-        ------
-        ValueError
-            If it is not a message of these classes.
+        Raises ValueError if it is not a message of these classes.
         """
         offset = 0
 

@@ -109,10 +109,7 @@ class SyntheticSource(SequenceSource):
     def frame(self, index: int) -> RGBDFrame:
         """Return any frame of the sequence, whichever is read next.
 
-        Raises
-        ------
-        ValueError
-            If the sequence has no such frame.
+        Raises ValueError if the sequence has no such frame.
         """
         if not 0 <= index < self.options.frames:
             raise ValueError(f"index: expected 0 to {self.options.frames - 1}, got {index}")
@@ -157,10 +154,8 @@ class SyntheticSource(SequenceSource):
 def open_uri(rest: str, options: SourceOptions) -> SyntheticSource:
     """Open what follows ``synthetic:``: nothing, or ``?key=value&...`` with fields of `SyntheticOptions`.
 
-    Raises
-    ------
-    RecordingFormatError
-        If a key is unknown or a value does not fit; names the key and what is expected.
+    Raises RecordingFormatError if a key is unknown or a value does not fit; names the key and what is
+    expected.
     """
     try:
         return SyntheticSource(_parsed(rest))
