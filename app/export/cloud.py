@@ -27,11 +27,8 @@ def cloud_file(result: FrameResult, form: CloudForm) -> bytes:
     kinds = [*((name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz"))]
     kinds += [*((name, "|u1") for name in ("red", "green", "blue"))]
     kinds += [*((name, "<u2") for name in ("label", "surface", "object"))]
-    points = np.empty(np.count_nonzero(valid), dtype=kinds)
     columns = [*vectors[valid].T, *result.cloud.color[valid].T, *(image[valid] for image in labels)]
-    for (name, _), values in zip(kinds, columns, strict=True):
-        points[name] = values
-    return ply(vertex=points)
+    return ply(vertex=np.rec.fromarrays(columns, dtype=kinds))
 
 
 def surface_normals(tree: SegmentationTree) -> NDArray[np.float32]:
@@ -61,11 +58,9 @@ def _pcd(vectors: NDArray[np.float32], color: NDArray[np.uint8], labels: list[ND
     height, width = color.shape[:2]
     names = ("x", "y", "z", "normal_x", "normal_y", "normal_z", "rgb", "label", "surface", "object")
     kinds = [*((name, "<f4") for name in names[:6]), *((name, "<u4") for name in names[6:])]
-    points = np.empty(height * width, dtype=kinds)
     red, green, blue = color.reshape(-1, 3).astype(np.uint32).T
     columns = [*vectors.reshape(-1, 6).T, red << 16 | green << 8 | blue, *(each.ravel() for each in labels)]
-    for name, values in zip(names, columns, strict=True):
-        points[name] = values
+    points = np.rec.fromarrays(columns, dtype=kinds)
     head = (
         "# .PCD v0.7 - Point Cloud Data file format",
         "VERSION 0.7",

@@ -59,21 +59,17 @@ def _ply(meshes: Sequence[_ObjectMesh]) -> bytes:
     sizes = [len(each.vertices_m) for each in meshes]
     kinds = [*((name, "<f4") for name in _PLY_VECTORS), *((name, "|u1") for name in _PLY_COLORS)]
     vertices = np.empty(sum(sizes), dtype=[*kinds, ("object", "<u2")])
-    faces = np.empty(
-        sum(len(each.triangles) for each in meshes),
-        dtype=[("count", "|u1"), ("vertex_indices", "<i4", (3,))],
-    )
-    faces["count"] = 3
-    vertex = face = 0
+    triangles = [np.zeros((0, 3), dtype=np.int64)]
+    first = 0
     for each, size in zip(meshes, sizes, strict=True):
-        own = vertices[vertex : vertex + size]
-        for name, values in zip(_PLY_VECTORS, (*each.vertices_m.T, *each.normals.T), strict=True):
+        own = vertices[first : first + size]
+        columns = (*each.vertices_m.T, *each.normals.T, *each.color, each.label)
+        for name, values in zip(vertices.dtype.names or (), columns, strict=True):
             own[name] = values
-        for name, value in zip(_PLY_COLORS, each.color, strict=True):
-            own[name] = value
-        own["object"] = each.label
-        faces["vertex_indices"][face : face + len(each.triangles)] = each.triangles + vertex
-        vertex, face = vertex + size, face + len(each.triangles)
+        triangles.append(each.triangles.astype(np.int64) + first)
+        first += size
+    faces = np.empty(sum(map(len, triangles)), dtype=[("count", "|u1"), ("vertex_indices", "<i4", (3,))])
+    faces["count"], faces["vertex_indices"] = 3, np.concatenate(triangles)
     return ply(vertex=vertices, face=faces)
 
 

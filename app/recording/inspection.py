@@ -19,7 +19,7 @@ from nurbseg.drivers.errors import (
     RecordingFormatError,
 )
 from nurbseg.drivers.files import open_regular
-from nurbseg.drivers.openni2.oni.file import OniFile, read_structure
+from nurbseg.drivers.openni2.oni.file import read_structure
 from nurbseg.drivers.registry import open_source
 
 Form = Literal["mcap", "oni", "rrd"]
@@ -125,13 +125,9 @@ def _look_at_oni(path: Path, found: Inspection) -> None:
         except BackendMissingError:
             found.remarks.append("OpenNI2 is not installed: the images were not decoded")
     if not found.frames:
-        _count(found, _stored_stamps(file))
-
-
-def _stored_stamps(file: OniFile) -> list[int]:
-    """Return the stamps of the images that would be played, nanoseconds."""
-    pairs = min(len(file.depth.frames), len(file.color.frames))
-    return [1000 * frame.timestamp_us for frame in file.depth.frames[:pairs]]
+        # Of the images that would be played, by what is stored.
+        played = file.depth.frames[: len(file.color.frames)]
+        _count(found, [1000 * frame.timestamp_us for frame in played])
 
 
 def _look_at_rrd(path: Path, found: Inspection) -> None:

@@ -4,23 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
 
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.files import part_after
 from nurbseg.drivers.frame import RGBDFrame
-
-
-class FrameWriter(Protocol):
-    """What frames are written to a file with."""
-
-    def write(self, frame: RGBDFrame) -> None:
-        """Add one frame."""
-        ...
-
-    def close(self) -> None:
-        """Finish the file."""
-        ...
+from nurbseg.drivers.mcap.writer import RecordingWriter
 
 
 class PartedWriter:
@@ -30,7 +18,7 @@ class PartedWriter:
     """
 
     def __init__(
-        self, path: Path, open_file: Callable[[Path], FrameWriter], split_s: float | None = None
+        self, path: Path, open_file: Callable[[Path], RecordingWriter], split_s: float | None = None
     ) -> None:
         self.files: tuple[Path, ...] = (path,)
         self._open_file = open_file

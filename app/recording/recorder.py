@@ -37,6 +37,7 @@ def open_recording(
     source: FrameSource,
     *,
     lossless: bool = False,
+    at_once: bool = True,
 ) -> Recording | None:
     """Begin the recording that the configuration asks for; None where it asks for none.
 
@@ -48,6 +49,8 @@ def open_recording(
         The camera or recording itself, without what limits or paces it.
     lossless : bool
         Whether the source waits for the recording.
+    at_once : bool
+        Whether nobody reads the source yet.
 
     Raises
     ------
@@ -57,13 +60,7 @@ def open_recording(
     """
     if config.file is None:
         return None
-    return _open(Path(config.file), config, source, lossless=lossless)
-
-
-def _open(
-    path: Path, config: RecordConfig, source: FrameSource, *, lossless: bool, at_once: bool = True
-) -> Recording:
-    """Begin a recording to a file; `at_once` says that nobody reads the source yet."""
+    path = Path(config.file)
 
     def open_file(part: Path) -> RecordingWriter:
         return RecordingWriter(part, source.calibration, color_format=config.color, metadata=source.metadata)
@@ -144,8 +141,8 @@ class Recorder:
         """Whether frames are recorded now."""
         return self.recording is not None and not self.recording.ended
 
-    def begin(self) -> Recording:
-        """Begin a recording while the source is read.
+    def begin(self) -> Path:
+        """Begin a recording while the source is read, and return its file.
 
         Raises RecordError if there is one already, or the file cannot be made.
         """
@@ -154,10 +151,11 @@ class Recorder:
         path = Path(dated(self._name))
         if path.exists():
             path = part_after(path, 1)
-        begun = _open(path, self._config, self._source, lossless=self._lossless, at_once=False)
+        config = replace(self._config, file=str(path))
+        begun = open_recording(config, self._source, lossless=self._lossless, at_once=False)
         self.end()
         self.recording = begun
-        return begun
+        return path
 
     def end(self) -> None:
         """Have no recording for now; the thread that reads finishes this one."""

@@ -30,36 +30,29 @@ def repair(path: Path, output: Path, *, force: bool = False) -> list[str]:
     DriverError
         If nothing of it can be read, the new file exists, or cannot be written.
     """
-    write = {"mcap": _write_mcap, "oni": _write_oni, "rrd": _write_rrd}[form_of(path)]
+    write = {"mcap": _write_mcap, "oni": _write_oni, "rrd": viewer_file.rewrite}[form_of(path)]
     part = output.with_name(f".{output.name}.part")
     try:
         if not force:
             check_absent(output)
         part.unlink(missing_ok=True)
         try:
-            left_out = write(path, part)
+            damaged = write(path, part)
             part.replace(output)
         finally:
             part.unlink(missing_ok=True)
     except OSError as err:
         raise DriverError(f"{output}: cannot be written: {err.strerror}") from err
-    return left_out
-
-
-def _write_mcap(path: Path, part: Path) -> list[str]:
-    with create_private(part) as file:
-        damaged = rewrite(path, file)
     return [f"{damaged} damaged parts of {path} are not in it"] if damaged else []
 
 
-def _write_oni(path: Path, part: Path) -> list[str]:
+def _write_mcap(path: Path, part: Path) -> int:
+    with create_private(part) as file:
+        return rewrite(path, file)
+
+
+def _write_oni(path: Path, part: Path) -> None:
     with create_private(part) as file, path.open("rb") as source:
         shutil.copyfileobj(source, file, 1 << 20)
     correct_header(part)
     write_end(part)
-    return []
-
-
-def _write_rrd(path: Path, part: Path) -> list[str]:
-    viewer_file.rewrite(path, part)
-    return []

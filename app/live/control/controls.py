@@ -149,11 +149,11 @@ class Controls:
             self._capture.record(None)
             return ""
         try:
-            begun = recorder.begin()
+            path = recorder.begin()
         except RecordError as err:
             raise ValueError(str(err)) from err
-        self._capture.record(begun)
-        return f"recording to {begun.path}"
+        self._capture.record(recorder.recording)
+        return f"recording to {path}"
 
     def _set_speed(self, speed: float) -> str:
         if not self._capture.speed:

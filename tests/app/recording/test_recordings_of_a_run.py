@@ -204,7 +204,9 @@ def test_a_camera_s_own_recorder_is_switched_by_the_thread_that_reads_it(
 
 def test_a_recording_whose_end_nobody_reads_any_more_is_closed_with_the_run(folder: Path) -> None:
     with Recorder(RecordConfig(), ScriptedSource([]), name="run.mcap") as recorder:
-        begun = recorder.begin()
+        assert recorder.begin().name == "run.mcap"
+        begun = recorder.recording
+        assert begun is not None
         recorder.end()
         assert not begun.finished
     assert begun.finished
