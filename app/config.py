@@ -108,27 +108,7 @@ SOURCE_KINDS = ("device", "replay", "color_images", "synthetic")
 
 @dataclass(frozen=True, slots=True)
 class AppConfig:
-    """The configuration of a run.
-
-    Parameters
-    ----------
-    source : SourceConfig
-        Where frames come from.
-    camera : DeviceOptions
-        Settings of the camera, where the source is one.
-    depth : DepthConfig
-        What is done to a depth image before it is segmented.
-    segmentation : SegmentationConfig
-        How a frame is segmented.
-    live : LiveConfig
-        How live segmentation goes.
-    view : ViewConfig
-        How results are shown and saved for viewing.
-    export : ExportConfig
-        What is written of them.
-    record : RecordConfig
-        How the frames themselves are recorded.
-    """
+    """The configuration of a run; each section says what it is of."""
 
     source: SourceConfig = field(default_factory=SourceConfig)
     camera: DeviceOptions = field(default_factory=DeviceOptions)

@@ -18,24 +18,12 @@ _PART = 1 << 20
 class PipedFile:
     """A file behind a pipe: what is written into the pipe goes to the file, or nowhere after an error.
 
-    Some libraries stand still for good once a file of theirs cannot be written. They are given a pipe in
-    its place, which is read to its end whatever becomes of the file. The block ends the wait for writers
-    that are still to come; the file ends when the last writer has closed the pipe.
+    Some libraries stand still for good once a file of theirs cannot be written. They are given a pipe in its
+    place, which is read to its end whatever becomes of the file. The block ends the wait for writers that are
+    still to come; the file ends when the last writer has closed the pipe.
 
-    Parameters
-    ----------
-    path : Path
-        The file, which must not exist; its folder is made. Only this user may read it.
-
-    Attributes
-    ----------
-    error : OSError or None
-        Why the file could not be written; what came after is not in it.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be created.
+    The file must not exist; its folder is made, and only this user may read it. Raises OSError if it cannot
+    be created. The attribute `error` says why it could not be written; what came after is not in it.
     """
 
     def __init__(self, path: Path) -> None:

@@ -76,18 +76,9 @@ def in_order(
 def open_workers(count: int, scheduler: str | None = None) -> Iterator[Workers]:
     """Choose who does the work, and let go of them afterwards.
 
-    Parameters
-    ----------
-    count : int
-        Processes on this computer; 1 for this one alone.
-    scheduler : str, optional
-        Address of a Dask scheduler (``tcp://HOST:8786``) to use instead; its workers must see the same
-        files under the same names.
-
-    Raises
-    ------
-    ValueError
-        If the scheduler does not answer, or has no worker.
+    That is so many processes of this computer, 1 for this one alone, or a Dask scheduler
+    (``tcp://HOST:8786``), whose workers must see the same files under the same names. Raises ValueError if
+    the scheduler does not answer, or has no worker.
     """
     if scheduler is not None:
         with _cluster(scheduler) as cluster:

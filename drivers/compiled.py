@@ -126,13 +126,7 @@ def _folder(wanted: str) -> Path | str:
 
 
 def content_digest(packages: Path) -> str:
-    """Return a digest of all files with compiled functions.
-
-    Parameters
-    ----------
-    packages : Path
-        The folder of ``drivers``, ``segmentation`` and ``app``.
-    """
+    """Return a digest of all files with compiled functions in ``drivers``, ``segmentation`` and ``app``."""
     digest = hashlib.sha256()
     for package in ("app", "drivers", "segmentation"):
         for path in sorted((packages / package).rglob("*.py")):

@@ -114,18 +114,9 @@ class Reconnecting(FrameSource):
     def start_recording(self, path: Path, *, lossy: bool = False) -> None:
         """Record with the camera's own recorder; after a loss, go on in a file with the next number.
 
-        Parameters
-        ----------
-        path : Path
-            The file, which must not exist. After the camera was away, ``NAME-2.oni`` and so on; there,
-            names of files that exist are passed over.
-        lossy : bool
-            Whether color may be packed with loss.
-
-        Raises
-        ------
-        DriverError
-            If the camera is away, has no recorder, or cannot record to the file.
+        That is ``NAME-2.oni`` and so on, where names of files that exist are passed over; the first must not
+        exist. `lossy` says whether color may be packed with loss. Raises DriverError if the camera is away,
+        has no recorder, or cannot record to the file.
         """
         if not isinstance(self._source, Recordable):
             raise DriverError(f"{path}: cannot be recorded to: the camera is away or has no recorder")

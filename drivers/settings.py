@@ -123,21 +123,10 @@ def setting_paths(config_type: type[Any]) -> Iterator[tuple[str, Field[Any]]]:
 
 
 def updated(config: Any, /, **changes: Any) -> Any:
-    """Return a configuration with other values.
+    """Return a configuration with other values, those of a section as a mapping.
 
-    Parameters
-    ----------
-    config : dataclass
-        The configuration.
-    **changes
-        By field; those of a section as a mapping: ``updated(config, ratio_max=0.9, extended={"cuts": 1})``.
-
-    Raises
-    ------
-    ValueError
-        If a value is out of its bounds.
-    TypeError
-        If there is no such field.
+    An example: ``updated(config, ratio_max=0.9, extended={"cuts": 1})``. Raises ValueError if a value is out
+    of its bounds, and TypeError if there is no such field.
     """
     return replace(
         config,
@@ -163,25 +152,12 @@ def nested(values: Mapping[str, Any]) -> dict[str, Any]:
 def in_sections(config_type: type[Any], values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
     """Move settings that the version before had elsewhere, or under another name, to where they are now.
 
-    Parameters
-    ----------
-    config_type : type
-        Of a configuration. Its attribute ``REMOVED``, where it has one, names settings that are none any more
-        and the only value of each that is still possible.
-    values : mapping
-        By field; those of a section are a mapping.
+    Values are by field, those of a section as a mapping. A configuration's attribute ``REMOVED``, where it
+    has one, names settings that are none any more and the only value of each that is still possible.
 
-    Returns
-    -------
-    values : dict
-        As this version has them. What no version knows is left as it is.
-    moved : dict of str to str
-        Path where each one that was moved is now, or "" for what was left out, by its former name.
-
-    Raises
-    ------
-    ValueError
-        If a value of a removed setting is no longer possible, or a setting is given twice.
+    Returns the values as this version has them, what no version knows being left as it is; and by the former
+    name of each that was moved, the path where it is now, or "" for what was left out. Raises ValueError if a
+    value of a removed setting is no longer possible, or a setting is given twice.
     """
     removed = getattr(config_type, "REMOVED", {})
     paths = {name: path for path, each in setting_paths(config_type) for name in _names(each)}

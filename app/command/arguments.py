@@ -42,14 +42,9 @@ _TITLES = {
 class Arguments:
     """What the command line asks for.
 
-    Parameters
-    ----------
-    config : AppConfig
-        The defaults, overridden by the configuration file, overridden by the flags.
-    print_config : bool
-        Whether to print the configuration instead of running.
-    verbosity : int
-        -1 for warnings only, 0 for progress, 1 for every frame.
+    `config` is the defaults, overridden by the configuration file, overridden by the flags; `print_config`
+    says whether to print it instead of running. `verbosity` is -1 for warnings only, 0 for progress, 1 for
+    every frame.
     """
 
     config: AppConfig

@@ -35,15 +35,9 @@ def command() -> NoReturn:
 def main(words: Sequence[str] | None = None) -> int:
     """Run the command with the process's arguments, or others.
 
-    Returns
-    -------
-    int
-        0 done, 1 failed while running, 2 no source or wrong configuration, 130 interrupted.
-
-    Raises
-    ------
-    SystemExit
-        With code 2 if an argument is wrong, with code 0 after ``--help`` and ``--version``.
+    Returns 0 where it is done, 1 where it failed while running, 2 without a source or with a wrong
+    configuration, and 130 where it was interrupted. Raises SystemExit with code 2 if an argument is wrong,
+    with code 0 after ``--help`` and ``--version``.
     """
     one_thread_for_products()
     _begin_logging()

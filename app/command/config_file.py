@@ -26,17 +26,9 @@ class ConfigError(ValueError):
 
 
 def read_config(path: Path) -> AppConfig:
-    """Read a configuration file.
+    """Read a configuration file: TOML, with any part of the sections and keys of `AppConfig`.
 
-    Parameters
-    ----------
-    path : Path
-        TOML, with any part of the sections and keys of `AppConfig`.
-
-    Raises
-    ------
-    ConfigError
-        If the file cannot be read, or a section, key or value is none of ours.
+    Raises ConfigError if the file cannot be read, or a section, key or value is none of ours.
     """
     # Late: --help need not wait for the parsers.
     from nurbseg.drivers.structured_text import parse_toml

@@ -17,27 +17,10 @@ _log = logging.getLogger(__name__)
 class OniRecording(Recording):
     """Starts and stops the recorder of a camera, on the thread that reads the camera.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    camera : Recordable
-        Records to it.
-    config : RecordConfig
-        From when on, whether color is packed with loss, and how much space must stay free.
-    at_once : bool
-        Whether nobody reads the camera yet, so that it can begin now; or else with the first frame.
-
-    Attributes
-    ----------
-    frames, lost : int
-        Frames read while the recorder was at work, give or take those on their way as it began; and
-        none lost, because the recorder has a thread and a processor core of its own.
-
-    Raises
-    ------
-    DriverError
-        If it begins at once and cannot.
+    It begins now where `at_once` says that nobody reads the camera yet and no delay is set, and raises
+    DriverError if it cannot; or else with the first frame. `frames` are those read while the recorder was at
+    work, give or take those on their way as it began; none are `lost`, because the recorder has a thread and
+    a processor core of its own.
     """
 
     def __init__(self, path: Path, camera: Recordable, config: RecordConfig, *, at_once: bool = True) -> None:

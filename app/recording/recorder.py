@@ -41,22 +41,10 @@ def open_recording(
 ) -> Recording | None:
     """Begin the recording that the configuration asks for; None where it asks for none.
 
-    Parameters
-    ----------
-    config : RecordConfig
-        Where and how.
-    source : FrameSource
-        The camera or recording itself, without what limits or paces it.
-    lossless : bool
-        Whether the source waits for the recording.
-    at_once : bool
-        Whether nobody reads the source yet.
-
-    Raises
-    ------
-    RecordError
-        If the file exists, cannot be made, or the disk has too little space; or if an .oni file is asked
-        for, and the source is not a camera.
+    `source` is the camera or recording itself, without what limits or paces it. `lossless` says whether it
+    waits for the recording, `at_once` whether nobody reads it yet. Raises RecordError if the file exists,
+    cannot be made, or the disk has too little space; or if an .oni file is asked for, and the source is not a
+    camera.
     """
     if config.file is None:
         return None
@@ -103,26 +91,10 @@ def log_recorded(recording: Recording) -> None:
 class Recorder:
     """Makes the recordings of a run, one after the other, each in a file of its own.
 
-    Parameters
-    ----------
-    config : RecordConfig
-        How to record; the first recording begins now, if it names a file.
-    source : FrameSource
-        The camera or recording itself, without what limits or paces it.
-    name : str
-        Names the further files: ``{date}`` becomes the date and time, and a name that is taken gets a number.
-    lossless : bool
-        Whether the source waits for the recording.
-
-    Attributes
-    ----------
-    recording : Recording or None
-        That which is being made, or failed last.
-
-    Raises
-    ------
-    RecordError
-        If the first one cannot be begun.
+    The first recording begins now, if `config` names a file, and a RecordError says that it cannot. `source`
+    and `lossless` are those of `open_recording`. `name` names the further files: ``{date}`` becomes the date
+    and time, and a name that is taken gets a number. The attribute `recording` is the one that is being made,
+    or failed last.
     """
 
     def __init__(

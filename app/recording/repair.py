@@ -16,19 +16,9 @@ from nurbseg.drivers.openni2.oni.file import correct_header, write_end
 def repair(path: Path, output: Path, *, force: bool = False) -> list[str]:
     """Write what can be read of a recording as a new file; return what is not in it, for a person.
 
-    Parameters
-    ----------
-    path : Path
-        The recording, which stays as it is.
-    output : Path
-        The new file, which appears when it is whole. Only this user may read it.
-    force : bool
-        Whether a file of that name is replaced, `path` itself included.
-
-    Raises
-    ------
-    DriverError
-        If nothing of it can be read, the new file exists, or cannot be written.
+    The recording stays as it is; the new file appears when it is whole, and only this user may read it.
+    `force` replaces a file of that name, `path` itself included. Raises DriverError if nothing of the
+    recording can be read, the new file exists, or cannot be written.
     """
     write = {"mcap": _write_mcap, "oni": _write_oni, "rrd": viewer_file.rewrite}[form_of(path)]
     part = output.with_name(f".{output.name}.part")

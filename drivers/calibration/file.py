@@ -34,21 +34,12 @@ _FILE_KEYS = {"registered", "depth_scale", "color_from_depth", "depth", "color"}
 def read_calibration(
     path: Path, *, depth_size: Size | None = None, color_size: Size | None = None
 ) -> Calibration:
-    """Read the calibration of both cameras.
+    """Read the calibration of both cameras; a file of one stands for both, the images being registered.
 
-    Parameters
-    ----------
-    path : Path
-        The file; a file of one camera stands for both, the images being registered.
-    depth_size, color_size : (width, height), optional
-        Of the images it is for, pixels; needed where the file does not say. Intrinsics given for
-        another size of the same shape are scaled.
-
-    Raises
-    ------
-    CalibrationError
-        If the file is missing, of an unknown form, lacks a field or holds an unusable value; the
-        message names the file and the field.
+    The sizes of the images that it is for, (width, height), are needed where the file does not say them.
+    Intrinsics given for another size of the same shape are scaled. Raises CalibrationError if the file is
+    missing, of an unknown form, lacks a field or holds an unusable value; the message names the file and the
+    field.
     """
     return read_camera_file(path).calibration(depth_size=depth_size, color_size=color_size)
 

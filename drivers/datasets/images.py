@@ -26,16 +26,9 @@ _RAW_DEPTH_MAX_MM = 10_000
 def check_complete(content: bytes, name: str) -> bytes:
     """Find out that an encoded image is too large, cut off or damaged, which decoders may pass over.
 
-    Returns
-    -------
-    bytes
-        The image to be decoded: a PNG without its texts and animation.
-
-    Raises
-    ------
-    FrameFormatError
-        If it is of no known form or has too many pixels, a PNG, JPEG, PGM or PPM does not reach its end, or
-        a PNG's checksums do not hold.
+    Returns what is to be decoded: a PNG without its texts and animation. Raises FrameFormatError if the image
+    is of no known form or has too many pixels, a PNG, JPEG, PGM or PPM does not reach its end, or a PNG's
+    checksums do not hold.
     """
     if not content:
         raise FrameFormatError(f"{name}: the image is empty (0 bytes)")
@@ -89,24 +82,9 @@ def _decode(content: bytes, flags: int, name: str) -> NDArray[Any]:
 
 
 def decode_color(content: bytes, name: str) -> NDArray[np.uint8]:
-    """Decode a color image.
+    """Decode a color image to (H, W, 3) uint8 RGB; gray is spread over the three channels.
 
-    Parameters
-    ----------
-    content : bytes
-        The encoded image.
-    name : str
-        What an error calls it, such as its file's path.
-
-    Returns
-    -------
-    (H, W, 3) uint8
-        RGB; gray images are spread over the three channels.
-
-    Raises
-    ------
-    FrameFormatError
-        If the image is cut off, damaged or of an unknown form.
+    Raises FrameFormatError, which calls the image `name`, if it is cut off, damaged or of an unknown form.
     """
     bgr = _decode(content, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION, name)
     color: NDArray[np.uint8] = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB).astype(np.uint8, copy=False)
@@ -114,30 +92,12 @@ def decode_color(content: bytes, name: str) -> NDArray[np.uint8]:
 
 
 def decode_depth(content: bytes, name: str, *, units_per_metre: float = 1000.0) -> NDArray[np.uint16]:
-    """Decode a depth image.
+    """Decode a depth image to (H, W) uint16 millimetres, 0 where there is none or it does not fit.
 
-    Two encodings are known by their values and need no scale: the 11-bit disparities of a Kinect in
-    low-byte-first PGM, as in the raw NYU Depth v2 set [1]_, and millimetres rotated by three bits, as
-    in SUN RGB-D [2]_.
-
-    Parameters
-    ----------
-    content : bytes
-        The encoded image, 16 bits per pixel, or 32-bit floating point in metres.
-    name : str
-        What an error calls it, such as its file's path.
-    units_per_metre : float
-        Depth units per metre of 16-bit images.
-
-    Returns
-    -------
-    (H, W) uint16
-        Depth, millimetres; 0 where there is none or it does not fit.
-
-    Raises
-    ------
-    FrameFormatError
-        If the image is cut off, damaged or does not have one channel of 16 bits.
+    It has 16 bits per pixel in some unit, or 32-bit floating point in metres. Two encodings are known by
+    their values and need no unit: the 11-bit disparities of a Kinect in low-byte-first PGM, as in the raw NYU
+    Depth v2 set [1]_, and millimetres rotated by three bits, as in SUN RGB-D [2]_. Raises FrameFormatError,
+    which calls the image `name`, if it is cut off, damaged or does not have one channel of 16 bits.
 
     References
     ----------

@@ -4,19 +4,9 @@ from __future__ import annotations
 
 
 def decompress(content: bytes, size: int) -> bytes:
-    """Decompress an LZF block.
+    """Decompress an LZF block: runs of literal bytes, and references back of 3 to 264 bytes.
 
-    Parameters
-    ----------
-    content : bytes
-        The block: runs of literal bytes, and references back of 3 to 264 bytes.
-    size : int
-        Bytes that must come out.
-
-    Raises
-    ------
-    ValueError
-        If the block is damaged or of another size.
+    Raises ValueError if it is damaged, or other than `size` bytes come out.
 
     References
     ----------

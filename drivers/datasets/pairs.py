@@ -45,25 +45,10 @@ class ImagePair:
 
 
 def find_pairs(folder: Path) -> tuple[list[ImagePair], list[Path]]:
-    """Find the pairs in a folder.
+    """Find the pairs in a folder, in natural order of their names, and images that lack their partner.
 
-    Parameters
-    ----------
-    folder : Path
-        Holds the images themselves, or the folders ``color`` (or ``rgb``, ``image``), ``depth`` and
-        ``label``, whose images are paired by name.
-
-    Returns
-    -------
-    pairs : list of ImagePair
-        In natural order of their names.
-    single : list of Path
-        Color and depth images that lack the other.
-
-    Raises
-    ------
-    RecordingFormatError
-        If two files claim the same place.
+    The folder holds the images themselves, or the folders ``color`` (or ``rgb``, ``image``), ``depth`` and
+    ``label``, whose images are paired by name. Raises RecordingFormatError if two files claim the same place.
     """
     named: list[tuple[bool, Path, str, str]] = []
     for path in sorted(folder.iterdir()):

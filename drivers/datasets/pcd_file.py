@@ -23,12 +23,8 @@ _COUNT_MAX = 4096
 class OrganisedCloud:
     """What an organised PCD file holds.
 
-    Parameters
-    ----------
-    points_m : (H, W, 3) float32
-        Metres, camera frame; NaN where there is no point.
-    color : (H, W, 3) uint8 or None
-        RGB, where the file has color.
+    `points_m` (H, W, 3) are in metres in the camera's frame, NaN where there is no point; `color` (H, W, 3)
+    is RGB, where the file has color.
     """
 
     points_m: NDArray[np.float32]

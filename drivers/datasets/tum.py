@@ -67,20 +67,12 @@ def associate(first: list[int], second: list[int], limit: int) -> list[tuple[int
 class TumSource(PairSource):
     """Replays a TUM RGB-D folder; a frame's time is its depth image's.
 
-    Images without a partner within ``options.association_limit_s`` are dropped and counted in
-    ``metadata["dropped"]``. Depth has 5000 units per metre unless the folder or the user says otherwise.
+    It holds rgb.txt, depth.txt, the images they name, and the calibration unless `options` do. Images without
+    a partner within ``options.association_limit_s`` are dropped and counted in ``metadata["dropped"]``. Depth
+    has 5000 units per metre unless the folder or the user says otherwise.
 
-    Parameters
-    ----------
-    folder : Path
-        Holds rgb.txt, depth.txt, the images they name, and the calibration unless `options` do.
-    options : SourceOptions
-        Intrinsics, depth scale and association limit.
-
-    Raises
-    ------
-    RecordingFormatError, CalibrationError
-        If a list is damaged, or no pair can be used; if there is no calibration, or an unusable one.
+    Raises RecordingFormatError if a list is damaged, or no pair can be used; CalibrationError if there is no
+    calibration, or an unusable one.
 
     References
     ----------

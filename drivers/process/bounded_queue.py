@@ -61,18 +61,8 @@ class BoundedQueue(Generic[Item]):
     def put(self, item: Item, timeout_s: float | None = None) -> bool:
         """Add an item; return whether it was taken, which a closed queue does not do.
 
-        Parameters
-        ----------
-        item : object
-            What is added.
-        timeout_s : float, optional
-            Longest wait for room, seconds, of a queue that lets its producer wait; without it, until there
-            is room or the queue is closed.
-
-        Raises
-        ------
-        TimeoutError
-            If there was no room in time; the item is not added.
+        A queue that lets its producer wait does so for `timeout_s` seconds at most and raises TimeoutError
+        then; without it, until there is room or the queue is closed.
         """
         size = self._size(item)
 

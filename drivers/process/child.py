@@ -41,19 +41,8 @@ def end_group(process: subprocess.Popen[bytes], limit_s: float) -> int | None:
 class ChildProcess(Closing):
     """Runs a module that begins with `nurbseg.drivers.process.parent.connect`.
 
-    Parameters
-    ----------
-    module : str
-        Its name.
-    slots : int
-        Messages with arrays that may be on their way.
-    quiet : bool
-        Whether what it writes to standard error is dropped.
-
-    Raises
-    ------
-    OSError
-        If it cannot be started.
+    `slots` messages with arrays may be on their way. What a `quiet` one writes to standard error is dropped.
+    Raises OSError if it cannot be started.
     """
 
     def __init__(self, module: str, *, slots: int, quiet: bool = True) -> None:

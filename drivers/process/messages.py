@@ -21,19 +21,10 @@ _ALIGNMENT = 16
 
 
 class Codec:
-    """Encodes and decodes messages of some classes.
+    """Encodes and decodes messages of some dataclasses, and of those that their fields name.
 
-    Nothing else can be decoded, so that bytes cannot make the reader run anything.
-
-    Parameters
-    ----------
-    *classes : type
-        Dataclasses; those that their fields name are included.
-
-    Raises
-    ------
-    ValueError
-        If two of them have the same name.
+    Nothing else can be decoded, so that bytes cannot make the reader run anything. Raises ValueError if two
+    of them have the same name.
     """
 
     def __init__(self, *classes: type) -> None:
