@@ -16,7 +16,8 @@ _log = logging.getLogger(__name__)
 _ROLES = {"color": "color", "rgb": "color", "depth": "depth", "label": "labels", "labels": "labels"}
 #: Words that count where no better one names an image of the same frame.
 _WEAK_ROLES = {"d": "depth", "image": "color", "images": "color"}
-_WORDS = "|".join(sorted({**_ROLES, **_WEAK_ROLES}, key=len, reverse=True))
+_ALL_ROLES = _ROLES | _WEAK_ROLES
+_WORDS = "|".join(sorted(_ALL_ROLES, key=len, reverse=True))
 _EXTENSIONS = {
     "color": ("png", "jpg", "jpeg", "ppm", "tif", "tiff", "bmp"),
     "depth": ("png", "pgm", "tif", "tiff"),
@@ -54,16 +55,21 @@ def find_pairs(folder: Path) -> tuple[list[ImagePair], list[Path]]:
     for path in sorted(folder.iterdir()):
         if path.is_dir():
             word = path.name.casefold()
-            role = {**_ROLES, **_WEAK_ROLES}.get(word)
-            if role is not None:
+            if word in _ALL_ROLES:
+                role = _ALL_ROLES[word]
                 named += [(word in _WEAK_ROLES, image, image.stem, role) for image in path.iterdir()]
-        else:
-            key, role, weak = _named(path.stem)
-            if role is not None:
-                named.append((weak, path, key, role))
+        elif (parts := key_and_word(path.stem)) is not None:
+            key, word = parts
+            named.append((word in _WEAK_ROLES, path, key, _ALL_ROLES[word]))
     found: dict[str, dict[str, Path]] = {}
     for weak, path, key, role in sorted(named):
-        _enter(found, key, role, path, weak=weak)
+        if path.suffix.lower().lstrip(".") not in _EXTENSIONS[role] or path.name.startswith("."):
+            continue
+        files = found.setdefault(key, {})
+        if role not in files:
+            files[role] = path
+        elif not weak:
+            raise RecordingFormatError(f"{path}: {files[role].name} is the {role} image of {key!r} already")
     pairs, single = [], []
     for key in sorted(found, key=natural_key):
         files = found[key]
@@ -74,9 +80,10 @@ def find_pairs(folder: Path) -> tuple[list[ImagePair], list[Path]]:
     return pairs, single
 
 
-def key_and_role(stem: str) -> tuple[str, str | None]:
-    """Return what a pair's names have in common and which image this is: color, depth, labels or None."""
-    return _named(stem)[:2]
+def key_and_word(stem: str) -> tuple[str, str] | None:
+    """Return what a pair's names have in common, and the word that says which image this is."""
+    match = _ROLE_LAST.fullmatch(stem) or _ROLE_FIRST.fullmatch(stem)
+    return match and (match["key"] or "", match["role"].casefold())
 
 
 def match_patterns(color: str, depth: str) -> tuple[list[ImagePair], int]:
@@ -116,23 +123,3 @@ def _by_wildcards(pattern: str) -> dict[tuple[tuple[int, str], ...], Path]:
     if not found:
         raise RecordingFormatError(f"{pattern}: no file matches this pattern")
     return found
-
-
-def _named(stem: str) -> tuple[str, str | None, bool]:
-    """Return what `key_and_role` does, and whether the word counts only where no better one is there."""
-    match = _ROLE_LAST.fullmatch(stem) or _ROLE_FIRST.fullmatch(stem)
-    if match is None:
-        return "", None, False
-    word = match["role"].casefold()
-    return match["key"] or "", {**_ROLES, **_WEAK_ROLES}[word], word in _WEAK_ROLES
-
-
-def _enter(found: dict[str, dict[str, Path]], key: str, role: str, path: Path, *, weak: bool) -> None:
-    if path.suffix.lower().lstrip(".") not in _EXTENSIONS[role] or path.name.startswith("."):
-        return
-    files = found.setdefault(key, {})
-    if role in files:
-        if weak:
-            return
-        raise RecordingFormatError(f"{path}: {files[role].name} is the {role} image of {key!r} already")
-    files[role] = path

@@ -15,7 +15,7 @@ from nurbseg.drivers import (
     SourceOptions,
     open_source,
 )
-from nurbseg.drivers.datasets.pairs import find_pairs, key_and_role
+from nurbseg.drivers.datasets.pairs import find_pairs, key_and_word
 
 GIVEN = SourceOptions(intrinsics=(52.5, 52.5, 31.5, 23.5))
 
@@ -126,7 +126,7 @@ def test_a_folder_of_other_names_is_told_the_names_and_the_patterns(tmp_path: Pa
 
 @pytest.mark.parametrize("stem", ["colorful", "depths", "my-deep", "label7x", "camera", "coloring_1", ""])
 def test_names_that_only_resemble_are_left_alone(stem: str) -> None:
-    assert key_and_role(stem) == ("", None)
+    assert key_and_word(stem) is None
 
 
 def test_frames_are_in_natural_order_and_a_thirtieth_of_a_second_apart(tmp_path: Path) -> None:
