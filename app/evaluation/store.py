@@ -15,12 +15,8 @@ _FORMAT = 1
 class StudyStore:
     """A folder with a study's description and one file for each finished frame.
 
-    Files appear whole or not at all: they are written beside their place and renamed into it.
-
-    Raises
-    ------
-    ValueError
-        If the folder holds another study, or files that are not a study's.
+    Files appear whole or not at all: they are written beside their place and renamed into it. Raises
+    ValueError if the folder holds another study, or files that are not a study's.
     """
 
     def __init__(self, folder: Path, description: Mapping[str, Any]) -> None:

@@ -93,16 +93,9 @@ def run_study(
 
     Frames are shared out to the processes of `open_workers`; results are written by this process alone, a
     frame at a time, and do not depend on who computed them or in which order. `report` is called after each
-    frame with the number of finished frames and of all.
-
-    Raises
-    ------
-    nurbseg.drivers.errors.DriverError
-        If a source cannot be opened.
-    ValueError
-        If the scheduler does not answer, or has no worker.
-    WorkerLostError
-        If a frame ends two processes that work on it.
+    frame with the number of finished frames and of all. Raises DriverError if a source cannot be opened;
+    ValueError if the scheduler does not answer, or has no worker; WorkerLostError if a frame ends two
+    processes that work on it.
     """
     todo = []
     refs = frame_refs(study)

@@ -66,12 +66,8 @@ def tune(
 
     Every tried setting, `start` first, is scored on every frame; the winner of each of `folds` parts is the
     best on the other parts. What is not searched stays as in `start`. `report` is called after each of
-    `budget` trials with its number and the best mean.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than two labelled frames, or `budget` or `folds` is below 2.
+    `budget` trials with its number and the best mean. Raises ValueError if there are fewer than two labelled
+    frames, or `budget` or `folds` is below 2.
     """
     import optuna
 

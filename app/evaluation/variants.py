@@ -69,10 +69,7 @@ class Variant:
 def setting_value(name: str, text: str) -> Any:
     """Turn the text of a setting, by its name or symbol (``lambda``), into its value.
 
-    Raises
-    ------
-    ValueError
-        If there is no such setting, or the text is no value of it.
+    Raises ValueError if there is no such setting, or the text is no value of it.
     """
     path = path_named(name)
     try:
@@ -96,11 +93,8 @@ def path_named(name: str) -> str:
 def grid_of(texts: Iterable[str]) -> dict[str, list[Any]]:
     """Read ``NAME=VALUE,VALUE,...`` texts into the values of each setting; ``lambda=auto`` is allowed.
 
-    Raises
-    ------
-    ValueError
-        If a text has another form, a value is not one of its setting's, or the setting is the method,
-        which is not part of a grid.
+    Raises ValueError if a text has another form, a value is not one of its setting's, or the setting is the
+    method, which is not part of a grid.
     """
     grid: dict[str, list[Any]] = {}
     for text in texts:
@@ -128,12 +122,8 @@ def variants_of(
     """Spell out a study's variants: every method with every combination of the settings that it uses.
 
     Metrics and thresholds, the configured ones where there are none, apply to the tree methods but ``pz14``,
-    whose metric is MSE by definition; the grid (see `grid_of`) to the methods of this project.
-
-    Raises
-    ------
-    ValueError
-        If a metric is unknown or a combination is out of bounds.
+    whose metric is MSE by definition; the grid (see `grid_of`) to the methods of this project. Raises
+    ValueError if a metric is unknown or a combination is out of bounds.
     """
     base = base or SegmentationConfig()
     for metric in metrics:

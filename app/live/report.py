@@ -185,10 +185,7 @@ class RunReport:
     def write(self, ended: str) -> None:
         """Write the figures to the configuration's file, if it names one, whole or not at all.
 
-        Raises
-        ------
-        ExportError
-            If it cannot be written.
+        Raises ExportError if it cannot be written.
         """
         if self._config.export.report is None:
             return

@@ -21,10 +21,8 @@ DEFAULT_PORT, DEFAULT_WEB_PORT = 9876, 9090
 class ViewConfig(Settings):
     """Settings of the live view and of the saved recording.
 
-    Raises
-    ------
-    ValueError
-        If a value is out of its bounds, an address cannot be read, or settings contradict each other.
+    Raises ValueError if a value is out of its bounds, an address cannot be read, or settings contradict each
+    other.
     """
 
     mode: ViewMode = setting(

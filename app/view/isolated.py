@@ -149,10 +149,7 @@ class IsolatedView(View):
     def show(self, result: FrameResult) -> None:
         """Show a frame and save it: a viewer that is behind gets the newest one only, the file every one.
 
-        Raises
-        ------
-        ViewError
-            If the file can no longer be written, or the process that shows and saves is gone.
+        Raises ViewError if the file can no longer be written, or the process that shows and saves is gone.
         """
         if self._closed:
             raise ViewError("the view is closed")

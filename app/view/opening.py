@@ -61,12 +61,7 @@ def open_view(
     """Open the view that a configuration asks for, in a process from `begin_view` if one was started.
 
     `metadata` is what is known of the device; the messages of a logger, the package's by default, are shown
-    too.
-
-    Raises
-    ------
-    ViewError
-        If the file cannot be created, a port is taken, or the viewer cannot be started.
+    too. Raises ViewError if the file cannot be created, a port is taken, or the viewer cannot be started.
     """
     process = process or begin_view(config)
     if process is None:

@@ -57,10 +57,7 @@ class Camera:
 def list_cameras() -> tuple[Camera, ...]:
     """Ask OpenNI2 for its cameras and each camera for what it can do.
 
-    Raises
-    ------
-    BackendMissingError
-        If OpenNI2 is not installed.
+    Raises BackendMissingError if OpenNI2 is not installed.
     """
     usb_devices = {device.port: device for device in read_sysfs()}
     with in_use() as library:

@@ -196,13 +196,7 @@ def read_sysfs(root: Path = Path("/")) -> tuple[UsbDevice, ...]:
 
 
 def find_devices(backend: Any = None) -> list[Any]:
-    """Return pyusb's devices.
-
-    Raises
-    ------
-    BackendMissingError
-        If pyusb finds no libusb.
-    """
+    """Return pyusb's devices; raises BackendMissingError if pyusb finds no libusb."""
     import usb.core
 
     try:

@@ -203,13 +203,7 @@ PROTOTYPES: dict[str, tuple[object, list[object]]] = {
 
 
 def declare(library: ctypes.CDLL) -> None:
-    """Give the library's functions their types.
-
-    Raises
-    ------
-    AttributeError
-        If the library lacks a function.
-    """
+    """Give the library's functions their types; raises AttributeError if the library lacks a function."""
     for name, (result, arguments) in PROTOTYPES.items():
         function = getattr(library, name)
         function.restype = result

@@ -63,10 +63,7 @@ class DeviceListing:
 def find_library() -> str:
     """Return what to load: the library in `OPENNI2_REDIST`'s folder, else the system's.
 
-    Raises
-    ------
-    BackendMissingError
-        If the folder named by `OPENNI2_REDIST` does not hold the library.
+    Raises BackendMissingError if the folder named by `OPENNI2_REDIST` does not hold the library.
     """
     folder = os.environ.get(REDIST_VARIABLE)
     if not folder:
@@ -152,12 +149,8 @@ class Library:
     def check(self, status: int, doing: str, error: type[DriverError] = DriverError) -> None:
         """Raise an error if a function did not answer OK; must follow it on the same thread.
 
-        Raises
-        ------
-        DeviceNotFoundError
-            If the library reports that there is no such device.
-        DriverError
-            Or `error`; the message holds `doing` and the library's own text.
+        Raises DeviceNotFoundError if the library reports that there is no such device; DriverError or
+        `error`; the message holds `doing` and the library's own text.
         """
         if status == Status.OK:
             return
@@ -235,10 +228,7 @@ def _end_all() -> None:
 def acquire() -> Library:
     """Return the library, initialised; pair with `release`.
 
-    Raises
-    ------
-    BackendMissingError
-        If it is not installed, or finds no drivers; the message says what to do.
+    Raises BackendMissingError if it is not installed, or finds no drivers; the message says what to do.
     """
     path = find_library()
     with _lock:

@@ -23,14 +23,8 @@ _DEPTH_TO_COLOR = 1
 class OpenedDevice(Closing):
     """A device that is open until `close`, and the library in use for as long.
 
-    `on_event` is called with "disconnected" or "state N", on a thread of the library's.
-
-    Raises
-    ------
-    BackendMissingError
-        If OpenNI2 is not installed.
-    DeviceNotFoundError
-        If the library cannot open it.
+    `on_event` is called with "disconnected" or "state N", on a thread of the library's. Raises
+    BackendMissingError if OpenNI2 is not installed, and DeviceNotFoundError if the library cannot open it.
     """
 
     def __init__(self, uri: str, on_event: Callable[[str], None] | None = None) -> None:
@@ -148,14 +142,8 @@ def open_camera(
 ) -> tuple[OpenedDevice, DeviceListing]:
     """Open the camera that is meant, as `nurbseg.drivers.openni2.selection.choose` reads it.
 
-    Of several, the first that opens: another program may have the others.
-
-    Raises
-    ------
-    BackendMissingError
-        If OpenNI2 is not installed.
-    DeviceNotFoundError
-        If there is no such camera, or none of them can be opened.
+    Of several, the first that opens: another program may have the others. Raises BackendMissingError if
+    OpenNI2 is not installed; DeviceNotFoundError if there is no such camera, or none of them can be opened.
     """
     with in_use() as library:
         first: DeviceNotFoundError | None = None

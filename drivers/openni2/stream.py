@@ -76,10 +76,7 @@ class Stream:
     def set_mode(self, width: int, height: int, fps: int, formats: tuple[PixelFormat, ...]) -> None:
         """Choose a mode from what the device lists; of several formats the first one listed.
 
-        Raises
-        ------
-        DriverError
-            If the device lists no such mode, or refuses it.
+        Raises DriverError if the device lists no such mode, or refuses it.
         """
         name = self.sensor.name.lower()
         for pixel_format in formats:
@@ -102,10 +99,7 @@ class Stream:
     def get(self, name: StreamProperty, kind: type[Any]) -> Any:
         """Return a property as a ctypes structure, or as a plain value for a simple type.
 
-        Raises
-        ------
-        DriverError
-            If the stream does not report it.
+        Raises DriverError if the stream does not report it.
         """
         value, size = kind(), ctypes.c_int(ctypes.sizeof(kind))
         self._library.check(

@@ -41,10 +41,7 @@ class _UnexpectedError(ValueError):
 def read_settings(folder: Path) -> RunSettings:
     """Read what the frames of a folder of exports were made with.
 
-    Raises
-    ------
-    ValueError
-        If the folder has no such file, or it is damaged.
+    Raises ValueError if the folder has no such file, or it is damaged.
     """
     path = folder / SETTINGS_FILE
     try:
@@ -120,10 +117,7 @@ _type_hints = cache(get_type_hints)
 def _decoded(kind: Any, value: Any) -> Any:
     """Return a JSON value as a type asks: a class from an object with its fields, a tuple from a list.
 
-    Raises
-    ------
-    ValueError
-        If it is none; names the field, and the segment that it belongs to.
+    Raises ValueError if it is none; names the field, and the segment that it belongs to.
     """
     origin, inner = get_origin(kind), get_args(kind)
     if origin is UnionType:

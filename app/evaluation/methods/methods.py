@@ -57,12 +57,8 @@ METHODS: Mapping[str, LabelMethod] = {
 def check_method(name: str) -> None:
     """Make sure that a method is known and can run here.
 
-    Raises
-    ------
-    ValueError
-        If there is no such method, or the folder of its label images is not there.
-    nurbseg.drivers.errors.BackendMissingError
-        If what it needs is not installed; the message says what that is.
+    Raises ValueError if there is no such method, or the folder of its label images is not there;
+    BackendMissingError if what it needs is not installed; the message says what that is.
     """
     if name.startswith(LABELS_PREFIX):
         folder = Path(name.removeprefix(LABELS_PREFIX))
@@ -79,12 +75,7 @@ def labels_on_disk(folder: Path, frame_name: str, index: int) -> NDArray[np.inte
     """Read what another program found in a frame, (H, W) labels as they are.
 
     ``NAME_labels.png``, ``NAME_label.png``, ``NAME.png`` and ``NNNNNN_labels.png`` (the frame's number) are
-    looked for in this order.
-
-    Raises
-    ------
-    ValueError
-        If none is there, or it is not an image of one channel.
+    looked for in this order. Raises ValueError if none is there, or it is not an image of one channel.
     """
     names = [f"{index:06d}_labels.png", f"{index:06d}.png"]
     if frame_name:

@@ -29,10 +29,8 @@ _SOURCES = ("CMakeLists.txt", "pcl_rivals.cpp")
 def program() -> Path:
     """Return the program, building it where this version of its source has not been built yet.
 
-    Raises
-    ------
-    BackendMissingError
-        If PCL, cmake or a compiler is missing, or the build fails; says what to install.
+    Raises BackendMissingError if PCL, cmake or a compiler is missing, or the build fails; says what to
+    install.
     """
     needed = "install them: apt-get install libpcl-dev cmake g++"
     if shutil.which("cmake") is None or shutil.which("c++") is None:

@@ -125,10 +125,7 @@ class IsolatedCamera(FrameSource):
     def is_open(self, timeout_s: float = 0.0) -> bool:
         """Whether the camera is open; waits at most so long for news.
 
-        Raises
-        ------
-        DriverError
-            As on opening.
+        Raises DriverError as on opening.
         """
         if not self._is_open and isinstance(opened := self._answer(timeout_s), Opened):
             self.metadata.update(opened.metadata)

@@ -26,13 +26,7 @@ def calibration_note(calibration: Calibration) -> dict[str, Any]:
 
 
 def calibration_of_note(path: Path, note: Any) -> Calibration:
-    """Return the calibration that a recording's note holds.
-
-    Raises
-    ------
-    RecordingFormatError
-        If it is none.
-    """
+    """Return the calibration that a recording's note holds; raises RecordingFormatError if it is none."""
     try:
         depth, color = (
             Intrinsics(**(note[name] | {"distortion": np.array(note[name]["distortion"])}))

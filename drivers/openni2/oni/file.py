@@ -92,10 +92,8 @@ class OniFile:
 def read_structure(path: Path) -> OniFile:
     """Read which streams and frames a recording holds.
 
-    Raises
-    ------
-    RecordingFormatError
-        If it is no .oni file, lacks a stream or any frames, or holds a record that contradicts itself.
+    Raises RecordingFormatError if it is no .oni file, lacks a stream or any frames, or holds a record that
+    contradicts itself.
     """
     try:
         with path.open("rb") as file:
@@ -225,12 +223,8 @@ def correct_header(path: Path) -> bool:
     """Let the header of a recording count all of its streams; return whether it did not.
 
     OpenNI2's recorder now and then counts one stream too few until it writes the file's end. Its player
-    refuses such a file, so a recording that was cut short could not be played.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read or written.
+    refuses such a file, so a recording that was cut short could not be played. Raises OSError if the file
+    cannot be read or written.
     """
     with path.open("r+b") as file:
         *_, counted = _HEADER.unpack(file.read(_HEADER.size))
@@ -245,10 +239,7 @@ def correct_header(path: Path) -> bool:
 def write_end(path: Path) -> bool:
     """Let a recording that was cut short end after its last whole record; return whether it had no end.
 
-    Raises
-    ------
-    OSError
-        If the file cannot be read or written.
+    Raises OSError if the file cannot be read or written.
     """
     with path.open("r+b") as file:
         place = file.seek(_HEADER.size)
@@ -278,10 +269,7 @@ def _read_note(file: BinaryIO, end: int) -> dict[str, Any]:
 def finish(path: Path, note: dict[str, Any]) -> None:
     """Cut the empty tail that the recorder leaves after the end record, and put a note there.
 
-    Raises
-    ------
-    RecordingFormatError
-        If the recorder did not write its end record.
+    Raises RecordingFormatError if the recorder did not write its end record.
     """
     try:
         with path.open("r+b") as file:

@@ -229,12 +229,7 @@ class OniSource(FrameSource):
 def open_path(path: Path, options: SourceOptions) -> OniSource:
     """Open an .oni recording.
 
-    Raises
-    ------
-    BackendMissingError
-        If OpenNI2 is not installed.
-    RecordingFormatError
-        If the file is damaged.
+    Raises BackendMissingError if OpenNI2 is not installed, and RecordingFormatError if the file is damaged.
     """
     return OniSource(
         path,

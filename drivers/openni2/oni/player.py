@@ -99,10 +99,7 @@ def _send(channel: Channel, message: Any) -> None:
 def play(path: str, channel: Channel) -> None:
     """Send a description, every image in the order of the file, and the end.
 
-    Raises
-    ------
-    DriverError
-        If OpenNI2 cannot play it.
+    Raises DriverError if OpenNI2 cannot play it.
     """
     ended: list[bool] = []
 

@@ -32,10 +32,7 @@ class PlayerProcess:
     def receive(self, timeout_s: float, limit_s: float | None = None) -> Message | None:
         """Return the next message, or None if it does not come in time.
 
-        Raises
-        ------
-        RecordingFormatError
-            If the player has died, or has sent nothing for `limit_s`.
+        Raises RecordingFormatError if the player has died, or has sent nothing for `limit_s`.
         """
         deadline = time.monotonic() + timeout_s
         try:
