@@ -38,6 +38,8 @@ from nurbseg.segmentation.scoring.scores import Contingency
 
 #: Strength of the data against the penalty on the weights of standardised features.
 _STRENGTH = 0.3
+#: Log odds that no gap outweighs.
+_CERTAIN = 1e3
 Weights = tuple[float, NDArray[np.float64], NDArray[np.float64]]
 
 
@@ -117,6 +119,11 @@ def log_odds(each: Surfaces, weights: Weights) -> NDArray[np.float64]:
     return np.where(each.in_contact, base + (each.features - neutral) @ slopes, GAP)
 
 
+def true_log_odds(each: Surfaces) -> NDArray[np.float64]:
+    """Return what evidence without a mistake would give: it says nothing where surfaces do not touch."""
+    return np.where(each.in_contact, np.where(each.same, _CERTAIN, -_CERTAIN), GAP)
+
+
 def scores(each: Surfaces, odds: NDArray[np.float64], log_odds_min: float = 0.0) -> list[float]:
     """Merge surfaces and score the objects: RI, GTRC, VoI, obj, and the two parts of VoI."""
     count = len(each.common) - 1
@@ -185,6 +192,7 @@ def report(known: Sequence[Surfaces], groups: Sequence[str]) -> list[str]:
         "surfaces, nothing merged": [scores(each, np.full(len(each.pairs), -1.0)) for each in known],
         "published weights": [scores(each, log_odds(each, published)) for each in known],
         "weights of the other frames": [scores(each, log_odds(each, without[each.frame])) for each in known],
+        "ground truth where they touch": [scores(each, true_log_odds(each)) for each in known],
         "merged by the ground truth": [scores(each, np.where(each.same, 1.0, -1e6)) for each in known],
     }
     lines = ["| frames | merged by | RI | GTRC | VoI | obj | under | over |", "|---" * 8 + "|"]

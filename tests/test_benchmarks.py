@@ -90,3 +90,18 @@ for path in sorted(pathlib.Path().glob("*.py")):
     missing = run_python(script, cwd=ALL.parent).stdout.split()
     # What only some of them need may not be installed.
     assert set(missing) <= {"cosmic_ray", "sklearn", "skimage"}
+
+
+@pytest.mark.parametrize(("touches", "covering"), [("100", 20 / 30), ("101", 1.0)])
+def test_merging_by_the_ground_truth_where_surfaces_touch_leaves_gaps(touches: str, covering: float) -> None:
+    """Three surfaces of 10 pixels are one region: the longest border is a gap, the last two touch."""
+    pytest.importorskip("sklearn")
+    script = f"""
+import numpy as np
+from merging import Surfaces, scores, true_log_odds
+pairs = np.array([[2, 3], [1, 2], [1, 3]])
+frame = Surfaces(0, pairs, np.array([5, 100, 1]), np.array([each == "1" for each in {touches!r}]),
+                 np.zeros((3, 6)), np.array([[0, 0]] + 3 * [[0, 10]]), np.ones(3, bool), np.ones(3))
+print(scores(frame, true_log_odds(frame))[1])
+"""
+    assert float(run_python(script, cwd=ALL.parent).stdout) == pytest.approx(covering)
