@@ -34,43 +34,43 @@ class SourceConfig(Settings):
     replay: str | None = setting(None, "recording or folder of images to replay", unit="PATH")
     color_images: str | None = setting(
         None,
-        "color images to replay, of any names: a pattern in quotes; with depth_images",
+        "color images to replay, with any names: a pattern in quotes; needs depth_images",
         unit="GLOB",
         flag="color",
     )
     depth_images: str | None = setting(
         None,
-        "their depth images: paired by what stands in the place of the wildcards",
+        "their depth images, paired by the text that the wildcards match",
         unit="GLOB",
         flag="depth",
     )
     synthetic: bool = setting(False, "the rendered scene, which needs neither camera nor file")
-    fallback: str | None = setting(None, "what to replay where no camera is found", unit="PATH")
+    fallback: str | None = setting(None, "what to replay if no camera is found", unit="PATH")
     speed: float = setting(
-        1.0, "rate of a replay: 1 as recorded, 0 as fast as possible with every frame segmented", least=0.0
+        1.0, "replay speed: 1 as recorded, 0 as fast as possible, segmenting every frame", least=0.0
     )
     workers: int | Literal["auto"] = setting(
         1,
-        "processes that segment the frames of a replay with --speed 0, each for itself; auto: one a core",
+        "processes that segment the frames of a replay with --speed 0 independently; auto: one per core",
         least=1,
     )
-    loop: bool = setting(False, "start a replay again at its end")
-    start: int = setting(0, "frames of a replay to pass over at its beginning", least=0)
+    loop: bool = setting(False, "restart a replay at its end")
+    start: int = setting(0, "frames to skip at the start of a replay", least=0)
     frames: int | None = setting(None, "stop after this many frames", least=1)
     duration_s: float | None = setting(
-        None, "stop after this long, by the frames' own clock", unit="s", above=0.0, flag="duration"
+        None, "stop after this long, by the frames' timestamps", unit="s", above=0.0, flag="duration"
     )
     intrinsics: tuple[float, float, float, float] | None = setting(
         None,
-        "focal lengths and principal point, in pixels, of images without calibration",
+        "focal lengths and principal point, in pixels, for images without calibration",
         unit="FX,FY,CX,CY",
     )
     depth_scale: float | None = setting(
-        None, "depth units per metre of images that do not say it", unit="1/m", above=0.0
+        None, "depth units per metre, for images that do not specify them", unit="1/m", above=0.0
     )
     association_limit_s: float = setting(
         ASSOCIATION_LIMIT_S,
-        "largest difference in time between a depth image and its color image",
+        "maximum time difference between a depth image and its color image",
         unit="s",
         above=0.0,
     )
@@ -81,7 +81,7 @@ class SourceConfig(Settings):
             raise ValueError(f"{', '.join(self.named)}: name one source, not {len(self.named)}")
         if (self.color_images is None) != (self.depth_images is None):
             missing = "depth_images" if self.depth_images is None else "color_images"
-            raise ValueError(f"{missing}: expected a pattern, since color and depth images go together")
+            raise ValueError(f"{missing}: expected a pattern; color and depth images must be given together")
         if self.intrinsics is not None:
             if not all(math.isfinite(value) for value in self.intrinsics):
                 raise ValueError(f"intrinsics: expected finite numbers, got {self.intrinsics}")

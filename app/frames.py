@@ -23,7 +23,7 @@ def places(uri: str, options: SourceOptions, start: int = 0, most: int | None = 
     """
     with open_source(uri, options) as source:
         if source.live:
-            raise ValueError(f"{uri}: a camera gives no frame twice; record it first")
+            raise ValueError(f"{uri}: a camera cannot be rewound; record it first")
         first = source.skip(start)
         return range(first, first + source.skip(_ALL if most is None else most))
 

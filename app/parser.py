@@ -63,5 +63,7 @@ def add_setting_flags(parser: argparse.ArgumentParser) -> None:
 
 def add_calibration_flags(parser: argparse.ArgumentParser) -> None:
     """Add the flags that say what recordings without calibration do not."""
-    parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="of data without calibration, pixels")
-    parser.add_argument("--depth-scale", type=float, help="depth units per metre of data that does not say")
+    parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="for data without calibration, pixels")
+    parser.add_argument(
+        "--depth-scale", type=float, help="depth units per metre, for data that does not specify them"
+    )

@@ -187,7 +187,7 @@ class _Process:
             if error is not None:
                 raise error
             return result  # type: ignore[no-any-return]
-        raise WorkerLostError(f"the process that worked on it {lost}, and so did another one")
+        raise WorkerLostError(f"the process working on it {lost}, and so did another one")
 
     def end(self) -> None:
         """End the process for good, whoever calls it."""
@@ -231,6 +231,6 @@ def _cluster(scheduler: str) -> Iterator[_Cluster]:
             client.wait_for_workers(1, timeout=_WORKER_TIMEOUT_S)
         except TimeoutError as err:
             raise ValueError(
-                f"--scheduler {scheduler}: it has no worker; start some: dask worker {scheduler}"
+                f"--scheduler {scheduler}: it has no workers; start some: dask worker {scheduler}"
             ) from err
         yield _Cluster(client)

@@ -65,7 +65,7 @@ def create_private(path: Path, buffering: int = -1) -> BinaryIO:
 def check_absent(path: Path) -> None:
     """Raise FileExistsError, whose `strerror` says what to do, if there is a file of this name."""
     if path.is_file() or path.is_symlink():
-        raise FileExistsError(errno.EEXIST, "exists already; name another file or remove it", str(path))
+        raise FileExistsError(errno.EEXIST, "already exists; name another file or remove it", str(path))
 
 
 def part_after(path: Path, parts: int) -> Path:

@@ -101,7 +101,7 @@ def recordings_of(uris: Sequence[str], directory: Path) -> list[Recording]:
         parts = [part for part in Path(uri).parts if part not in ("/", "..")]
         folder = directory.joinpath(*parts)
         if folder in found:
-            raise ValueError(f"{found[folder]}, {uri}: results of both would go to {folder}")
+            raise ValueError(f"{found[folder]}, {uri}: both would write results to {folder}")
         found[folder] = uri
     return [Recording(uri, str(folder)) for folder, uri in found.items()]
 
@@ -162,7 +162,7 @@ def _begun(batch: Batch, recording: Recording) -> Exporter:
     except FileNotFoundError:
         frames = None
     except (KeyError, TypeError, ValueError) as err:
-        raise ExportError(f"{path}: cannot be read ({err!r}); delete {folder} to begin again") from err
+        raise ExportError(f"{path}: cannot be read ({err!r}); delete {folder} to start over") from err
     if frames is not None and recording.done == frames:
         recording.frames = frames
         return exporter
@@ -170,11 +170,11 @@ def _begun(batch: Batch, recording: Recording) -> Exporter:
     if frames not in (None, found):
         recording.done = 0
         raise ExportError(
-            f"{recording.uri}: has {found} frames, and had {frames} when this was begun; delete {folder}"
+            f"{recording.uri}: has {found} frames, but had {frames} when this batch started; delete {folder}"
         )
     recording.frames = found
     if not found:
-        raise ExportError(f"{recording.uri}: holds no frame")
+        raise ExportError(f"{recording.uri}: contains no frames")
     return exporter
 
 

@@ -62,7 +62,7 @@ def main(words: Sequence[str] | None = None) -> int:
     except (OSError, ValueError) as err:
         return _refused(str(err))
     except KeyboardInterrupt:
-        print("nurbseg-batch: interrupted; the same command goes on from here", file=sys.stderr)
+        print("nurbseg-batch: interrupted; run the same command to resume", file=sys.stderr)
         return 130
 
 

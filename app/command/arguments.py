@@ -86,26 +86,31 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
             if getattr(config.export, each.name) != each.default:
                 parser.error(f"{flags(each)[0]}: expected a folder too (--export DIR)")
     if config.record.only and (config.export.directory is not None or config.view.save is not None):
-        parser.error("--record-only: nothing is segmented, so that --export and --save have nothing to write")
+        parser.error("--record-only: nothing is segmented, so --export and --save have nothing to write")
     return Arguments(config, print_config, verbosity)
 
 
 def _parser() -> argparse.ArgumentParser:
     usage = "%(prog)s [--device NAME | --replay PATH | --synthetic] [options]"
     parser = command_parser("nurbseg-live", _DESCRIPTION, _EPILOG, usage)
-    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and end")
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     parser.add_argument("--config", type=Path, metavar="FILE", help="read settings from a TOML file")
     parser.add_argument(
         "--print-config",
         action="store_true",
-        help="write the settings, all flags applied, as a TOML file to stdout and end",
+        help="print the settings, with all flags applied, as TOML and exit",
     )
     loudness = parser.add_mutually_exclusive_group()
     loudness.add_argument(
-        "--quiet", dest="verbosity", action="store_const", const=-1, default=0, help="say only what is wrong"
+        "--quiet",
+        dest="verbosity",
+        action="store_const",
+        const=-1,
+        default=0,
+        help="log only warnings and errors",
     )
     loudness.add_argument(
-        "--verbose", dest="verbosity", action="store_const", const=1, help="say something of every frame"
+        "--verbose", dest="verbosity", action="store_const", const=1, help="log every frame"
     )
     for name, section in sections().items():
         group = parser.add_argument_group(_TITLES.get(name, name))

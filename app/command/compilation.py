@@ -38,7 +38,7 @@ def logged_compilation() -> Iterator[None]:
     finally:
         listener.end()
         if listener.spent_s > 0:
-            _log.info("compiling took %.0f s; later runs find the code on disk", listener.spent_s)
+            _log.info("compiling took %.0f s; later runs load the code from disk", listener.spent_s)
 
 
 class _Listener(event.Listener):
@@ -72,7 +72,7 @@ class _Listener(event.Listener):
     def on_start(self, event: event.Event) -> None:
         with self._lock:
             if not self._told_s:
-                _log.info("compiling the inner loops; this takes a quarter of a minute, once on a computer")
+                _log.info("compiling the inner loops; this takes a quarter of a minute, once per computer")
                 self._told_s = time.monotonic()
                 self._start_beside()
             if self._depth == 0:

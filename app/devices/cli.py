@@ -67,16 +67,16 @@ def _parser() -> argparse.ArgumentParser:
     _add_device(command, "which camera should work: xtion, kinect, orbbec, any, a URI or a serial number")
     command.add_argument("--json", action="store_true", help="write the findings as JSON")
 
-    command = commands.add_parser("calibration", help="write what a camera reports of its lenses to a file")
+    command = commands.add_parser("calibration", help="write the intrinsics that a camera reports to a file")
     command.set_defaults(run=_calibration)
     command.add_argument(
         "file", type=_toml_path, metavar="FILE.toml", help="file to write, for --calibration"
     )
     _add_device(command, "which camera: xtion, kinect, orbbec, any, a URI or a serial number")
     command.add_argument("--serial", default="", help="the camera with this serial number")
-    command.add_argument("--force", action="store_true", help="replace the file where it exists")
+    command.add_argument("--force", action="store_true", help="overwrite an existing file")
 
-    command = commands.add_parser("tilt", help="turn a Kinect v1's head")
+    command = commands.add_parser("tilt", help="tilt a Kinect v1")
     command.set_defaults(run=_motor)
     command.add_argument(
         "angle_deg",
@@ -87,7 +87,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_number(command)
 
     colors = get_args(LedColor)
-    command = commands.add_parser("led", help="set a Kinect v1's light")
+    command = commands.add_parser("led", help="set a Kinect v1's LED")
     command.set_defaults(run=_motor)
     command.add_argument("color", choices=colors, metavar="COLOR", help=", ".join(colors))
     _add_number(command)
@@ -105,7 +105,7 @@ def _add_device(command: argparse.ArgumentParser, text: str) -> None:
 
 def _add_number(command: argparse.ArgumentParser) -> None:
     command.add_argument(
-        "--number", type=int, default=0, metavar="N", help="which Kinect, from 0 (default: 0)"
+        "--number", type=int, default=0, metavar="N", help="number of the Kinect, from 0 (default: 0)"
     )
 
 
@@ -158,7 +158,7 @@ def _calibration(arguments: argparse.Namespace) -> int:
 
     path: Path = arguments.file
     if path.exists() and not arguments.force:
-        raise DriverError(f"{path}: exists already; --force replaces it")
+        raise DriverError(f"{path}: already exists; --force overwrites it")
     # Without the camera's own registration, with which its frames have one camera only.
     options = DeviceOptions(serial=arguments.serial, registration="software")
     with _quiet(), _time_limit(), DeviceSource(arguments.device.removeprefix("openni2:"), options) as source:
@@ -175,7 +175,7 @@ def _calibration(arguments: argparse.Namespace) -> int:
         f"{calibration.color.fx:.1f} pixels, nominal\n"
         f"  offset         {-1e3 * calibration.color_from_depth[0, 3]:.0f} mm to the right, nominal\n"
         f"Use it with: nurbseg-live --calibration {path}\n"
-        "docs/calibration.md says how to measure the nominal values."
+        "docs/calibration.md explains how to measure the nominal values."
     )
     return READY
 

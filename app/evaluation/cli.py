@@ -40,7 +40,7 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="NAME=V,V",
-        help="values of any segmentation setting; lambda=auto chooses it for each frame; may be repeated",
+        help="values of any segmentation setting; lambda=auto chooses it per frame; may be repeated",
     )
     run.add_argument(
         "--labels",
@@ -51,12 +51,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     run.add_argument("--out", type=Path, default=Path("out/eval"), help="folder of the study (%(default)s)")
     run.add_argument(
-        "--scheduler", metavar="URL", help="a Dask scheduler, tcp://HOST:8786, in place of --jobs"
+        "--scheduler", metavar="URL", help="a Dask scheduler, tcp://HOST:8786, instead of --jobs"
     )
     run.add_argument("--title", default="Segmentation on labelled frames", help="of the report")
     run.add_argument("--no-report", action="store_true", help="write tables only")
     run.add_argument(
-        "--pictures", type=int, default=200, help="frames shown in the report, the worst ones (%(default)s)"
+        "--pictures", type=int, default=200, help="number of worst frames shown in the report (%(default)s)"
     )
     run.add_argument(
         "--time-frames", type=int, default=3, help="frames on which each variant is timed alone (%(default)s)"
@@ -71,31 +71,36 @@ def _parser() -> argparse.ArgumentParser:
     )
     tune = commands.add_parser("tune", help="search the settings that score best")
     tune.add_argument("--budget", type=int, default=50, help="settings to try (%(default)s)")
-    tune.add_argument("--folds", type=int, default=5, help="parts of the cross-validation (%(default)s)")
+    tune.add_argument("--folds", type=int, default=5, help="folds of the cross-validation (%(default)s)")
     tune.add_argument("--method", default=None, help="method to tune (the configured one)")
     tune.add_argument(
         "--out", type=Path, default=Path("tuned.toml"), help="configuration for nurbseg-live (%(default)s)"
     )
     noise = commands.add_parser("noise", help="measure the sensor's noise on the largest plane")
     check = commands.add_parser(
-        "check", help="check what nurbseg-live exported against itself and its recording"
+        "check", help="check an export of nurbseg-live for consistency, also with its recording"
     )
     check.add_argument(
-        "folder", type=Path, metavar="DIR", help="of nurbseg-live --export DIR --export-surfaces"
+        "folder",
+        type=Path,
+        metavar="DIR",
+        help="folder written by nurbseg-live --export DIR --export-surfaces",
     )
     check.add_argument(
         "--frames",
         dest="recording",
         metavar="RECORDING",
-        help="what was segmented: recomputes the values from it",
+        help="the segmented recording; recomputes the values from it",
     )
-    check.add_argument("--calibration", type=Path, metavar="FILE", help="of both cameras, as of nurbseg-live")
+    check.add_argument(
+        "--calibration", type=Path, metavar="FILE", help="of both cameras, as for nurbseg-live"
+    )
     for each in (run, tune, noise):
         kind = "frames, labelled or not" if each is noise else "labelled frames"
         each.add_argument("data", nargs="+", metavar="DATA", help=kind)
-        each.add_argument("--frames", type=int, help="frames of each source at the most (all)")
+        each.add_argument("--frames", type=int, help="maximum number of frames per source (all)")
         each.add_argument("--start", type=int, default=0, help="first frame (%(default)s)")
-        each.add_argument("--seed", type=int, help="of all that draws random numbers (0)")
+        each.add_argument("--seed", type=int, help="of all random numbers (0)")
     for each in (run, tune, noise, check):
         add_calibration_flags(each)
     for each in (run, tune):
@@ -152,7 +157,7 @@ def main(words: Sequence[str] | None = None) -> int:
         )
         return 2
     except KeyboardInterrupt:
-        goes_on = "; the same command goes on from here" if given.command == "run" else ""
+        goes_on = "; run the same command to resume" if given.command == "run" else ""
         print(f"nurbseg-eval: interrupted{goes_on}", file=sys.stderr)
         return 130
     return 0

@@ -150,12 +150,15 @@ def search(given: argparse.Namespace, study: Study) -> None:
         print(f"{name} = {value}")
     gain = found.gain
     print(
-        f"objective {found.objective:.4f} on all frames (GTRC - VoI / 10); gain on frames without part in "
-        f"the choice {gain.mean:+.4f}, 95 % interval {gain.low:+.4f} to {gain.high:+.4f}, "
+        f"objective {found.objective:.4f} on all frames (GTRC - VoI / 10); gain on held-out frames "
+        f"{gain.mean:+.4f}, 95 % interval {gain.low:+.4f} to {gain.high:+.4f}, "
         f"{gain.frames} frames"
     )
     if gain.low <= 0:
-        print("the interval holds 0: more frames are needed to tell these settings from those before")
+        print(
+            "the interval includes 0: more frames are needed to distinguish these settings from the "
+            "previous ones"
+        )
     print(f"written: {given.out} (use it with nurbseg-live --config {given.out})")
 
 
@@ -197,8 +200,8 @@ def check(given: argparse.Namespace) -> int:
     per_frame_ms = 1e3 * (time.perf_counter() - started_s) / max(folder.frames, 1)
     print(
         f"{count} findings in {folder.frames} frames with {folder.segments} segments; {folder.recomputed} "
-        f"surfaces compared with their points; not checked: {folder.history.unchecked} values and trials of "
-        f"frames that are not there; {per_frame_ms:.0f} ms per frame",
+        f"surfaces compared with their points; not checked: {folder.history.unchecked} values and trials "
+        f"of missing frames; {per_frame_ms:.0f} ms per frame",
         file=sys.stderr,
     )
     return 1 if count else 0

@@ -36,7 +36,7 @@ class StudyStore:
                     if was.get(key) != now.get(key)
                 ]
                 raise ValueError(
-                    f"{path}: holds another study: {'; '.join(differing)}: "
+                    f"{path}: contains another study: {'; '.join(differing)}: "
                     "give another folder with --out, or remove this one"
                 )
         else:
@@ -74,7 +74,7 @@ def read_json(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as err:
-        raise ValueError(f"{path}: not a JSON file ({err}); remove it and its frame is done again") from err
+        raise ValueError(f"{path}: not a JSON file ({err}); remove it to process its frame again") from err
     if not isinstance(content, dict):
         raise ValueError(f"{path}: expected a JSON object")
     return content

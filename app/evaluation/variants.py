@@ -87,7 +87,7 @@ def path_named(name: str) -> str:
         if wanted in (path, each.name, each.metadata["symbol"], each.metadata["formerly"]):
             return path
     known = ", ".join(each.name for _, each in setting_paths(SegmentationConfig))
-    raise ValueError(f"{name}: no such setting; there are {known}")
+    raise ValueError(f"{name}: no such setting; available: {known}")
 
 
 def grid_of(texts: Iterable[str]) -> dict[str, list[Any]]:
@@ -103,7 +103,7 @@ def grid_of(texts: Iterable[str]) -> dict[str, list[Any]]:
             raise ValueError(f"{text}: expected NAME=VALUE,VALUE,...")
         path = path_named(name)
         if path == "method":
-            raise ValueError(f"{text}: methods are named by --methods")
+            raise ValueError(f"{text}: use --methods to choose methods")
         grid[path] = [
             "auto" if path == "geometry_weight" and value == "auto" else setting_value(name, value)
             for value in values.split(",")

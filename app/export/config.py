@@ -23,45 +23,45 @@ class ExportConfig(Settings):
         unit="DIR",
         flag="export",
     )
-    surfaces: bool = setting(False, "export the fitted surfaces too (NPZ)", flag="export-surfaces")
+    surfaces: bool = setting(False, "also export the fitted surfaces (NPZ)", flag="export-surfaces")
     objects: bool = setting(
         False,
-        "export what is measured of each object too (JSON), and of all in a table (CSV)",
+        "also export measurements of each object (JSON), and of all objects in a table (CSV)",
         flag="export-objects",
     )
     preview: bool = setting(
-        False, "export the labels in colors over the frame too (PNG)", flag="export-preview"
+        False, "also export the labels in color over the frame (PNG)", flag="export-preview"
     )
     cloud: CloudForm | None = setting(
         None,
-        "export the points too, with color, normal, surface and object",
+        "also export the point cloud, with color, normal, surface and object",
         choices=get_args(CloudForm),
         flag="export-cloud",
     )
     mesh: MeshForm | None = setting(
         None,
-        "export the surfaces as triangles too, cut to their pixels, an object each",
+        "also export the surfaces as triangles, trimmed to their pixels, one part per object",
         choices=get_args(MeshForm),
         flag="export-mesh",
     )
     cad: CadForm | None = setting(
         None,
-        "export the surfaces as NURBS too, a layer for each object (needs the extra 'cad')",
+        "also export the surfaces as NURBS, one layer per object (needs the extra 'cad')",
         choices=get_args(CadForm),
         flag="export-cad",
     )
-    graph: bool = setting(False, "export the tree as a graph for Graphviz too (DOT)", flag="export-graph")
+    graph: bool = setting(False, "also export the tree as a graph for Graphviz (DOT)", flag="export-graph")
     names: Naming = setting(
         "number",
-        "what a frame's files are named by: its number, or its name in the source",
+        "file names of a frame: its number, or its name in the source",
         choices=get_args(Naming),
         flag="export-names",
     )
     report: str | None = setting(
-        None, "file for the run's figures: frames, drops, rate, latency, memory (JSON)", unit="FILE"
+        None, "file for the run's statistics: frames, drops, frame rate, latency, memory (JSON)", unit="FILE"
     )
     force: bool = setting(
-        False, "replace results, reports and viewer files that exist; recordings are never replaced"
+        False, "overwrite existing results, reports and viewer files; recordings are never overwritten"
     )
 
 

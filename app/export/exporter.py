@@ -112,13 +112,13 @@ class Exporter:
         self._table = ObjectTable(directory / OBJECTS_FILE)
         if self.export.cad is not None and find_spec("rhino3dm") is None:
             raise MissingExtraError(
-                f"--export-cad {self.export.cad}: needs rhino3dm, which the extra 'cad' brings: "
+                f"--export-cad {self.export.cad}: needs rhino3dm, part of the extra 'cad': "
                 "pip install 'nurbseg[cad]' (in the project's folder: pip install '.[cad]')"
             )
         try:
             directory.mkdir(parents=True, exist_ok=True)
         except OSError as err:
-            raise ExportError(f"{directory}: cannot be made: {err.strerror}") from err
+            raise ExportError(f"{directory}: cannot be created: {err.strerror}") from err
         _refuse_other_results(directory, settings)
         try:
             write_atomically(directory / SETTINGS_FILE, (json.dumps(settings, indent=1) + "\n").encode())
@@ -132,13 +132,13 @@ class Exporter:
     def write_files(self, files: Mapping[str, bytes]) -> None:
         """Write the files of one frame that `frame_files` has made, in their order.
 
-        Raises ExportError if one cannot be written, or exists already and may not be replaced.
+        Raises ExportError if one cannot be written, or already exists and may not be replaced.
         """
         for name, content in files.items():
             path = self.directory / name
             if not self.export.force and path.is_file():
                 raise ExportError(
-                    f"{path}: exists already; export to another folder, or replace results with --force"
+                    f"{path}: already exists; export to another folder, or overwrite results with --force"
                 )
             try:
                 write_atomically(path, content)
@@ -148,7 +148,7 @@ class Exporter:
             except OSError as err:
                 raise ExportError(
                     f"{path}: cannot be written: {err.strerror}; "
-                    f"the {self.written} frames before are kept in {self.directory}"
+                    f"the {self.written} previous frames are kept in {self.directory}"
                 ) from err
         self.written += 1
 
@@ -203,7 +203,7 @@ def _refuse_other_results(directory: Path, settings: Mapping[str, Any]) -> None:
             for key in {**was, **now}
             if was.get(key) != now.get(key)
         )
-        raise ExportError(f"{path}: is of another run: {', '.join(differing)}; {advice}")
+        raise ExportError(f"{path}: belongs to another run: {', '.join(differing)}; {advice}")
 
 
 def _flat(settings: Any) -> dict[str, Any]:

@@ -187,7 +187,7 @@ class CaptureThread:
         if self._thread.ident is not None:
             self._thread.join(_STOP_TIMEOUT_S)
             if self._thread.is_alive():
-                _log.error("the source did not answer within %g s and is left behind", _STOP_TIMEOUT_S)
+                _log.error("the source did not respond within %g s and was abandoned", _STOP_TIMEOUT_S)
 
     def _run(self) -> None:
         before: Captured | None = None
@@ -246,5 +246,5 @@ class CaptureThread:
             _log.warning("skipped a damaged frame: %s", err)
         elif self.damaged == _DAMAGED_NAMED_MAX + 1:
             _log.warning(
-                "skipped more than %d damaged frames; from here on they are only counted", _DAMAGED_NAMED_MAX
+                "skipped more than %d damaged frames; from now on they are only counted", _DAMAGED_NAMED_MAX
             )

@@ -17,27 +17,27 @@ class LiveConfig(Settings):
 
     temporal: Temporal = setting(
         "auto",
-        "whether a frame continues the one before it, so that segments keep their labels: on, off, or on for "
-        "all but replays of every frame (--speed 0)",
+        "whether a frame continues the previous one, so segments keep their labels: on, off, or auto (on, "
+        "except when every frame is replayed with --speed 0)",
         choices=get_args(Temporal),
     )
     target_fps: float = setting(
         30.0,
-        "frames per second that live segmentation holds by doing less for each; 0 never does less",
+        "frame rate that live segmentation maintains by doing less per frame; 0 to never do less",
         unit="1/s",
         least=0.0,
     )
     age_max_ms: float = setting(
         100.0,
-        "age, when its labels are ready, beyond which a live frame is not shown, nor saved for viewing; "
-        "0 shows every one",
+        "latency from capture to labels above which a live frame is neither shown nor saved for viewing; "
+        "0 for no limit",
         unit="ms",
         least=0.0,
     )
 
     control: Control = setting(
         "auto",
-        "commands while it runs: keys where it runs in a terminal (auto), lines of standard input, or off",
+        "commands while it runs: keys if it runs in a terminal (auto), lines of standard input, or off",
         choices=get_args(Control),
     )
 

@@ -82,7 +82,9 @@ def open_chosen(app_config: AppConfig) -> OpenedSource:
             raise DeviceNotFoundError(f"{err}\n{explain_no_camera(uri.removeprefix(CAMERA))}") from err
         instead = config.fallback or demo_uri()
         _log.warning("no camera found: %s", err)
-        _log.warning("replaying %s instead (nurbseg-devices doctor tells why there is no camera)", instead)
+        _log.warning(
+            "replaying %s instead (nurbseg-devices doctor explains why no camera was found)", instead
+        )
         return _prepared(instead, app_config, options)
 
 
@@ -141,7 +143,7 @@ def _opened_at_start(uri: str, config: SourceConfig, options: SourceOptions) -> 
         passed = source.skip(config.start)
         if passed < config.start:
             raise RecordingFormatError(
-                f"{uri}: has {passed} frames, so that none is left after --start {config.start}"
+                f"{uri}: has {passed} frames, so none is left after --start {config.start}"
             )
     except BaseException:
         source.close()

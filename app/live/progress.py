@@ -110,7 +110,7 @@ class Progress:
         """Say that no frame comes, or that all are kept for the recording, if that lasts."""
         if self._line is None and self._clock() - self._logged_s >= _INTERVAL_S:
             if withheld := self._capture.withheld - self._withheld:
-                _log.info("writing is slow: %d frames recorded only%s", withheld, self._recorded())
+                _log.info("writing is slow: %d frames only recorded%s", withheld, self._recorded())
             else:
                 _log.info("waiting for a frame")
             self._withheld += withheld

@@ -135,18 +135,18 @@ class Limited(Wrapped):
 
     def _read(self, timeout_s: float) -> RGBDFrame:
         if self._frames_left is not None and self._frames_left <= 0:
-            raise EndOfRecordingError("all the frames that were asked for are read")
+            raise EndOfRecordingError("all requested frames were read")
         if self._began_s is None:
             self._began_s = self._clock()
         if self.live and self._is_over(self._clock() - self._began_s):
-            raise EndOfRecordingError("the time that was asked for is over")
+            raise EndOfRecordingError("the requested duration is over")
         frame = self._source.read(timeout_s)
         if self._last_ns is not None:
             # A camera's clock may be reset, as its streams are when OpenNI2's recorder begins.
             self._elapsed_ns += max(0, frame.timestamp_ns - self._last_ns)
         self._last_ns = frame.timestamp_ns
         if self._is_over(self._elapsed_ns * 1e-9):
-            raise EndOfRecordingError("the time that was asked for is over")
+            raise EndOfRecordingError("the requested duration is over")
         if self._frames_left is not None and self._elapsed_ns >= self._delay_ns:
             self._frames_left -= 1
         return frame

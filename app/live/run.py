@@ -199,9 +199,11 @@ def _check_workers(config: AppConfig, opened: OpenedSource) -> None:
     if config.source.workers == 1:
         return
     if not opened.every_frame:
-        raise ValueError("--workers: for replays of every frame only: no camera, and --speed 0")
+        raise ValueError("--workers: only for replays of every frame: no camera, and --speed 0")
     if config.live.follows(every_frame=True):
-        raise ValueError("--workers: frames that continue each other wait for each other; use --temporal off")
+        raise ValueError(
+            "--workers: a frame that continues the previous one must wait for it; use --temporal off"
+        )
 
 
 def _open_export(config: AppConfig, opened: OpenedSource) -> Exporter | None:

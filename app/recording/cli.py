@@ -59,13 +59,13 @@ def main(words: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser("nurbseg-record", _DESCRIPTION, _EPILOG)
     commands = parser.add_subparsers(dest="command", required=True, metavar="check|repair")
-    check = commands.add_parser("check", help="read recordings to their end and say what is wrong with them")
-    repair = commands.add_parser("repair", help="write a new, whole file of each recording that is not")
+    check = commands.add_parser("check", help="read recordings to the end and report problems")
+    repair = commands.add_parser("repair", help="write a complete copy of each damaged recording")
     for command in (check, repair):
         command.add_argument("files", nargs="+", type=Path, metavar="FILE", help=".mcap, .oni or .rrd")
-        command.add_argument("--json", action="store_true", help="write what was found as JSON")
+        command.add_argument("--json", action="store_true", help="write the results as JSON")
     repair.add_argument("--out", type=Path, metavar="FILE", help="the new file (NAME-repaired beside it)")
-    repair.add_argument("--force", action="store_true", help="replace the new file if it exists")
+    repair.add_argument("--force", action="store_true", help="overwrite the new file if it exists")
     return parser
 
 

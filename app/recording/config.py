@@ -27,29 +27,29 @@ class RecordConfig(Settings):
 
     file: str | None = setting(
         None,
-        "record the frames while they are segmented: .mcap, or .oni by OpenNI2 itself; {date} in the name, "
-        "as in that of --save, becomes the date and time",
+        "record the frames while they are segmented: .mcap, or .oni by OpenNI2 itself; {date} in the "
+        "name, as for --save, becomes the date and time",
         unit="FILE",
         flag="record",
     )
-    only: bool = setting(False, "record without segmenting and showing", flag="record-only")
+    only: bool = setting(False, "record without segmenting or showing", flag="record-only")
     delay_s: float = setting(
         0.0,
-        "begin recording this long after the first frame; --frames and --duration count from there",
+        "start recording this long after the first frame; --frames and --duration count from there",
         unit="s",
         least=0.0,
         flag="record-delay",
     )
     split_s: float | None = setting(
         None,
-        "go on in another file (NAME-2.mcap, NAME-3.mcap ...) after so long; .mcap only",
+        "start a new file (NAME-2.mcap, NAME-3.mcap ...) at this interval; .mcap only",
         unit="s",
         least=1.0,
         flag="record-split",
     )
     color: RecordColor = setting(
         "jpeg95",
-        "how color is kept: JPEG of quality 95, or exactly as PNG or raw (an .oni: JPEG or raw)",
+        "encoding of color: JPEG of quality 95, or lossless PNG or raw (.oni: JPEG or raw)",
         choices=get_args(RecordColor),
         flag="record-color",
     )

@@ -76,16 +76,16 @@ def open_recording(
 def log_recorded(recording: Recording) -> None:
     """Say in the log what was recorded; a RecordError says that it ended before the run did."""
     if recording.failure:
-        raise RecordError(f"{recording.failure}; the {recording.frames} frames before can be replayed")
+        raise RecordError(f"{recording.failure}; the {recording.frames} previous frames can be replayed")
     files = ", ".join(str(file) for file in recording.files)
     size_mb = disk_space.megabytes(recording.files)
     _log.info(
         "recorded %d frames, %.1f s, %.1f MB to %s", recording.frames, recording.seconds, size_mb, files
     )
     if recording.lost:
-        _log.warning("%d frames are missing in %s: writing was too slow", recording.lost, recording.path)
+        _log.warning("%d frames are missing from %s: writing was too slow", recording.lost, recording.path)
     if recording.frames == 0:
-        _log.warning("%s: no frame came to be recorded, and the file was not kept", recording.path)
+        _log.warning("%s: no frames were recorded, so the file was not kept", recording.path)
 
 
 class Recorder:
@@ -119,7 +119,7 @@ class Recorder:
         Raises RecordError if there is one already, or the file cannot be made.
         """
         if self.recording is not None and self.is_recording:
-            raise RecordError(f"{self.recording.path} is being recorded already")
+            raise RecordError(f"{self.recording.path} is already being recorded")
         path = Path(dated(self._name))
         if path.exists():
             path = part_after(path, 1)

@@ -27,7 +27,7 @@ class ViewConfig(Settings):
 
     mode: ViewMode = setting(
         "auto",
-        "where to show: auto (a window where there is a display), spawn a viewer, connect to one, "
+        "where to show: auto (a window if there is a display), spawn a viewer, connect to one, "
         "serve a web page, none",
         choices=get_args(ViewMode),
         flag="view",
@@ -38,25 +38,26 @@ class ViewConfig(Settings):
     save: str | None = setting(None, "save everything shown as a Rerun recording (.rrd)", unit="FILE")
     save_index: SaveIndex = setting(
         "auto",
-        "end the recording with an index, for which memory grows by 50 MB a minute; auto: not in live runs",
+        "write an index at the end of the file, for which memory grows by 50 MB a minute; auto: not in "
+        "live runs",
         choices=get_args(SaveIndex),
     )
     bind: str = setting("127.0.0.1", "address that a spawned viewer or the web page listens on", unit="IP")
     port: int = setting(DEFAULT_PORT, "port of the viewer, 0 for any free one", least=0, most=65535)
     web_port: int = setting(DEFAULT_WEB_PORT, "port of the web page, 0 for any free one", least=0, most=65535)
     memory_limit: str = setting(
-        "2GB", "memory after which a spawned viewer or the server forgets the oldest frames", unit="SIZE"
+        "2GB", "memory above which a spawned viewer or the server drops the oldest frames", unit="SIZE"
     )
     layout: Layout = setting(
-        "full", "how much is seen at once: full, or compact for a small screen", choices=get_args(Layout)
+        "full", "amount shown at once: full, or compact for a small screen", choices=get_args(Layout)
     )
     jpeg_quality: int = setting(85, "quality of the color images shown and saved", least=1, most=100)
-    points_max: int = setting(20_000, "colored points shown for a frame", least=0)
+    points_max: int = setting(20_000, "colored points shown per frame", least=0)
     mesh_step_px: int = setting(
-        6, "distance of the surface meshes' vertices, in pixels of a 640x480 image", unit="px", least=1
+        6, "vertex spacing of the surface meshes, in pixels of a 640x480 image", unit="px", least=1
     )
     residual_max_m: float = setting(
-        0.02, "residual that is drawn in full red on the surfaces; 0 is blue", unit="m", above=0.0
+        0.02, "residual drawn in full red on the surfaces; 0 is blue", unit="m", above=0.0
     )
 
     def __post_init__(self) -> None:
@@ -71,7 +72,7 @@ class ViewConfig(Settings):
             raise ValueError(f"memory_limit: expected a size such as 2GB or 25%, got {self.memory_limit!r}")
         if self.connect is not None:
             if self.mode not in ("auto", "connect"):
-                raise ValueError(f"connect: expected mode connect or auto with it, got {self.mode}")
+                raise ValueError(f"connect: needs mode connect or auto, got {self.mode}")
             viewer_address(self.connect)
 
     @property

@@ -239,10 +239,10 @@ class IsolatedView(View):
                     raise ViewError(message.reason)
         except ChannelClosedError:
             raise ViewError(self._how_it_ended()) from None
-        raise ViewError(f"the process that shows and saves has not begun within {_OPEN_S:g} s")
+        raise ViewError(f"the view process did not start within {_OPEN_S:g} s")
 
     def _how_it_ended(self) -> str:
-        return f"the process that shows and saves {how_it_ended(self._process.end(_END_S))}"
+        return f"the view process {how_it_ended(self._process.end(_END_S))}"
 
     def _send(self) -> None:
         """Draw and send what is shown, then ask the process to end."""

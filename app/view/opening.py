@@ -46,7 +46,7 @@ def begin_view(config: ViewConfig) -> ChildProcess | None:
     try:
         return ChildProcess("nurbseg.app.view.program", slots=_SLOTS, quiet=False)
     except OSError as err:
-        raise ViewError(f"the process that shows and saves cannot be started: {err}") from err
+        raise ViewError(f"the view process cannot be started: {err}") from err
 
 
 def open_view(

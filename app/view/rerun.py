@@ -174,7 +174,7 @@ class RerunView:
         process = None
         if not listens(host, port):
             if is_taken(self._config.bind, port):
-                raise ViewError(f"port {port} is taken by something that is no viewer; name another port")
+                raise ViewError(f"port {port} is in use by another program; choose another port")
             process = start_viewer(self._config, port)
             warn_beyond_loopback(self._config.bind, port)
 

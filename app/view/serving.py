@@ -40,7 +40,9 @@ class WebServer:
         web_port = config.web_port or free_port(config.bind)
         for name, number in (("port", self._port), ("web port", web_port)):
             if is_taken(config.bind, number):
-                raise ViewError(f"{name} {number} of {config.bind} is taken; name another one, or 0 for any")
+                raise ViewError(
+                    f"{name} {number} of {config.bind} is in use; choose another one, or 0 for any"
+                )
         self._rerun_port = free_port(config.bind)
         self._start()
         host = reachable(config.bind)

@@ -106,11 +106,11 @@ def private_environment() -> dict[str, str]:
 
 
 def free_port(bind: str) -> int:
-    """Return a TCP port that nothing listens on; raises ViewError where nothing can listen there."""
+    """Return a TCP port that nothing listens on; raises ViewError if that fails."""
     try:
         return _bound(bind, 0)
     except OSError as err:
-        raise ViewError(f"bind {bind}: nothing can listen there: {err.strerror}") from err
+        raise ViewError(f"bind {bind}: cannot listen there: {err.strerror}") from err
 
 
 def is_taken(bind: str, port: int) -> bool:
@@ -120,7 +120,7 @@ def is_taken(bind: str, port: int) -> bool:
     except OSError as err:
         if err.errno == errno.EADDRINUSE:
             return True
-        raise ViewError(f"bind {bind}, port {port}: nothing can listen there: {err.strerror}") from err
+        raise ViewError(f"bind {bind}, port {port}: cannot listen there: {err.strerror}") from err
     return False
 
 

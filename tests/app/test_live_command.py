@@ -307,7 +307,7 @@ def test_no_file_is_overwritten_and_none_is_begun_where_one_exists(
     (tmp_path / taken).write_bytes(b"precious")
     done = live("--replay", SMALL.format(1), *FAST, "--save", "a.rrd", "--record", "a.mcap")
     assert done.returncode == 2, done.stderr
-    assert f"{taken}: exists already; name another file or remove it" in done.stderr
+    assert f"{taken}: already exists; name another file or remove it" in done.stderr
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [(taken, b"precious")]
 
 
@@ -323,7 +323,7 @@ def test_results_reports_and_viewer_files_are_replaced_by_force_alone(live: Live
         content = (tmp_path / taken).read_bytes()
         done = live(*base, flag, name)
         assert done.returncode == (1 if flag == "--export" else 2)
-        assert f"{taken}: exists already" in done.stderr
+        assert f"{taken}: already exists" in done.stderr
         assert "--force" in done.stderr
         assert (tmp_path / taken).read_bytes() == content
     assert {path: path.stat().st_mtime_ns for path in before} == before
@@ -376,7 +376,7 @@ def test_a_full_disk_ends_with_1_and_says_what_is_kept(live_process: Live, tmp_p
 
     done = live_process("--replay", SMALL.format(3), *FAST, "--export", "out", preexec_fn=nearly_full)
     assert done.returncode == 1, done.stderr
-    assert "cannot be written: File too large; the 0 frames before are kept in out" in done.stderr
+    assert "cannot be written: File too large; the 0 previous frames are kept in out" in done.stderr
     assert "Traceback" not in done.stderr
     assert not list((tmp_path / "out").glob(".*"))
 

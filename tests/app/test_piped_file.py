@@ -50,7 +50,7 @@ def test_a_file_that_cannot_be_created_is_an_error_at_once(tmp_path: Path) -> No
     (tmp_path / "file").touch()
     with pytest.raises(FileExistsError, match="File exists"):
         PipedFile(tmp_path / "file" / "nowhere")
-    with pytest.raises(FileExistsError, match="exists already"):
+    with pytest.raises(FileExistsError, match="already exists"):
         PipedFile(tmp_path / "file")
 
 

@@ -67,14 +67,14 @@ class FolderCheck:
         # Files named as in their source are in its order, too.
         self._stems = sorted(stems, key=natural_key)
         if not self._stems:
-            raise ValueError(f"{folder}: holds no NNNNNN_tree.json")
+            raise ValueError(f"{folder}: contains no NNNNNN_tree.json")
         if recording is not None and not self._settings.surfaces:
             raise ValueError(
-                f"{folder}: holds no surfaces to recompute values from; --export-surfaces writes them"
+                f"{folder}: contains no surfaces to recompute values from; --export-surfaces writes them"
             )
         if recording is not None and self._settings.depth.average_frames > 1:
             raise ValueError(
-                f"{folder}: its depth was averaged over frames, which is not done again; check without a "
+                f"{folder}: its depth was averaged over frames, which cannot be repeated; check without a "
                 "recording"
             )
         noise = self._settings.config.extended.inverse_depth_noise

@@ -112,7 +112,7 @@ def _frame_pictures(
     cloud = register(read)
     truth = read.labels
     if truth is None:
-        raise ValueError(f"{frame['uri']}: frame {frame['name']} has no ground truth any more")
+        raise ValueError(f"{frame['uri']}: frame {frame['name']} no longer has ground truth")
     tiles: list[tuple[str, NDArray[np.uint8]]] = [
         ("color", cloud.color),
         ("depth", pictures.depth_colors(read.depth_mm)),

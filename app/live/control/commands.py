@@ -26,24 +26,26 @@ class Command:
 
 
 COMMANDS = (
-    Command("pause, resume", {" ": "pause"}, "stop and go on; a camera is read on, for its recording"),
-    Command("step", {".": "step"}, "go on for one frame"),
+    Command("pause, resume", {" ": "pause"}, "pause and resume; a camera is still read, for its recording"),
+    Command("step", {".": "step"}, "advance by one frame"),
     Command("speed X", {"+": "faster", "-": "slower"}, "replay at X times the recorded rate"),
     Command(
         "seek N|+N|-N",
         {",": "seek -1", "<": "seek -10", ">": "seek +10", "g": "seek "},
-        "go to a frame of a recording: 1 or 10 back, 10 on, or the number typed before g",
+        "go to a frame of a recording: 1 or 10 back, 10 forward, or the number typed before g",
     ),
-    Command("loop on|off", {"o": "loop"}, "start a replay again at its end; without a word the other"),
-    Command("record on|off", {"r": "record"}, "record to a new file, or end that; without a word the other"),
-    Command("metric NAME", {"m": "metric"}, "decide by another metric; without a name by the next one"),
+    Command("loop on|off", {"o": "loop"}, "restart a replay at its end; without an argument, toggle"),
+    Command(
+        "record on|off", {"r": "record"}, "start or stop recording to a new file; without an argument, toggle"
+    ),
+    Command("metric NAME", {"m": "metric"}, "change the deciding metric; without a name, to the next one"),
     Command(
         "ratio X",
         {"t": "ratio"},
-        "keep a split below another ratio; without a number by 0.05 more, from 0.7 to 1.3",
+        "change the ratio below which a split is kept; without a number, add 0.05, from 0.7 to 1.3",
     ),
-    Command("level NAME", {"l": "level"}, "label surfaces, objects or things; without a name the next"),
-    Command("method NAME", {"e": "method"}, "segment by another method; without a name the other"),
+    Command("level NAME", {"l": "level"}, "label surfaces, objects or things; without a name, the next"),
+    Command("method NAME", {"e": "method"}, "change the segmentation method; without a name, to the other"),
     Command("snapshot", {"s": "snapshot"}, "write all of this frame into a new folder"),
     Command("help", {"h": "help"}, ""),
     Command("quit", {"q": "quit"}, ""),
@@ -58,5 +60,5 @@ def help_text() -> str:
         f"  {' '.join(command.keys).strip() or 'space':<9}{command.line:<17}{command.text}".rstrip()
         for command in COMMANDS
     )
-    title = "commands while it runs: a key in a terminal, or with --control lines a line"
+    title = "commands: keys in a terminal, or lines with --control lines"
     return "\n".join((title, *rows))

@@ -91,7 +91,7 @@ class Controls:
         """Carry out a command, and say what it did or what is wrong with it."""
         name, _, word = command.partition(" ")
         if name not in self._commands:
-            _log.warning("%r is no command; help lists them", name[:80])
+            _log.warning("%r is not a command; help lists them", name[:80])
             return
         try:
             said = self._commands[name](word.strip())
@@ -117,11 +117,11 @@ class Controls:
 
     def _seek(self, word: str) -> str:
         if self._looped is None or not self._looped.seekable:
-            raise ValueError("a camera only goes forward")
+            raise ValueError("a camera cannot seek")
         if self._fixed:
-            raise ValueError("an export takes the frames in their order")
+            raise ValueError("exporting needs the frames in order")
         if self.recorder.is_recording:
-            raise ValueError("a recording takes the frames in their order; end it first")
+            raise ValueError("recording needs the frames in order; stop it first")
         try:
             number = int(word)
         except ValueError:
@@ -133,7 +133,7 @@ class Controls:
 
     def _loop(self, word: str) -> str:
         if self._looped is None:
-            raise ValueError("only a replay has an end")
+            raise ValueError("only a replay can loop")
         now = "on" if self._looped.repeats else "off"
         chosen = _chosen(word, now, ("on", "off"))
         self._looped.repeats = chosen == "on"
@@ -157,7 +157,7 @@ class Controls:
 
     def _set_speed(self, speed: float) -> str:
         if not self._capture.speed:
-            raise ValueError("only a replay at the recorded rate, or a multiple of it, has a speed")
+            raise ValueError("speed applies only to replays at the recorded rate or a multiple of it")
         self._capture.speed = speed
         return f"speed {speed:.3g}"
 

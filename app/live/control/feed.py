@@ -83,5 +83,5 @@ def wait_for_quit(control: Control, interruption: Interruption) -> None:
     """Wait until somebody quits by a command, or with Ctrl-C; other commands do nothing any more."""
     with open_console(control) or nullcontext() as console:
         how = "Ctrl-C ends" if console is None else "q or Ctrl-C ends"
-        _log.info("all frames are shown; %s the serving", how)
+        _log.info("all frames are shown; %s the server", how)
         interruption.wait(lambda: console is not None and console.take() == "quit")

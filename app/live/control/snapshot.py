@@ -53,7 +53,7 @@ def write_snapshot(result: FrameResult, settings: Mapping[str, Any], folder: Pat
         # It shows what the camera saw.
         made.mkdir(mode=0o700)
     except OSError as err:
-        raise ExportError(f"{made}: cannot be made: {err.strerror}") from err
+        raise ExportError(f"{made}: cannot be created: {err.strerror}") from err
     exporter = Exporter(
         made,
         {**settings, "surfaces": True},

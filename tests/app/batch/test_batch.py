@@ -120,7 +120,7 @@ def test_a_recording_that_changed_meanwhile_is_refused(at_home: Path, write_pair
     progress = at_home / "out" / "one" / PROGRESS_FILE
     progress.write_text(json.dumps({"frames": 9, "done": 3, "damaged": {}}))
     assert main(["one", "--export", "out", "--workers", "1"]) == 1
-    assert "has 4 frames, and had 9" in report(at_home / "out")["recordings"][0]["failure"]
+    assert "has 4 frames, but had 9" in report(at_home / "out")["recordings"][0]["failure"]
 
 
 def test_other_settings_are_refused(at_home: Path, write_pairs: Pairs) -> None:
@@ -134,7 +134,7 @@ def test_other_settings_are_refused(at_home: Path, write_pairs: Pairs) -> None:
     ("words", "said"),
     [
         (["a", "--workers", "none"], "--workers none: expected a number"),
-        (["a", "../a"], "a, ../a: results of both would go to out/a"),
+        (["a", "../a"], "a, ../a: both would write results to out/a"),
         (["a", "--set", "metric=none"], "metric"),
         (["a", "--scheduler", "tcp://127.0.0.1:9"], "no Dask scheduler answers there"),
     ],

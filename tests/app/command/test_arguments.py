@@ -108,7 +108,7 @@ def test_a_pattern_that_the_shell_has_replaced_is_told_of(
         (["--export-surfaces"], "--export-surfaces: expected a folder too"),
         (["--temporel", "on"], "unrecognized arguments: --temporel on; --temporel is near --temporal"),
         (["--exports=out"], "--exports=out is near --export"),
-        (["--color", "*.jpg"], "argument --depth: expected a pattern, since color and depth"),
+        (["--color", "*.jpg"], "argument --depth: expected a pattern; color and depth"),
         (["--color", "*.jpg", "--depth", "*.png", "--replay", "x"], "not allowed with argument"),
         (["--export-mesh", "glb"], "--export-mesh: expected a folder too"),
         (["--export-cloud", "xyz", "--export", "out"], "invalid choice: 'xyz'"),

@@ -243,7 +243,7 @@ def test_calibration_is_written_as_it_is_read(virtual_cameras, tmp_path, capsys)
     assert output.err == ""
     before = path.read_bytes()
     assert devices.main(["calibration", str(path)]) == 1
-    assert "exists already; --force" in capsys.readouterr().err
+    assert "already exists; --force" in capsys.readouterr().err
     assert path.read_bytes() == before
     assert devices.main(["calibration", str(path), "--force"]) == 0
 

@@ -153,7 +153,9 @@ def test_the_noise_of_planes_is_measured_past_damaged_frames(
 
 def test_another_study_s_folder_is_refused(frames: Path, tmp_path: Path) -> None:
     StudyStore(tmp_path / "out", {"sources": ["elsewhere"], "seed": 0})
-    with pytest.raises(ValueError, match=r"study\.json: holds another study: sources is .* there and .* now"):
+    with pytest.raises(
+        ValueError, match=r"study\.json: contains another study: sources is .* there and .* now"
+    ):
         StudyStore(tmp_path / "out", {"sources": [str(frames)], "seed": 0})
 
 

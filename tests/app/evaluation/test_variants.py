@@ -62,7 +62,7 @@ def test_replaced_label_images_have_another_key(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("method=stag15", "named by --methods"),
+        ("method=stag15", "use --methods"),
         ("lambda", "NAME=VALUE"),
         ("lamda=1", "no such setting"),
         ("samples=many", "expected a whole number, got 'many'"),

@@ -70,7 +70,7 @@ def test_what_exists_is_replaced_only_by_force(small_result: FrameResult, tmp_pa
     results = [path for path in tmp_path.iterdir() if path.name[0].isdigit()]
     for path in results:
         path.write_text("mine")
-    with pytest.raises(ExportError, match=r"000000_labels\.png: exists already; .* with --force"):
+    with pytest.raises(ExportError, match=r"000000_labels\.png: already exists; .* with --force"):
         exported(small_result, tmp_path)
     assert [path.read_text() for path in results] == ["mine"] * len(results)
     Exporter(tmp_path, SETTINGS, ExportConfig(force=True)).write(small_result)
@@ -283,7 +283,7 @@ def test_a_file_that_cannot_be_written_ends_with_what_is_kept(
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(ExportError, match="file/out: cannot be made: Not a directory"):
+    with pytest.raises(ExportError, match="file/out: cannot be created: Not a directory"):
         Exporter(tmp_path / "file" / "out", SETTINGS)
 
 

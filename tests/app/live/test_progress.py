@@ -56,8 +56,8 @@ def test_frames_that_are_only_recorded_are_no_silence(caplog: pytest.LogCaptureF
             clock.now_s += 6.0
             progress.waiting()
     assert caplog.messages == [
-        "writing is slow: 12 frames recorded only, 40 recorded, 2 lost",
-        "writing is slow: 8 frames recorded only, 40 recorded, 2 lost",
+        "writing is slow: 12 frames only recorded, 40 recorded, 2 lost",
+        "writing is slow: 8 frames only recorded, 40 recorded, 2 lost",
         "waiting for a frame",
     ]
 

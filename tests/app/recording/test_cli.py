@@ -102,7 +102,7 @@ def test_no_file_is_replaced_unless_that_is_asked_for(cut, capsys):
     out = cut.with_name("cut-repaired.mcap")
     out.write_bytes(b"precious")
     assert main(["repair", str(cut)]) == 2
-    assert "exists already; name another file or remove it" in capsys.readouterr().err
+    assert "already exists; name another file or remove it" in capsys.readouterr().err
     assert out.read_bytes() == b"precious"
     assert main(["repair", str(cut), "--force"]) == 0
     assert main(["check", str(out)]) == 0

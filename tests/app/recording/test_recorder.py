@@ -213,7 +213,7 @@ def test_too_little_space_to_begin_with_is_refused(tmp_path, monkeypatch):
 def test_an_existing_file_is_never_replaced(tmp_path):
     path = tmp_path / "run.mcap"
     path.write_bytes(b"precious")
-    with pytest.raises(RecordError, match="exists already"):
+    with pytest.raises(RecordError, match="already exists"):
         open_recording(RecordConfig(file=str(path)), ScriptedSource([]))
     assert path.read_bytes() == b"precious"
 

@@ -116,7 +116,7 @@ def test_what_a_recording_holds_is_said_while_the_run_goes_on(
     ("commands", "said"),
     [
         (["record off"], "record: nothing is being recorded"),
-        (["record on", "record on"], "record: run.mcap is being recorded already"),
+        (["record on", "record on"], "record: run.mcap is already being recorded"),
         (["record loudly"], "record: expected one of on, off, got 'loudly'"),
     ],
 )

@@ -673,7 +673,7 @@ def test_wrong_usage_ends_with_2(export, tmp_path, capsys):
     for file in folder.glob("*_tree.json"):
         file.unlink()
     assert main(["check", os.fspath(folder)]) == 2
-    assert "holds no NNNNNN_tree.json" in capsys.readouterr().err
+    assert "contains no NNNNNN_tree.json" in capsys.readouterr().err
     (folder / "settings.json").write_text('{"source": "", "temporal": false}')
     assert main(["check", os.fspath(folder)]) == 2
     assert "segmentation is missing; export again" in capsys.readouterr().err

@@ -142,7 +142,7 @@ def piped(lines: str, folder: Path, *words: str) -> subprocess.CompletedProcess[
 def test_lines_of_a_pipe_are_commands_and_its_end_is_none(tmp_path: Path) -> None:
     done = piped("level surfaces\nmetric\n nonsense \n", tmp_path, "--duration", "2")
     assert done.returncode == 0
-    for said in ("level surfaces", "metric mae", "'nonsense' is no command"):
+    for said in ("level surfaces", "metric mae", "'nonsense' is not a command"):
         assert said in done.stderr
 
 

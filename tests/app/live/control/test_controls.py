@@ -92,7 +92,7 @@ def test_the_key_for_the_ratio_comes_round(controls: Controls) -> None:
         ("ratio -1", "ratio: ratio_max: expected "),
         ("ratio much", "ratio: could not convert string to float: 'much'"),
         ("speed 0", "speed: speed: expected more than 0, got 0"),
-        ("dance", "'dance' is no command; help lists them"),
+        ("dance", "'dance' is not a command; help lists them"),
     ],
 )
 def test_what_cannot_be_done_is_said_and_changes_nothing(
@@ -122,7 +122,7 @@ def test_speed_is_that_of_a_replay_only(
         capture = CaptureThread(camera)
         controls_of(camera, capture).apply("faster")
         assert capture.speed == 0.0
-    assert caplog.messages[-1].startswith("faster: only a replay")
+    assert caplog.messages[-1].startswith("faster: speed applies only to replays")
 
 
 def test_a_replay_is_looped_or_not(
@@ -140,7 +140,7 @@ def test_a_replay_is_looped_or_not(
     assert caplog.messages[:2] == ["loop on", "loop off"]
     assert caplog.messages[-2:] == [
         "loop: expected one of on, off, got 'twice'",
-        "loop: only a replay has an end",
+        "loop: only a replay can loop",
     ]
 
 
@@ -185,9 +185,9 @@ def test_where_frames_must_come_in_their_order_nobody_goes_to_another(
         with recorder:
             Controls(SegmentationConfig(), CaptureThread(source), recorder, source).apply("seek 3")
     assert [each.split(";")[0] for each in caplog.messages] == [
-        "seek: a camera only goes forward",
-        "seek: an export takes the frames in their order",
-        "seek: a recording takes the frames in their order",
+        "seek: a camera cannot seek",
+        "seek: exporting needs the frames in order",
+        "seek: recording needs the frames in order",
     ]
 
 
@@ -228,7 +228,7 @@ def test_every_key_is_a_command_and_in_the_help(
         for key, command in KEYS.items():
             assert f"\n  {'space' if key == ' ' else key} " in text or f" {key} " in text
             controls.apply(command)
-    assert not any("no command" in each for each in caplog.messages)
+    assert not any("not a command" in each for each in caplog.messages)
     assert controls.ended
 
 
