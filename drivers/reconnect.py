@@ -119,7 +119,7 @@ class Reconnecting(FrameSource):
         has no recorder, or cannot record to the file.
         """
         if not isinstance(self._source, Recordable):
-            raise DriverError(f"{path}: cannot be recorded to: the camera is away or has no recorder")
+            raise DriverError(f"{path}: cannot be recorded to: the camera is disconnected or has no recorder")
         self._source.start_recording(path, lossy=lossy)
         self._recording = (path, lossy)
         self.recorded_files, self.recording_failure = (path,), ""
@@ -138,11 +138,11 @@ class Reconnecting(FrameSource):
         try:
             source.start_recording(part, lossy=lossy)
         except DriverError as err:
-            self.recording_failure = f"it does not go on as the camera is back: {err}"
-            logger.error("the recording does not go on: %s", err)
+            self.recording_failure = f"it did not resume when the camera came back: {err}"
+            logger.error("the recording does not continue: %s", err)
         else:
             self.recorded_files += (part,)
-            logger.warning("the recording goes on in %s", part)
+            logger.warning("the recording continues in %s", part)
 
     def _read(self, timeout_s: float) -> RGBDFrame:
         deadline = self._clock() + timeout_s
@@ -184,7 +184,7 @@ class Reconnecting(FrameSource):
                     return source
             now = self._clock()
             if now >= deadline:
-                raise FrameTimeoutError(f"the camera is away: no frame within {timeout_s:g} s")
+                raise FrameTimeoutError(f"the camera is disconnected: no frame within {timeout_s:g} s")
             self._sleep(max(0.0, min(self._next_try_s, deadline) - now))
 
     def _take_over(self, source: FrameSource) -> None:

@@ -64,7 +64,7 @@ def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameS
     path = Path(uri)
     if not path.exists():
         schemes = " or ".join(f"{name}:" for name in SCHEMES)
-        raise DeviceNotFoundError(f"{path}: no such file or folder (and a URI begins with {schemes})")
+        raise DeviceNotFoundError(f"{path}: no such file or folder (a URI starts with {schemes})")
     return _open_folder(path, options) if path.is_dir() else _open_file(path, options)
 
 
@@ -86,7 +86,7 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
         return _open_with("datasets.nyu:NyuFrameSource", path, options)
     if not head:
         raise RecordingFormatError(f"{path}: the file is empty; expected {_FORMATS}")
-    raise RecordingFormatError(f"{path}: not a recording of a known form; expected {_FORMATS}")
+    raise RecordingFormatError(f"{path}: not a recording of a known format; expected {_FORMATS}")
 
 
 def _open_folder(path: Path, options: SourceOptions) -> FrameSource:

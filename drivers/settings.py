@@ -170,7 +170,7 @@ def in_sections(config_type: type[Any], values: Mapping[str, Any]) -> tuple[dict
     for name in removed:
         if name in values:
             if values[name] != removed[name]:
-                raise ValueError(f"{name}: is no setting any more; only {removed[name]!r} is possible")
+                raise ValueError(f"{name}: is no longer a setting; only {removed[name]!r} is possible")
             moved[name] = ""
     for name in [name for name in placed if paths.get(name, name) != name]:
         *sections, last = paths[name].split(".")
@@ -178,7 +178,7 @@ def in_sections(config_type: type[Any], values: Mapping[str, Any]) -> tuple[dict
         for section in sections:
             target = target.setdefault(section, {})
         if last in target:
-            raise ValueError(f"{name}: is given as {paths[name]} too")
+            raise ValueError(f"{name}: is also given as {paths[name]}")
         target[last] = placed.pop(name)
         moved[name] = paths[name]
     return placed, moved

@@ -91,10 +91,10 @@ class FrameSource(Closing):
         Raises
         ------
         DriverError
-            If the source only goes forward, or is closed.
+            If the source cannot seek, or is closed.
         """
         if self._closed or not self.seekable:
-            raise DriverError(f"{type(self).__name__} {'is closed' if self._closed else 'only goes forward'}")
+            raise DriverError(f"{type(self).__name__} {'is closed' if self._closed else 'cannot seek'}")
         self._seek(max(0, index))
 
     def close(self) -> None:
@@ -230,7 +230,7 @@ class Paced(Wrapped):
             return
         pause_s = _LONGEST_PAUSE_S if gap_s > 0 else 0.0
         _log.warning(
-            "frame %d: the timestamps jump by %.0f s; the replay goes on after %.0f s",
+            "frame %d: the timestamps jump by %.0f s; the replay continues after %.0f s",
             frame.index,
             gap_s * self._speed,
             pause_s,

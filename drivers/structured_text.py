@@ -50,7 +50,7 @@ def parse_yaml(text: str) -> Any:
             if isinstance(event, yaml.DocumentEndEvent):
                 break
             if isinstance(event, yaml.AliasEvent):
-                raise ValueError("aliases (*name) are not taken")
+                raise ValueError("aliases (*name) are not allowed")
             values += isinstance(event, yaml.NodeEvent)
             depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
             if values > TEXT_VALUES_MAX or depth > TEXT_DEPTH_MAX:
@@ -91,7 +91,7 @@ def parse_xml(text: str) -> Element:
     """
     _check_length(text)
     if "<!DOCTYPE" in text:
-        raise ValueError("a document type (<!DOCTYPE) is not taken")
+        raise ValueError("a document type (<!DOCTYPE) is not allowed")
     try:
         return ElementTree.fromstring(text)
     except ElementTree.ParseError as err:

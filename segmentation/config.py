@@ -37,30 +37,31 @@ class DepthConfig(Settings):
     """
 
     range_min_m: float = setting(
-        0.0, "depth below this is left out", unit="m", least=0.0, most=65.0, flag="range-min"
+        0.0, "discard depth below this", unit="m", least=0.0, most=65.0, flag="range-min"
     )
     range_max_m: float = setting(
-        0.0, "depth above this is left out; 0 for no limit", unit="m", least=0.0, most=65.0, flag="range-max"
+        0.0, "discard depth above this; 0 for no limit", unit="m", least=0.0, most=65.0, flag="range-max"
     )
     crop: tuple[int, int, int, int] | None = setting(
-        None, "the part of the depth image that is kept, in pixels", unit="LEFT,TOP,WIDTH,HEIGHT"
+        None, "the part of the depth image to keep, in pixels", unit="LEFT,TOP,WIDTH,HEIGHT"
     )
     smoothing: DepthSmoothing = setting(
         "none",
-        "filter of 5x5 pixels: their median, or their mean weighted by how near they are in inverse depth",
+        "filter of 5x5 pixels: their median, or their mean weighted by closeness in inverse depth",
         choices=get_args(DepthSmoothing),
         flag="depth-smoothing",
     )
     average_frames: int = setting(
         1,
-        "frames of a still camera over which a pixel's depth is averaged while it stays within the noise",
+        "for a stationary camera: frames over which to average each pixel's depth while it stays within "
+        "the noise",
         least=1,
         most=100,
         flag="depth-average",
     )
     holes_px: int = setting(
         0,
-        "pixels without depth that are at most this far from one with depth get the nearest one's",
+        "fill pixels without depth from the nearest pixel with depth, at most this far away",
         unit="px",
         least=0,
         most=1000,
@@ -88,12 +89,12 @@ class Stag15Config(Settings):
 
     segment_pixels_min: int = setting(
         1500,
-        "T_p, the smallest segment, in pixels of a 640x480 image (scaled with the image)",
+        "T_p, the minimum segment size, in pixels of a 640x480 image (scaled with the image)",
         unit="px",
         least=1,
     )
     control_points_max: int = setting(
-        20, "control points along a direction for a segment that spans the image", least=4, most=200
+        20, "control points per direction for a segment that spans the image", least=4, most=200
     )
     control_points: ControlPoints = setting(
         "adaptive",
@@ -102,8 +103,8 @@ class Stag15Config(Settings):
     )
     least_squares: LeastSquares = setting(
         "auto",
-        "how points are fitted: svd gives the solution of least norm, as in the paper; ridge is faster and "
-        "holds back what few data decide; auto is svd where a metric of curvature decides, and else ridge",
+        "least-squares solver: svd gives the minimum-norm solution, as in the paper; ridge is faster and "
+        "regularizes weakly determined directions; auto is svd if a curvature metric decides, else ridge",
         choices=get_args(LeastSquares),
     )
 
@@ -114,8 +115,8 @@ class ExtendedConfig(Settings):
 
     level: Level = setting(
         "objects",
-        "what a label stands for, a surface (leaf of the tree), an object (merged leaves) or a thing (object "
-        "whose pieces, cut apart on the image by what is before it, are one)",
+        "what a label stands for: a surface (leaf of the tree), an object (merged leaves) or a thing (an "
+        "object whose pieces are joined across an occluder)",
         choices=get_args(Level),
     )
     inverse_depth_noise: float = setting(
@@ -127,55 +128,55 @@ class ExtendedConfig(Settings):
     )
     noise_floor: float = setting(
         1.0,
-        "a metric counts in the ratio (eq. 5) as no less than noise of so many times inverse_depth_noise "
-        "leaves; 0 for the ratio alone",
+        "in the ratio (eq. 5) a metric counts as at least its value under noise of this many times "
+        "inverse_depth_noise; 0 for the ratio alone",
         least=0.0,
     )
     inverse_depth_gap: float = setting(
         0.025,
-        "smallest step of inverse depth between neighbours, or between surfaces carried to their "
-        "common border, that is a gap",
+        "minimum step in inverse depth between neighbours, or between surfaces extended to their common "
+        "border, that counts as a gap",
         unit="1/m",
         above=0.0,
         formerly="depth_gap_per_m",
     )
     piece_pixels_min: int = setting(
-        120, "T_p, the smallest segment, in pixels of a 640x480 image", unit="px", least=1
+        120, "T_p, the minimum segment size, in pixels of a 640x480 image", unit="px", least=1
     )
     cuts: int = setting(
         3,
-        "eigenvectors that are tried, from the second on, until one gives a split",
+        "eigenvectors to try, from the second on, until one gives a split",
         least=1,
         most=10,
     )
     color_weight: float = setting(0.25, "weight of color in the vectors", least=0.0)
     normal_weight: float = setting(1.0, "weight of surface normals in the vectors; 0 for none", least=0.0)
     normal_window_px: int = setting(
-        17, "side of the windows for normals, in pixels of a 640-wide image", unit="px", least=3
+        17, "window size for normals, in pixels of a 640-wide image", unit="px", least=3
     )
     knot_spacing_px: float = setting(
         40.0,
-        "distance of the knots of a surface, in pixels of a 640-wide image",
+        "knot spacing of a surface, in pixels of a 640-wide image",
         unit="px",
         least=8.0,
     )
     smoothness: float = setting(
         0.1,
-        "weight of the squared second differences of a surface's control values, against those of "
+        "weight of the squared second differences of a surface's control values, relative to the squared "
         "residuals at every second row and column",
         least=0.0,
     )
     fold_surfaces: bool = setting(
-        True, "whether surfaces that meet smoothly, and that one surface explains as well, become one"
+        True, "whether to merge surfaces that meet smoothly and that one surface explains as well"
     )
     refine_borders: bool = setting(
-        True, "whether pixels at borders go to the surface that explains them best"
+        True, "whether to assign border pixels to the surface that explains them best"
     )
-    merge_surfaces: bool = setting(True, "whether surfaces are merged into objects", formerly="merge_crease")
+    merge_surfaces: bool = setting(True, "whether to merge surfaces into objects", formerly="merge_crease")
     log_odds_min: float = setting(
         0.0,
-        "surfaces whose log odds of being one object are larger are merged: more than 0 for fewer merges, "
-        "less for more",
+        "merge surfaces whose log odds of being one object exceed this: above 0 for fewer merges, below "
+        "for more",
     )
 
 
@@ -189,8 +190,8 @@ class SegmentationConfig(Settings):
 
     method: Method = setting(
         "nurbseg",
-        "how a frame is segmented: as the paper does (stag15), or with its surfaces merged into objects and "
-        "all that measurement showed to help (nurbseg)",
+        "segmentation method: the paper's (stag15), or the extended one, which merges surfaces into "
+        "objects (nurbseg)",
         choices=get_args(Method),
     )
     metric: Metric = setting(
@@ -204,30 +205,30 @@ class SegmentationConfig(Settings):
     )
     samples: int = setting(100, "points whose affinities are computed exactly (Nystrom)", least=2, most=2000)
     cut_points: int = setting(
-        6000, "points of a segment on which its cut is set up; the others follow by extension", least=100
+        6000, "points of a segment used to compute its cut; the others are classified by extension", least=100
     )
     affinity_scale: float = setting(
-        0.7, "sigma of the Gaussian affinity, in normalised vector units", least=1e-3, most=1e3
+        0.7, "sigma of the Gaussian affinity, in normalized vector units", least=1e-3, most=1e3
     )
     splitting_point: SplittingPoint = setting(
         "zero",
         "where the second eigenvector is cut: at zero, by 2-means, or at least Ncut",
         choices=get_args(SplittingPoint),
     )
-    depth_max: int = setting(8, "T_d: largest depth of the tree", least=0, most=64)
-    splits_max: int = setting(60, "T_s: largest number of splits", least=0, most=10_000)
+    depth_max: int = setting(8, "T_d: maximum depth of the tree", least=0, most=64)
+    splits_max: int = setting(60, "T_s: maximum number of splits", least=0, most=10_000)
     budget_ms: float = setting(
         0.0,
-        "time from the start of a frame's segmentation after which nothing more is cut, and the tree so far "
-        "is the answer; 0 for no limit",
+        "time limit for cuts, from the start of a frame's segmentation, after which the tree so far is "
+        "the result; 0 for no limit",
         unit="ms",
         least=0.0,
     )
     large_error_m: float = setting(
-        0.1, "T_l: residual over which a point counts for NLE", unit="m", above=0.0
+        0.1, "T_l: residual above which a point counts for NLE", unit="m", above=0.0
     )
     large_curvature_per_m: float = setting(
-        10.0, "T_c: curvature over which a point counts for NLC", unit="1/m", above=0.0
+        10.0, "T_c: curvature above which a point counts for NLC", unit="1/m", above=0.0
     )
     decimation: int = setting(
         0,

@@ -54,8 +54,8 @@ class CameraModel:
         size = size or own
         if own[0] * size[1] != own[1] * size[0]:
             raise CalibrationError(
-                f"{self.path}: {self.field}: the camera of {own[0]}x{own[1]} images "
-                f"does not fit images of another shape, {size[0]}x{size[1]}"
+                f"{self.path}: {self.field}: the camera of {own[0]}x{own[1]} images does not match images "
+                f"of another aspect ratio, {size[0]}x{size[1]}"
             )
         try:
             (fx, _, cx), (_, fy, cy), _ = self.matrix.tolist()

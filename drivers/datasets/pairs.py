@@ -101,9 +101,9 @@ def match_patterns(color: str, depth: str) -> tuple[list[ImagePair], int]:
         if len(colors) != len(depths):
             raise RecordingFormatError(
                 f"{color}, {depth}: {len(colors)} color and {len(depths)} depth images, whose names have "
-                "nothing in common in the place of the wildcards: they cannot be paired"
+                "nothing in common at the wildcards, so they cannot be paired"
             )
-        _log.warning("%s, %s: names have nothing in common; paired in their order", color, depth)
+        _log.warning("%s, %s: names have nothing in common; paired in order", color, depth)
         matched = [(colors[a], depths[b]) for a, b in zip(sorted(colors), sorted(depths), strict=True)]
     pairs = [ImagePair(each.stem, each, partner) for each, partner in matched]
     return pairs, len(colors) + len(depths) - 2 * len(pairs)
@@ -118,7 +118,7 @@ def _by_wildcards(pattern: str) -> dict[tuple[tuple[int, str], ...], Path]:
             continue
         key = natural_key(name[len(fixed[0]) : len(name) - len(fixed[-1])] if len(fixed) > 1 else "")
         if key in found:
-            raise RecordingFormatError(f"{name}: is the same as {found[key]} in the place of the wildcards")
+            raise RecordingFormatError(f"{name}: matches the wildcards with the same text as {found[key]}")
         found[key] = Path(name)
     if not found:
         raise RecordingFormatError(f"{pattern}: no file matches this pattern")

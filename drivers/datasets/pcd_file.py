@@ -42,7 +42,7 @@ def read_pcd(path: Path) -> OrganisedCloud:
     points = _positive(path, fields, "POINTS") if "POINTS" in fields else width * height
     if height < 2 or width < 2:
         raise FrameFormatError(
-            f"{path}: HEIGHT: the cloud is not organised ({width}x{height}); expected the rows and columns "
+            f"{path}: HEIGHT: the cloud is not organized ({width}x{height}); expected the rows and columns "
             "of a depth image"
         )
     if points != width * height:

@@ -141,7 +141,7 @@ def _read_list(path: Path) -> tuple[list[tuple[int, str]], int]:
     if wrong and not images:
         raise RecordingFormatError(wrong)
     if wrong:
-        _log.warning("%s; %d lines are passed over", wrong, bad)
+        _log.warning("%s; %d lines are skipped", wrong, bad)
     return sorted(images.items()), bad
 
 

@@ -27,14 +27,14 @@ def library_findings(installation: Installation) -> Iterator[Finding]:
             "warning",
             f"{installation.ini} sends OpenNI2 to another drivers folder",
             f"Repository={installation.repository}: drivers are loaded from there and nowhere else.",
-            (f"sudo nano {installation.ini}   (a ; before the line brings the default folder back)",),
+            (f"sudo nano {installation.ini}   (a ; before the line restores the default folder)",),
         )
     if installation.override:
         yield Finding(
             "ini-override",
             "error",
             f"{installation.ini} makes OpenNI2 open one device only",
-            f"Override={installation.override} under [Device] replaces whatever camera is asked for.",
+            f"Override={installation.override} under [Device] replaces whichever camera is requested.",
             (f"sudo nano {installation.ini}   (put a ; before the line)",),
         )
     if not installation.drivers:
@@ -58,10 +58,10 @@ def _redist_wrong(redist: str) -> Finding:
         "redist-wrong",
         "error",
         f"{REDIST_VARIABLE} names a folder without OpenNI2",
-        f"{REDIST_VARIABLE}={redist} is taken before the system's library, "
+        f"{REDIST_VARIABLE}={redist} is used instead of the system's library, "
         f"and there is no {LIBRARY_FILE} in it.",
         (
-            f"unset {REDIST_VARIABLE}   (takes the system's library)",
+            f"unset {REDIST_VARIABLE}   (uses the system's library)",
             f"or, for a vendor's SDK: ln -s libOpenNI2.so {redist.rstrip('/')}/{LIBRARY_FILE}",
         ),
     )
@@ -128,12 +128,12 @@ def probe_findings(probe: Probe, found: Sequence[Finding]) -> Iterator[Finding]:
     if any(each.severity == "error" for each in found) or probe.cameras or probe.refused:
         return
     if probe.error:
-        yield Finding("openni2-failed", "error", "OpenNI2 could not be asked for cameras", probe.error)
+        yield Finding("openni2-failed", "error", "OpenNI2 could not be queried for cameras", probe.error)
     else:
         yield Finding(
             "not-listed",
             "error",
             "A camera is plugged in, but OpenNI2 does not list it",
-            "Its driver is there, but did not take it.",
+            "Its driver is installed, but did not accept it.",
             ("unplug the camera, wait five seconds and plug it in again",),
         )

@@ -36,14 +36,14 @@ def bus_findings(system: System, cameras: Sequence[Part]) -> Iterator[Finding]:
             "libusb-missing",
             "warning" if usb.sysfs else "error",
             "libusb is not installed",
-            "Without it USB devices cannot be tried, nor a Kinect's motor moved.",
+            "Without it, USB devices cannot be probed, and a Kinect's motor cannot be moved.",
             ("sudo apt install libusb-1.0-0",),
         )
     if usb.problem:
         yield Finding(
             "usb-scan-failed",
             "warning" if usb.devices else "error",
-            "USB could not be searched",
+            "USB devices could not be listed",
             f"pyusb says: {usb.problem}",
         )
     if not usb.bus_folder:
@@ -90,7 +90,7 @@ def camera_findings(part: Part, system: System) -> Iterator[Finding]:
             "in-use",
             "error",
             f"{part} is in use by another program",
-            "Only one program at a time can have a camera.",
+            "Only one program at a time can use a camera.",
             ("close that program; to find it: sudo lsof /dev/bus/usb/*/*",),
         )
     for driver in holders:
@@ -102,7 +102,7 @@ def camera_findings(part: Part, system: System) -> Iterator[Finding]:
                 "It treats the depth camera as a webcam and keeps OpenNI2's driver out.",
                 (
                     f"sudo modprobe -r {driver}",
-                    f"for good: echo 'blacklist {driver}' | sudo tee {BLACKLIST_FILE}",
+                    f"permanently: echo 'blacklist {driver}' | sudo tee {BLACKLIST_FILE}",
                 ),
             )
     if system.usb.bus_folder:
@@ -117,7 +117,7 @@ def camera_findings(part: Part, system: System) -> Iterator[Finding]:
             (
                 "try a USB 2 port, or a USB 2 hub in between",
                 f"or put the lines [Device] and UsbInterface=0 into PS1080.ini in {folder}",
-                "or bring the firmware to 5.8.22 with the vendor's updater",
+                "or update the firmware to 5.8.22 with the vendor's updater",
             ),
         )
 
@@ -158,7 +158,7 @@ def _access_findings(part: Part, host: Host) -> Iterator[Finding]:
             "not-answering",
             "error",
             f"{part} does not answer",
-            "It is on the bus, but a first request to it failed or ran out of time.",
+            "It is on the bus, but a first request to it failed or timed out.",
             ("unplug it, wait five seconds and plug it in again, without a hub in between",),
         )
 
@@ -190,10 +190,10 @@ def power_findings(parts: Sequence[Part]) -> Iterator[Finding]:
             "kinect-no-power",
             "error",
             "A Kinect has no 12 V supply",
-            f"Its motor is there ({motors[-1].device.ids}), which USB feeds, but its camera is not.",
+            f"Its USB-powered motor is there ({motors[-1].device.ids}), but its camera is not.",
             (
                 "connect the Kinect's power adapter (12 V, 1.08 A or more) to the mains",
-                "where it is connected: unplug the Kinect from USB and plug it in again",
+                "if it is connected: unplug the Kinect from USB and plug it in again",
             ),
         )
 
@@ -211,9 +211,9 @@ def not_plugged_in(usb: UsbScan, others: Sequence[Part], wanted: Sequence[Family
         return Finding(
             "not-plugged-in",
             "error",
-            f"The camera asked for is not plugged in, but {others[0]} is",
-            f"Asked for: {names}.",
-            ("take the one that is there: --device any",),
+            f"The requested camera is not plugged in, but {others[0]} is",
+            f"Requested: {names}.",
+            ("use the one that is there: --device any",),
         )
     return Finding(
         "not-plugged-in",
@@ -222,6 +222,6 @@ def not_plugged_in(usb: UsbScan, others: Sequence[Part], wanted: Sequence[Family
         f"Looked through {len(usb.devices)} USB devices for: {names}.",
         (
             "plug the camera into a USB port of this computer",
-            "where it is plugged in and lsusb does not list it: try another port and cable",
+            "if it is plugged in but lsusb does not list it: try another port and cable",
         ),
     )

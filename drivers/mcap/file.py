@@ -102,8 +102,8 @@ class McapFile:
             raise
         if not self.whole:
             _log.warning(
-                "%s: the recording is cut off after %d bytes; it is replayed up to its last whole frame "
-                "(nurbseg-record repair %s writes a whole one)",
+                "%s: the recording is cut off after %d bytes; it is replayed up to its last complete "
+                "frame (nurbseg-record repair %s writes a complete copy)",
                 path,
                 path.stat().st_size,
                 shlex.quote(str(path)),

@@ -211,7 +211,7 @@ class RecordingReader(FrameSource):
                 definitions.check_schema(schema, str(self._path))
             except RecordingFormatError as err:
                 self._complaints[schema.id] = complaint = str(err)
-                _log.warning("%s; its messages are passed over", complaint)
+                _log.warning("%s; its messages are skipped", complaint)
         return not self._complaints[schema.id]
 
     def _scan_topics(self) -> tuple[dict[str, TopicSample], list[ros.Transform]]:

@@ -43,17 +43,19 @@ class DeviceOptions(Settings):
     Raises ValueError if a value is out of its bounds, or a mode cannot be read.
     """
 
-    serial: str = setting("", "serial number of the camera, where there are several")
-    depth_mode: str = setting("vga", "size and rate of the depth stream: 640x480@30, vga, qvga, ...")
-    color_mode: str = setting("vga", "size and rate of the color stream: 640x480@30, vga, qvga, sxga, ...")
+    serial: str = setting("", "serial number of the camera, if there are several")
+    depth_mode: str = setting("vga", "size and frame rate of the depth stream: 640x480@30, vga, qvga, ...")
+    color_mode: str = setting(
+        "vga", "size and frame rate of the color stream: 640x480@30, vga, qvga, sxga, ..."
+    )
     depth_unit: DepthUnit = setting(
         "1mm", "unit in which the camera delivers depth", choices=get_args(DepthUnit)
     )
-    mirror: bool = setting(False, "images as in a mirror")
+    mirror: bool = setting(False, "mirror the images")
     registration: Registration = setting(
-        "hardware", "who brings depth onto the color image", choices=get_args(Registration)
+        "hardware", "who registers depth to the color image", choices=get_args(Registration)
     )
-    sync: bool = setting(True, "take depth and color at the same moment, where the camera can")
+    sync: bool = setting(True, "capture depth and color at the same time, if the camera can")
     auto_exposure: Switch = setting(
         "keep", "automatic exposure of the color camera", choices=get_args(Switch)
     )
@@ -63,15 +65,15 @@ class DeviceOptions(Settings):
     exposure: int | None = setting(None, "exposure of the color camera, in its own units", least=0)
     gain: int | None = setting(None, "gain of the color camera, in its own units", least=0)
     silence_limit_s: float = setting(
-        3.0, "a camera silent for this long is taken for lost", unit="s", least=0.1, flag="silence-limit"
+        3.0, "a camera silent for this long is considered lost", unit="s", least=0.1, flag="silence-limit"
     )
     calibration: str | None = setting(
         None, "calibration of the camera: TOML, OpenCV's YAML or XML, ROS camera_info YAML", unit="FILE"
     )
-    reconnect: bool = setting(True, "wait for a camera that was unplugged, and go on when it is back")
+    reconnect: bool = setting(True, "wait for an unplugged camera, and resume when it is back")
     reconnect_interval_s: float = setting(
         0.5,
-        "time between two looks whether a lost camera is back",
+        "time between checks for a lost camera",
         unit="s",
         above=0.0,
         flag="reconnect-interval",

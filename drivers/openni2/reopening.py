@@ -37,7 +37,7 @@ class Reopening:
             self.close()
             raise
         if not is_open:
-            raise DeviceNotFoundError("the camera is away")
+            raise DeviceNotFoundError("the camera is disconnected")
         camera, self._waiting = self._waiting, None
         self._ready = self._begin()
         return camera

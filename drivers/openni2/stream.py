@@ -88,7 +88,7 @@ class Stream:
                 self._set(StreamProperty.VIDEO_MODE, value), f"setting the {name} stream to {wanted}"
             )
             if self.mode != wanted:
-                raise DriverError(f"{name} stream: asked for {wanted}, the camera stays at {self.mode}")
+                raise DriverError(f"{name} stream: requested {wanted}, but the camera stays at {self.mode}")
             return
         listed = ", ".join(str(mode) for mode in self.modes)
         raise DriverError(

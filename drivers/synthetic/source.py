@@ -43,18 +43,18 @@ class SyntheticOptions(Settings):
     color_height: int = setting(
         0, "height of the color image, 0 for the depth's", unit="px", least=0, most=4096
     )
-    fps: float = setting(30.0, "frames per second; the scene moves by its own clock", unit="1/s", above=0.0)
+    fps: float = setting(30.0, "frame rate; the scene moves by its own clock", unit="1/s", above=0.0)
     seed: int = setting(0, "seed of positions, textures and noise", least=0)
-    noise: bool = setting(True, "the sensor's faults (noise, steps, shadows, edges, range)")
+    noise: bool = setting(True, "the sensor's artifacts (noise, steps, shadows, edges, range)")
     offset: bool = setting(False, "separate cameras: depth is not registered to color")
     distortion: bool = setting(False, "lens distortion of both cameras (needs offset=1)")
     labels: LabelKind = setting(
         "objects",
-        "what has a label of its own: objects, or each of their faces",
+        "what each label stands for: an object, or one of its faces",
         choices=get_args(LabelKind),
     )
     hide: int = setting(
-        0, "frames for which the ball is hidden behind the carton", unit="frames", least=0, most=60
+        0, "frames during which the ball is hidden behind the carton", unit="frames", least=0, most=60
     )
 
     def __post_init__(self) -> None:
@@ -121,7 +121,7 @@ class SyntheticSource(SequenceSource):
             world_from_color = world_from_depth @ np.linalg.inv(self.calibration.color_from_depth)
             color = self._color.render(world_from_color, tick, color=True).color
         if color is None:
-            raise RuntimeError("the renderer gave no color image though one was asked for")
+            raise RuntimeError("the renderer gave no color image though one was requested")
         return RGBDFrame(
             index=index,
             timestamp_ns=round(index * 1e9 / self.options.fps),

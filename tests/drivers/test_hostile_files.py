@@ -279,7 +279,7 @@ def test_a_stamp_out_of_bounds_costs_its_frame(tmp_path: Path, stamp: str, caplo
         assert len(list(source)) == 2
         assert source.metadata["dropped"] == "2"
     assert "depth.txt: line 2: expected 'seconds file', got '" in caplog.text
-    assert "1 lines are passed over" in caplog.text
+    assert "1 lines are skipped" in caplog.text
 
 
 def test_a_name_of_thousands_of_characters_costs_its_frame(tmp_path: Path, caplog) -> None:

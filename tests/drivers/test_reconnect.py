@@ -104,7 +104,7 @@ def test_a_camera_that_is_away_is_a_timeout_and_looked_for_at_intervals():
         source.read()
         for _ in range(3):
             begun_s = clock()
-            with pytest.raises(FrameTimeoutError, match=r"away: no frame within 0\.7 s"):
+            with pytest.raises(FrameTimeoutError, match=r"disconnected: no frame within 0\.7 s"):
                 source.read(timeout_s=0.7)
             assert clock() - begun_s == pytest.approx(0.7, abs=1e-3)
         assert not source.connected
@@ -214,7 +214,7 @@ def test_a_recording_that_cannot_go_on_does_not_stop_the_frames(caplog):
         source.start_recording(Path("clip.oni"))
         source.read()
         assert "disk full" in source.recording_failure
-    assert "the recording does not go on: disk full" in caplog.text
+    assert "the recording does not continue: disk full" in caplog.text
 
 
 def test_recording_while_the_camera_is_away_is_refused():

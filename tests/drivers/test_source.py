@@ -70,8 +70,8 @@ def test_a_gap_of_hours_is_said_and_waited_for_ten_seconds_at_most(speed: float,
     expected = [0.0, half, half + 10.0, 2 * half + 10.0, 2 * half + 10.0, 3 * half + 10.0]
     assert moments == pytest.approx(expected)
     forward, back = caplog.messages
-    assert forward == "frame 2: the timestamps jump by 7200 s; the replay goes on after 10 s"
-    assert back == "frame 4: the timestamps jump by -7200 s; the replay goes on after 0 s"
+    assert forward == "frame 2: the timestamps jump by 7200 s; the replay continues after 10 s"
+    assert back == "frame 4: the timestamps jump by -7200 s; the replay continues after 0 s"
 
 
 def test_skipped_frames_are_not_waited_for() -> None:

@@ -117,7 +117,7 @@ class IsolatedCamera(FrameSource):
         try:
             while not self.is_open(deadline - time.monotonic()):
                 if time.monotonic() >= deadline:
-                    raise DeviceLostError(f"OpenNI2 has opened no camera after {_OPEN_LIMIT_S:g} s")
+                    raise DeviceLostError(f"OpenNI2 did not open a camera within {_OPEN_LIMIT_S:g} s")
         except BaseException:
             self.close()
             raise
@@ -133,7 +133,7 @@ class IsolatedCamera(FrameSource):
             self._is_open = True
         if not self._is_open and self._channel.silent_s > _OPEN_LIMIT_S:
             # A process that looks for its camera says so each time that it does not find it.
-            self._failure = self._failure or DeviceLostError("OpenNI2 opens no camera; its driver hangs")
+            self._failure = self._failure or DeviceLostError("OpenNI2 cannot open a camera; its driver hangs")
         if not self._is_open and self._failure is not None:
             raise self._failure
         return self._is_open
@@ -177,7 +177,7 @@ class IsolatedCamera(FrameSource):
         except ChannelClosedError:
             if self._failure is None:
                 code = self._process.end(_ANSWER_LIMIT_S)
-                self._failure = DeviceLostError(f"OpenNI2's driver stopped the camera's process, code {code}")
+                self._failure = DeviceLostError(f"OpenNI2's driver crashed the camera's process, code {code}")
             return None
         if isinstance(message, CameraFrame):
             if len(self._frames) < self._slots:

@@ -218,5 +218,5 @@ def test_a_setting_that_is_none_any_more_is_told_or_refused(
 
 def test_a_setting_given_by_both_names_is_refused(tmp_path: Path) -> None:
     text = "[segmentation]\ncuts = 2\n[segmentation.extended]\ncuts = 3\n"
-    with pytest.raises(ConfigError, match=r"segmentation\.cuts: is given as extended\.cuts too"):
+    with pytest.raises(ConfigError, match=r"segmentation\.cuts: is also given as extended\.cuts"):
         read_config(written(tmp_path, text))

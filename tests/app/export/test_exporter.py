@@ -276,7 +276,9 @@ def test_a_file_that_cannot_be_written_ends_with_what_is_kept(
     exporter.write(small_result)
     following = replace(small_result, frame=replace(small_result.frame, index=1))
     (tmp_path / "000001_labels.png").mkdir()
-    with pytest.raises(ExportError, match=r"000001_labels\.png: cannot be written: .*; the 1 frames before"):
+    with pytest.raises(
+        ExportError, match=r"000001_labels\.png: cannot be written: .*; the 1 previous frames"
+    ):
         exporter.write(following)
     assert not [path for path in tmp_path.iterdir() if path.name.endswith(".part")]
 

@@ -140,7 +140,7 @@ def test_a_silent_camera_ends_with_the_time_too() -> None:
         with pytest.raises(FrameTimeoutError):
             source.read()
         clock.now_s += 1.0
-        with pytest.raises(EndOfRecordingError, match="time"):
+        with pytest.raises(EndOfRecordingError, match="requested duration"):
             source.read()
 
 

@@ -168,7 +168,7 @@ def test_recording_stops_before_the_disk_is_full_and_the_file_can_be_replayed(tm
     assert recording.frames == 5
     assert recording.frames + recording.lost == 12
     assert recording.ended
-    with pytest.raises(RecordError, match=r"run\.mcap: recording stopped: only 99 MB .* 5 frames before"):
+    with pytest.raises(RecordError, match=r"run\.mcap: recording stopped: only 99 MB .* 5 previous frames"):
         log_recorded(recording)
     assert len(recorded(path)) == 5
 
@@ -365,7 +365,7 @@ def test_the_files_of_a_camera_that_was_away_are_all_told(tmp_path, caplog):
         assert "run-2.oni" in caplog.text
         recording.put(camera.read())
         assert (recording.frames, recording.ended) == (2, True)
-        with pytest.raises(RecordError, match="does not go on as the camera is back: full"):
+        with pytest.raises(RecordError, match="did not resume when the camera came back: full"):
             log_recorded(recording)
 
 

@@ -275,7 +275,7 @@ def test_a_recording_goes_on_in_a_new_file_when_the_camera_is_back(virtual_camer
         frames = replay(tmp_path / part)
         assert len(frames) >= 5
         assert_exact(frames, first=0)
-    assert "goes on in" in caplog.text
+    assert "continues in" in caplog.text
 
 
 def test_a_killed_recording_replays_to_its_last_frame(virtual_cameras, tmp_path, caplog):

@@ -140,7 +140,7 @@ def test_a_crash_of_the_driver_is_a_lost_camera(virtual_cameras):
     with IsolatedCamera() as source:
         source.read()
         child().send_signal(signal.SIGSEGV)
-        with pytest.raises(DeviceLostError, match="stopped the camera's process, code -11"):
+        with pytest.raises(DeviceLostError, match="crashed the camera's process, code -11"):
             while True:
                 source.read()
 
