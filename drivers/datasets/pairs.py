@@ -69,7 +69,7 @@ def find_pairs(folder: Path) -> tuple[list[ImagePair], list[Path]]:
         if role not in files:
             files[role] = path
         elif not weak:
-            raise RecordingFormatError(f"{path}: {files[role].name} is the {role} image of {key!r} already")
+            raise RecordingFormatError(f"{path}: {files[role].name} is already the {role} image of {key!r}")
     pairs, single = [], []
     for key in sorted(found, key=natural_key):
         files = found[key]
