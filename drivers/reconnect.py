@@ -32,27 +32,16 @@ class Recordable(Protocol):
 class Reconnecting(FrameSource):
     """A live source that outlasts its camera's being unplugged.
 
-    While the camera is away `read` raises FrameTimeoutError when its time is over, as for a camera that
-    is slow. When it is back frames go on with the next index, and with times that continue those
-    before by the time that has passed: a camera's clock restarts when it is plugged in.
+    While the camera is away `read` raises FrameTimeoutError when its time is over, as for a camera that is
+    slow. When it is back frames go on with the next index, and with times that continue those before by the
+    time that has passed: a camera's clock restarts when it is plugged in.
 
-    Parameters
-    ----------
-    source : FrameSource
-        The open camera; owned and closed by this one.
-    reopen : callable
-        Opens the same camera again; raises DriverError for as long as it is away.
-    abandon : callable, optional
-        Called on closing: what `reopen` has under way is not wanted any more.
-    interval_s : float
-        Time between two tries, seconds.
-    clock, sleep : callable
-        Monotonic seconds, and a wait of that many seconds.
+    The open `source` is owned. `reopen` opens the same camera again, every `interval_s` seconds, and raises
+    DriverError for as long as it is away; `abandon` is called on closing, as what `reopen` has under way is
+    not wanted any more.
 
     Attributes
     ----------
-    connected : bool
-        Whether the camera is there.
     reconnections : int
         How often it was reopened.
     recorded_files : tuple of Path

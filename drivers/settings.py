@@ -190,18 +190,10 @@ def _names(each: Field[Any]) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class ValueKind:
-    """What a setting's type annotation allows.
+    """What a setting's type annotation allows: bool, int, float or str, for the value or each of its numbers.
 
-    Parameters
-    ----------
-    kind : type
-        bool, int, float or str: of the value, or of each of its numbers.
-    optional : bool
-        Whether it may be left unset (None).
-    length : int
-        How many numbers it holds, 0 for a single value.
-    word : str
-        What may stand in place of a number; "" for nothing.
+    It may be left unset (None) where `optional`. `length` is how many numbers it holds, 0 for a single value;
+    `word` is what may stand in place of a number.
     """
 
     kind: type

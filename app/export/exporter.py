@@ -75,31 +75,13 @@ class Exporter:
     for. Where frames continue each other, a segment has one label in all of them. The tree is written last:
     where it is, the others are.
 
-    Beside them ``settings.json`` holds what all frames were made with, and ``objects.csv`` the objects of all
-    frames, if they are wanted. A folder that holds results of other settings is refused.
+    Beside them ``settings.json`` holds `settings`, of `run_settings`, that all frames were made with, and
+    ``objects.csv`` the objects of all frames, if they are wanted. A folder that holds results of other
+    settings is refused; one that does not exist is made. `export` says what is written of each frame; as an
+    attribute its `surfaces` is that of the settings. `written` counts frames.
 
-    Parameters
-    ----------
-    directory : Path
-        Made where it does not exist.
-    settings : mapping
-        Of `run_settings`.
-    export : ExportConfig, optional
-        What is written of each frame; `directory` and `report` count for nothing here.
-
-    Attributes
-    ----------
-    written : int
-        Frames written so far.
-    export : ExportConfig
-        As given, `surfaces` being that of the settings.
-
-    Raises
-    ------
-    MissingExtraError
-        If a library is missing that a form needs.
-    ExportError
-        If the folder cannot be made, or holds other results.
+    Raises MissingExtraError if a library is missing that a form needs, and ExportError if the folder cannot
+    be made, or holds other results.
     """
 
     def __init__(

@@ -18,25 +18,10 @@ _LONGEST_GAP_NS = 10_000_000_000
 class Recording(Closing):
     """Takes the frames of a run, from the moment at which it begins.
 
-    Parameters
-    ----------
-    path : Path
-        The first file.
-    config : RecordConfig
-        From when on, and how much space must stay free.
-
-    Attributes
-    ----------
-    path : Path
-        The first file.
-    frames, lost : int
-        Frames in the files, and frames that were to be in them and are not.
-    seconds : float
-        Length of what was to be in the files, by the frames' own clock.
-    failure : str
-        Why the recording ended before the run did; empty where it did not.
-    size_mb, room_mb : float
-        How large the files are, and may still become together, units of 10^6 bytes; as of the last frame.
+    `path` is the first file; `frames` are in the files, and those `lost` were to be in them and are not.
+    `seconds` is the length of what was to be in the files, by the frames' own clock. `failure` says why the
+    recording ended before the run did, and is empty where it did not. `size_mb` and `room_mb` say how large
+    the files are, and may still become together, in units of 10^6 bytes, as of the last frame.
     """
 
     def __init__(self, path: Path, config: RecordConfig) -> None:

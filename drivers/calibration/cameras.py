@@ -18,18 +18,10 @@ from nurbseg.drivers.limits import PIXELS_MAX
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraModel:
-    """One camera of a calibration file.
+    """One camera of a calibration file; `path` and `field` say where it was read, for messages.
 
-    Parameters
-    ----------
-    path, field
-        Where it was read, for messages.
-    matrix : (3, 3) float64
-        The camera matrix, pixels of an image of `size`.
-    distortion : (K,) float64
-        OpenCV's coefficients.
-    size : (width, height) or None
-        None where the file does not say.
+    The (3, 3) camera matrix is in pixels of an image of `size`, (width, height), which is None where the file
+    does not say. The distortion has OpenCV's coefficients.
     """
 
     path: Path
@@ -69,16 +61,8 @@ class CameraModel:
 class CameraFile:
     """A calibration file's two cameras, their transform and the depth images' scale.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    depth, color : CameraModel
-        One and the same where the images are registered.
-    color_from_depth : (4, 4) float64
-        Translation in metres.
-    depth_scale : float or None
-        Depth units per metre, where the file says so.
+    The cameras are one and the same where the images are registered. The translation of `color_from_depth`
+    (4, 4) is in metres; `depth_scale` is in units per metre, where the file says so.
     """
 
     path: Path

@@ -23,7 +23,6 @@ from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.limits import FRAME_BYTES_MAX
 
 if TYPE_CHECKING:
-    from nurbseg.drivers.calibration.cameras import CameraFile
     from nurbseg.drivers.options import SourceOptions
 
 #: The color camera to which the labelled set's depth is registered, as its toolbox gives it.
@@ -41,12 +40,9 @@ def _regions(labels: NDArray[np.integer[Any]], instances: NDArray[np.integer[Any
     return (numbered + (0 if values[0] == 0 else 1)).astype(np.uint16)
 
 
-def _given(options: SourceOptions) -> CameraFile | None:
-    return None if options.calibration is None else options.given_cameras()
-
-
-def _calibration(given: CameraFile | None, width: int, height: int) -> Calibration:
+def _calibration(options: SourceOptions, width: int, height: int) -> Calibration:
     """Return what the user gives for images of this size, else the data set's own."""
+    given = None if options.calibration is None else options.given_cameras()
     if given is not None:
         return given.calibration(depth_size=(width, height), color_size=(width, height))
     return Calibration.registered(NYU_COLOR_CAMERA.scaled_to(width, height))
@@ -79,7 +75,7 @@ class NyuLabelledSource(SequenceSource):
         try:
             frames, width, height = self._shape(path)
             super().__init__(path, frames, "NYU Depth v2, labelled")
-            self.calibration = _calibration(_given(options), width, height)
+            self.calibration = _calibration(options, width, height)
         except BaseException:
             self._process.close()
             raise
@@ -135,7 +131,7 @@ class NyuFrameSource(SequenceSource):
         if path.is_dir():
             self._paths = sorted(path.glob("nyu_v2_*.mat"), key=lambda each: natural_key(each.name))
         super().__init__(path, len(self._paths), "NYU Depth v2, single frames")
-        self._given = _given(options)
+        self._options = options
         self._process = MatProcess()
         try:
             self.calibration = self._first_calibration()
@@ -156,7 +152,7 @@ class NyuFrameSource(SequenceSource):
             )
         height, width = depth_m.shape
         try:
-            calibration = _calibration(self._given, width, height)
+            calibration = _calibration(self._options, width, height)
         except CalibrationError as err:
             raise FrameFormatError(f"{path}: {err}") from err
         return RGBDFrame(

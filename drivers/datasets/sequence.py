@@ -49,10 +49,8 @@ class SequenceSource(FrameSource):
     def _first_calibration(self) -> Calibration:
         """Return the calibration of the first frame that can be loaded.
 
-        Raises
-        ------
-        RecordingFormatError
-            If none can; says what is wrong with the first. A CalibrationError if it is its calibration.
+        Raises RecordingFormatError if none can, or CalibrationError if it is its calibration; says what is
+        wrong with the first.
         """
         first: FrameFormatError | None = None
         for index in range(self._frames):

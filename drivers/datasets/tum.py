@@ -34,19 +34,10 @@ def is_tum(folder: Path) -> bool:
 
 
 def associate(first: list[int], second: list[int], limit: int) -> list[tuple[int, int]]:
-    """Pair two sorted lists of times, nearest first, each time being used once.
+    """Pair two ascending lists of times, nearest first, each time being used once.
 
-    Parameters
-    ----------
-    first, second : list of int
-        Ascending times, both in one unit.
-    limit : int
-        Largest difference of a pair.
-
-    Returns
-    -------
-    list of (int, int)
-        Indices into the two lists, ascending.
+    Returns the ascending indices into the two lists of pairs that differ by `limit` at most, in the same
+    unit.
     """
     near = []
     for place, moment in enumerate(first):

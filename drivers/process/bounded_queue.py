@@ -20,26 +20,9 @@ _NOTES_MAX = 1000
 class BoundedQueue(Generic[Item]):
     """A queue for items, and for notes (as lines of a log) that take no room and go out first.
 
-    Parameters
-    ----------
-    capacity : float
-        Sum of the sizes of the items that may wait. An item always fits into an empty queue.
-    when_full : {"drop oldest", "wait", "refuse"}
-        What becomes of an item that does not fit.
-    size : callable
-        Size of an item; each counts one by default.
-
-    Attributes
-    ----------
-    dropped : int
-        Items that were dropped or refused because the queue was full.
-    filled : float
-        Sum of the sizes of the items that wait.
-
-    Raises
-    ------
-    ValueError
-        If `capacity` is not positive.
+    The sizes of the items that wait sum up to `filled`, which is no more than `capacity`, over 0; but an item
+    always fits into an empty queue. Each counts one where no `size` is given. What becomes of an item that
+    does not fit is `when_full`; `dropped` counts those that were dropped or refused.
     """
 
     def __init__(

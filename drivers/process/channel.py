@@ -39,20 +39,12 @@ class ChannelClosedError(Exception):
 class Channel:
     """Sends and receives messages; one thread receives, any thread sends.
 
-    Arrays lie in slots of memory that both processes share. Only one of the two may send any: it takes a
-    free slot for a message, and the other gives it back as soon as it has copied what is in it. So the
-    number of slots bounds what is on its way.
+    Arrays lie in slots of memory that both processes share. Only one of the two may send any: it takes a free
+    slot for a message, and the other gives it back as soon as it has copied what is in it. So the number of
+    slots bounds what is on its way.
 
-    Parameters
-    ----------
-    connection : socket.socket
-        To the other process; owned.
-    memory : int
-        Descriptor of a file that lies in memory; owned. It has no name, and ends with the two.
-    slots : int
-        Messages with arrays that may be on their way.
-    codec : Codec
-        Of the messages, the same at both ends.
+    The connection and `memory`, the descriptor of a file that lies in memory and has no name, are owned. The
+    codec is the same at both ends.
     """
 
     def __init__(self, connection: socket.socket, memory: int, slots: int, codec: Codec) -> None:

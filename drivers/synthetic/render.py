@@ -19,16 +19,9 @@ from nurbseg.drivers.synthetic.scene import RenderedScene
 class Rendering:
     """What one camera sees.
 
-    Attributes
-    ----------
-    depth_m : (H, W) float32
-        Along the optical axis; inf where there is nothing.
-    objects : (H, W) uint8
-        Number of the visible object + 1, 0 where there is none.
-    faces : (H, W) uint8
-        Number of its visible face.
-    color : (H, W, 3) uint8 or None
-        RGB, if asked for.
+    `depth_m` (H, W) is along the optical axis, inf where there is nothing; `objects` (H, W) holds the number
+    of the visible object + 1, 0 where there is none, `faces` (H, W) the number of its visible face; `color`
+    (H, W, 3) is RGB, if asked for.
     """
 
     depth_m: NDArray[np.float32]

@@ -29,20 +29,9 @@ _SCREEN_NAME = "carton"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedObject:
-    """One thing of the scene.
+    """One thing of the scene: its form in its own frame, and where it stands at the start.
 
-    Attributes
-    ----------
-    name : str
-        What a person calls it.
-    shape : Shape
-        Its form, in its own frame.
-    texture : (H, W, 3) uint8
-        RGB.
-    world_from_object : (4, 4) float64
-        Where it stands at the start.
-    shininess : float
-        Strength of the highlight, 0 to 1.
+    The texture (H, W, 3) is RGB, the pose (4, 4), and shininess the strength of the highlight, 0 to 1.
     """
 
     name: str
@@ -54,14 +43,9 @@ class RenderedObject:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedPoses:
-    """Where everything is at the moment of one frame.
+    """Where everything is at the moment of one frame, (4, 4) in metres.
 
-    Attributes
-    ----------
-    world_from_depth : (4, 4) float64
-        Pose of the depth camera (x right, y down, z forward), metres.
-    world_from_object : mapping of int to (4, 4) float64
-        Pose of each object by its ground-truth label.
+    That is the depth camera (x right, y down, z forward), and each object by its ground-truth label.
     """
 
     world_from_depth: NDArray[np.float64]
@@ -71,13 +55,9 @@ class RenderedPoses:
 class RenderedScene:
     """A table before a wall, with boxes, tins, a bowl, fruit, a cushion and a ball that rolls.
 
-    Parameters
-    ----------
-    seed : int
-        Draws textures and positions; what there is stays the same.
-    hidden_ticks : int
-        0 to let the ball roll in front, else for how many ticks it shall be wholly behind the carton, at
-        most, halfway through the period.
+    The seed draws textures and positions; what there is stays the same. `hidden_ticks` is 0 to let the ball
+    roll in front, else for how many ticks it shall be wholly behind the carton, at most, halfway through the
+    period.
     """
 
     def __init__(self, seed: int, hidden_ticks: int = 0) -> None:
