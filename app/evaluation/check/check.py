@@ -30,16 +30,8 @@ class FolderCheck:
     """Checks the frames of a folder of exports.
 
     Nothing here calls what made the values: surfaces are evaluated by SciPy; metrics, ratios and the order of
-    the tree are computed again. What is shared is the recording's frames and their registration.
-
-    Parameters
-    ----------
-    folder : Path
-        Written by ``nurbseg-live --export``.
-    recording : str, optional
-        The source that was segmented; without it no value is recomputed from points.
-    options : SourceOptions, optional
-        How to open the recording.
+    the tree are computed again. What is shared is the recording's frames and their registration. Without the
+    recording that was segmented, no value is recomputed from points.
 
     Attributes
     ----------

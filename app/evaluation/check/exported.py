@@ -20,16 +20,8 @@ _STEP_MOST = 8
 class Finding:
     """One place where an export contradicts itself, its settings or its recording.
 
-    Parameters
-    ----------
-    file : str
-        In which file.
-    segment : str
-        Of which segment ("P010"), or what else; empty for the whole frame.
-    field : str
-        Which value of it.
-    expected, found : str
-        What the value should be, and what it is.
+    It is in a file, in a value (`field`) of a segment ("P010") or of what else is named; an empty segment is
+    the whole frame.
     """
 
     file: str
@@ -177,20 +169,11 @@ class ExportedSurface:
 
 @dataclass(frozen=True, eq=False)
 class ExportedFrame:
-    """All files of a frame.
+    """All files of a frame, whose names begin with its `stem`.
 
-    Parameters
-    ----------
-    stem : str
-        The number that the files' names begin with.
-    settings : RunSettings
-        Of its run.
-    tree : ExportedTree
-        The file of its tree.
-    images : mapping of str to (H, W) uint16
-        "labels" and, where there are objects, "surfaces" and "objects".
-    surfaces, measured : mapping of str to ExportedSurface and to (N,) int64
-        By name, the pixels as flat indices; empty where surfaces are not exported.
+    Images are "labels" and, where there are objects, "surfaces" and "objects", (H, W) uint16. Surfaces and
+    measured pixels, (N,) int64 flat indices, are by the segments' names; empty where surfaces are not
+    exported.
     """
 
     stem: str
