@@ -1,8 +1,8 @@
-"""Follows the objects before a camera that OpenCV reads through OpenNI2, and shows them.
+"""Track objects with a camera that OpenCV reads through OpenNI2, and show them.
 
 python examples/opencv_camera.py
 
-It needs an OpenCV with OpenNI2 and windows (the usual packages have neither), and was run with a
+This needs an OpenCV build with OpenNI2 and GUI support (the usual packages have neither); tested with a
 simulated camera only. `nurbseg-live --device any` needs neither.
 """
 

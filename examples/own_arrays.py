@@ -1,4 +1,4 @@
-"""Segments a color image and a depth image that were read by somebody else: here by OpenCV.
+"""Segment a color image and a depth image that another library reads: here OpenCV.
 
 python examples/own_arrays.py color.png depth.png 525 525 319.5 239.5 labels.png
 """
@@ -13,12 +13,12 @@ from nurbseg import RGBDFrame, segment
 
 
 def main(color_file: str, depth_file: str, fx: str, fy: str, cx: str, cy: str, labels_file: str) -> None:
-    """Write the labels of the objects, and print where each is and how large."""
+    """Write the labels of the objects, and print the position and size of each."""
     color = cv2.imread(color_file, cv2.IMREAD_COLOR)
     depth_mm = cv2.imread(depth_file, cv2.IMREAD_UNCHANGED)
     if color is None or depth_mm is None:
         raise SystemExit(f"{color_file}, {depth_file}: cannot be read")
-    # OpenCV has blue first.
+    # OpenCV images are BGR.
     frame = RGBDFrame.from_arrays(depth_mm, color[..., ::-1], float(fx), float(fy), float(cx), float(cy))
     result = segment(frame)
     cv2.imwrite(labels_file, result.labels("objects"))

@@ -1,8 +1,8 @@
-"""Follows the objects before an Intel RealSense camera, by pyrealsense2 (pip install pyrealsense2).
+"""Track objects with an Intel RealSense camera, using pyrealsense2 (pip install pyrealsense2).
 
 python examples/realsense.py
 
-Not yet run with a camera: what it takes from pyrealsense2 is tested with a stand-in.
+Not yet tested with a camera, only with a stand-in for pyrealsense2.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def frames(rs: Any, width: int = 640, height: int = 480, fps: int = 30) -> Itera
 
 
 def main(rs: Any) -> None:
-    """Print where each object is, frame by frame."""
+    """Print the position of each object, frame by frame."""
     segmenter = Segmenter()
     for frame in frames(rs):
         for each in segmenter.process(frame).objects:

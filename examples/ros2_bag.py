@@ -1,8 +1,8 @@
-"""Writes the objects of every frame of a ROS 2 bag (MCAP) as label images.
+"""Write the objects of every frame of a ROS 2 bag (MCAP) as label images.
 
 python examples/ros2_bag.py my_bag labels
 
-`nurbseg-live --replay my_bag --speed 0 --export labels` writes these and more.
+`nurbseg-live --replay my_bag --speed 0 --export labels` writes these images and more.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from nurbseg import Segmenter, open_source
 
 
 def main(bag: str, folder: str) -> None:
-    """Follow the objects through the bag; each image is named by the stamp of its depth image."""
+    """Track the objects through the bag; each image is named after the stamp of its depth image."""
     Path(folder).mkdir(parents=True, exist_ok=True)
     segmenter = Segmenter()
     with open_source(bag) as source:
