@@ -13,19 +13,9 @@ _LONGEST_GAP_S = 1.0
 
 
 class LatencyFilter:
-    """Holds back results that are older than allowed, but never all of them.
+    """Holds back results that are older than allowed, but never all of them, and counts them in `held_back`.
 
-    Parameters
-    ----------
-    age_max_ms : float
-        Largest age of a frame when its labels are ready, milliseconds; 0 for any age.
-    clock : callable
-        Monotonic seconds.
-
-    Attributes
-    ----------
-    held_back : int
-        Results that were too old so far.
+    The age counts when a frame's labels are ready; any is allowed where `age_max_ms` is 0.
     """
 
     def __init__(self, age_max_ms: float, *, clock: Callable[[], float] = time.monotonic) -> None:

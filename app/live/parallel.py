@@ -55,17 +55,7 @@ def process_count(workers: int | Literal["auto"]) -> int:
 
 
 def segment_alone(frame: RGBDFrame, config: SegmentationConfig, *, export: ExportConfig | None) -> Segmented:
-    """Segment a frame for itself, and make its files.
-
-    Parameters
-    ----------
-    frame : RGBDFrame
-        The frame.
-    config : SegmentationConfig
-        How to segment.
-    export : ExportConfig or None
-        What is exported of it; None where nothing is.
-    """
+    """Segment a frame for itself, and make the files that `export` asks for."""
     # The other cores have other frames to do.
     cv2.setNumThreads(1)
     result = process_frame(frame, config)
@@ -85,29 +75,10 @@ def segment_in_parallel(
 ) -> Generator[tuple[Captured, Segmented]]:
     """Segment frames as `segment_alone` does, by several processes.
 
-    Parameters
-    ----------
-    captured : iterable of Captured
-        The frames; taken as there is room for them, so that at most twice as many as there are processes
-        are under way.
-    config : SegmentationConfig
-        How to segment.
-    count : int
-        Number of processes.
-    export : ExportConfig or None
-        As that of `segment_alone`.
-    whole : bool
-        Whether all that came of a frame is wanted, or its files alone.
-
-    Yields
-    ------
-    Captured, Segmented
-        In the order of the frames, with the time on the way (``wait``) and until now (``capture_to_labels``).
-
-    Raises
-    ------
-    FrameFailedError
-        If a frame cannot be segmented, or ends two processes that work on it.
+    Frames are taken as there is room for them, so that at most twice as many as there are processes are under
+    way. They come in their order, with the time on the way (``wait``) and until now (``capture_to_labels``);
+    `whole` says whether all that came of a frame is wanted, or its files alone. Raises FrameFailedError if a
+    frame cannot be segmented, or ends two processes that work on it.
     """
     segment = partial(_segmented, config=config, export=export, whole=whole)
     with open_workers(count) as workers:

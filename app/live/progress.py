@@ -25,19 +25,7 @@ _SOURCE_COLUMNS = 24
 
 
 class Progress:
-    """Tells the progress of a run.
-
-    Parameters
-    ----------
-    capture : CaptureThread
-        Whose counts are told.
-    line : StatusLine, optional
-        Where to tell it; without one, in the log.
-    source : str
-        What the status line calls the source.
-    clock : callable
-        Monotonic seconds.
-    """
+    """Tells the progress of a run, in a status line where there is one, else in the log."""
 
     def __init__(
         self,

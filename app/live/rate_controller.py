@@ -26,18 +26,7 @@ _FORGET_AFTER = 3600
 
 
 class RateController:
-    """Chooses the working resolution that holds a rate.
-
-    Parameters
-    ----------
-    target_hz : float
-        Wanted frames per second, over 0.
-
-    Attributes
-    ----------
-    level : int
-        What is given up: 0 for nothing.
-    """
+    """Chooses the working resolution that holds a rate; its `level` is what is given up, 0 for nothing."""
 
     def __init__(self, target_hz: float) -> None:
         if not target_hz > 0:

@@ -15,19 +15,8 @@ from nurbseg.drivers.source import FrameSource, Wrapped
 class Looped(Wrapped):
     """A recording that may start again at its end; frame numbers and timestamps then go on rising.
 
-    Parameters
-    ----------
-    source : FrameSource
-        The first pass; closed with this one.
-    reopen : callable
-        Opens the recording for each further pass.
-    repeats : bool
-        As the attribute.
-
-    Attributes
-    ----------
-    repeats : bool
-        Whether it starts again at the next end.
+    `source` is the first pass, closed with this one; `reopen` opens each further pass. The attribute
+    `repeats` says whether there is one at the next end.
     """
 
     def __init__(

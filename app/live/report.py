@@ -34,14 +34,8 @@ _REVISED = ("refits", "trials", "splits", "appeared", "merges", "judged")
 class RunReport:
     """Gathers a run's figures, and writes them as JSON.
 
-    Parameters
-    ----------
-    config : AppConfig
-        Of the run; names the file.
-    source : str
-        What frames come from, as a person names it.
-    metadata : mapping of str to str
-        What is known of the source; read when the figures are written.
+    `source` is what frames come from, as a person names it; `metadata` is read when the figures are written.
+    What reads, records and shows the frames is set when it is there.
 
     Attributes
     ----------
@@ -53,12 +47,6 @@ class RunReport:
         Frames taken that were not to be segmented.
     quit : bool
         Whether somebody ended the run by a command.
-    capture : CaptureThread or None
-        Which reads the frames; None before it does.
-    recorder : Recorder or None
-        Which records them; None before it is open.
-    view : View or None
-        Which shows them; None before it is open.
     """
 
     def __init__(self, config: AppConfig, source: str, metadata: Mapping[str, str]) -> None:

@@ -59,14 +59,8 @@ class NoFramesError(DriverError):
 def run(config: AppConfig, interruption: Interruption, view_process: ChildProcess | None = None) -> RunReport:
     """Segment a source's frames until it ends.
 
-    Parameters
-    ----------
-    config : AppConfig
-        What to do.
-    interruption : Interruption
-        Ends the run early; everything is closed then as well, and the report written.
-    view_process : ChildProcess, optional
-        Which shows and saves, if it was started for this configuration before.
+    `interruption` ends the run early; everything is closed then as well, and the report written.
+    `view_process` shows and saves, if it was started for this configuration before.
 
     Raises
     ------

@@ -65,23 +65,9 @@ class IsolatedView(View):
     One thread draws and sends each frame, another receives messages. Where a file is saved, every frame is,
     and `show` waits if the process is behind; otherwise the oldest frame that waits is dropped.
 
-    Parameters
-    ----------
-    process : ChildProcess
-        From `begin_view`; ended with this view.
-    config : ViewConfig
-        Where, and how fine.
-    segmentation, metadata : SegmentationConfig and mapping of str to str
-        Of the run and of its device; kept with the recording.
-    name : str
-        What the recording is called.
-    logger : logging.Logger
-        Its messages are shown too.
-
-    Raises
-    ------
-    ViewError
-        If the file cannot be created, a port is taken, or the viewer cannot be started.
+    The process is of `begin_view` and ended with this view. Settings of the segmentation and what is known of
+    the device are kept with the recording, which is called `name`; messages of `logger` are shown too. Raises
+    ViewError if the file cannot be created, a port is taken, or the viewer cannot be started.
     """
 
     shows = True

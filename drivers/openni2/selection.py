@@ -59,29 +59,11 @@ def choose(
     serial: str,
     serial_of: Callable[[DeviceListing], str],
 ) -> list[DeviceListing]:
-    """Return the cameras that may be meant, of which the first that opens is to be taken.
+    """Return the cameras that may be meant, at least one, of which the first that opens is to be taken.
 
-    Parameters
-    ----------
-    listings : iterable of DeviceListing
-        What is there.
-    wanted : str
-        "any" or nothing, a kind ("xtion", "kinect", ...: `usb_ids.WANTED`), a URI, a serial number, or
-        "port:" and a USB port.
-    serial : str
-        Also with this serial number; empty for any.
-    serial_of : callable
-        Finds a camera's serial number, for which it must be opened.
-
-    Returns
-    -------
-    list of DeviceListing
-        One at least.
-
-    Raises
-    ------
-    DeviceNotFoundError
-        If there is none; lists those that there are.
+    `wanted` is "any" or nothing, a kind ("xtion", "kinect", ...: `usb_ids.WANTED`), a URI, a serial number,
+    or "port:" and a USB port; `serial` counts besides, where it is not empty. A camera must be opened for
+    `serial_of`. Raises DeviceNotFoundError if there is none; lists those that there are.
     """
     cameras = [listing for listing in listings if is_camera(listing)]
     serials: dict[str, str] = {}

@@ -22,29 +22,15 @@ _SPEED_FACTOR, _RATIO_STEP = 1.5, 0.05
 class Controls:
     """Carries out commands.
 
-    Parameters
-    ----------
-    config : SegmentationConfig
-        How frames are segmented at first.
-    capture : CaptureThread
-        Of the run.
-    recorder : Recorder
-        Of the run.
-    looped : Looped, optional
-        The replay, of which reading can pause; a camera is read on.
-    fixed : str
-        Why settings may not change; empty where they may.
+    `config` says how frames are to be segmented from now on, and may not change where `fixed` says why. Of a
+    replay, `looped`, reading can pause; a camera is read on.
 
     Attributes
     ----------
-    config : SegmentationConfig
-        How frames are to be segmented from now on.
     paused, ended : bool
         Whether no frame is to be taken for now, or none any more.
     snapshot : bool
         Whether the next frame is to be written.
-    recorder : Recorder
-        As given.
     position : int
         Number of the frame that is segmented, or to which somebody went since.
     steps : int

@@ -26,26 +26,10 @@ def try_snapshot(result: FrameResult, settings: Mapping[str, Any], folder: Path)
 
 
 def write_snapshot(result: FrameResult, settings: Mapping[str, Any], folder: Path) -> Path:
-    """Write color, depth, labels, objects, tree, surfaces and cloud of a frame.
+    """Write color, depth, labels, objects, tree, surfaces and cloud of a frame; return the new folder.
 
-    Parameters
-    ----------
-    result : FrameResult
-        The frame.
-    settings : mapping
-        What ``settings.json`` is to hold, as `run_settings` returns it.
-    folder : Path
-        In which a folder is made, named by the time and the frame.
-
-    Returns
-    -------
-    Path
-        The new folder.
-
-    Raises
-    ------
-    ExportError
-        If a file cannot be written.
+    It is named by the time and the frame. `settings`, as `run_settings` returns it, is what ``settings.json``
+    is to hold. Raises ExportError if a file cannot be written.
     """
     frame = result.frame
     made = folder / f"snapshot-{datetime.now():%Y%m%d-%H%M%S}-frame{frame.index}"

@@ -38,29 +38,13 @@ logger = logging.getLogger(__name__)
 class OniSource(FrameSource):
     """Frames of an .oni recording.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    options : DeviceOptions, optional
-        ``calibration``, ``mirror`` and ``registration`` count. The last one decides whether
-        depth is registered to color where the file has no note of it, as in other programs' recordings.
-    pairing_limit_s : float
-        Largest difference between the times of a depth image and its color image, seconds.
-    cameras : CameraFile, optional
-        A calibration that counts before the recording's, where `options` name no file.
+    Of the options, ``calibration``, ``mirror`` and ``registration`` count. The last one decides whether depth
+    is registered to color where the file has no note of it, as in other programs' recordings. `cameras`
+    counts before the recording's calibration, where the options name no file. `half_pairs` images have no
+    other half, no more than `pairing_limit_s` away, and are in no frame; ``metadata["dropped"]`` says so too.
 
-    Attributes
-    ----------
-    half_pairs : int
-        Images of the recording that have no other half, and are in no frame; ``metadata["dropped"]`` too.
-
-    Raises
-    ------
-    BackendMissingError
-        If OpenNI2 is not installed.
-    RecordingFormatError
-        If the file is damaged, or OpenNI2's driver crashes or hangs on it.
+    Raises BackendMissingError if OpenNI2 is not installed, and RecordingFormatError if the file is damaged,
+    or OpenNI2's driver crashes or hangs on it.
     """
 
     seekable = True

@@ -34,24 +34,13 @@ _FIRST_IMAGES = 12
 class OniRecorder:
     """OpenNI2's recorder at work on a device's streams; it writes each image that the driver delivers.
 
-    The recorder's own thread keeps a processor core busy for as long as it lives. Depth is packed
-    without loss, if it is below the stream's largest value and an image holds at most 32767 different
-    depths, which these cameras keep to; color is kept as it is, or packed as JPEG.
+    The recorder's own thread keeps a processor core busy for as long as it lives. Depth is packed without
+    loss, if it is below the stream's largest value and an image holds at most 32767 different depths, which
+    these cameras keep to; color is kept as it is, or packed as JPEG where `lossy`.
 
-    Parameters
-    ----------
-    device : OpenedDevice
-        Its streams are not running: the recorder must be there before the first image, or else
-        the two streams may begin with different moments, which the file could not record.
-    path : Path
-        The file, which must not exist. Only this user may read it.
-    lossy : bool
-        Whether color is packed as JPEG.
-
-    Raises
-    ------
-    DriverError
-        If the file cannot be made, or the recorder does not start.
+    The streams are not running: the recorder must be there before the first image, or else the two streams
+    may begin with different moments, which the file could not record. The file must not exist, and only this
+    user may read it. Raises DriverError if it cannot be made, or the recorder does not start.
     """
 
     def __init__(self, device: OpenedDevice, path: Path, *, lossy: bool = False) -> None:
