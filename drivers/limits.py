@@ -22,7 +22,7 @@ SCAN_BYTES_MAX = 1 << 30
 #: Bytes and lines of a list of images by time: 16 MiB, four hours at 30 Hz.
 LIST_BYTES_MAX = 1 << 24
 LIST_LINES_MAX = 500_000
-#: Bytes of a calibration or configuration file, its values and their nesting: 256 KiB.
+#: Bytes of a calibration or configuration file, 256 KiB; the values of a YAML file and their nesting.
 TEXT_BYTES_MAX = 1 << 18
 TEXT_VALUES_MAX = 50_000
 TEXT_DEPTH_MAX = 16
