@@ -140,7 +140,7 @@ class Reconnecting(FrameSource):
             try:
                 frame = source.read(max(deadline - self._clock(), 0.0))
             except DeviceLostError as err:
-                logger.warning("%s; waiting until it is back", err)
+                logger.warning("%s; waiting for it to come back", err)
                 self._let_go()
             else:
                 return self._continued(frame)
@@ -165,7 +165,7 @@ class Reconnecting(FrameSource):
                 try:
                     source = self._reopen()
                 except DriverError as err:
-                    logger.debug("still away: %s", err)
+                    logger.debug("still disconnected: %s", err)
                 else:
                     self._source = source
                     self._take_over(source)
@@ -182,7 +182,7 @@ class Reconnecting(FrameSource):
         self.metadata.update(source.metadata)
         if before.is_registered != source.calibration.is_registered:
             logger.warning(
-                "%s %s depth to color now, other than before: recordings keep the calibration they had",
+                "%s %s depth to color now, unlike before: recordings keep their calibration",
                 self.metadata.get("device", "the camera"),
                 "registers" if source.calibration.is_registered else "does not register",
             )
@@ -191,7 +191,7 @@ class Reconnecting(FrameSource):
         now_s = self._clock()
         if self._ahead_ns is None:
             self.reconnections += 1
-            logger.warning("%s is back; frames go on", self.metadata.get("device", "the camera"))
+            logger.warning("%s is back; frames resume", self.metadata.get("device", "the camera"))
             away_s = 0.0 if self._last_s is None else now_s - self._last_s
             self._ahead_ns = self._last_ns + round(away_s * 1e9) - frame.timestamp_ns
         if self._ahead_ns or frame.index != self._index:

@@ -26,7 +26,7 @@ SCHEMES = {
 
 _HEAD_BYTES = 1024
 
-_FORMATS = "an MCAP recording, an OpenNI2 recording (.oni), an organised PCD cloud, or NYU Depth v2 (.mat)"
+_FORMATS = "an MCAP recording, an OpenNI2 recording (.oni), an organized PCD cloud, or NYU Depth v2 (.mat)"
 _FOLDERS = "rgb.txt and depth.txt (TUM), PCD clouds, one recording, or pairs of images"
 
 
@@ -115,7 +115,7 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
         return open_folder(path, options)
     if recordings:
         raise RecordingFormatError(f"{path}: holds {len(recordings)} recordings; name one of them")
-    found = "is empty" if not any(path.iterdir()) else "holds nothing that can be replayed"
+    found = "is empty" if not any(path.iterdir()) else "contains nothing that can be replayed"
     raise RecordingFormatError(f"{path}: the folder {found}; expected {_FOLDERS}: {NAMES_EXPECTED}")
 
 

@@ -24,25 +24,30 @@ if TYPE_CHECKING:
 REPORT_FILE = "report.json"
 
 _DESCRIPTION = """\
-Segment every frame of many recordings, each for itself, and write what nurbseg-live --export writes: into
-a folder for each recording that is called as it is."""
+Segment every frame of many recordings independently, and write the files of nurbseg-live --export into one
+folder per recording, with its name."""
 
 _EPILOG = """\
-exit codes: 0 all is done, 1 some recordings failed (they are listed at the end), 2 usage, 130 interrupted;
-the same command goes on where it was, and does what failed again
+exit codes: 0 all done, 1 some recordings failed (they are listed at the end), 2 usage, 130 interrupted;
+the same command resumes, and repeats what failed
 example: nurbseg-batch recordings/*.mcap --export out --workers auto"""
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser("nurbseg-batch", _DESCRIPTION, _EPILOG)
     add = parser.add_argument
-    add("recordings", nargs="+", metavar="PATH", help="what nurbseg-live replays: files and folders")
-    add("--export", type=Path, metavar="DIR", required=True, help="where results and report.json go")
+    add(
+        "recordings",
+        nargs="+",
+        metavar="PATH",
+        help="recordings to replay, as for nurbseg-live: files and folders",
+    )
+    add("--export", type=Path, metavar="DIR", required=True, help="folder for the results and report.json")
     kinds = value_kinds(ExportConfig)
     for each in export_forms():
         add_flag(parser, f"export.{each.name}", each, kinds[each.name])
-    add("--workers", metavar="N|auto", default="auto", help="processes; auto: one a core (%(default)s)")
-    add("--scheduler", metavar="URL", help="a Dask scheduler, tcp://HOST:8786, in place of --workers")
+    add("--workers", metavar="N|auto", default="auto", help="processes; auto: one per core (%(default)s)")
+    add("--scheduler", metavar="URL", help="a Dask scheduler, tcp://HOST:8786, instead of --workers")
     add_setting_flags(parser)
     add_calibration_flags(parser)
     return parser

@@ -17,7 +17,7 @@ from nurbseg.drivers.settings import ValueKind, described_fields, nested, update
 
 _DESCRIPTION = """\
 Segment the frames of a depth camera or a recording, and show and save the result.
-Where no source is named, a camera is tried first and then the demo recording."""
+Without a source, a camera is tried first, then the demo recording."""
 
 _EPILOG = """\
 exit codes: 0 done, 1 failed while running, 2 usage, configuration or no source, 130 interrupted
@@ -27,7 +27,7 @@ example: nurbseg-live --replay my_folder --intrinsics 525,525,319.5,239.5 --spee
 _TITLES = {
     "source": "source",
     "camera": "camera (--calibration also for --replay)",
-    "depth": "depth images, before they are segmented, in this order",
+    "depth": "preprocessing of depth images, in this order",
     "segmentation": "segmentation (the paper's symbols in the text)",
     "segmentation.stag15": "segmentation by the paper's method, --method stag15",
     "segmentation.extended": "segmentation by the default method, --method nurbseg",

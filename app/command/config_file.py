@@ -81,7 +81,7 @@ def _short(key: str) -> str:
 def _unknown(name: str, table: object) -> str:
     if isinstance(table, dict):
         return f"section [{name}]: expected one of {', '.join(f'[{each}]' for each in sections())}"
-    return f"key {_short(name)}: keys stand in a section{_nearest(name)}"
+    return f"key {_short(name)}: keys must be in a section{_nearest(name)}"
 
 
 def _nearest(key: str) -> str:

@@ -220,7 +220,7 @@ def _motor(arguments: argparse.Namespace) -> int:
     with KinectMotor(number=arguments.number) as motor:
         if arguments.command == "tilt":
             motor.tilt(arguments.angle_deg)
-            done = f"turning to {arguments.angle_deg:g} degrees"
+            done = f"tilting to {arguments.angle_deg:g} degrees"
         elif arguments.command == "led":
             motor.led(arguments.color)
             done = f"light: {arguments.color}"

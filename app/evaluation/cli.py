@@ -14,15 +14,16 @@ from nurbseg.app.parser import add_calibration_flags, add_setting_flags, command
 _COMMANDS = ("run", "tune", "noise", "check")
 
 _DESCRIPTION = """\
-Score segmentations of labelled frames: the methods of this project with any settings, and their rivals.
-DATA is what nurbseg-live replays: a folder of pairs with NAME_label.png, a recording with ground truth,
-"synthetic:", the labelled NYU Depth v2 set or frames of it, or a folder with the scenes of the LTTM set."""
+Score segmentations of labelled frames: this project's methods with any settings, and baselines.
+DATA is anything that nurbseg-live replays: a folder of pairs with NAME_label.png, a recording with
+ground truth, "synthetic:", the labelled NYU Depth v2 set or frames of it, or a folder with the scenes of the
+LTTM set."""
 
 _EPILOG = """\
 methods: nurbseg, stag15, pz14 (trees of surface fits), dmzc12, fh04, fh04-depth, slic-ncut, kmeans,
 lccp and pcl-organized (with Debian's libpcl-dev, cmake and g++)
 exit codes: 0 done, 1 failed while running or findings, 2 usage or no data, 130 interrupted; a killed run
-goes on where it was when it is started again with the same --out
+resumes when it is started again with the same --out
 example: nurbseg-eval run my_frames --methods stag15,fh04 --metrics all --thresholds 1,0.9,0.8 --out study"""
 
 

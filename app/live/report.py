@@ -109,7 +109,7 @@ class RunReport:
             (capture.withheld, "only recorded"),
             (capture.damaged, "damaged"),
             (self.late, "too late to be shown"),
-            (0 if self.view is None else self.view.dropped, "not taken by the viewer"),
+            (0 if self.view is None else self.view.dropped, "dropped by the slow viewer"),
         )
         told = ", ".join(f"{count} {what}" for count, what in others if count)
         return f"{text}; {told}" if told else text

@@ -143,7 +143,7 @@ def _refuse_existing(config: AppConfig) -> None:
             if file is not None:
                 check_absent(Path(file))
         except OSError as err:
-            advice = "" if file == config.record.file else ", or replace it with --force"
+            advice = "" if file == config.record.file else ", or overwrite it with --force"
             raise SetupError(f"{file}: {err.strerror}{advice}") from err
 
 

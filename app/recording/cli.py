@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 WHOLE, NOT_WHOLE, UNREADABLE = 0, 1, 2
 
 _DESCRIPTION = """\
-Check recordings (.mcap, .oni) and files of the viewer (.rrd): how many frames they hold, where some
-are missing, whether their end was written, and whether Rerun opens them. Repair writes what can be
-read of one as a new, whole file; an .mcap then opens in Rerun, Foxglove and ROS."""
+Check recordings (.mcap, .oni) and viewer files (.rrd): how many frames they contain, where some
+are missing, whether they were closed properly, and whether Rerun opens them. Repair writes everything
+that can be read to a new, complete file; an .mcap then opens in Rerun, Foxglove and ROS."""
 
 _EPILOG = """\
-exit codes: 0 whole; 1 something is wrong with one of them; 2 usage, or one cannot be read at all
+exit codes: 0 all intact; 1 a problem was found; 2 usage, or a file cannot be read at all
 example: nurbseg-record check *.mcap; nurbseg-record repair kitchen.mcap"""
 
 

@@ -97,14 +97,14 @@ def inspect(path: Path) -> Inspection:
     look = {"mcap": _look_at_mcap, "oni": _look_at_oni, "rrd": _look_at_rrd}[form]
     look(path, found)
     if not found.frames:
-        found.problems.append("it holds no frame")
+        found.problems.append("it contains no frames")
     return found
 
 
 def _look_at_mcap(path: Path, found: Inspection) -> None:
     found.end_written = _read_frames(path, found)["whole"] == "true"
     if not found.end_written:
-        found.problems.append("its end was not written: the recorder was killed, or the disk was full")
+        found.problems.append("it was not closed properly: the recorder was killed, or the disk was full")
     found.opens_in_rerun = viewer_file.complaint("mcap", "check", str(path)) == ""
     if found.end_written and not found.opens_in_rerun:
         found.problems.append("Rerun does not open it")
@@ -114,11 +114,11 @@ def _look_at_oni(path: Path, found: Inspection) -> None:
     file = read_structure(path)
     found.end_written = file.complete
     if not file.counts_all:
-        found.problems.append("its header counts one stream too few, so that OpenNI2 refuses it")
+        found.problems.append("its header counts one stream too few, so OpenNI2 rejects it")
     if not file.complete:
-        found.problems.append("its end was not written: the recorder was killed; it plays up to there")
+        found.problems.append("it was not closed properly: the recorder was killed; it plays up to there")
     if not file.note:
-        found.remarks.append("it has no note of calibration, registration and serial number at its end")
+        found.remarks.append("it lacks the calibration, registration and serial number at its end")
     if file.counts_all:
         try:
             _read_frames(path, found)
@@ -148,7 +148,7 @@ def _look_at_rrd(path: Path, found: Inspection) -> None:
             _count(found, viewer_file.stamps_ns(readable))
     else:
         if not found.end_written:
-            found.remarks.append("it has no index, as live runs write none; Rerun opens it all the same")
+            found.remarks.append("it has no index, because live runs write none; Rerun still opens it")
 
 
 def _read_frames(path: Path, found: Inspection) -> dict[str, str]:
@@ -166,7 +166,7 @@ def _read_frames(path: Path, found: Inspection) -> dict[str, str]:
     if damaged:
         found.problems.append(f"{len(damaged)} damaged: {damaged[0]}")
     if int(source.metadata.get("dropped", 0)):
-        found.remarks.append(f"{source.metadata['dropped']} images have no partner and are in no frame")
+        found.remarks.append(f"{source.metadata['dropped']} images have no partner and are not in any frame")
     _count(found, stamps)
     return source.metadata
 

@@ -119,7 +119,7 @@ class QueuedRecording(Recording):
             # What is left is the frame that is being written; a dead disk never finishes it.
             self._thread.join(_LAST_FRAME_S)
             if self._thread.is_alive():
-                self.failure = self.failure or f"{self.path}: the disk did not take the last frame"
+                self.failure = self.failure or f"{self.path}: the disk could not store the last frame"
                 return
         if self.frames == 0:
             self.path.unlink(missing_ok=True)

@@ -33,7 +33,7 @@ def repair(path: Path, output: Path, *, force: bool = False) -> list[str]:
             part.unlink(missing_ok=True)
     except OSError as err:
         raise DriverError(f"{output}: cannot be written: {err.strerror}") from err
-    return [f"{damaged} damaged parts of {path} are not in it"] if damaged else []
+    return [f"{damaged} damaged parts of {path} were left out"] if damaged else []
 
 
 def _write_mcap(path: Path, part: Path) -> int:

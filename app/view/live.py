@@ -81,7 +81,7 @@ class ViewerSink:
                     return
                 self._stopping.wait(_RETRY_S)
         except Exception:
-            logger.exception("nothing more is shown in the viewer at %s", self._url)
+            logger.exception("nothing more will be shown in the viewer at %s", self._url)
 
     def _may_come(self) -> bool:
         """Whether to go on waiting for a viewer that does not listen."""
@@ -91,7 +91,7 @@ class ViewerSink:
             return True
         if not self._absence_logged:
             self._absence_logged = True
-            logger.warning("no viewer listens at %s; it is shown to as soon as one does", self._url)
+            logger.warning("no viewer is listening at %s; it will be used as soon as one is", self._url)
         return not self._queue.closed
 
     def _serve(self) -> bool:
@@ -113,7 +113,7 @@ class ViewerSink:
                 taken = self._taken(stream)
             # One that ends, or begins, may listen for a moment without taking anything.
             if connected and not taken and not self._stopping.is_set():
-                logger.warning("the viewer at %s is gone; if it comes back it is shown to again", self._url)
+                logger.warning("the viewer at %s is gone; it will be used again if it comes back", self._url)
             return connected
         finally:
             if not taken:
@@ -135,10 +135,10 @@ class ViewerSink:
                 timeout_s = min(2.0 * timeout_s, _POLL_MAX_S)
             else:
                 if logged:
-                    logger.info("the viewer at %s takes frames again", self._url)
+                    logger.info("the viewer at %s accepts frames again", self._url)
                 return True
             # Once: a browser on a slow computer stalls again and again.
             if not self._stall_logged and time.monotonic() - began_s > _PATIENCE_S:
                 logged = self._stall_logged = True
-                logger.warning("the viewer at %s takes nothing; frames are not shown for now", self._url)
+                logger.warning("the viewer at %s is not responding; frames are not shown for now", self._url)
         return False

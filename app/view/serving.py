@@ -74,15 +74,15 @@ class WebServer:
         self._given_up = time.monotonic() - self._started_s < _LASTING_S
         if self._given_up:
             logger.warning(
-                "the web server %s soon after its start and is not started again", how_it_ended(code)
+                "the web server %s soon after its start and will not be restarted", how_it_ended(code)
             )
             return
-        logger.warning("the web server %s and is started again; reload the page", how_it_ended(code))
+        logger.warning("the web server %s and is being restarted; reload the page", how_it_ended(code))
         try:
             self._start()
         except ViewError as err:
             self._given_up = True
-            logger.warning("the web server is not started again: %s", err)
+            logger.warning("the web server cannot be restarted: %s", err)
 
     def close(self) -> None:
         """End the server and its page."""

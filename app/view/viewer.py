@@ -144,8 +144,8 @@ def warn_beyond_loopback(bind: str, *ports: int) -> None:
     """Say who sees what the camera sees, where somebody else than this computer can connect."""
     if not ip_address(bind).is_loopback:
         logger.warning(
-            "whoever reaches %s, ports %s, sees what the camera sees: "
-            "the stream has neither password nor encryption",
+            "anyone who can reach %s, ports %s, sees what the camera sees: the stream has no password or "
+            "encryption",
             bind,
             " and ".join(map(str, ports)),
         )

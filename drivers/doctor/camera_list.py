@@ -105,7 +105,7 @@ def _queried(camera: Camera, device: OpenedDevice) -> Camera:
         # Only a running camera knows whether it can.
         camera = replace(camera, sync=device.synchronise())
         if wait_for_any(device.library, device.streams, _FIRST_IMAGE_LIMIT_S) is None:
-            return replace(camera, error=f"it opens, but no image came within {_FIRST_IMAGE_LIMIT_S:g} s")
+            return replace(camera, error=f"it opens, but no image arrived within {_FIRST_IMAGE_LIMIT_S:g} s")
     except DriverError as err:
         return replace(camera, error=str(err))
     return camera

@@ -77,7 +77,7 @@ def explain_no_camera(wanted: str = "any") -> str:
         errors = [each for each in diagnose(describe(), wanted) if each.severity == "error"]
     except Exception as err:
         # This is part of the report of another error, which it must not hide.
-        return f"To find out why: nurbseg-devices doctor   (here it failed: {type(err).__name__}: {err})"
+        return f"To find out why: nurbseg-devices doctor   (it failed here: {type(err).__name__}: {err})"
     if not errors:
         return "USB and OpenNI2's files look as they should. To find out why: nurbseg-devices doctor"
     main = errors[0]

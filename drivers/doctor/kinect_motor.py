@@ -112,13 +112,13 @@ class KinectMotor(Closing):
                 f"angle_deg: expected -{TILT_MAX_DEG} to {TILT_MAX_DEG} degrees, got {angle_deg:g}"
             )
         # The field is unsigned on the wire; the motor reads it as two's complement.
-        self._transfer("turning the motor", _OUT, _SET_TILT, round(2 * angle_deg) & 0xFFFF)
+        self._transfer("moving the motor", _OUT, _SET_TILT, round(2 * angle_deg) & 0xFFFF)
 
     def led(self, color: LedColor) -> None:
         """Set the light, to one of the colors of `LedColor`."""
         if color not in _LED_VALUES:
             raise ValueError(f"color: expected one of {', '.join(_LED_VALUES)}, got {color!r}")
-        self._transfer("setting the light", _OUT, _SET_LED, _LED_VALUES[color])
+        self._transfer("setting the LED", _OUT, _SET_LED, _LED_VALUES[color])
 
     def state(self) -> MotorState:
         """Return the readings of the accelerometer and the motor."""

@@ -55,11 +55,11 @@ def _no_bus(host: Host, cameras: Sequence[Part]) -> Finding:
         "container": (
             "This container has no USB",
             "/dev/bus/usb does not exist here, so no camera can be opened. "
-            "(With docker's --device /dev/bus/usb, a camera plugged in later would stay out.)",
+            "(With docker's --device /dev/bus/usb, a camera plugged in later is not visible.)",
             (_PASS_USB_ON,),
         ),
         "wsl": (
-            "Windows has not handed a USB device to this Linux",
+            "Windows has not passed a USB device to this Linux",
             "/dev/bus/usb does not exist here. WSL gets USB devices through usbipd-win.",
             (
                 "in an administrator's PowerShell: winget install usbipd",
@@ -167,7 +167,7 @@ def _no_permission(part: Part, host: Host) -> Finding:
     rule = f"echo '{udev_rule(part.device)}' | sudo tee -a {RULES_FILE}"
     if host.kind == "container":
         reason = (
-            "This container may not open USB devices, or the host has no udev rule for the camera "
+            "This container is not allowed to open USB devices, or the host has no udev rule for the camera "
             "(udev runs there, not here)."
         )
         steps: tuple[str, ...] = (_PASS_USB_ON, f"on the host: {rule}", f"on the host: {_APPLY_RULES}")
@@ -175,7 +175,7 @@ def _no_permission(part: Part, host: Host) -> Finding:
         reason = "A udev rule for it is installed, but has not been applied to it."
         steps = (_APPLY_RULES, "unplug the camera and plug it in again")
     else:
-        reason = f"No udev rule names it. The first command puts one into {RULES_FILE}."
+        reason = f"No udev rule names it. The first command adds one to {RULES_FILE}."
         steps = (rule, _APPLY_RULES, "unplug the camera and plug it in again")
     return Finding("no-permission", "error", f"No permission to open {part}", reason, steps)
 

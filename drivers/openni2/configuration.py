@@ -64,7 +64,7 @@ def configure(device: OpenedDevice, options: DeviceOptions, name: str) -> Applie
     same_rate = depth.mode.fps == color.mode.fps
     synchronised = options.sync and same_rate and device.synchronise()
     if options.sync and not same_rate:
-        logger.info("%s: depth and color have different rates, and are not synchronised", name)
+        logger.info("%s: depth and color have different frame rates and are not synchronized", name)
     wants_registration = options.registration == "hardware"
     registered = device.register(wants_registration)
     if wants_registration and not registered:
@@ -155,8 +155,8 @@ def calibrate(
         )
     else:
         logger.warning(
-            "no calibration given: color is put onto depth with PrimeSense's nominal values, which may be "
-            "some pixels off; --calibration FILE takes a real one"
+            "no calibration given: color is mapped to depth with PrimeSense's nominal values, which may "
+            "be off by some pixels; use --calibration FILE for a measured one"
         )
         calibration = Calibration(
             depth=nominal.from_field_of_view(*depth_size, fov[0]),

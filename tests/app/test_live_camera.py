@@ -237,7 +237,7 @@ def test_unplugged_and_plugged_in_again_the_run_and_its_recording_go_on(virtual_
     with start("--device", "any", "--record", str(path), "--frames", "90", *FAST) as process:
         wait_for_line(process, "segments in")
         camera.unplug()
-        wait_for_line(process, "waiting until it is back")
+        wait_for_line(process, "waiting for it to come back")
         camera.plug()
         wait_for_line(process, "is back")
         assert process.wait(60) == 0

@@ -65,7 +65,7 @@ def test_a_folder_of_nothing_is_refused_with_what_is_expected(tmp_path: Path) ->
         open_source(tmp_path)
     (tmp_path / "notes.txt").write_text("nothing to see")
     with pytest.raises(
-        RecordingFormatError, match=r"holds nothing that can be replayed; expected .*images: NAME_color"
+        RecordingFormatError, match=r"contains nothing that can be replayed; expected .*images: NAME_color"
     ):
         open_source(tmp_path)
 

@@ -22,14 +22,14 @@ _STOP_TEXTS = {
     "criterion": "red: a split was tried and did not fit better",
     "child-too-small": "orange: a side of the cut was smaller than T_p",
     "too-small": "light green: smaller than 2 T_p",
-    "depth": "green: the tree's largest depth T_d was reached",
-    "splits": "blue: the largest number of splits T_s was reached",
+    "depth": "green: the tree's maximum depth T_d was reached",
+    "splits": "blue: the maximum number of splits T_s was reached",
     "no-cut": "violet: no cut was found",
     "no-fit": "pink: no surface could be fitted",
     "no-points": "white: no points",
-    "noise": "turquoise: so near to the sensor's noise that no split can be kept",
-    "untried": "sand: no split was tried lately (live)",
-    "budget": "maroon: the time for the frame (--budget-ms) was over",
+    "noise": "turquoise: so close to the sensor's noise that no split can be kept",
+    "untried": "sand: no split was tried recently (live)",
+    "budget": "maroon: the time limit for the frame (--budget-ms) was reached",
 }
 
 
@@ -175,17 +175,17 @@ def legend(view: ViewConfig, segmentation: SegmentationConfig) -> str:
     largest_mm = 1e3 * view.residual_max_m
     return f"""# What the colors mean
 
-**Objects** have one color each, in all pictures, in space and in the tree, and keep it from frame to frame.
+**Objects** have one color each, in all pictures, in 3D and in the tree, and keep it from frame to frame.
 Their **surfaces**, the NURBS surfaces fitted to the segments, are shades of it. A region of the ground truth
 has the color of what overlaps it most; gray regions were not found.
 
 **Residuals** are the distances between surface and data: blue 0 mm, cyan {largest_mm / 4:g} mm,
 green {largest_mm / 2:g} mm, yellow {largest_mm * 3 / 4:g} mm, red {largest_mm:g} mm and more.
 
-**Tree by object**: a part of the tree that lies within one object is drawn as one node in its color.
+**Tree by object**: a part of the tree within one object is drawn as one node in its color.
 
-**Tree**: the dots below the leaves have the colors of their surfaces. A segment that was cut is gray, one
-whose parts are not connected or came into view darker; a final one has the color of the reason why it was
+**Tree**: the dots below the leaves have the colors of their surfaces. A segment that was cut is gray; one
+whose parts are not connected or came into view is darker. A leaf has the color of the reason why it was
 not split further:
 
 {stops}

@@ -69,7 +69,7 @@ class OniSource(FrameSource):
                 f"nurbseg-record repair {shlex.quote(str(path))} writes one that it plays"
             )
         if not file.complete:
-            logger.warning("%s breaks off: its recording was cut short; what there is is replayed", path)
+            logger.warning("%s is truncated: its recording was cut short; it is replayed up to there", path)
         self._delay_us = int(file.note.get("color_delay_us", 0))
         self._pairs = self._pair(file, pairing_limit_s)
         counted = len(file.depth.frames) + len(file.color.frames)

@@ -107,7 +107,7 @@ def test_every_field_of_a_section_is_a_setting() -> None:
         ),
         ("[source]\nduration = 1\n", r"source\.duration \(did you mean source\.duration_s\?\)"),
         ("[source]\nxyzzy = 1\n", r"unknown key source\.xyzzy$"),
-        ("speed = 1\n", r"unknown key speed: keys stand in a section \(did you mean source\.speed\?\)"),
+        ("speed = 1\n", r"unknown key speed: keys must be in a section \(did you mean source\.speed\?\)"),
         (
             "[segmentation.extended]\nlog_odds_mi = 1\n",
             r"segmentation\.extended\.log_odds_mi \(did you mean segmentation\.extended\.log_odds_min\?\)",
@@ -119,7 +119,7 @@ def test_every_field_of_a_section_is_a_setting() -> None:
             r"segmentation\.extended\.cuts: expected at least 1, got 0",
         ),
         ("[segmentaton]\n", r"unknown section \[segmentaton\]: expected one of \[source\], "),
-        ("source = 3\n", r"unknown key source: keys stand in a section"),
+        ("source = 3\n", r"unknown key source: keys must be in a section"),
         ("[segmentation]\nratio_max = 0\n", r"segmentation\.ratio_max: expected more than 0\.0, got 0\.0"),
         ("[segmentation]\nratio_max = nan\n", r"segmentation\.ratio_max: expected a finite number, got nan"),
         ("[segmentation]\nratio_max = true\n", r"segmentation\.ratio_max: expected a number, got True"),

@@ -109,7 +109,7 @@ def test_a_camera_that_opens_but_sends_nothing_is_not_ready(virtual_cameras, mon
     monkeypatch.setattr(camera_list, "_FIRST_IMAGE_LIMIT_S", 0.3)
     virtual_cameras.add(stalled=1)
     assert devices.main(["list"]) == 1
-    assert "cannot be used: it opens, but no image came within 0.3 s" in capsys.readouterr().out
+    assert "cannot be used: it opens, but no image arrived within 0.3 s" in capsys.readouterr().out
 
 
 def test_without_a_camera_the_list_names_the_doctor(virtual_cameras, capsys):
@@ -279,7 +279,7 @@ def test_tilt_and_light_reach_the_motor(motor, capsys):
     assert devices.main(["tilt", "-10"]) == 0
     assert devices.main(["led", "blink-green"]) == 0
     assert [transfer[:3] for transfer in motor.device.transfers] == [(0x40, 0x31, 0xFFEC), (0x40, 0x06, 4)]
-    assert capsys.readouterr().out == "turning to -10 degrees\nlight: blink-green\n"
+    assert capsys.readouterr().out == "tilting to -10 degrees\nlight: blink-green\n"
 
 
 def test_the_accelerometer_is_told_in_both_units(motor, capsys):

@@ -31,7 +31,7 @@ def test_every_frame_is_accounted_for() -> None:
     report.late, report.view = 2, MagicMock(dropped=5)
     assert report.summary() == (
         "1 frames segmented, 0.00 frames/s; 3 overwritten by newer ones, 1 damaged, 2 too late to be shown, "
-        "5 not taken by the viewer"
+        "5 dropped by the slow viewer"
     )
     report.segmented, report.recorded_only = 0, 4
     assert report.summary() == "4 frames recorded"

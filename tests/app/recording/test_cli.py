@@ -95,7 +95,7 @@ def test_a_damaged_chunk_costs_its_frames_and_no_more(whole, capsys):
     assert told["problems"][0].startswith("1 damaged: ")
     code, told = found(capsys, "repair", str(whole))
     assert (code, told["frames"], told["opens_in_rerun"]) == (0, 11, True)
-    assert told["remarks"] == [f"1 damaged parts of {whole} are not in it"]
+    assert told["remarks"] == [f"1 damaged parts of {whole} were left out"]
 
 
 def test_no_file_is_replaced_unless_that_is_asked_for(cut, capsys):
@@ -157,10 +157,10 @@ def test_an_oni_file_that_openni2_refuses_is_repaired(virtual_cameras, tmp_path,
     code, told = found(capsys, "check", str(killed))
     assert code == 1
     assert [problem.split(":")[0] for problem in told["problems"]] == [
-        "its header counts one stream too few, so that OpenNI2 refuses it",
-        "its end was not written",
+        "its header counts one stream too few, so OpenNI2 rejects it",
+        "it was not closed properly",
     ]
-    assert "no note of calibration" in told["remarks"][0]
+    assert "lacks the calibration" in told["remarks"][0]
     frames = told["frames"]
     code, told = found(capsys, "repair", str(killed))
     assert (code, told["frames"], told["end_written"]) == (0, frames, True)

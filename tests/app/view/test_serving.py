@@ -193,7 +193,7 @@ def test_a_server_that_ends_is_started_again(
         process.kill()
         wait_until(lambda: not server.is_starting(), "the server has ended")
         server.restart_if_ended()
-        assert "the web server ended by signal 9 and is started again; reload the page" in caplog.text
+        assert "the web server ended by signal 9 and is being restarted; reload the page" in caplog.text
         wait_until(lambda: listens(LOCAL, port), "the server listens again")
         wait_until(lambda: b"re_viewer.js" in fetched(server.page_url)[0], "the page is served again")
         server.restart_if_ended()
@@ -212,7 +212,7 @@ def test_a_server_that_ends_at_once_is_given_up(
         server.restart_if_ended()
         server.restart_if_ended()
         assert [each.getMessage() for each in caplog.records] == [
-            "the web server ended by signal 9 soon after its start and is not started again"
+            "the web server ended by signal 9 soon after its start and will not be restarted"
         ]
         assert own_children() == []
 
@@ -224,7 +224,7 @@ def test_a_view_whose_server_was_killed_shows_again(view: View, caplog: pytest.L
     time.sleep(max(0.0, began_s + 6.0 - time.monotonic()))
     (server,) = shows.children()
     server.kill()
-    wait_until(lambda: "is started again" in caplog.text, "the start is said")
+    wait_until(lambda: "is being restarted" in caplog.text, "the start is said")
     wait_until(lambda: view.connections == 2, "frames are sent again")
 
 

@@ -28,7 +28,7 @@ def test_who_lets_others_see_the_stream_is_warned_and_hears_the_ports(
     assert record.levelname == "WARNING"
     assert bind in record.getMessage()
     assert "9876 and 9090" in record.getMessage()
-    assert "neither password nor encryption" in record.getMessage()
+    assert "no password or encryption" in record.getMessage()
 
 
 @pytest.mark.parametrize(

@@ -98,7 +98,7 @@ def test_of_several_motors_the_one_asked_for_moves():
     [
         (errno.EACCES, DriverError, "no permission.*nurbseg-devices doctor"),
         (errno.ENODEV, DeviceLostError, "unplugged"),
-        (errno.ETIMEDOUT, DriverError, "turning the motor"),
+        (errno.ETIMEDOUT, DriverError, "moving the motor"),
     ],
 )
 def test_a_refusal_says_what_was_tried_and_what_to_do(refusal, error, words):

@@ -206,7 +206,7 @@ def test_frames_go_on_when_the_camera_is_back(virtual_cameras, caplog):
     away_s = (after[0].timestamp_ns - before[-1].timestamp_ns) * 1e-9
     assert 0.4 < away_s < 60
     messages = [record.message for record in caplog.records]
-    assert any("waiting until it is back" in message for message in messages)
+    assert any("waiting for it to come back" in message for message in messages)
     assert any("PrimeSense PS1080 is back" in message for message in messages)
 
 
