@@ -345,7 +345,7 @@ def test_a_taken_port_is_named_rather_than_served_silently_elsewhere() -> None:
         other.bind((LOCAL, 0))
         other.listen()
         port = other.getsockname()[1]
-        with pytest.raises(ViewError, match=rf"port {port} of 127\.0\.0\.1 is taken"):
+        with pytest.raises(ViewError, match=rf"port {port} of 127\.0\.0\.1 is in use"):
             open_view(ViewConfig(mode="serve", port=port), CONFIG)
 
 

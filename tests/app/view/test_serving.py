@@ -232,7 +232,7 @@ def test_a_taken_web_port_leaves_no_server() -> None:
     port = free_port(LOCAL)
     first = WebServer(ViewConfig(mode="serve", port=0, web_port=port))
     try:
-        with pytest.raises(ViewError, match=f"web port {port} of {LOCAL} is taken"):
+        with pytest.raises(ViewError, match=f"web port {port} of {LOCAL} is in use"):
             WebServer(ViewConfig(mode="serve", port=0, web_port=port))
         assert len(own_children()) == 1
     finally:
