@@ -158,7 +158,7 @@ def test_a_given_calibration_counts_before_the_recorded_one(tmp_path: Path) -> N
     with open_source(path, SourceOptions(calibration=replace(REGISTERED))) as source:
         assert source.calibration.is_registered
     square = Calibration.registered(Intrinsics(64, 64, 50.0, 50.0, 32.0, 32.0))
-    with pytest.raises(CalibrationError, match="another shape, 64x48"):
+    with pytest.raises(CalibrationError, match="another aspect ratio, 64x48"):
         open_source(path, SourceOptions(calibration=square))
 
 
