@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,12 @@ from nurbseg.segmentation.cut.features import lab
 from nurbseg.segmentation.labels.lookup import read_only
 from nurbseg.segmentation.points.registration import PointMap
 
-#: A segment that comes back may have moved this far (metres and a share of its distance), be this many
-#: times larger, or smaller since it appears bit by bit, and differ this much in color (CIELab).
+#: A segment that comes back may be this far from its way (metres and a share of its distance), be this many
+#: times larger, or smaller since it appears bit by bit, and differ this much in color (CIELab); farther in
+#: one of place and color where it is nearer in the other.
 _RETURN_M, _RETURN_SHARE, _RETURN_LARGER, _RETURN_SMALLER, _RETURN_LAB = 0.05, 0.05, 3.0, 12.0, 20.0
+#: Share of the last frame in the motion that is remembered.
+_NEW_SHARE = 0.5
 #: What is left of a remembered size after a frame in which less was seen; color goes with it.
 _SIZE_KEPT = 0.97
 
@@ -35,19 +38,32 @@ class Appearance:
         Number of its pixels on the grid.
     unseen : int
         Frames since it was seen; 0 while it is.
+    motion_m : (3,) float64
+        How far it moves from frame to frame, metres.
     """
 
     center_m: NDArray[np.float64]
     color_lab: NDArray[np.float64]
     pixels: int
     unseen: int = 0
+    motion_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+
+    def distance_m(self, center_m: NDArray[np.float64]) -> float:
+        """Return the distance of a place in the next frame from here or where it has moved to by then."""
+        way = self.motion_m * (self.unseen + 1)
+        share = np.dot(center_m - self.center_m, way) / max(np.dot(way, way), 1e-12)
+        return math.dist(center_m, self.center_m + np.clip(share, 0.0, 1.0) * way)
 
 
 def updated(before: Appearance | None, now: Appearance) -> Appearance:
-    """Return an appearance with its place now, and size and color of when more of it was seen."""
-    if before is None or now.pixels >= _SIZE_KEPT * before.pixels:
+    """Return an appearance with its place and motion now, and size and color of when more of it was seen."""
+    if before is None:
         return now
-    return Appearance(now.center_m, before.color_lab, round(_SIZE_KEPT * before.pixels))
+    motion_m = (now.center_m - before.center_m) / (before.unseen + 1)
+    now = replace(now, motion_m=before.motion_m + _NEW_SHARE * (motion_m - before.motion_m))
+    if now.pixels >= _SIZE_KEPT * before.pixels:
+        return now
+    return replace(now, color_lab=before.color_lab, pixels=round(_SIZE_KEPT * before.pixels))
 
 
 def appearances_of(
@@ -103,11 +119,12 @@ def most_alike(appearance: Appearance, lost: Mapping[int, Appearance]) -> int | 
         reach = _RETURN_M + _RETURN_SHARE * math.hypot(*other.center_m)
         # Hidden things go on moving.
         reach *= 1.0 + 0.2 * other.unseen
-        distance = math.dist(appearance.center_m, other.center_m) / reach
+        distance = other.distance_m(appearance.center_m) / reach
         color = math.dist(appearance.color_lab, other.color_lab) / _RETURN_LAB
         ratio = appearance.pixels / max(1, other.pixels)
-        if distance <= 1 and color <= 1 and 1.0 / _RETURN_SMALLER <= ratio <= _RETURN_LARGER:
-            difference = distance + color
-            if best is None or difference < best[0]:
-                best = difference, identity
+        difference = math.hypot(distance, color)
+        if not 1.0 / _RETURN_SMALLER <= ratio <= _RETURN_LARGER or difference > math.sqrt(2.0):
+            continue
+        if best is None or difference < best[0]:
+            best = difference, identity
     return None if best is None else best[1]

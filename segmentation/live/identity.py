@@ -103,8 +103,8 @@ def track_identities(
     """Give each segment the identity of the segment of the frame before that it continues.
 
     Segments are matched by their overlap in the image, all at once (the assignment of the greatest total
-    overlap). One that continues none is compared with those that were lost within the last frames, by
-    place, size and color; if it resembles none, it is new.
+    overlap). One that continues none is compared with those that nothing continues, or that were lost within
+    the last frames, by place, motion, size and color; if it resembles none, it is new.
 
     Parameters
     ----------
@@ -156,7 +156,8 @@ def track_identities(
         if known is not None:
             del free[known]
             of_label[label] = known
-            events.append(Event("back", known))
+            if previous.appearances[known].unseen:
+                events.append(Event("back", known))
             continue
         identity, next_identity = _fresh(next_identity, previous.appearances, of_label)
         of_label[label] = identity
@@ -176,9 +177,7 @@ def track_identities(
             into = None if into is None else of_label.get(into)
             events.append(Event("lost", identity) if into is None else Event("merge", identity, into))
         if unseen <= remembered:
-            appearances[identity] = Appearance(
-                appearance.center_m, appearance.color_lab, appearance.pixels, unseen
-            )
+            appearances[identity] = replace(appearance, unseen=unseen)
     found = Identities(of_label, np.zeros_like(coarse), appearances, tuple(events), next_identity)
     return Identities(of_label, found.image(coarse), appearances, tuple(events), next_identity)
 

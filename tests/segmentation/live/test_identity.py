@@ -48,6 +48,42 @@ def test_a_segment_that_was_hidden_comes_back_as_itself() -> None:
     assert back.events == (Event("back", first.of_label[3]),)
 
 
+def rolling(left: int, frames: int) -> Identities:
+    """Return the identities after a box has moved four pixels a frame, and was hidden for ten."""
+    state = None
+    for frame in range(frames):
+        state = track_identities(state, *scene((left + 4 * frame, 20, 10, 20, 240)))
+    for _ in range(10):
+        state = track_identities(state, *scene())
+    assert state is not None
+    return state
+
+
+def test_what_moved_while_it_was_hidden_is_known_on_its_way_and_nowhere_else() -> None:
+    state = rolling(2, 4)
+    # 44 pixels farther: where it is by now. Then where it was last, and as far in the other direction.
+    for left, same in ((58, True), (14, True), (36, True)):
+        now = track_identities(state, *scene((left, 20, 10, 20, 240)))
+        assert (now.events == (Event("back", 2),)) == same
+    on_its_way = track_identities(state, *scene((58, 20, 10, 20, 240)))
+    assert np.allclose(on_its_way.appearances[2].motion_m, (0.05, 0.0, 0.0), atol=0.004)
+    state = rolling(58, 4)
+    now = track_identities(state, *scene((14, 20, 10, 20, 240)))
+    assert now.of_label[2] not in state.appearances
+
+
+def test_what_moves_on_may_change_its_color_more_than_what_jumps() -> None:
+    state = None
+    for left in (2, 8, 14, 20):
+        state = track_identities(state, *scene((left, 20, 10, 10, 240)))
+    # Nothing of it overlaps, and its color differs by 21.
+    on_its_way = track_identities(state, *scene((30, 20, 10, 10, 200)))
+    assert on_its_way.of_label[2] == 2
+    assert on_its_way.events == ()
+    off_its_way = track_identities(state, *scene((20, 30, 10, 10, 200)))
+    assert off_its_way.of_label[2] != 2
+
+
 def test_another_thing_in_its_place_is_new() -> None:
     first = track_identities(None, *scene((50, 20, 15, 20, 240)))
     gone = track_identities(first, *scene())
