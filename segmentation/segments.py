@@ -134,7 +134,7 @@ class SegmentationTree:
     image : (H, W) uint16, optional
         The label of every pixel, if it is known already.
     joins : tuple of Join
-        What made objects one thing.
+        Why objects were joined into things.
     """
 
     segments: tuple[Segment, ...]

@@ -189,10 +189,10 @@ def _fold(
 
 def _path(root: Node, leaf: Node) -> list[Node]:
     """Return the nodes from the root to a leaf, with both."""
-    way = [root]
-    while way[-1] is not leaf:
-        way.append(next(child for child in way[-1].children if leaf.name.startswith(child.name)))
-    return way
+    path = [root]
+    while path[-1] is not leaf:
+        path.append(next(child for child in path[-1].children if leaf.name.startswith(child.name)))
+    return path
 
 
 def _parts(node: Node) -> list[Node]:

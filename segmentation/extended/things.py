@@ -1,9 +1,10 @@
-"""Things: objects that others cut apart on the image, put together where one surface explains both."""
+"""Things: objects that others separate in the image, joined if one surface explains both."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from itertools import combinations, product
 
 import cv2
@@ -15,32 +16,32 @@ from nurbseg.segmentation.cut.features import lab
 from nurbseg.segmentation.extended.merge import Contact, SceneObject
 from nurbseg.segmentation.points.depth_grid import DepthGrid
 
-#: An object is compared by its largest surface, where that is so much of it.
+#: An object is compared by its largest surface, if that is at least this share of it.
 _SHARE_MIN = 0.5
-#: Grid pixels of a surface that it is compared by, at most, and those that it takes.
+#: Grid pixels of a surface that are compared, at most, and at least.
 _SAMPLES, _SAMPLES_MIN = 400, 15
-#: Root mean square residuals on the joint surface, in those on a surface of their own, at most; and of one
-#: surface's points on the continuation of the other, in deviations of the noise.
+#: Largest root mean square residual on the joint surface, relative to that on a surface of its own, and on
+#: the continuation of the other surface, in standard deviations of the noise.
 _RATIO_MOST, _CONTINUED_MOST = 1.4, 5.0
-#: A surface's own residuals count as no less than this, in deviations of the noise.
+#: A surface's own residuals count as at least this, in standard deviations of the noise.
 _OWN_LEAST = 0.5
-#: Difference of the median colors, CIELab, at most.
+#: Largest difference of the median colors, CIELab.
 _COLOR_MOST = 30.0
-#: Lines between two surfaces that are looked along, and pixels of each. Shares of those in between that are
-#: nearer than the joint surface, at least, and farther, at most.
+#: Lines sampled between two surfaces, and samples on each. Least share of the samples in between that are
+#: nearer than the joint surface, and largest share that are farther.
 _LINES, _LINE_SAMPLES = 60, 40
 _NEARER_LEAST, _FARTHER_MOST = 0.5, 0.1
-#: By so many deviations of the noise nearer or farther.
+#: Nearer or farther means by this many standard deviations of the noise.
 _MARGIN = 4.0
-#: How much the limits of two surfaces that were joined in the frame before are eased.
+#: Factor by which the limits are eased for surfaces that were joined in the previous frame.
 _EASED = 1.5
 #: Number of terms of a plane and of a quadric of inverse depth.
-_DEGREES = (3, 6)
+_TERMS = (3, 6)
 
 
 @dataclass(frozen=True, slots=True)
 class Join:
-    """Two surfaces of objects that do not meet on the image, and why they are of one thing.
+    """Two surfaces of objects that do not meet in the image, and why they belong to one thing.
 
     Parameters
     ----------
@@ -68,17 +69,21 @@ class Join:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sampled:
-    """Points of the main surface of an object: their places and inverse depths, and what describes them.
+    """Sampled points of the largest surface of an object.
 
-    `terms`, (N, 6), are those of a quadric in u and v, which count from the middle of the image in widths of
-    it. `alone` holds for each degree the surface that is fitted to them and its residual.
+    `terms`, (N, 6), are those of a quadric in u and v, measured from the center of the image in image widths.
+    `alone` holds the plane and the quadric fitted to them, each with its root mean square residual, 1/m.
     """
 
     label: int
     terms: NDArray[np.float64]
     inverse_depth: NDArray[np.float64]
     color_lab: NDArray[np.float64]
-    alone: tuple[tuple[NDArray[np.float64], float], ...]
+    alone: tuple[tuple[NDArray[np.float64], float], ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        surfaces = [_fitted([self], count) for count in _TERMS]
+        object.__setattr__(self, "alone", tuple((each, self.rms_per_m(each)) for each in surfaces))
 
     def rms_per_m(self, surface: NDArray[np.float64]) -> float:
         """Return the root mean square residual on a surface, 1/m."""
@@ -97,11 +102,11 @@ def join_objects(
     *,
     kept: Collection[frozenset[str]] = (),
 ) -> tuple[tuple[SceneObject, ...], tuple[Join, ...]]:
-    """Join objects that others cut apart on the image.
+    """Join objects that others separate in the image.
 
-    Two objects that do not meet are one where a plane or a quadric of inverse depth fitted to the main
-    surfaces of both explains each as well as one fitted to it alone, where one continues the other, where
-    their colors agree, and where what lies between them on the image is nearer than that surface.
+    Two objects that do not meet are joined if a plane or a quadric of inverse depth fitted to the largest
+    surfaces of both explains each as well as one fitted to it alone, if one continues the other, if
+    their colors agree, and if what lies between them in the image is nearer than that surface.
 
     Parameters
     ----------
@@ -116,16 +121,16 @@ def join_objects(
     color : (H, W, 3) uint8
         RGB of the image.
     config : SegmentationConfig
-        What the noise is; nothing is joined where its level is not things.
+        Level and noise; nothing is joined unless the level is things.
     kept : collection of frozenset of str
-        Pairs of leaves that were joined in the frame before, for which the limits are eased.
+        Pairs of leaves that were joined in the previous frame, for which the limits are eased.
 
     Returns
     -------
     objects : tuple of SceneObject
         The one with most grid pixels first.
     joins : tuple of Join
-        What joined two objects, or things of those before it, and why; the surest first.
+        One for each pair of groups that was joined, in order; the smallest ratio first.
     """
     if config.extended.level != "things":
         return tuple(objects), ()
@@ -141,15 +146,15 @@ def join_objects(
     for one, other in combinations(sampled, 2):
         first, second = (names[sampled[n].label - 1] for n in (one, other))
         eased = _EASED if frozenset((first, second)) in kept else 1.0
-        own = (object_image == one) | (object_image == other)
-        join = _join(first, second, (sampled[one], sampled[other]), own, grid, config, eased)
+        between = partial(_between, object_image, (one, other), grid, config)
+        join = _join(first, second, (sampled[one], sampled[other]), between, config, eased)
         if join is not None:
             found.append((join, one, other))
 
     group = {number: {number} for number in range(len(objects))}
     joins = []
     for join, one, other in sorted(found, key=lambda each: (each[0].ratio, *each[1:])):
-        # What meets was decided by its border.
+        # Whether objects that meet are one was decided by their border.
         if other in group[one] or any(frozenset(pair) in meet for pair in product(group[one], group[other])):
             continue
         joins.append(join)
@@ -168,7 +173,7 @@ def _sampled(
     grid: DepthGrid,
     color: NDArray[np.uint8],
 ) -> dict[int, _Sampled]:
-    """Take points inside the main surface of each object that has one, by the object's number."""
+    """Sample the largest surface of each object, by the object's number, if it is large enough."""
     # Pixels at a border may be mixed with what lies behind.
     own, around = labels.astype(np.uint16), np.ones((3, 3), dtype=np.uint8)
     inner = np.where(cv2.erode(own, around) == cv2.dilate(own, around), own, 0)
@@ -180,20 +185,17 @@ def _sampled(
         if counts[label] < _SHARE_MIN * counts[each].sum() or pixels.size < _SAMPLES_MIN:
             continue
         v, u = np.divmod(pixels[:: -(-pixels.size // _SAMPLES)], width)
-        points = _Sampled(
+        found[number] = _Sampled(
             label,
             _terms((u - 0.5 * width) / width, (v - 0.5 * height) / width),
             grid.inverse_depth[v, u].astype(np.float64),
             np.median(lab(color[v * grid.step, u * grid.step]), axis=0).astype(np.float64),
-            (),
         )
-        surfaces = [_fitted([points], degree) for degree in _DEGREES]
-        found[number] = replace(points, alone=tuple((each, points.rms_per_m(each)) for each in surfaces))
     return found
 
 
 def _terms(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the terms of a quadric, those of a plane first, (..., 6)."""
+    """Return the terms of a quadric, (..., 6); the first three are those of a plane."""
     return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
 
 
@@ -201,66 +203,66 @@ def _join(
     first: str,
     second: str,
     points: tuple[_Sampled, _Sampled],
-    own: NDArray[np.bool_],
-    grid: DepthGrid,
+    between: Callable[[tuple[_Sampled, _Sampled], NDArray[np.float64]], tuple[float, float]],
     config: SegmentationConfig,
     eased: float,
 ) -> Join | None:
-    """Return why two surfaces are of one thing, or None where they are not."""
+    """Return why two surfaces belong to one thing, or None if they do not."""
     color = float(np.linalg.norm(points[0].color_lab - points[1].color_lab))
     if color > _COLOR_MOST * eased:
         return None
     noise_per_m = config.extended.inverse_depth_noise
-    for n, degree in enumerate(_DEGREES):
+    for n, count in enumerate(_TERMS):
         (one, one_rms), (other, other_rms) = (each.alone[n] for each in points)
         continued = min(points[0].rms_per_m(other), points[1].rms_per_m(one)) / noise_per_m
         if continued > _CONTINUED_MOST * eased:
             continue
-        both, least = _fitted(points, degree), _OWN_LEAST * noise_per_m
+        both, least = _fitted(points, count), _OWN_LEAST * noise_per_m
         ratio = max(
             points[0].rms_per_m(both) / max(one_rms, least), points[1].rms_per_m(both) / max(other_rms, least)
         )
         if ratio > 1.0 + (_RATIO_MOST - 1.0) * eased:
             continue
-        nearer, farther = _between(points, both, own, grid, config)
+        nearer, farther = between(points, both)
         if nearer >= _NEARER_LEAST / eased and farther <= _FARTHER_MOST * eased:
             return Join(first, second, *(round(each, 3) for each in (ratio, continued, color, nearer)))
     return None
 
 
-def _fitted(points: Sequence[_Sampled], degree: int) -> NDArray[np.float64]:
-    """Fit a surface of so many terms by least squares; each set of points counts alike."""
+def _fitted(points: Sequence[_Sampled], count: int) -> NDArray[np.float64]:
+    """Fit a surface with `count` terms by least squares; each set of points has the same weight."""
     weights = [1.0 / np.sqrt(each.inverse_depth.size) for each in points]
-    terms = [weight * each.terms[:, :degree] for weight, each in zip(weights, points, strict=True)]
+    terms = [weight * each.terms[:, :count] for weight, each in zip(weights, points, strict=True)]
     depths = [weight * each.inverse_depth for weight, each in zip(weights, points, strict=True)]
     return np.asarray(np.linalg.lstsq(np.concatenate(terms), np.concatenate(depths), rcond=None)[0])
 
 
 def _between(
-    points: tuple[_Sampled, _Sampled],
-    surface: NDArray[np.float64],
-    own: NDArray[np.bool_],
+    object_image: NDArray[np.intp],
+    own: tuple[int, int],
     grid: DepthGrid,
     config: SegmentationConfig,
+    points: tuple[_Sampled, _Sampled],
+    surface: NDArray[np.float64],
 ) -> tuple[float, float]:
-    """Return which shares of the grid pixels between two surfaces are nearer and farther than one surface."""
+    """Return the shares of samples between two objects that are nearer and farther than a surface."""
     rng = np.random.default_rng(config.seed)
     start, end = (
         each.terms[rng.integers(each.terms.shape[0], size=_LINES), 1:3].T[..., np.newaxis] for each in points
     )
     u, v = start + (end - start) * np.linspace(0.0, 1.0, _LINE_SAMPLES)
-    height, width = own.shape
+    height, width = object_image.shape
     rows, columns = (
         np.rint(each * width + 0.5 * size).astype(np.intp) for each, size in ((v, height), (u, width))
     )
-    open_pixels = ~own[rows, columns]
-    if not open_pixels.any():
+    between = ~np.isin(object_image[rows, columns], own)
+    if not between.any():
         return 0.0, 0.0
     expected = _terms(u, v)[..., : surface.size] @ surface
     found = grid.inverse_depth[rows, columns].astype(np.float64)
     margin = _MARGIN * config.extended.inverse_depth_noise
-    seen = open_pixels & (found > 0)
-    total = np.count_nonzero(open_pixels)
+    seen = between & (found > 0)
+    total = np.count_nonzero(between)
     return (
         float(np.count_nonzero(seen & (found > expected + margin)) / total),
         float(np.count_nonzero(seen & (found < expected - margin)) / total),

@@ -14,11 +14,11 @@ from nurbseg.segmentation.cut.features import lab
 from nurbseg.segmentation.labels.lookup import read_only
 from nurbseg.segmentation.points.registration import PointMap
 
-#: A segment that comes back may be this far from its way (metres and a share of its distance), be this many
-#: times larger, or smaller since it appears bit by bit, and differ this much in color (CIELab); farther in
-#: one of place and color where it is nearer in the other.
+#: A segment that comes back may be this far from its path (metres and a share of its distance), be this many
+#: times larger, or smaller since it appears bit by bit, and differ this much in color (CIELab). Distance and
+#: color are judged together: more of one is allowed with less of the other.
 _RETURN_M, _RETURN_SHARE, _RETURN_LARGER, _RETURN_SMALLER, _RETURN_LAB = 0.05, 0.05, 3.0, 12.0, 20.0
-#: Share of the last frame in the motion that is remembered.
+#: Weight of the last frame in the remembered motion.
 _NEW_SHARE = 0.5
 #: What is left of a remembered size after a frame in which less was seen; color goes with it.
 _SIZE_KEPT = 0.97
@@ -49,10 +49,10 @@ class Appearance:
     motion_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
     def distance_m(self, center_m: NDArray[np.float64]) -> float:
-        """Return the distance of a place in the next frame from here or where it has moved to by then."""
-        way = self.motion_m * (self.unseen + 1)
-        share = np.dot(center_m - self.center_m, way) / max(np.dot(way, way), 1e-12)
-        return math.dist(center_m, self.center_m + np.clip(share, 0.0, 1.0) * way)
+        """Return the distance of a point from the path that it takes until the next frame, metres."""
+        path = self.motion_m * (self.unseen + 1)
+        share = np.dot(center_m - self.center_m, path) / max(np.dot(path, path), 1e-12)
+        return math.dist(center_m, self.center_m + np.clip(share, 0.0, 1.0) * path)
 
 
 def updated(before: Appearance | None, now: Appearance) -> Appearance:
@@ -117,7 +117,7 @@ def most_alike(appearance: Appearance, lost: Mapping[int, Appearance]) -> int | 
     best: tuple[float, int] | None = None
     for identity, other in lost.items():
         reach = _RETURN_M + _RETURN_SHARE * math.hypot(*other.center_m)
-        # Hidden things go on moving.
+        # What is hidden may change its motion.
         reach *= 1.0 + 0.2 * other.unseen
         distance = other.distance_m(appearance.center_m) / reach
         color = math.dist(appearance.color_lab, other.color_lab) / _RETURN_LAB

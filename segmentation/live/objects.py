@@ -111,7 +111,7 @@ class ObjectMemory:
         color: NDArray[np.uint8],
         config: SegmentationConfig,
     ) -> tuple[tuple[SceneObject, ...], tuple[Join, ...]]:
-        """Join objects that others cut apart on the image; those that were joined before, more readily.
+        """Join objects that others separate in the image, more readily if they were joined before.
 
         Parameters are as those of `merged` and `join_objects`.
         """
