@@ -60,30 +60,30 @@ def test_the_folder_would_be_found_out(strangers_folder: StrangersFolder) -> Non
     assert strangers_folder.code_that_ran()
 
 
+@pytest.mark.parametrize("environment", [{}, {"PYTHONPATH": ""}])
 def test_a_camera_and_its_recording_are_read_without_it(
-    strangers_folder: StrangersFolder, virtual_cameras: VirtualCameras, tmp_path: Path
+    strangers_folder: StrangersFolder,
+    virtual_cameras: VirtualCameras,
+    tmp_path: Path,
+    environment: dict[str, str],
 ) -> None:
     virtual_cameras.add()
     recording = str(tmp_path / "X.oni")
     words = ["--device", "any", "--frames", "5", "--record", recording, *FAST]
-    done = strangers_folder.run("nurbseg-live", *words)
+    done = strangers_folder.run("nurbseg-live", *words, **environment)
     assert strangers_folder.code_that_ran() == []
     assert done.returncode == 0, done.stderr
-    words = ["--replay", recording, "--speed", "0", *FAST]
-    done = strangers_folder.run("nurbseg-live", *words, PYTHONPATH="")
+    done = strangers_folder.run("nurbseg-live", "--replay", recording, "--speed", "0", *FAST, **environment)
     assert strangers_folder.code_that_ran() == []
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize(("word", "environment"), [("list", {"PYTHONPATH": ""}), ("doctor", {})])
+@pytest.mark.parametrize("words", [["list"], ["doctor"]])
 def test_cameras_are_looked_for_without_it(
-    strangers_folder: StrangersFolder,
-    virtual_cameras: VirtualCameras,
-    word: str,
-    environment: dict[str, str],
+    strangers_folder: StrangersFolder, virtual_cameras: VirtualCameras, words: list[str]
 ) -> None:
     virtual_cameras.add()
-    done = strangers_folder.run("nurbseg-devices", word, **environment)
+    done = strangers_folder.run("nurbseg-devices", *words)
     assert strangers_folder.code_that_ran() == []
     assert done.returncode == 0, done.stderr
 
