@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import TypeAlias
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, I32, U8, U16, Bool, compiled, inlined_once
+from nurbseg.drivers.compiled import F32, I32, U8, U16, Bool, compiled, inlined
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.segmentation.points.color_fill import fill_colors
 from nurbseg.segmentation.points.rays import Rays, rays_through
@@ -22,6 +23,9 @@ _NEAREST_M = np.float32(0.01)
 _METRES_PER_MM = np.float32(1e-3)
 #: Coordinates x / z that are outside any image; limited to these, no step of the projection overflows.
 _FAR_ASIDE = np.float32(10.0)
+
+#: Numbers that a loop over pixels keeps in registers, where those of an array would be read for each pixel.
+Numbers: TypeAlias = tuple[np.float32, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,10 +154,10 @@ class _Registration:
             return
         color = calibration.color
         coefficients, fold, tilt = color.lens_terms()
-        self._lens = coefficients.astype(np.float32), np.float32(fold**2), tilt.astype(np.float32)
-        self._camera = np.array([color.fx, color.fy, color.cx, color.cy], dtype=np.float32)
+        self._lens = _numbers(coefficients), np.float32(fold**2), _numbers(tilt)
+        self._camera = _numbers(np.array([color.fx, color.fy, color.cx, color.cy]))
         self._size = color.height, color.width
-        self._color_from_depth = calibration.color_from_depth[:3].astype(np.float32)
+        self._color_from_depth = _numbers(calibration.color_from_depth[:3])
         # The z-buffer's cells are as large as a depth pixel: smaller ones would leave gaps to see through.
         depth_focal = min(calibration.depth.fx, abs(calibration.depth.fy))
         color_focal = min(calibration.color.fx, abs(calibration.color.fy))
@@ -165,11 +169,12 @@ class _Registration:
         self._hiding_per_m = _HIDING_PARALLAX_PX / parallax_px_m if parallax_px_m > 0 else np.inf
 
     def register(self, frame: RGBDFrame) -> PointMap:
-        points = _back_projected(np.ascontiguousarray(frame.depth_mm), self._ray_x, self._ray_y)
+        depth_mm = np.ascontiguousarray(frame.depth_mm)
+        points = _back_projected(depth_mm, self._ray_x, self._ray_y)
         if self._registered:
             return PointMap(points, frame.color, np.isfinite(points[..., 2]), self._rays)
         u, v, nearness, cell, buffer = _projected(
-            *(points, self._color_from_depth, *self._lens, self._camera),
+            *(depth_mm, self._ray_x, self._ray_y, self._color_from_depth, *self._lens, self._camera),
             *(*self._size, np.float32(self._cells_per_px), *self._cells),
         )
         if np.isfinite(self._hiding_per_m):
@@ -182,6 +187,10 @@ class _Registration:
         colored, missing = _seen(points, nearness, cell, buffer, np.float32(self._hiding_per_m), color)
         fill_colors(color, colored, missing, points[..., 2], min(self._hiding_per_m, 0.05))
         return PointMap(points, color, colored, self._rays)
+
+
+def _numbers(values: NDArray[np.float64]) -> Numbers:
+    return tuple(values.astype(np.float32).ravel())
 
 
 @compiled
@@ -202,97 +211,86 @@ def _back_projected(depth_mm: U16, ray_x: F32, ray_y: F32) -> F32:
 
 @compiled
 def _projected(
-    points_m: F32,
-    color_from_depth: F32,
-    lens: F32,
+    depth_mm: U16,
+    ray_x: F32,
+    ray_y: F32,
+    color_from_depth: Numbers,
+    lens: Numbers,
     fold_square: np.float32,
-    tilt: F32,
-    camera: F32,
+    tilt: Numbers,
+    camera: Numbers,
     color_height: int,
     color_width: int,
     cells_per_px: np.float32,
     cells_high: int,
     cells_wide: int,
 ) -> tuple[F32, F32, F32, I32, F32]:
-    """Project every point into the color image.
+    """Project the point of every pixel into the color image.
 
     Returns its place there, limited to the image, pixels; its inverse depth in the color camera's frame, 1/m,
     and its cell of the z-buffer, from 1, both 0 where the point is not inside the image; and the z-buffer.
     """
-    height, width, _ = points_m.shape
-    shape = (height, width)
+    height, width = shape = depth_mm.shape
     u, v = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
     nearness, cell = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.int32)
     buffer = np.zeros(1 + cells_high * cells_wide, dtype=np.float32)
-    fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
+    fx, fy, cx, cy = camera
     zero, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
-    right, bottom = np.float32(color_width - 1), np.float32(color_height - 1)
-    is_distorted = np.any(lens != 0.0)
-    to = color_from_depth
-    # On one row: coordinates in the color camera's frame, and then in its image; and inverse depth.
-    along_x, along_y = np.empty(width, dtype=np.float32), np.empty(width, dtype=np.float32)
-    inverse = np.empty(width, dtype=np.float32)
+    right, bottom, wide = np.float32(color_width - 1), np.float32(color_height - 1), np.int32(cells_wide)
+    t00, t01, t02, t03, t10, t11, t12, t13, t20, t21, t22, t23 = color_from_depth
     for row in range(height):
-        points = points_m[row]
+        depths, rays_x, rays_y = depth_mm[row], ray_x[row], ray_y[row]
+        row_u, row_v, row_nearness, row_cell = u[row], v[row], nearness[row], cell[row]
+        # Without a branch, so that several pixels are computed at once.
         for n in range(width):
-            x, y, z = points[n, 0], points[n, 1], points[n, 2]
-            depth = to[2, 0] * x + to[2, 1] * y + to[2, 2] * z + to[2, 3]
-            # Not so either where there is no point.
-            near = one / depth if depth > _NEAREST_M else np.float32(0.0)
-            at_x = (to[0, 0] * x + to[0, 1] * y + to[0, 2] * z + to[0, 3]) * near
-            at_y = (to[1, 0] * x + to[1, 1] * y + to[1, 2] * z + to[1, 3]) * near
-            inverse[n] = near
-            along_x[n] = _limited(at_x, -_FAR_ASIDE, _FAR_ASIDE)
-            along_y[n] = _limited(at_y, -_FAR_ASIDE, _FAR_ASIDE)
-        if is_distorted:
-            _distort_row(along_x, along_y, lens, fold_square, tilt)
-        for n in range(width):
-            at_u, at_v = along_x[n] * fx + cx, along_y[n] * fy + cy
+            z = np.float32(depths[n]) * _METRES_PER_MM
+            x, y = rays_x[n] * z, rays_y[n] * z
+            depth = t20 * x + t21 * y + t22 * z + t23
+            # Not so either where there is no ray.
+            known = (depth > _NEAREST_M) & (depths[n] != 0)
+            near = one / depth if known else zero
+            at_x, at_y = (
+                (t00 * x + t01 * y + t02 * z + t03) * near,
+                (t10 * x + t11 * y + t12 * z + t13) * near,
+            )
+            at_x, at_y = _limited(at_x, -_FAR_ASIDE, _FAR_ASIDE), _limited(at_y, -_FAR_ASIDE, _FAR_ASIDE)
+            at_x, at_y = _distorted(at_x, at_y, lens, fold_square, tilt)
+            at_u, at_v = at_x * fx + cx, at_y * fy + cy
             # Pixel centres are at integers, so that the image begins half a pixel before its first one.
             inside = (at_u >= -half) & (at_u < right + half) & (at_v >= -half) & (at_v < bottom + half)
-            u[row, n], v[row, n] = _limited(at_u, zero, right), _limited(at_v, zero, bottom)
-            nearness[row, n] = inverse[n] if inside else zero
+            row_u[n], row_v[n] = _limited(at_u, zero, right), _limited(at_v, zero, bottom)
+            near = near if inside else zero
+            number = wide * np.int32((at_v + half) * cells_per_px)
+            number += np.int32((at_u + half) * cells_per_px) + 1
+            row_nearness[n], row_cell[n] = near, number if near > zero else 0
         for n in range(width):
-            along_x[n], along_y[n] = along_x[n] * fx + cx + half, along_y[n] * fy + cy + half
-        for n in range(width):
-            if nearness[row, n] > 0:
-                number = 1 + np.int32(along_y[n] * cells_per_px) * cells_wide
-                number += np.int32(along_x[n] * cells_per_px)
-                buffer[number] = max(buffer[number], nearness[row, n])
-                cell[row, n] = number
-            else:
-                cell[row, n] = 0
+            number = row_cell[n]
+            buffer[number] = max(buffer[number], row_nearness[n])
     return u, v, nearness, cell, buffer
 
 
-@compiled
+@inlined
 def _limited(x: np.float32, least: np.float32, most: np.float32) -> np.float32:
     x = x if x > least else least
     return x if x < most else most
 
 
-@inlined_once
-def _distort_row(along_x: F32, along_y: F32, k: F32, fold_square: np.float32, tilt: F32) -> None:
-    """Distort a row of image coordinates, in place, by OpenCV's model."""
+@inlined
+def _distorted(
+    x: np.float32, y: np.float32, lens: Numbers, fold_square: np.float32, tilt: Numbers
+) -> tuple[np.float32, np.float32]:
+    """Distort image coordinates by OpenCV's model; coefficients of 0 and a tilt of none change nothing."""
     one, two = np.float32(1.0), np.float32(2.0)
-    k1, k2, p1, p2, k3, k4, k5, k6 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7]
-    s1, s2, s3, s4 = k[8], k[9], k[10], k[11]
-    for n in range(along_x.size):
-        x, y = along_x[n], along_y[n]
-        r2 = x * x + y * y
-        radial = (one + r2 * (k1 + r2 * (k2 + r2 * k3))) / (one + r2 * (k4 + r2 * (k5 + r2 * k6)))
-        # Beyond the fold the model would bring points back into the image: they are sent far outside.
-        radial = _FAR_ASIDE if r2 > fold_square else radial
-        radial += two * (p1 * y + p2 * x)
-        along_x[n] = x * radial + r2 * (p2 + s1 + r2 * s2)
-        along_y[n] = y * radial + r2 * (p1 + s3 + r2 * s4)
-    if k[12] == 0 and k[13] == 0:
-        return
-    for n in range(along_x.size):
-        x, y = along_x[n], along_y[n]
-        w = tilt[2, 0] * x + tilt[2, 1] * y + tilt[2, 2]
-        along_x[n] = (tilt[0, 0] * x + tilt[0, 1] * y + tilt[0, 2]) / w
-        along_y[n] = (tilt[1, 0] * x + tilt[1, 1] * y + tilt[1, 2]) / w
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, _, _ = lens
+    a, b, c, d, e, f, g, h, i = tilt
+    r2 = x * x + y * y
+    radial = (one + r2 * (k1 + r2 * (k2 + r2 * k3))) / (one + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    # Beyond the fold the model would bring points back into the image: they are sent far outside.
+    radial = _FAR_ASIDE if r2 > fold_square else radial
+    radial += two * (p1 * y + p2 * x)
+    x, y = x * radial + r2 * (p2 + s1 + r2 * s2), y * radial + r2 * (p1 + s3 + r2 * s4)
+    w = g * x + h * y + i
+    return (a * x + b * y + c) / w, (d * x + e * y + f) / w
 
 
 @compiled

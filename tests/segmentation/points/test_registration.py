@@ -144,6 +144,15 @@ def test_a_slit_between_two_boards_takes_the_color_behind_them():
     assert (cloud.color[slit] == [0, 0, 255]).all()
 
 
+def test_pixels_without_depth_hide_nothing_from_a_color_camera_behind():
+    frame = RGBDFrame(
+        0, 0, hill(), ramp(64, 48), Calibration(camera(), camera(focal=50), moved(x=0.01, z=0.05))
+    )
+    assert (frame.depth_mm == 0).any()
+    cloud = register(frame)
+    assert np.array_equal(cloud.colored, cloud.valid)
+
+
 def test_points_outside_the_color_image_are_filled_from_their_own_surface():
     frame, _ = step_frame(moved(x=-0.7))
     cloud = register(frame)
@@ -236,6 +245,15 @@ def some_lens(count, rng):
     return (rng.uniform(-1, 1, 14) * scale)[:count]
 
 
+def projected_alike(points, distortion):
+    """Distort points (N, 2) as the projection of a frame does."""
+    coefficients, fold_radius, tilt = lens_terms(distortion)
+    lens, tilt = registration._numbers(coefficients), registration._numbers(tilt)
+    return np.array(
+        [registration._distorted(x, y, lens, np.float32(fold_radius**2), tilt) for x, y in points]
+    )
+
+
 def distorted(points, distortion):
     rays = np.column_stack([points, np.ones(len(points))])
     return cv2.projectPoints(rays, np.zeros(3), np.zeros(3), np.eye(3), distortion)[0].reshape(-1, 2)
@@ -245,15 +263,12 @@ def distorted(points, distortion):
 def test_points_are_projected_through_every_kind_of_lens(count):
     rng = np.random.default_rng(count)
     distortion = some_lens(count, rng)
-    coefficients, fold_radius, tilt = lens_terms(distortion)
-    x, y = rng.uniform(-1.5, 1.5, (2, 300))
+    points = rng.uniform(-1.5, 1.5, (300, 2)).astype(np.float32)
     # Folding has a test of its own.
-    x, y = (each[np.hypot(x, y) < fold_radius].astype(np.float32) for each in (x, y))
-    assert x.size > 100
-    expected = distorted(np.column_stack([x, y]).astype(float), distortion)
-    model = coefficients.astype(np.float32), np.float32(fold_radius**2), tilt.astype(np.float32)
-    registration._distort_row(x, y, *model)
-    np.testing.assert_allclose(np.column_stack([x, y]), expected, rtol=2e-5, atol=2e-6)
+    points = points[np.hypot(*points.T) < lens_terms(distortion)[1]]
+    assert len(points) > 100
+    expected = distorted(points.astype(float), distortion)
+    np.testing.assert_allclose(projected_alike(points, distortion), expected, rtol=2e-5, atol=2e-6)
 
 
 @pytest.mark.parametrize("count", [4, 5, 8, 12, 14])
@@ -280,12 +295,8 @@ def test_what_a_folding_lens_cannot_show_has_no_ray(distortion, shown, beyond):
 
 def test_nothing_from_beyond_a_lens_fold_appears_inside_the_image():
     distortion = np.array([-0.05, 0.24, 0.0, 0.0, -1.0])
-    coefficients, fold_radius, tilt = lens_terms(distortion)
-    far, y = np.linspace(0.8, 9.0, 50, dtype=np.float32), np.zeros(50, np.float32)
-    registration._distort_row(
-        far, y, coefficients.astype(np.float32), np.float32(fold_radius**2), tilt.astype(np.float32)
-    )
-    assert (far > 1).all()
+    points = np.column_stack([np.linspace(0.8, 9.0, 50), np.zeros(50)]).astype(np.float32)
+    assert (projected_alike(points, distortion)[:, 0] > 1).all()
 
 
 def real_pair(folder):
