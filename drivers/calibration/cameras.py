@@ -21,7 +21,8 @@ class CameraModel:
     """One camera of a calibration file; `path` and `field` say where it was read, for messages.
 
     The (3, 3) camera matrix is in pixels of an image of `size`, (width, height), which is None where the file
-    does not say. The distortion has OpenCV's coefficients.
+    does not say. The distortion has OpenCV's coefficients. Raises CalibrationError if the matrix is not a
+    camera's.
     """
 
     path: Path
@@ -30,10 +31,14 @@ class CameraModel:
     distortion: NDArray[np.float64] = dataclasses.field(default_factory=lambda: np.zeros(0))
     size: tuple[int, int] | None = None
 
-    @classmethod
-    def of_intrinsics(cls, camera: Intrinsics, path: Path, field: str) -> CameraModel:
-        """Return a known camera as if it had been read from `path`."""
-        return cls(path, field, camera.matrix, camera.distortion, (camera.width, camera.height))
+    def __post_init__(self) -> None:
+        where = f"{self.path}: {self.field}: expected"
+        if self.matrix.shape != (3, 3):
+            raise CalibrationError(f"{where} a 3 x 3 camera matrix, got {self.matrix.shape}")
+        if not np.isfinite(self.matrix).all():
+            raise CalibrationError(f"{where} finite numbers, got {quoted(self.matrix.tolist())}")
+        if not np.allclose(self.matrix[2], [0, 0, 1]):
+            raise CalibrationError(f"{where} the last row 0 0 1, got {self.matrix[2].tolist()}")
 
     def intrinsics(self, size: tuple[int, int] | None, base: tuple[int, int] | None = None) -> Intrinsics:
         """Return the camera of images of `size`; `base` is its own size where the file does not say.
@@ -74,9 +79,11 @@ class CameraFile:
     @classmethod
     def of_calibration(cls, calibration: Calibration, path: Path) -> CameraFile:
         """Return a known calibration as if it had been read from `path`."""
-        depth = CameraModel.of_intrinsics(calibration.depth, path, "depth")
-        registered = calibration.is_registered
-        color = depth if registered else CameraModel.of_intrinsics(calibration.color, path, "color")
+        depth, color = (
+            CameraModel(path, name, each.matrix, each.distortion, (each.width, each.height))
+            for name, each in (("depth", calibration.depth), ("color", calibration.color))
+        )
+        color = depth if calibration.is_registered else color
         return cls(path=path, depth=depth, color=color, color_from_depth=calibration.color_from_depth)
 
     @classmethod
@@ -104,6 +111,21 @@ class CameraFile:
             return Calibration(depth=depth, color=color, color_from_depth=self.color_from_depth)
         except ValueError as err:
             raise CalibrationError(f"{self.path}: {err}") from err
+
+
+def calibration_table(calibration: Calibration) -> dict[str, Any]:
+    """Return a calibration as TOML files and the notes of .oni recordings hold it."""
+
+    def camera(each: Intrinsics) -> dict[str, Any]:
+        focal_and_center = {name: float(getattr(each, name)) for name in ("fx", "fy", "cx", "cy")}
+        size = {"width": int(each.width), "height": int(each.height)}
+        return size | focal_and_center | {"distortion": each.distortion.tolist()}
+
+    return {
+        "depth": camera(calibration.depth),
+        "color": camera(calibration.color),
+        "color_from_depth": calibration.color_from_depth.tolist(),
+    }
 
 
 def number(path: Path, field: str, value: Any) -> float:
@@ -134,20 +156,3 @@ def image_size(path: Path, fields: tuple[str, str], values: tuple[Any, Any]) -> 
             f"got {width} x {height}"
         )
     return width, height
-
-
-def camera_of_matrix(
-    path: Path,
-    field: str,
-    matrix: NDArray[np.float64],
-    distortion: NDArray[np.float64] | None = None,
-    size: tuple[int, int] | None = None,
-) -> CameraModel:
-    """Return the camera of a (3, 3) camera matrix; raises CalibrationError if it is not one."""
-    if matrix.shape != (3, 3):
-        raise CalibrationError(f"{path}: {field}: expected a 3 x 3 camera matrix, got {matrix.shape}")
-    if not np.isfinite(matrix).all():
-        raise CalibrationError(f"{path}: {field}: expected finite numbers, got {quoted(matrix.tolist())}")
-    if not np.allclose(matrix[2], [0, 0, 1]):
-        raise CalibrationError(f"{path}: {field}: expected the last row 0 0 1, got {matrix[2].tolist()}")
-    return CameraModel(path, field, matrix, np.zeros(0) if distortion is None else distortion, size)

@@ -6,7 +6,6 @@ sets bring; written is TOML. The form is recognised by the content.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.calibration import matrices
-from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel, camera_of_matrix, image_size, number
+from nurbseg.drivers.calibration.cameras import (
+    CameraFile,
+    CameraModel,
+    calibration_table,
+    image_size,
+    number,
+)
 from nurbseg.drivers.errors import CalibrationError, quoted
 from nurbseg.drivers.files import read_file
-from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.drivers.frame import Calibration
 from nurbseg.drivers.limits import TEXT_BYTES_MAX
 from nurbseg.drivers.structured_text import parse_toml
-
-Size = tuple[int, int]
 
 _FORMS = (
     "camera matrix: expected 3 rows of 3 numbers, or a calibration as TOML, OpenCV's XML or YAML, or ROS's "
@@ -31,23 +34,11 @@ _CAMERA_KEYS = {"width", "height", "fx", "fy", "cx", "cy", "distortion"}
 _FILE_KEYS = {"registered", "depth_scale", "color_from_depth", "depth", "color"}
 
 
-def read_calibration(
-    path: Path, *, depth_size: Size | None = None, color_size: Size | None = None
-) -> Calibration:
-    """Read the calibration of both cameras; a file of one stands for both, the images being registered.
-
-    The sizes of the images that it is for, (width, height), are needed where the file does not say them.
-    Intrinsics given for another size of the same shape are scaled. Raises CalibrationError if the file is
-    missing, of an unknown form, lacks a field or holds an unusable value; the message names the file and the
-    field.
-    """
-    return read_camera_file(path).calibration(depth_size=depth_size, color_size=color_size)
-
-
 def read_camera_file(path: Path) -> CameraFile:
-    """Read what a calibration file says, image sizes possibly being open, and its depth scale.
+    """Read what a calibration file says of the cameras and the depth scale; image sizes may stay open.
 
-    Raises CalibrationError as for `read_calibration`.
+    Raises CalibrationError if the file is missing, of an unknown form, lacks a field or holds an unusable
+    value; the message names the file and the field.
     """
     content = read_file(path, TEXT_BYTES_MAX, what="calibration", error=CalibrationError)
     try:
@@ -66,7 +57,19 @@ def read_camera_file(path: Path) -> CameraFile:
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
     """Write a calibration as TOML; raises OSError if the file cannot be written."""
-    path.write_text(_to_toml(calibration))
+    registered = calibration.is_registered
+    table = calibration_table(calibration)
+    lines = [
+        "# Calibration of an RGB-D sensor: focal lengths and principal points in pixels, lengths in metres,",
+        "# distortion as OpenCV orders it (k1, k2, p1, p2, k3, ...).",
+        f"registered = {str(registered).lower()}  # whether depth is registered to color already",
+    ]
+    if not registered:
+        rows = [f"  {row}," for row in table["color_from_depth"]]
+        lines += ["# p_color = color_from_depth @ p_depth", "color_from_depth = [", *rows, "]"]
+    for name in ("color",) if registered else ("color", "depth"):
+        lines += ["", f"[{name}]", *(f"{key} = {value}" for key, value in table[name].items())]
+    path.write_text("\n".join(lines) + "\n")
 
 
 def _from_toml(path: Path, text: str) -> CameraFile:
@@ -74,7 +77,12 @@ def _from_toml(path: Path, text: str) -> CameraFile:
         table = parse_toml(text)
     except ValueError as err:
         raise CalibrationError(f"{path}: not valid TOML ({err})") from err
-    _refuse_unknown(path, "", table, _FILE_KEYS)
+    return cameras_of_table(path, table)
+
+
+def cameras_of_table(path: Path, table: Any) -> CameraFile:
+    """Return the cameras of a table as in `calibration_table`; raises CalibrationError if it is not one."""
+    _check_keys(path, "", table, _FILE_KEYS)
     registered = table.get("registered", False)
     if not isinstance(registered, bool):
         raise CalibrationError(f"{path}: registered: expected true or false, got {quoted(registered)}")
@@ -109,9 +117,7 @@ def _from_toml(path: Path, text: str) -> CameraFile:
 
 
 def _toml_camera(path: Path, name: str, table: Any) -> CameraModel:
-    if not isinstance(table, Mapping):
-        raise CalibrationError(f"{path}: {name}: expected a table [{name}], got {quoted(table)}")
-    _refuse_unknown(path, f"{name}.", table, _CAMERA_KEYS)
+    _check_keys(path, f"{name}.", table, _CAMERA_KEYS)
     values = {}
     for key in ("fx", "fy", "cx", "cy"):
         if key not in table:
@@ -131,48 +137,21 @@ def _toml_camera(path: Path, name: str, table: Any) -> CameraModel:
 
 def _toml_matrix(path: Path, rows: Any) -> NDArray[np.float64]:
     field = "color_from_depth"
-    if (
-        not isinstance(rows, list)
-        or len(rows) != 4
-        or any(not isinstance(r, list) or len(r) != 4 for r in rows)
-    ):
+    if not isinstance(rows, list) or [isinstance(row, list) and len(row) for row in rows] != [4] * 4:
         raise CalibrationError(f"{path}: {field}: expected 4 rows of 4 numbers, got {quoted(rows)}")
     return np.array([[number(path, field, value) for value in row] for row in rows])
 
 
-def _refuse_unknown(path: Path, prefix: str, table: Mapping[str, Any], known: set[str]) -> None:
+def _check_keys(path: Path, prefix: str, table: Any, known: set[str]) -> None:
+    if not isinstance(table, dict):
+        name = prefix.rstrip(".") or "calibration"
+        raise CalibrationError(f"{path}: {name}: expected a table [{name}], got {quoted(table)}")
     for key in table:
         if key not in known:
             expected = ", ".join(sorted(known))
             raise CalibrationError(
                 f"{path}: {prefix}{quoted(key)[1:-1]}: unknown; expected one of {expected}"
             )
-
-
-def _to_toml(calibration: Calibration) -> str:
-    registered = calibration.is_registered
-    lines = [
-        "# Calibration of an RGB-D sensor: focal lengths and principal points in pixels, lengths in metres,",
-        "# distortion as OpenCV orders it (k1, k2, p1, p2, k3, ...).",
-        f"registered = {str(registered).lower()}  # whether depth is registered to color already",
-    ]
-    if not registered:
-        lines.append("# p_color = color_from_depth @ p_depth")
-        lines.append("color_from_depth = [")
-        lines += [f"  {[float(value) for value in row]}," for row in calibration.color_from_depth]
-        lines.append("]")
-    cameras = {"color": calibration.color}
-    if not registered:
-        cameras["depth"] = calibration.depth
-    for name, camera in cameras.items():
-        lines += ["", f"[{name}]", *_toml_lines(camera)]
-    return "\n".join(lines) + "\n"
-
-
-def _toml_lines(camera: Intrinsics) -> list[str]:
-    lines = [f"width = {camera.width}", f"height = {camera.height}"]
-    lines += [f"{key} = {float(getattr(camera, key))!r}" for key in ("fx", "fy", "cx", "cy")]
-    return [*lines, f"distortion = {[float(value) for value in camera.distortion]}"]
 
 
 def _from_matrix_text(path: Path, text: str) -> CameraFile:
@@ -185,5 +164,5 @@ def _from_matrix_text(path: Path, text: str) -> CameraFile:
         raise CalibrationError(f"{path}: {_FORMS} ({quoted(str(err))})") from err
     if [len(row) for row in rows] != [3, 3, 3]:
         raise CalibrationError(f"{path}: {_FORMS}, got rows of {quoted([len(row) for row in rows])}")
-    camera = camera_of_matrix(path, "camera matrix", np.array(rows))
+    camera = CameraModel(path, "camera matrix", np.array(rows))
     return CameraFile(path=path, depth=camera, color=camera)

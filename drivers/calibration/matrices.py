@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel, camera_of_matrix, image_size, number
+from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel, image_size, number
 from nurbseg.drivers.errors import CalibrationError, quoted
 from nurbseg.drivers.structured_text import parse_xml, parse_yaml, scalar
 
@@ -101,14 +101,14 @@ def _camera(path: Path, table: dict[str, Any], names: tuple[tuple[str, ...], ...
     if model not in DISTORTION_MODELS:
         expected = ", ".join(DISTORTION_MODELS)
         raise CalibrationError(f"{path}: distortion_model: expected one of {expected}, got {quoted(model)}")
-    distortion = None
+    distortion = np.zeros(0)
     if any(each in table for each in names[1]):
         distortion = _matrix(path, table, names[1])[1].ravel()
     width, height = (next((each for each in alike if each in table), alike[0]) for alike in names[2:])
     size = None
     if width in table or height in table:
         size = image_size(path, (width, height), (table.get(width), table.get(height)))
-    return camera_of_matrix(path, name, matrix.reshape(3, 3), distortion, size)
+    return CameraModel(path, name, matrix.reshape(3, 3), distortion, size)
 
 
 def _transform(path: Path, table: dict[str, Any]) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.calibration.cameras import CameraModel, camera_of_matrix
+from nurbseg.drivers.calibration.cameras import CameraModel
 from nurbseg.drivers.calibration.matrices import DISTORTION_MODELS
 from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_labels, millimetres
 from nurbseg.drivers.errors import CalibrationError, FrameFormatError, quoted
@@ -147,7 +147,7 @@ def camera_of(message: Any, path: Path, topic: str) -> CameraModel:
     if not matrix.any():
         raise CalibrationError(f"{path}: {topic}: k: the camera is not calibrated (all zeros)")
     size = (message.width, message.height) if message.width and message.height else None
-    return camera_of_matrix(path, f"{topic}: k", matrix, np.array(message.d, dtype=np.float64), size)
+    return CameraModel(path, f"{topic}: k", matrix, np.array(message.d, dtype=np.float64), size)
 
 
 def depth_of(

@@ -8,11 +8,11 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
+from nurbseg.drivers.calibration.cameras import calibration_table
 from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.openni2.capi import DeviceState, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate, configure, set_modes
-from nurbseg.drivers.openni2.oni.calibration_note import calibration_note
 from nurbseg.drivers.openni2.oni.recorder import OniRecorder
 from nurbseg.drivers.openni2.opened import OpenedDevice, describe, open_camera
 from nurbseg.drivers.openni2.options import DeviceOptions
@@ -139,7 +139,7 @@ class DeviceSource(FrameSource):
             recorder.close(
                 {
                     "registered": self._applied.registered,
-                    "calibration": calibration_note(self.calibration),
+                    "calibration": calibration_table(self.calibration),
                     "device": self.metadata,
                 }
             )

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from nurbseg.drivers.calibration.file import read_calibration
+from nurbseg.drivers.calibration.file import read_camera_file
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.mcap.writer import RecordingWriter
 
@@ -87,7 +87,7 @@ def test_the_color_camera_is_found_from_a_recording_of_a_chessboard(tmp_path, mo
     outcome = run("color", tmp_path, monkeypatch)
     assert len(outcome["views"]) >= 10
     assert outcome["error_px"] < 0.5
-    calibration = read_calibration(tmp_path / "camera.toml")
+    calibration = read_camera_file(tmp_path / "camera.toml").calibration()
     assert calibration.is_registered
     assert_like(calibration.color, COLOR)
 
@@ -103,7 +103,7 @@ def test_both_cameras_and_their_places_are_found_from_pairs_of_images(tmp_path, 
     outcome = run("stereo", tmp_path, monkeypatch)
     assert len(outcome["pairs"]) >= 10
     assert outcome["error_px"] < 0.5
-    calibration = read_calibration(tmp_path / "camera.yml")
+    calibration = read_camera_file(tmp_path / "camera.yml").calibration()
     assert not calibration.is_registered
     assert_like(calibration.depth, INFRARED)
     assert_like(calibration.color, COLOR)
@@ -114,6 +114,6 @@ def test_both_cameras_and_their_places_are_found_from_pairs_of_images(tmp_path, 
 def test_the_toml_in_the_guide_can_be_read(tmp_path):
     (text,) = re.findall(r"```toml\n(.*?)```", GUIDE.read_text(), re.DOTALL)
     (tmp_path / "camera.toml").write_text(text)
-    calibration = read_calibration(tmp_path / "camera.toml")
+    calibration = read_camera_file(tmp_path / "camera.toml").calibration()
     assert (calibration.depth.fx, calibration.color.fx) == (570.3, 525.0)
     assert not calibration.is_registered

@@ -28,7 +28,7 @@ from recorded_scene import (
 from nurbseg.app.command.config_file import ConfigError, format_config, read_config
 from nurbseg.app.config import AppConfig
 from nurbseg.drivers import DriverError, EndOfRecordingError, FrameFormatError, open_source
-from nurbseg.drivers.calibration.file import read_calibration, write_calibration
+from nurbseg.drivers.calibration.file import read_camera_file, write_calibration
 from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_labels
 
 #: Frames read of one mutant at most.
@@ -187,7 +187,7 @@ def _decode(path: Path) -> None:
 
 
 def _calibrate(path: Path) -> None:
-    read_calibration(path, depth_size=(64, 48), color_size=(80, 60)).depth.rays()
+    read_camera_file(path).calibration(depth_size=(64, 48), color_size=(80, 60)).depth.rays()
 
 
 def _configure(path: Path) -> None:

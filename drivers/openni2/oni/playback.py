@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nurbseg.drivers.calibration.file import cameras_of_table
 from nurbseg.drivers.errors import (
     BackendMissingError,
     EndOfRecordingError,
@@ -20,7 +21,6 @@ from nurbseg.drivers.openni2.capi import PixelFormat, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate
 from nurbseg.drivers.openni2.isolated.messages import Failure
 from nurbseg.drivers.openni2.library import find_library
-from nurbseg.drivers.openni2.oni.calibration_note import calibration_of_note
 from nurbseg.drivers.openni2.oni.file import OniFile, StoredFrame, read_structure
 from nurbseg.drivers.openni2.oni.player import Description, PlayedImage
 from nurbseg.drivers.openni2.oni.player_process import OPEN_LIMIT_S, PlayerProcess
@@ -129,7 +129,7 @@ class OniSource(FrameSource):
         self._tenths = depth.format == PixelFormat.DEPTH_100_UM
         noted = file.note.get("calibration")
         if noted is not None and self._options.calibration is None and self._cameras is None:
-            calibration = calibration_of_note(self._path, noted)
+            calibration = cameras_of_table(self._path, noted).calibration()
             mirrored = self.metadata.get("mirror") == "on"
             self.calibration = (
                 calibration if mirrored == self._options.mirror else nominal.mirrored(calibration)

@@ -18,7 +18,7 @@ from virtual_camera import openni2_redist, virtual_cameras
 from nurbseg.app.devices import cli as devices
 from nurbseg.app.devices import probe as device_probe
 from nurbseg.app.devices import report as device_report
-from nurbseg.drivers.calibration.file import read_calibration
+from nurbseg.drivers.calibration.file import read_camera_file
 from nurbseg.drivers.doctor import camera_list, kinect_motor, usb
 from nurbseg.drivers.doctor.diagnosis import describe, diagnose
 
@@ -235,7 +235,7 @@ def test_calibration_is_written_as_it_is_read(virtual_cameras, tmp_path, capsys)
     virtual_cameras.add(serial="S1")
     path = tmp_path / "camera.toml"
     assert devices.main(["calibration", str(path), "--serial", "S1"]) == 0
-    calibration = read_calibration(path)
+    calibration = read_camera_file(path).calibration()
     assert calibration.depth.fx == pytest.approx(570.3, abs=0.1)
     assert not calibration.is_registered
     output = capsys.readouterr()

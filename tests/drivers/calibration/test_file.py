@@ -9,7 +9,7 @@ import pytest
 from recorded_scene import APART, CAMERA, REGISTERED, write_opencv
 
 from nurbseg.drivers import Calibration, CalibrationError
-from nurbseg.drivers.calibration.file import read_calibration, read_camera_file, write_calibration
+from nurbseg.drivers.calibration.file import read_camera_file, write_calibration
 
 MATRIX = "52.5 0 31.5\n0 52.6 23.5\n0 0 1\n"
 TOML = """
@@ -67,7 +67,7 @@ def assert_same(one: Calibration, other: Calibration) -> None:
 @pytest.mark.parametrize("calibration", [REGISTERED, APART], ids=["registered", "apart"])
 def test_what_is_written_is_read_back(tmp_path: Path, calibration: Calibration) -> None:
     write_calibration(tmp_path / "a.toml", calibration)
-    again = read_calibration(tmp_path / "a.toml")
+    again = read_camera_file(tmp_path / "a.toml").calibration()
     assert_same(again, calibration)
     assert again.is_registered == calibration.is_registered
 
@@ -75,7 +75,7 @@ def test_what_is_written_is_read_back(tmp_path: Path, calibration: Calibration) 
 @pytest.mark.parametrize("calibration", [REGISTERED, APART], ids=["registered", "apart"])
 @pytest.mark.parametrize("name", ["a.xml", "a.yml", "a.yaml"])
 def test_what_opencv_writes_is_read(tmp_path: Path, calibration: Calibration, name: str) -> None:
-    assert_same(read_calibration(write_opencv(tmp_path / name, calibration)), calibration)
+    assert_same(read_camera_file(write_opencv(tmp_path / name, calibration)).calibration(), calibration)
 
 
 def test_toml_may_say_the_depth_scale(tmp_path: Path) -> None:
@@ -87,7 +87,7 @@ def test_toml_may_say_the_depth_scale(tmp_path: Path) -> None:
 
 def test_a_ros_camera_info_stands_for_both_cameras(tmp_path: Path) -> None:
     (tmp_path / "camera.yaml").write_text(ROS)
-    calibration = read_calibration(tmp_path / "camera.yaml")
+    calibration = read_camera_file(tmp_path / "camera.yaml").calibration()
     assert calibration.is_registered
     assert calibration.color.fy == 52.6
     assert calibration.color.distortion.tolist() == [0.07, -0.03, -0.01, 0.0, -0.14]
@@ -99,7 +99,7 @@ def test_a_message_printed_by_ros_is_understood(tmp_path: Path) -> None:
         "d:\n- 0.1\n- -0.2\n- 0.0\n- 0.0\n- 0.0\n"
         "k:\n- 52.5\n- 0.0\n- 31.5\n- 0.0\n- 52.6\n- 23.5\n- 0.0\n- 0.0\n- 1.0\n---\nheight: 48\n"
     )
-    camera = read_calibration(tmp_path / "info.yaml").depth
+    camera = read_camera_file(tmp_path / "info.yaml").calibration().depth
     assert (camera.width, camera.fy, camera.distortion[1]) == (64, 52.6, -0.2)
 
 
@@ -109,19 +109,21 @@ def test_a_calibration_of_one_camera_by_opencv_stands_for_both(tmp_path: Path) -
     storage.write("image_height", 48)
     storage.write("camera_matrix", CAMERA.matrix)
     storage.release()
-    assert_same(read_calibration(tmp_path / "a.yml"), REGISTERED)
+    assert_same(read_camera_file(tmp_path / "a.yml").calibration(), REGISTERED)
 
 
 @pytest.mark.parametrize("text", [MATRIX, MATRIX.replace(" ", ", "), f"# pixels\n\n{MATRIX}"])
 def test_a_matrix_as_text_needs_the_images_size(tmp_path: Path, text: str) -> None:
     (tmp_path / "intrinsics.txt").write_text(text)
-    calibration = read_calibration(tmp_path / "intrinsics.txt", depth_size=(64, 48), color_size=(64, 48))
+    calibration = read_camera_file(tmp_path / "intrinsics.txt").calibration(
+        depth_size=(64, 48), color_size=(64, 48)
+    )
     assert calibration.is_registered
     assert calibration.depth.fy == 52.6
     with pytest.raises(
         CalibrationError, match=r"intrinsics\.txt: camera matrix: width and height are missing"
     ):
-        read_calibration(tmp_path / "intrinsics.txt")
+        read_camera_file(tmp_path / "intrinsics.txt").calibration()
 
 
 @pytest.mark.parametrize(
@@ -152,17 +154,17 @@ def test_a_stereo_calibration_of_opencv_is_read_under_its_many_names(
     storage.write(rotation, cv2.Rodrigues(turn)[0] if vector else turn)
     storage.write(translation, APART.color_from_depth[:3, 3:] * unit)
     storage.release()
-    assert_same(read_calibration(path, depth_size=(64, 48), color_size=(80, 60)), APART)
+    assert_same(read_camera_file(path).calibration(depth_size=(64, 48), color_size=(80, 60)), APART)
 
 
 def test_intrinsics_are_scaled_to_images_of_the_same_shape_and_refused_for_others(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text(TOML)
-    scaled = read_calibration(tmp_path / "a.toml", depth_size=(32, 24), color_size=(640, 480))
+    scaled = read_camera_file(tmp_path / "a.toml").calibration(depth_size=(32, 24), color_size=(640, 480))
     assert scaled.depth.fx == 28.8
     assert scaled.depth.cx == 15.5
     assert scaled.color.fx == 525.0
     with pytest.raises(CalibrationError, match=r"a\.toml: color: the camera of 64x48 images .* 1280x1024"):
-        read_calibration(tmp_path / "a.toml", depth_size=(64, 48), color_size=(1280, 1024))
+        read_camera_file(tmp_path / "a.toml").calibration(depth_size=(64, 48), color_size=(1280, 1024))
 
 
 @pytest.mark.parametrize(
@@ -205,7 +207,7 @@ def test_an_unusable_value_in_toml_is_named_by_file_and_field(
     assert old in TOML
     (tmp_path / "camera.toml").write_text(TOML.replace(old, new, 1))
     with pytest.raises(CalibrationError, match=rf"camera\.toml: {text}"):
-        read_calibration(tmp_path / "camera.toml")
+        read_camera_file(tmp_path / "camera.toml").calibration()
 
 
 @pytest.mark.parametrize(
@@ -222,13 +224,13 @@ def test_an_unusable_value_in_toml_is_named_by_file_and_field(
 def test_a_table_that_is_missing_is_named(tmp_path: Path, lines: str, text: str) -> None:
     (tmp_path / "camera.toml").write_text(lines)
     with pytest.raises(CalibrationError, match=text):
-        read_calibration(tmp_path / "camera.toml")
+        read_camera_file(tmp_path / "camera.toml").calibration()
 
 
 def test_two_cameras_without_a_transform_are_refused(tmp_path: Path) -> None:
     (tmp_path / "camera.toml").write_text("\n".join(TOML.splitlines()[2:]))
     with pytest.raises(CalibrationError, match="color_from_depth: missing"):
-        read_calibration(tmp_path / "camera.toml")
+        read_camera_file(tmp_path / "camera.toml").calibration()
 
 
 @pytest.mark.parametrize(
@@ -276,12 +278,12 @@ def test_two_cameras_without_a_transform_are_refused(tmp_path: Path) -> None:
 def test_an_unusable_file_is_named_with_the_field(tmp_path: Path, name: str, content: str, text: str) -> None:
     (tmp_path / name).write_text(content)
     with pytest.raises(CalibrationError, match=rf"{re.escape(name)}: {text}"):
-        read_calibration(tmp_path / name, depth_size=(64, 48), color_size=(64, 48))
+        read_camera_file(tmp_path / name).calibration(depth_size=(64, 48), color_size=(64, 48))
 
 
 def test_a_file_that_is_not_there_or_not_text_is_named(tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match=r"none\.toml: the calibration cannot be read"):
-        read_calibration(tmp_path / "none.toml")
+        read_camera_file(tmp_path / "none.toml").calibration()
     (tmp_path / "a.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(CalibrationError, match="not UTF-8"):
-        read_calibration(tmp_path / "a.toml")
+        read_camera_file(tmp_path / "a.toml").calibration()
