@@ -13,8 +13,7 @@ from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import Any, Protocol, TypeVar
 
-from nurbseg.drivers.process.child import end_group, how_it_ended
-from nurbseg.drivers.process.start import python_command
+from nurbseg.drivers.process.child import end_group, how_it_ended, python_command
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")

@@ -11,6 +11,14 @@ from typing import BinaryIO
 
 from nurbseg.drivers.errors import RecordingFormatError
 
+#: The first bytes of files, by which they are recognised whatever they are called.
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+ONI_MAGIC = b"NI10"
+HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+MATLAB5_MAGIC = b"MATLAB 5.0 MAT-file"
+#: MATLAB writes its own 512 bytes before the HDF5 signature.
+HDF5_OFFSETS = (0, 512)
+
 
 def open_regular(
     path: Path, *, what: str = "recording", error: type[RecordingFormatError] = RecordingFormatError

@@ -9,9 +9,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nurbseg.drivers import magic
 from nurbseg.drivers.errors import DeviceNotFoundError, RecordingFormatError
-from nurbseg.drivers.files import open_regular
+from nurbseg.drivers.files import HDF5_MAGIC, HDF5_OFFSETS, MATLAB5_MAGIC, MCAP_MAGIC, ONI_MAGIC, open_regular
 from nurbseg.drivers.options import SourceOptions
 
 if TYPE_CHECKING:
@@ -74,15 +73,15 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
             head = stream.read(_HEAD_BYTES)
         except OSError as err:
             raise RecordingFormatError(f"{path}: the recording cannot be read ({err.strerror})") from err
-    if head.startswith(magic.MCAP):
+    if head.startswith(MCAP_MAGIC):
         return _open_with("mcap.reader:RecordingReader", path, options)
-    if head.startswith(magic.ONI):
+    if head.startswith(ONI_MAGIC):
         return _open_with("openni2.oni.playback:open_path", path, options)
     if _is_pcd(head):
         return _open_with("datasets.pcd:PcdSource", path, options)
-    if any(head[offset:].startswith(magic.HDF5) for offset in magic.HDF5_OFFSETS):
+    if any(head[offset:].startswith(HDF5_MAGIC) for offset in HDF5_OFFSETS):
         return _open_with("datasets.nyu:NyuLabelledSource", path, options)
-    if head.startswith(magic.MATLAB5):
+    if head.startswith(MATLAB5_MAGIC):
         return _open_with("datasets.nyu:NyuFrameSource", path, options)
     if not head:
         raise RecordingFormatError(f"{path}: the file is empty; expected {_FORMATS}")
@@ -90,9 +89,8 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
 
 
 def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
-    from nurbseg.drivers.datasets.folders import open_folder
+    from nurbseg.drivers.datasets.folders import open_folder, open_scenes, scene_folders
     from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, find_pairs
-    from nurbseg.drivers.datasets.scenes import open_scenes, scene_folders
     from nurbseg.drivers.datasets.tum import TumSource, is_tum
 
     if is_tum(path):

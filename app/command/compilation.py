@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 
 from numba.core import event
 
-from nurbseg.drivers.process.start import dying_with_parent, python_command
+from nurbseg.drivers.process.child import dying_with_parent, python_command
 
 _log = logging.getLogger(__name__)
 

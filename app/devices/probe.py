@@ -8,7 +8,7 @@ import subprocess
 
 from nurbseg.drivers.doctor.finding import Probe
 from nurbseg.drivers.openni2.usb_ids import WANTED
-from nurbseg.drivers.process.start import dying_with_parent, python_command
+from nurbseg.drivers.process.child import dying_with_parent, python_command
 
 #: A camera that does not answer lets its driver wait for some seconds.
 _TIME_LIMIT_S = 20.0

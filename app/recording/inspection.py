@@ -11,20 +11,19 @@ from typing import Literal
 import numpy as np
 
 from nurbseg.app.recording import viewer_file
-from nurbseg.drivers import magic
 from nurbseg.drivers.errors import (
     BackendMissingError,
     EndOfRecordingError,
     FrameFormatError,
     RecordingFormatError,
 )
-from nurbseg.drivers.files import open_regular
+from nurbseg.drivers.files import MCAP_MAGIC, ONI_MAGIC, open_regular
 from nurbseg.drivers.openni2.oni.file import read_structure
 from nurbseg.drivers.registry import open_source
 
 Form = Literal["mcap", "oni", "rrd"]
 
-_FORMS: dict[bytes, Form] = {magic.MCAP: "mcap", magic.ONI: "oni", b"RRF2": "rrd"}
+_FORMS: dict[bytes, Form] = {MCAP_MAGIC: "mcap", ONI_MAGIC: "oni", b"RRF2": "rrd"}
 #: A step between two frames is a gap from so many usual steps on.
 _GAP_STEPS = 1.5
 #: Longest wait for a frame, seconds.

@@ -9,7 +9,7 @@ from nurbseg.app.recording import viewer_file
 from nurbseg.app.recording.inspection import form_of
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.files import check_absent, create_private
-from nurbseg.drivers.mcap.repair import rewrite
+from nurbseg.drivers.mcap.writer import rewrite
 from nurbseg.drivers.openni2.oni.file import correct_header, write_end
 
 

@@ -15,8 +15,7 @@ from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.app.view.messages import CODEC, Close, Closed, Failed, Line, Open, Opened, Status
 from nurbseg.app.view.rerun import RerunView
 from nurbseg.app.view.viewer import FILE_PATIENCE_S, ViewError
-from nurbseg.drivers.process.channel import Channel, ChannelClosedError, LogForwarder
-from nurbseg.drivers.process.parent import connect
+from nurbseg.drivers.process.channel import Channel, ChannelClosedError, LogForwarder, connect_to_parent
 
 #: Time between two looks what became of the viewer, seconds.
 _LOOK_S = 0.1
@@ -92,7 +91,7 @@ def main() -> int:
         signal.signal(number, lambda *_: None)
     _share_one_heap()
     try:
-        return _run(connect(CODEC, limit_s=_END_S))
+        return _run(connect_to_parent(CODEC, limit_s=_END_S))
     except ChannelClosedError:
         return 0
 

@@ -13,7 +13,7 @@ from ipaddress import ip_address
 from pathlib import Path
 
 from nurbseg.app.view.config import ViewConfig, ViewMode
-from nurbseg.drivers.process.start import dying_with_parent
+from nurbseg.drivers.process.child import dying_with_parent
 
 logger = logging.getLogger(__name__)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +14,7 @@ from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.calibration.file import read_camera_file
 from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_labels
 from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, ImagePair, find_pairs, match_patterns
-from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource
+from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
 from nurbseg.drivers.errors import CalibrationError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.files import read_file
 from nurbseg.drivers.frame import RGBDFrame
@@ -36,6 +36,7 @@ _CALIBRATION_PATTERNS = (
 _DEFAULT_UNITS_PER_METRE = 1000.0
 #: frame_20121214T142255.814212: the moment in UTC, to the microsecond.
 _MOMENT = re.compile(r"(\d{8}T\d{6}\.\d{1,6})")
+_SCENE = re.compile(r"scene[ _-]?\d+", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,6 +163,35 @@ def open_patterns(rest: str, options: SourceOptions) -> PairSource:
     files = [file.absolute() for pair in pairs for file in (pair.color, pair.depth)]
     folder = Path(os.path.commonpath([file.parent for file in files]))
     return PairSource(folder, _shots(pairs, folder_camera(folder, options)), "image pairs", dropped)
+
+
+def scene_folders(folder: Path) -> list[Path]:
+    """Return the scenes of a data set in natural order; none where the folder is something else."""
+    found = [path for path in folder.iterdir() if path.is_dir() and _SCENE.fullmatch(path.name)]
+    return sorted(found, key=lambda path: natural_key(path.name))
+
+
+def open_scenes(folder: Path, options: SourceOptions) -> PairSource:
+    """Open a data set with a folder for each scene, as that of the paper (LTTM), one after the other.
+
+    The folders are called ``scene1`` or ``scene_1`` and so on. Each has its own calibration, and its images,
+    ground truth included, under names that `find_pairs` knows.
+
+    Raises RecordingFormatError if there is no scene, or one without a pair of images; CalibrationError if a
+    scene has no calibration, or an unusable one.
+    """
+    shots: list[Shot] = []
+    for scene in scene_folders(folder):
+        pairs, _ = find_pairs(scene)
+        if not pairs:
+            raise RecordingFormatError(f"{scene}: no image pairs; expected {NAMES_EXPECTED}")
+        camera = folder_camera(scene, options)
+        for pair in pairs:
+            name = f"{scene.name}_{pair.name}" if pair.name else scene.name
+            shots.append(Shot(replace(pair, name=name), camera, len(shots) * FRAME_INTERVAL_NS))
+    if not shots:
+        raise RecordingFormatError(f"{folder}: no scenes; expected the folders scene1, scene2, ...")
+    return PairSource(folder, shots, "folder of scenes")
 
 
 def _shots(pairs: list[ImagePair], camera: FolderCamera) -> list[Shot]:

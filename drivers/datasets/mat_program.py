@@ -15,9 +15,8 @@ from typing import Any, Literal
 
 from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.drivers.limits import CHUNK_BYTES_MAX, FRAME_BYTES_MAX, PIXELS_MAX
-from nurbseg.drivers.process.channel import ChannelClosedError
+from nurbseg.drivers.process.channel import ChannelClosedError, connect_to_parent
 from nurbseg.drivers.process.messages import Codec
-from nurbseg.drivers.process.parent import connect
 
 #: Address space, bytes: the libraries take one GiB, a frame of the largest size another.
 _ADDRESS_SPACE_BYTES = 3 << 30
@@ -59,7 +58,7 @@ def main() -> int:
     os.environ.update(OPENBLAS_NUM_THREADS="1", HDF5_PLUGIN_PRELOAD="::")
     resource.setrlimit(resource.RLIMIT_AS, (_ADDRESS_SPACE_BYTES, _ADDRESS_SPACE_BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    channel = connect(CODEC, limit_s=_END_S)
+    channel = connect_to_parent(CODEC, limit_s=_END_S)
     files: dict[str, Any] = {}
     with contextlib.suppress(ChannelClosedError):
         while True:

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.datasets import lzf
 from nurbseg.drivers.errors import FrameFormatError, quoted
 from nurbseg.drivers.files import read_file
 from nurbseg.drivers.limits import FRAME_BYTES_MAX, PIXELS_MAX
@@ -159,7 +158,7 @@ def _from_compressed(path: Path, body: bytes, dtype: np.dtype[np.void], points: 
             f"for {uncompressed} of {expected}"
         )
     try:
-        content = lzf.decompress(body[8 : 8 + compressed], uncompressed)
+        content = decompress_lzf(body[8 : 8 + compressed], uncompressed)
     except ValueError as err:
         raise FrameFormatError(f"{path}: DATA: cannot be decompressed ({err})") from err
     columns: Columns = {}
@@ -191,6 +190,49 @@ def _from_ascii(path: Path, body: bytes, dtype: np.dtype[np.void], points: int) 
             columns[name] = table[:, place].astype(dtype[name].base)
             place += count
     return columns
+
+
+def decompress_lzf(content: bytes, size: int) -> bytes:
+    """Decompress an LZF block: runs of literal bytes, and references back of 3 to 264 bytes.
+
+    Raises ValueError if it is damaged, or other than `size` bytes come out.
+
+    References
+    ----------
+    .. [1] M. Lehmann, LibLZF, http://oldhome.schmorp.de/marc/liblzf.html
+    """
+    out = bytearray()
+    place, end = 0, len(content)
+    try:
+        while place < end:
+            control = content[place]
+            place += 1
+            if control < 32:
+                out += content[place : place + control + 1]
+                place += control + 1
+                continue
+            length = control >> 5
+            if length == 7:
+                length += content[place]
+                place += 1
+            distance = ((control & 31) << 8) + content[place] + 1
+            place += 1
+            start = len(out) - distance
+            if start < 0:
+                raise ValueError(f"a reference reaches {-start} bytes before the beginning")
+            length += 2
+            if distance >= length:
+                out += out[start : start + length]
+            else:
+                # The copy runs into what it writes: a repeated pattern.
+                out += (out[start:] * (length // distance + 1))[:length]
+            if len(out) > size:
+                break
+    except IndexError:
+        raise ValueError("the block ends within a reference") from None
+    if len(out) != size or place > end:
+        raise ValueError(f"expected {size} bytes, got {len(out)}")
+    return bytes(out)
 
 
 def _rgb(packed: NDArray[np.generic]) -> NDArray[np.uint8]:

@@ -1,9 +1,10 @@
-"""The definitions of the ROS 2 messages that a recording is read and written with."""
+"""What recordings are read and written with: ROS 2 definitions, and names of topics and frames."""
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from itertools import zip_longest
 from typing import Any
 
 from mcap.records import Schema
@@ -15,6 +16,22 @@ IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
+
+#: Of our own recordings.
+VERSION = "1"
+RECORDING_RECORD = "nurbseg"
+DEVICE_RECORD = "device"
+
+DEPTH_TOPIC = "/camera/depth/image_raw"
+DEPTH_INFO_TOPIC = "/camera/depth/camera_info"
+COLOR_TOPIC = "/camera/color/image_raw"
+COLOR_COMPRESSED_TOPIC = "/camera/color/image_raw/compressed"
+COLOR_INFO_TOPIC = "/camera/color/camera_info"
+LABELS_TOPIC = "/camera/labels/image_raw/compressed"
+TRANSFORMS_TOPIC = "/tf_static"
+
+DEPTH_FRAME = "camera_depth_optical_frame"
+COLOR_FRAME = "camera_color_optical_frame"
 
 _RULE = "=" * 80
 _TIME = f"{_RULE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
@@ -41,14 +58,10 @@ _TIME_NAME = "Time"
 
 
 @functools.cache
-def _decoders() -> dict[str, Callable[[bytes], Any]]:
-    factory = DecoderFactory()
-    schemas = [
-        Schema(id=number, name=name, encoding="ros2msg", data=text.encode())
-        for number, (name, text) in enumerate(DEFINITIONS.items(), 1)
-    ]
-    found = {schema.name: factory.decoder_for("cdr", schema) for schema in schemas}
-    return {name: decoder for name, decoder in found.items() if decoder is not None}
+def _decoder(name: str) -> Callable[[bytes], Any]:
+    schema = Schema(id=1, name=name, encoding="ros2msg", data=DEFINITIONS[name].encode())
+    decoder: Callable[[bytes], Any] = DecoderFactory().decoder_for("cdr", schema)
+    return decoder
 
 
 def decode(content: bytes, schema: str, name: str) -> Any:
@@ -57,7 +70,7 @@ def decode(content: bytes, schema: str, name: str) -> Any:
     Raises FrameFormatError if the message is damaged; calls it `name`.
     """
     try:
-        return _decoders()[schema](content)
+        return _decoder(schema)(content)
     except Exception as err:  # The decoder raises whatever a damaged message leads it to.
         raise FrameFormatError(f"{name}: the message is damaged ({quoted(str(err))})") from err
 
@@ -74,12 +87,11 @@ def check_schema(schema: Schema, name: str) -> None:
     for message, expected in _fields(DEFINITIONS[schema.name]).items():
         if message == _TIME_NAME and message not in stated:
             continue
-        found = stated.get(message, [])
-        for place in range(max(len(expected), len(found))):
-            one, other = (fields[place] if place < len(fields) else "nothing" for fields in (expected, found))
+        pairs = zip_longest(expected, stated.get(message, []), fillvalue="nothing")
+        for place, (one, other) in enumerate(pairs, 1):
             if one != other:
                 raise RecordingFormatError(
-                    f"{name}: {message or 'field'} {place + 1}: expected {one!r}, got {quoted(other)}"
+                    f"{name}: {message or 'field'} {place}: expected {one!r}, got {quoted(other)}"
                 )
 
 

@@ -19,6 +19,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import lz4.frame
 import zstandard
@@ -27,9 +28,8 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Metadata, Schema, Statistics
 
-from nurbseg.drivers import magic
 from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError, quoted
-from nurbseg.drivers.files import open_regular
+from nurbseg.drivers.files import MCAP_MAGIC, open_regular
 from nurbseg.drivers.limits import CHUNK_BYTES_MAX, CHUNK_RECORDS_MAX, RECORD_BYTES_MAX
 
 _log = logging.getLogger(__name__)
@@ -39,7 +39,14 @@ _MESSAGE_HEAD = struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 
 
-_CATALOG = frozenset((Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.STATISTICS))
+#: The records that say what a file holds.
+_CATALOG: dict[int, Any] = {
+    Opcode.HEADER: Header,
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.METADATA: Metadata,
+    Opcode.STATISTICS: Statistics,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,33 +61,13 @@ class McapMessage:
 
 
 class McapFile:
-    """An MCAP file opened for reading.
+    """An MCAP file opened for reading; raises RecordingFormatError if it is none.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Attributes
-    ----------
-    profile : str
-        What its messages follow, such as "ros2"; may be empty.
-    metadata : dict of str to dict
-        The file's metadata records.
-    schemas, channels : dict
-        Those known so far; all of them once `messages` has come to its end, and from the beginning if
-        the file has an index.
-    message_counts : dict of int to int
-        Messages of each channel, if the file has an index.
-    whole : bool
-        Whether the file reaches its end.
-    entry : int
-        Number of the chunk, or message outside of one, that the last message came from.
-
-    Raises
-    ------
-    RecordingFormatError
-        If it is not an MCAP file.
+    `profile` is what its messages follow, such as "ros2", and may be empty; `metadata` are its records of
+    that kind. `schemas` and `channels` are those known so far: all of them once `messages` has come to its
+    end, and from the beginning if the file has an index, which also has the `message_counts` of the channels.
+    `whole` is whether the file reaches its end. `entry` is the number of the chunk, or message outside of
+    one, that the last message came from.
     """
 
     def __init__(self, path: Path) -> None:
@@ -153,9 +140,9 @@ class McapFile:
     def _scan(self) -> None:
         size = self._file.seek(0, 2)
         self._file.seek(0)
-        if self._file.read(len(magic.MCAP)) != magic.MCAP:
+        if self._file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
             raise RecordingFormatError(f"{self.path}: magic bytes: expected an MCAP file")
-        place = len(magic.MCAP)
+        place = len(MCAP_MAGIC)
         while place + _RECORD_HEAD.size <= size:
             self._file.seek(place)
             opcode, length = _RECORD_HEAD.unpack(self._file.read(_RECORD_HEAD.size))
@@ -164,7 +151,7 @@ class McapFile:
                 # There is no such record: the file was made longer than what was written.
                 return
             if opcode == Opcode.FOOTER:
-                self.whole = place + length + len(magic.MCAP) <= size
+                self.whole = place + length + len(MCAP_MAGIC) <= size
                 return
             present = min(length, size - place)
             if opcode == Opcode.CHUNK or (opcode == Opcode.MESSAGE and present == length):
@@ -177,22 +164,23 @@ class McapFile:
             place += length
 
     def _register(self, opcode: int, content: bytes) -> None:
+        if opcode not in _CATALOG:
+            return
         try:
-            if opcode == Opcode.HEADER:
-                self.profile = Header.read(_stream(content)).profile
-            elif opcode == Opcode.SCHEMA:
-                schema = Schema.read(_stream(content))
-                self.schemas[schema.id] = schema
-            elif opcode == Opcode.CHANNEL:
-                channel = Channel.read(_stream(content))
-                self.channels[channel.id] = channel
-            elif opcode == Opcode.METADATA:
-                record = Metadata.read(_stream(content))
-                self.metadata[record.name] = record.metadata
-            elif opcode == Opcode.STATISTICS:
-                self.message_counts = dict(Statistics.read(_stream(content)).channel_message_counts)
+            record = _CATALOG[opcode].read(ReadDataStream(BytesIO(content)))
         except (McapError, struct.error, UnicodeDecodeError) as err:
             raise RecordingFormatError(f"{self.path}: {Opcode(opcode).name}: damaged ({err})") from err
+        match record:
+            case Header():
+                self.profile = record.profile
+            case Schema():
+                self.schemas[record.id] = record
+            case Channel():
+                self.channels[record.id] = record
+            case Metadata():
+                self.metadata[record.name] = record.metadata
+            case Statistics():
+                self.message_counts = dict(record.channel_message_counts)
 
     def _message(self, content: bytes) -> McapMessage | None:
         if len(content) < _MESSAGE_HEAD.size:
@@ -203,10 +191,6 @@ class McapFile:
             return None
         body = content[_MESSAGE_HEAD.size :]
         return McapMessage(channel, sequence, log_time_ns, publish_time_ns, body)
-
-
-def _stream(content: bytes) -> ReadDataStream:
-    return ReadDataStream(BytesIO(content))
 
 
 def _records(content: bytes, name: str) -> Iterator[tuple[int, bytes]]:

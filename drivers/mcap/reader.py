@@ -12,7 +12,7 @@ from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.limits import SCAN_BYTES_MAX, STAMP_END_NS
-from nurbseg.drivers.mcap import definitions, names
+from nurbseg.drivers.mcap import definitions
 from nurbseg.drivers.mcap import messages as ros
 from nurbseg.drivers.mcap.file import McapFile, McapMessage
 from nurbseg.drivers.mcap.pairing import Kind, StampedPair, StampPairing
@@ -83,7 +83,7 @@ class RecordingReader(FrameSource):
         self._position = _Place(0, 0, 0, 0)
         self._places = [self._position]
         self._file = McapFile(path)
-        self._is_ours = names.RECORDING_RECORD in self._file.metadata
+        self._is_ours = definitions.RECORDING_RECORD in self._file.metadata
         try:
             samples, transforms = self._scan_topics()
             self._topics = topics = self._choose(samples)
@@ -92,7 +92,7 @@ class RecordingReader(FrameSource):
                 topics.color: "color",
                 topics.depth: "depth",
             }
-            self._schemas = {names.LABELS_TOPIC: definitions.COMPRESSED_IMAGE} | {
+            self._schemas = {definitions.LABELS_TOPIC: definitions.COMPRESSED_IMAGE} | {
                 topic: sample.schema for topic, sample in samples.items()
             }
             cameras = options.given_cameras()
@@ -224,7 +224,7 @@ class RecordingReader(FrameSource):
                 continue
             start_ns = item.log_time_ns if start_ns is None else start_ns
             # Our own recordings say everything with the first frame.
-            if self._is_ours and names.DEPTH_TOPIC in samples:
+            if self._is_ours and definitions.DEPTH_TOPIC in samples:
                 break
             if item.log_time_ns - start_ns > _SCAN_NS and self._has_images(samples):
                 break
@@ -260,7 +260,7 @@ class RecordingReader(FrameSource):
             topics = choose_topics(self._path, samples)
             if topics.labels is None and self._is_ours:
                 # Perhaps later frames have ground truth.
-                topics = replace(topics, labels=names.LABELS_TOPIC)
+                topics = replace(topics, labels=definitions.LABELS_TOPIC)
             return topics
         except RecordingFormatError as err:
             if complaint := next(filter(None, self._complaints.values()), ""):
@@ -284,7 +284,7 @@ class RecordingReader(FrameSource):
         )
 
     def _metadata(self) -> dict[str, str]:
-        metadata = dict(self._file.metadata.get(names.DEVICE_RECORD, {}))
+        metadata = dict(self._file.metadata.get(definitions.DEVICE_RECORD, {}))
         metadata["format"] = "MCAP recording"
         metadata["dropped"] = "0"
         metadata["whole"] = str(self._file.whole).lower()

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, BinaryIO, Literal, get_args
 
 import cv2
-from mcap_ros2.writer import Writer
+from mcap.writer import Writer
+from mcap_ros2.writer import Writer as Ros2Writer
 from numpy.typing import NDArray
 
 from nurbseg.drivers.closing import Closing
-from nurbseg.drivers.errors import DriverError
+from nurbseg.drivers.errors import DriverError, FrameFormatError
 from nurbseg.drivers.files import create_private
 from nurbseg.drivers.frame import Calibration, RGBDFrame
+from nurbseg.drivers.mcap import definitions
 from nurbseg.drivers.mcap import messages as ros
-from nurbseg.drivers.mcap import names
 from nurbseg.drivers.mcap.definitions import CAMERA_INFO, COMPRESSED_IMAGE, DEFINITIONS, IMAGE, TRANSFORMS
+from nurbseg.drivers.mcap.file import McapFile
 
 ColorFormat = Literal["jpeg95", "png", "raw"]
 
@@ -71,11 +73,11 @@ class RecordingWriter(Closing):
         try:
             # A chunk ends with the message that makes it larger than this: with a depth image.
             depth_bytes = 2 * calibration.depth.width * calibration.depth.height
-            self._writer = Writer(self._file, chunk_size=depth_bytes)
+            self._writer = Ros2Writer(self._file, chunk_size=depth_bytes)
             self._writer.add_metadata(
-                names.RECORDING_RECORD, {"version": names.VERSION, "color_format": color_format}
+                definitions.RECORDING_RECORD, {"version": definitions.VERSION, "color_format": color_format}
             )
-            self._writer.add_metadata(names.DEVICE_RECORD, dict(metadata or {}))
+            self._writer.add_metadata(definitions.DEVICE_RECORD, dict(metadata or {}))
             self._schemas = {
                 name: self._writer.register_msgdef(name, text) for name, text in DEFINITIONS.items()
             }
@@ -85,7 +87,7 @@ class RecordingWriter(Closing):
             raise
         # Registered images have one optical centre, that of the color camera.
         registered = calibration.is_registered
-        self._depth_frame = names.COLOR_FRAME if registered else names.DEPTH_FRAME
+        self._depth_frame = definitions.COLOR_FRAME if registered else definitions.DEPTH_FRAME
 
     def write(self, frame: RGBDFrame) -> None:
         """Add one frame.
@@ -103,22 +105,22 @@ class RecordingWriter(Closing):
             raise DriverError(f"{self.path}: the recording is closed")
         self._check(frame)
         stamp = frame.timestamp_ns
-        if self.frames == 0 and self._depth_frame != names.COLOR_FRAME:
+        if self.frames == 0 and self._depth_frame != definitions.COLOR_FRAME:
             message = ros.transform_message(
-                stamp, names.COLOR_FRAME, names.DEPTH_FRAME, self._calibration.color_from_depth
+                stamp, definitions.COLOR_FRAME, definitions.DEPTH_FRAME, self._calibration.color_from_depth
             )
-            self._add(names.TRANSFORMS_TOPIC, TRANSFORMS, message, stamp)
-        color_info = ros.camera_info_message(stamp, names.COLOR_FRAME, self._calibration.color)
+            self._add(definitions.TRANSFORMS_TOPIC, TRANSFORMS, message, stamp)
+        color_info = ros.camera_info_message(stamp, definitions.COLOR_FRAME, self._calibration.color)
         depth_info = ros.camera_info_message(stamp, self._depth_frame, self._calibration.depth)
-        self._add(names.COLOR_INFO_TOPIC, CAMERA_INFO, color_info, stamp)
-        self._add(names.DEPTH_INFO_TOPIC, CAMERA_INFO, depth_info, stamp)
+        self._add(definitions.COLOR_INFO_TOPIC, CAMERA_INFO, color_info, stamp)
+        self._add(definitions.DEPTH_INFO_TOPIC, CAMERA_INFO, depth_info, stamp)
         self._add_color(frame)
         if frame.labels is not None:
             # PNG, because viewers take every plain image of one channel for depth.
-            self._add_compressed(names.LABELS_TOPIC, self._depth_frame, frame, ".png", frame.labels)
+            self._add_compressed(definitions.LABELS_TOPIC, self._depth_frame, frame, ".png", frame.labels)
         # Last, so that a frame whose depth is in the file is whole.
         depth = ros.image_message(stamp, self._depth_frame, frame.depth_mm, "16UC1")
-        self._add(names.DEPTH_TOPIC, IMAGE, depth, stamp)
+        self._add(definitions.DEPTH_TOPIC, IMAGE, depth, stamp)
         self._file.flush()
         self.frames += 1
 
@@ -152,12 +154,14 @@ class RecordingWriter(Closing):
     def _add_color(self, frame: RGBDFrame) -> None:
         stamp = frame.timestamp_ns
         if self._color_format == "raw":
-            message = ros.image_message(stamp, names.COLOR_FRAME, frame.color, "rgb8")
-            self._add(names.COLOR_TOPIC, IMAGE, message, stamp)
+            message = ros.image_message(stamp, definitions.COLOR_FRAME, frame.color, "rgb8")
+            self._add(definitions.COLOR_TOPIC, IMAGE, message, stamp)
             return
         extension = ".png" if self._color_format == "png" else ".jpg"
         bgr = cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR)
-        self._add_compressed(names.COLOR_COMPRESSED_TOPIC, names.COLOR_FRAME, frame, extension, bgr)
+        self._add_compressed(
+            definitions.COLOR_COMPRESSED_TOPIC, definitions.COLOR_FRAME, frame, extension, bgr
+        )
 
     def _add_compressed(
         self, topic: str, camera_frame: str, frame: RGBDFrame, extension: str, image: NDArray[Any]
@@ -175,3 +179,37 @@ class RecordingWriter(Closing):
         self._writer.write_message(
             topic, self._schemas[schema], message, log_time=stamp, publish_time=stamp, sequence=self.frames
         )
+
+
+def rewrite(path: Path, output: BinaryIO) -> int:
+    """Copy the messages of a recording, as they are, and its metadata; return how many chunks were damaged.
+
+    It may be whole or not, whoever wrote it. Attachments do not come with it. Raises RecordingFormatError if
+    it is not an MCAP file, and OSError if the new one cannot be written.
+    """
+    damaged = 0
+    source = McapFile(path)
+    try:
+        writer = Writer(output)
+        writer.start(profile=source.profile)
+        for name, values in source.metadata.items():
+            writer.add_metadata(name, values)
+        numbers: dict[int, int] = {}
+        for item in source.messages():
+            if isinstance(item, FrameFormatError):
+                damaged += 1
+                continue
+            channel = item.channel
+            if channel.id not in numbers:
+                schema = source.schemas.get(channel.schema_id)
+                number = schema and writer.register_schema(schema.name, schema.encoding, schema.data)
+                numbers[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, number or 0, channel.metadata
+                )
+            writer.add_message(
+                numbers[channel.id], item.log_time_ns, item.content, item.publish_time_ns, item.sequence
+            )
+        writer.finish()  # type: ignore[no-untyped-call]
+    finally:
+        source.close()
+    return damaged

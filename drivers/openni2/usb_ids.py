@@ -25,23 +25,10 @@ ASUS = 0x0B05
 class Family:
     """Cameras that are driven alike.
 
-    Parameters
-    ----------
-    key, name : str
-        For programs and for people.
-    driver : str
-        The OpenNI2 driver that they need, as a person calls it.
-    file_stem : str
-        Start of the driver file's name in the drivers folder, lower case.
-    install : tuple of str
-        What to do where the driver is missing, one step each; ``{drivers}`` stands for the drivers folder and
-        ``{suffix}`` for the ending that the installed OpenNI2 loads.
-    package : str
-        Debian package that brings it; empty where it must be built or comes from the vendor.
-    speed_min : {"high", "super"}
-        Slowest USB speed that they work at.
-    usb3_trouble : bool
-        Whether old firmware of theirs is known to fail behind a USB 3 controller.
+    The file of their OpenNI2 driver begins with `file_stem`, in lower case; Debian's `package` brings it, if
+    any does. `install` are the steps where it is missing; ``{drivers}`` stands for the drivers folder and
+    ``{suffix}`` for the ending that the installed OpenNI2 loads. `speed_min` is the slowest USB speed that
+    they work at, and `usb3_trouble` whether old firmware is known to fail behind a USB 3 controller.
     """
 
     key: str

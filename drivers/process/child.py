@@ -1,4 +1,4 @@
-"""A process of ours as its parent uses it: started, connected to, and ended."""
+"""Starts programs, connects to those of ours, and ends them."""
 
 from __future__ import annotations
 
@@ -7,15 +7,39 @@ import os
 import signal
 import socket
 import subprocess
+import sys
 from pathlib import Path
 
 from nurbseg.drivers.closing import Closing
 from nurbseg.drivers.process.channel import Channel
 from nurbseg.drivers.process.messages import Codec
-from nurbseg.drivers.process.start import python_command
 
 #: A process that was killed ends within this time, seconds, unless the kernel waits for a dead disk.
 _KILLED_S = 10.0
+#: Asks Linux for the end of this process with that of its parent (PR_SET_PDEATHSIG), and becomes the program.
+_BECOME = """\
+import ctypes, os, signal, sys
+ctypes.CDLL(None).prctl(1, signal.SIGKILL)
+if os.getppid() == int(sys.argv[1]):
+    os.execv(sys.argv[2], sys.argv[2:])
+"""
+
+
+def python_command(module: str, *words: str) -> list[str]:
+    """Return the command that runs a module, such as ``nurbseg.app.devices.cli``, as a program of its own.
+
+    With ``-P``: Python would otherwise look for modules in the current folder first, and run what a stranger
+    called ``json.py`` there.
+    """
+    return [sys.executable, "-P", "-m", module, *words]
+
+
+def dying_with_parent(command: list[str]) -> list[str]:
+    """Return a command that does the same, but is killed when the thread that starts it ends.
+
+    It is for programs that cannot take care of that themselves.
+    """
+    return [sys.executable, "-I", "-S", "-c", _BECOME, str(os.getpid()), *command]
 
 
 def how_it_ended(code: int | None) -> str:
@@ -39,7 +63,7 @@ def end_group(process: subprocess.Popen[bytes], limit_s: float) -> int | None:
 
 
 class ChildProcess(Closing):
-    """Runs a module that begins with `nurbseg.drivers.process.parent.connect`.
+    """Runs a module that begins with `nurbseg.drivers.process.channel.connect_to_parent`.
 
     `slots` messages with arrays may be on their way. What a `quiet` one writes to standard error is dropped.
     Raises OSError if it cannot be started.

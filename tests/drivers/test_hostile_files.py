@@ -24,7 +24,7 @@ from recorded_scene import scenes, write_mcap, write_pairs, write_tum
 from nurbseg.drivers import FrameFormatError, RecordingFormatError, open_source
 from nurbseg.drivers.datasets.images import decode_color, decode_depth
 from nurbseg.drivers.limits import CHUNK_BYTES_MAX, PIXELS_MAX
-from nurbseg.drivers.mcap import names
+from nurbseg.drivers.mcap import definitions
 
 #: What one hostile file may take: one decoded image of the largest size, and its copies.
 TAKEN_MAX = GIB // 2
@@ -395,7 +395,9 @@ def rewritten(
     """Copy a recording, its schemas' texts and its depth messages (by number) changed on the way."""
     with path.open("rb") as stream:
         records = list(StreamReader(stream).records)
-    depth = next(each.id for each in records if isinstance(each, Channel) and each.topic == names.DEPTH_TOPIC)
+    depth = next(
+        each.id for each in records if isinstance(each, Channel) and each.topic == definitions.DEPTH_TOPIC
+    )
     other = path.with_name("b.mcap")
     number = 0
     with other.open("wb") as stream:

@@ -19,8 +19,7 @@ from typing import Any, NoReturn
 from nurbseg.drivers.errors import DeviceNotFoundError, DriverError, FrameTimeoutError
 from nurbseg.drivers.openni2.device import DeviceSource
 from nurbseg.drivers.openni2.isolated import messages
-from nurbseg.drivers.process.channel import Channel, ChannelClosedError, LogForwarder
-from nurbseg.drivers.process.parent import connect
+from nurbseg.drivers.process.channel import Channel, ChannelClosedError, LogForwarder, connect_to_parent
 
 #: Longest wait for a frame before messages are looked at again, seconds.
 _SLICE_S = 0.1
@@ -91,7 +90,7 @@ def _handled(source: DeviceSource, message: Any) -> messages.Done | messages.Fai
 
 def main() -> int:
     """Open the camera that the first message describes, and deliver its frames."""
-    channel = connect(messages.CODEC, limit_s=_END_S)
+    channel = connect_to_parent(messages.CODEC, limit_s=_END_S)
     with contextlib.suppress(OSError):  # only some users may; a frame is lost if this is 33 ms late
         os.nice(-10)
     try:

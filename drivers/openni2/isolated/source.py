@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameTimeoutError
+from nurbseg.drivers.errors import DeviceLostError, DeviceNotFoundError, DriverError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.openni2.isolated.messages import (
     CODEC,
@@ -227,3 +227,46 @@ class IsolatedCamera(FrameSource):
             while (left_s := deadline - time.monotonic()) > 0:
                 self._channel.receive(left_s)
         self._process.close(max(0.0, deadline - time.monotonic()))
+
+
+class Reopening:
+    """Opens a camera again that was lost: each call asks one process, which looks for it, whether it is back.
+
+    Another such process is kept ready: to start Python takes longer than all else that is done when a camera
+    is plugged in again.
+    """
+
+    def __init__(self, wanted: str, options: DeviceOptions, pairing_limit_s: float) -> None:
+        self._wanted, self._options, self._pairing_limit_s = wanted, options, pairing_limit_s
+        self._ready: ChildProcess | None = begin_process(options)
+        self._waiting: IsolatedCamera | None = None
+
+    def __call__(self) -> IsolatedCamera:
+        """Return the camera, open, for the caller to close; a DriverError says why it is not back."""
+        if self._waiting is None:
+            process, self._ready = self._ready or begin_process(self._options), None
+            self._waiting = IsolatedCamera(
+                self._wanted,
+                self._options,
+                pairing_limit_s=self._pairing_limit_s,
+                patience_s=self._options.reconnect_interval_s,
+                process=process,
+            )
+        try:
+            is_open = self._waiting.is_open()
+        except DriverError:
+            self.close()
+            raise
+        if not is_open:
+            raise DeviceNotFoundError("the camera is disconnected")
+        camera, self._waiting = self._waiting, None
+        self._ready = begin_process(self._options)
+        return camera
+
+    def close(self) -> None:
+        """Look no longer; safe to repeat."""
+        waiting, self._waiting = self._waiting, None
+        ready, self._ready = self._ready, None
+        for each in (waiting, ready):
+            if each is not None:
+                each.close()

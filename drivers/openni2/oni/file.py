@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
-from nurbseg.drivers import magic
 from nurbseg.drivers.errors import RecordingFormatError
+from nurbseg.drivers.files import ONI_MAGIC
 from nurbseg.drivers.openni2.capi import BYTES_PER_PIXEL, Sensor
 
 _HEADER = struct.Struct("<4sBBHIQI")  # magic, version, largest time, largest node number
@@ -104,7 +104,7 @@ def read_structure(path: Path) -> OniFile:
 
 def _read(path: Path, file: BinaryIO) -> OniFile:
     head = file.read(_HEADER.size)
-    if len(head) < _HEADER.size or not head.startswith(magic.ONI):
+    if len(head) < _HEADER.size or not head.startswith(ONI_MAGIC):
         raise RecordingFormatError(f"{path}: header: not an OpenNI recording (.oni)")
     streams: dict[int, StoredStream] = {}
     complete = False

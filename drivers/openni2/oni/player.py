@@ -19,9 +19,8 @@ from nurbseg.drivers.openni2.capi import DeviceProperty, DeviceState, PixelForma
 from nurbseg.drivers.openni2.isolated.messages import Failure
 from nurbseg.drivers.openni2.opened import OpenedDevice
 from nurbseg.drivers.openni2.stream import Stream, wait_for_any
-from nurbseg.drivers.process.channel import Channel, ChannelClosedError
+from nurbseg.drivers.process.channel import Channel, ChannelClosedError, connect_to_parent
 from nurbseg.drivers.process.messages import Codec
-from nurbseg.drivers.process.parent import connect
 
 #: Step by step: the driver advances to the next image only when one is waited for, so none is lost.
 _STEPWISE = -1.0
@@ -130,7 +129,7 @@ def play(path: str, channel: Channel) -> None:
 
 def main() -> int:
     """Play the file that the first message names."""
-    channel = connect(CODEC, limit_s=_END_S)
+    channel = connect_to_parent(CODEC, limit_s=_END_S)
     with contextlib.suppress(ChannelClosedError):
         request = channel.receive(_BEGIN_S)
         if not isinstance(request, Play):

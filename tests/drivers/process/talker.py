@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.process.channel import ChannelClosedError, LogForwarder
+from nurbseg.drivers.process.channel import ChannelClosedError, LogForwarder, connect_to_parent
 from nurbseg.drivers.process.messages import Codec
-from nurbseg.drivers.process.parent import connect
 
 
 @dataclass(frozen=True)
@@ -31,7 +30,7 @@ CODEC = Codec(Say, Picture)
 
 
 def main() -> int:
-    channel = connect(CODEC, limit_s=1.0)
+    channel = connect_to_parent(CODEC, limit_s=1.0)
     logging.basicConfig(level=logging.INFO, handlers=[LogForwarder(channel)])
     try:
         while True:

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import psutil
 
-from nurbseg.drivers.process.start import dying_with_parent, python_command
+from nurbseg.drivers.process.child import dying_with_parent, python_command
 
 _STARTS = """
 import subprocess, sys, time
-from nurbseg.drivers.process.start import dying_with_parent
+from nurbseg.drivers.process.child import dying_with_parent
 program = subprocess.Popen(dying_with_parent(["/bin/sleep", "300"]))
 print(program.pid, flush=True)
 time.sleep(300)
