@@ -20,22 +20,10 @@ _FIRST_IMAGE_LIMIT_S = 5.0
 class Camera:
     """A camera as it describes itself.
 
-    Parameters
-    ----------
-    name, family : str
-        What the driver calls it, and its key in `nurbseg.drivers.openni2.usb_ids.FAMILIES` or nothing.
-    uri, usb_id : str
-        OpenNI2's name of it, and ``vendor:product``.
-    usb_port, usb_speed, serial : str
-        As in `UsbDevice`; empty where unknown.
-    driver_version, openni2_version : str
-        Versions of the driver, where it has one, and of the library.
-    depth_modes, color_modes : tuple of VideoMode
-        What its streams can be set to; empty where it has no such stream.
-    registration, sync : bool
-        Whether it can bring depth onto the color image, and take both at the same moment.
-    error : str
-        Why it cannot be used; empty where it can.
+    `family` is its key in `nurbseg.drivers.openni2.usb_ids.FAMILIES`, `uri` is OpenNI2's, and `usb_id` is
+    ``vendor:product``. The modes are those that its streams can be set to. `registration` and `sync` are
+    whether it can register depth to color, and take both at the same moment. `error` is why it cannot be
+    used. What is not known is empty.
     """
 
     name: str
@@ -76,36 +64,29 @@ def _camera(listing: DeviceListing, usb_devices: dict[str, UsbDevice]) -> Camera
         usb_speed=usb_device.speed if usb_device else "",
         serial=usb_device.serial if usb_device else "",
     )
+    sensors = Sensor.DEPTH, Sensor.COLOR
     try:
         with OpenedDevice(listing.uri) as device:
-            return _queried(camera, device)
-    except DriverError as err:
-        return replace(camera, error=str(err))
-
-
-def _queried(camera: Camera, device: OpenedDevice) -> Camera:
-    """Return the camera with what it reports of itself, and whether images come from it."""
-    sensors = [sensor for sensor in (Sensor.DEPTH, Sensor.COLOR) if device.has(sensor)]
-    streams = {sensor: device.add_stream(sensor) for sensor in sensors}
-    camera = replace(
-        camera,
-        serial=device.serial or camera.serial,
-        driver_version=device.driver_version,
-        openni2_version=device.library.version(),
-        depth_modes=streams[Sensor.DEPTH].modes if Sensor.DEPTH in streams else (),
-        color_modes=streams[Sensor.COLOR].modes if Sensor.COLOR in streams else (),
-        registration=device.can_register,
-    )
-    missing = [sensor.name.lower() for sensor in (Sensor.DEPTH, Sensor.COLOR) if sensor not in streams]
-    if missing:
-        return replace(camera, error=f"it has no {' and no '.join(missing)} stream")
-    try:
-        for stream in streams.values():
-            stream.start()
-        # Only a running camera knows whether it can.
-        camera = replace(camera, sync=device.synchronise())
-        if wait_for_any(device.library, device.streams, _FIRST_IMAGE_LIMIT_S) is None:
-            return replace(camera, error=f"it opens, but no image arrived within {_FIRST_IMAGE_LIMIT_S:g} s")
+            streams = {sensor: device.add_stream(sensor) for sensor in sensors if device.has(sensor)}
+            modes = [streams[sensor].modes if sensor in streams else () for sensor in sensors]
+            camera = replace(
+                camera,
+                serial=device.serial or camera.serial,
+                driver_version=device.driver_version,
+                openni2_version=device.library.version(),
+                depth_modes=modes[0],
+                color_modes=modes[1],
+                registration=device.can_register,
+            )
+            if missing := [sensor.name.lower() for sensor in sensors if sensor not in streams]:
+                return replace(camera, error=f"it has no {' and no '.join(missing)} stream")
+            for stream in streams.values():
+                stream.start()
+            # Only a running camera knows whether it can.
+            camera = replace(camera, sync=device.synchronise())
+            if wait_for_any(device.library, device.streams, _FIRST_IMAGE_LIMIT_S) is None:
+                error = f"it opens, but no image arrived within {_FIRST_IMAGE_LIMIT_S:g} s"
+                return replace(camera, error=error)
     except DriverError as err:
         return replace(camera, error=str(err))
     return camera

@@ -42,18 +42,9 @@ def describe(
 def diagnose(system: System, wanted: str = "any") -> tuple[Finding, ...]:
     """Find out why no camera can be used, or that one can.
 
-    Parameters
-    ----------
-    system : System
-        The computer.
-    wanted : str
-        What `--device` was given: ``"xtion"``, ``"kinect"``, ``"orbbec"``, or anything else for any camera.
-
-    Returns
-    -------
-    tuple of Finding
-        Good news first, then errors, warnings and notes; within each, the most basic first. Where a
-        camera is ready, what keeps another from working is a warning only.
+    `wanted` is what `--device` was given: ``"xtion"``, ``"kinect"``, ``"orbbec"``, or anything else for any
+    camera. Returns good news first, then errors, warnings and notes; within each, the most basic first. Where
+    a camera is ready, what keeps another from working is a warning only.
     """
     found = list(_findings(system, wanted))
     if system.probe is not None:

@@ -25,20 +25,10 @@ class Part(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that the doctor found.
+    """One thing that the doctor found: what it is, how that is known and why it matters, and what to do.
 
-    Parameters
-    ----------
-    code : str
-        For programs; the list is in docs/cameras.md.
-    severity : {"error", "warning", "note", "ok"}
-        Whether it keeps a camera from working, may do so, is worth knowing, or is good news.
-    title : str
-        What it is, in one line.
-    reason : str
-        How that is known and why it matters.
-    steps : tuple of str
-        What to do, one command or action each.
+    The `code` is for programs; docs/cameras.md lists all. An error keeps a camera from working, a warning may
+    do so. A step is one command or action.
     """
 
     code: str

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import configparser
-import os
 import re
 import sysconfig
 from collections.abc import Mapping
@@ -11,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from nurbseg.drivers.doctor.usb import read_text
 from nurbseg.drivers.openni2.library import LIBRARY_FILE, REDIST_VARIABLE
 
 DEBIAN_INI = "/etc/openni2/OpenNI.ini"
@@ -25,26 +25,12 @@ _CONTAINER_GROUPS = re.compile(r"docker|containerd|kubepods|lxc|libpod")
 
 @dataclass(frozen=True, slots=True)
 class Installation:
-    """Where OpenNI2 is and which drivers it will load.
+    """Where OpenNI2 is and which drivers it will load; empty where there is none.
 
-    Parameters
-    ----------
-    library : str
-        Path of the library that is taken; empty where there is none.
-    redist : str
-        Value of `OPENNI2_REDIST`; empty where it is not set.
-    drivers_folder : str
-        Where the library looks for drivers.
-    drivers : tuple of str
-        File names there that it loads.
-    unloadable : tuple of str
-        Library files there that it does not load, for their ending.
-    suffix : str
-        The ending that it loads: ``".so.0"`` for Debian's, ``".so"`` for a vendor's.
-    ini : str
-        The OpenNI.ini that it reads; empty where there is none.
-    repository, override : str
-        What that file sets in place of the default drivers folder, and as the only device to open.
+    `redist` is the value of `OPENNI2_REDIST`. Of the library files in `drivers_folder`, those in `drivers`
+    have the ending that the library loads, `suffix`: ``".so.0"`` for Debian's, ``".so"`` for a vendor's.
+    `ini` is the OpenNI.ini that it reads, `repository` and `override` what that sets in place of the default
+    drivers folder, and as the only device to open.
     """
 
     library: str = ""
@@ -78,9 +64,8 @@ class Host:
         return (vendor_id, product_id) in self.rules or (vendor_id, None) in self.rules
 
 
-def read_host(root: Path = Path("/"), environ: Mapping[str, str] | None = None) -> Host:
+def read_host(root: Path, environ: Mapping[str, str]) -> Host:
     """Read the facts from the file system that starts at `root`."""
-    environ = os.environ if environ is None else environ
     return Host(
         kind=_kind(root, environ), rules=_ruled_ids(root), installation=find_installation(root, environ)
     )
@@ -103,7 +88,7 @@ def find_installation(root: Path, environ: Mapping[str, str]) -> Installation:
     ini = root / DEBIAN_INI.removeprefix("/") if debian else library.parent / "OpenNI.ini"
     repository, override = _read_ini(ini)
     drivers_folder = library.parent / (repository or "OpenNI2/Drivers")
-    names = _library_names(drivers_folder)
+    names = sorted(path.name for path in drivers_folder.glob("*.so*"))
     return Installation(
         library=str(library),
         redist=redist,
@@ -125,13 +110,6 @@ def _library_folders(environ: Mapping[str, str]) -> list[str]:
     return [each for each in own + usual if not each.endswith("/")]
 
 
-def _library_names(folder: Path) -> list[str]:
-    try:
-        return sorted(each.name for each in folder.iterdir() if ".so" in each.name)
-    except OSError:
-        return []
-
-
 def _read_ini(path: Path) -> tuple[str, str]:
     """Return what OpenNI.ini sets as drivers folder and as the only device; empty where it does not."""
     parser = configparser.ConfigParser(strict=False, interpolation=None, inline_comment_prefixes=(";",))
@@ -139,19 +117,18 @@ def _read_ini(path: Path) -> tuple[str, str]:
         parser.read_string(path.read_text(encoding="utf-8", errors="replace"))
     except (OSError, configparser.Error):
         return "", ""
-    values = (
-        parser.get("Drivers", "Repository", fallback=""),
-        parser.get("Device", "Override", fallback=""),
-    )
-    repository, override = (value.strip().strip('"') for value in values)
-    return repository, override
+
+    def value(section: str, name: str) -> str:
+        return parser.get(section, name, fallback="").strip().strip('"')
+
+    return value("Drivers", "Repository"), value("Device", "Override")
 
 
 def _kind(root: Path, environ: Mapping[str, str]) -> HostKind:
-    if "microsoft" in _text(root / "proc/version").lower():
+    if "microsoft" in read_text(root / "proc/version").lower():
         return "wsl"
     marked = any((root / mark).exists() for mark in _CONTAINER_MARKS) or "container" in environ
-    if marked or _CONTAINER_GROUPS.search(_text(root / "proc/1/cgroup")):
+    if marked or _CONTAINER_GROUPS.search(read_text(root / "proc/1/cgroup")):
         return "container"
     return "computer"
 
@@ -159,12 +136,8 @@ def _kind(root: Path, environ: Mapping[str, str]) -> HostKind:
 def _ruled_ids(root: Path) -> frozenset[tuple[int, int | None]]:
     ids: set[tuple[int, int | None]] = set()
     for folder in _RULE_FOLDERS:
-        try:
-            paths = sorted((root / folder).glob("*.rules"))
-        except OSError:
-            continue
-        for path in paths:
-            for line in _text(path).splitlines():
+        for path in (root / folder).glob("*.rules"):
+            for line in read_text(path).splitlines():
                 # Other rules name ids too, to give a device a name or a power setting.
                 if line.lstrip().startswith("#") or not _PERMISSION.search(line):
                     continue
@@ -173,10 +146,3 @@ def _ruled_ids(root: Path) -> frozenset[tuple[int, int | None]]:
                 if vendor:
                     ids.add((int(vendor[1], 16), int(product[1], 16) if product else None))
     return frozenset(ids)
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return ""

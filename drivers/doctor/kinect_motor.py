@@ -38,14 +38,8 @@ STANDARD_GRAVITY = 9.80665
 class MotorState:
     """Readings of the motor's sensors.
 
-    Parameters
-    ----------
-    acceleration_m_s2 : (float, float, float)
-        Of the Kinect, against free fall: about (0, 9.81, 0) where it stands level.
-    tilt_deg : float or None
-        Angle of the head above the horizon, degrees; None while the motor moves.
-    movement : {"stopped", "at-limit", "moving", "unknown"}
-        What the motor is doing.
+    The acceleration is the Kinect's against free fall: about (0, 9.81, 0) where it stands level. `tilt_deg`
+    is the angle of the head above the horizon; None while the motor moves.
     """
 
     acceleration_m_s2: tuple[float, float, float]
@@ -62,19 +56,9 @@ class MotorState:
 class KinectMotor(Closing):
     """The motor unit of a Kinect v1; constructing finds it, and it is usable until `close`.
 
-    Parameters
-    ----------
-    backend : usb.backend.IBackend, optional
-        What pyusb works through; None takes libusb.
-    number : int
-        Which one, where several Kinects are plugged in, from 0.
-
-    Raises
-    ------
-    BackendMissingError
-        If libusb is not installed.
-    DeviceNotFoundError
-        If no such motor is plugged in.
+    `backend` is what pyusb works through, libusb by default; `number` is which motor, from 0, where several
+    are plugged in. Raises BackendMissingError if libusb is not installed, and DeviceNotFoundError if no such
+    motor is plugged in.
     """
 
     def __init__(self, backend: Any = None, number: int = 0) -> None:
@@ -93,19 +77,10 @@ class KinectMotor(Closing):
         self._device = motors[number]
 
     def tilt(self, angle_deg: float) -> None:
-        """Turn the head to an angle above the horizon; returns at once, before it is there.
+        """Turn the head to an angle above the horizon, in steps of half a degree; returns before it is there.
 
-        Parameters
-        ----------
-        angle_deg : float
-            Within +-31 degrees, in steps of half a degree.
-
-        Raises
-        ------
-        ValueError
-            If the angle is out of range.
-        DriverError
-            If the motor does not take the command.
+        Raises ValueError if the angle is out of range, and DriverError if the motor does not take the
+        command.
         """
         if not -TILT_MAX_DEG <= angle_deg <= TILT_MAX_DEG:
             raise ValueError(

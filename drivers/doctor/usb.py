@@ -56,28 +56,13 @@ _TRANSFER_TIMEOUT_MS = 300
 
 @dataclass(frozen=True, slots=True)
 class UsbDevice:
-    """One USB device.
+    """One USB device; what is not known is empty.
 
-    Parameters
-    ----------
-    vendor_id, product_id : int
-        Its ids.
-    bus, address : int
-        Where it is now; the address changes at every plugging in.
-    port : str
-        Which socket, as the kernel writes it (``"1-2.3"``); empty where unknown.
-    speed : str
-        ``"low"``, ``"full"``, ``"high"``, ``"super"``, ``"super+"``, or empty where unknown.
-    product, serial : str
-        What it calls itself; empty where that could not be read.
-    access : str
-        Whether this user can open it: ``"open"``; ``"denied"`` (no permission); ``"busy"``; ``"no-node"``
-        (the kernel has it, but its file under /dev/bus/usb is not here); ``"silent"`` (it does not answer);
-        ``"unknown"`` (not tried).
-    drivers : tuple of str
-        Kernel drivers that hold its interfaces.
-    usb3_controller : bool
-        Whether its bus belongs to a USB 3 (xHCI) controller.
+    The `port` is the socket, as the kernel writes it (``"1-2.3"``); unlike the address, it stays the same
+    when a device is plugged in again. `drivers` are the kernel drivers that hold its interfaces, and
+    `usb3_controller` is whether its bus belongs to one (xHCI). `access` is whether this user can open it:
+    "denied" is no permission, "no-node" that its file under /dev/bus/usb is not here, "silent" that it does
+    not answer, "unknown" that it was not tried.
     """
 
     vendor_id: int
@@ -105,20 +90,10 @@ class UsbDevice:
 
 @dataclass(frozen=True, slots=True)
 class UsbScan:
-    """What was found on the USB buses.
+    """What was found on the USB buses: devices by bus and address.
 
-    Parameters
-    ----------
-    devices : tuple of UsbDevice
-        By bus and address.
-    libusb : bool
-        Whether pyusb found a libusb to work with.
-    bus_folder : bool
-        Whether /dev/bus/usb is there.
-    sysfs : bool
-        Whether the kernel's list is there.
-    problem : str
-        What went wrong while scanning; empty where nothing did.
+    `libusb` is whether pyusb found a libusb to work with, `bus_folder` and `sysfs` whether /dev/bus/usb and
+    the kernel's list are there, and `problem` what went wrong while scanning.
     """
 
     devices: tuple[UsbDevice, ...] = ()
@@ -270,8 +245,13 @@ def _with_node_access(device: UsbDevice, root: Path) -> UsbDevice:
     return device if os.access(node, os.R_OK | os.W_OK) else replace(device, access="denied")
 
 
-def _line(path: Path) -> str:
+def read_text(path: Path) -> str:
+    """Return the text of a file of the system's; empty where it cannot be read."""
     try:
-        return path.read_text(encoding="utf-8", errors="replace").strip()
+        return path.read_text(encoding="utf-8", errors="replace")
     except OSError:
         return ""
+
+
+def _line(path: Path) -> str:
+    return read_text(path).strip()
