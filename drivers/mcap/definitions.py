@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 from itertools import zip_longest
 from typing import Any
 
@@ -58,10 +57,9 @@ _TIME_NAME = "Time"
 
 
 @functools.cache
-def _decoder(name: str) -> Callable[[bytes], Any]:
+def _decoder(name: str) -> Any:
     schema = Schema(id=1, name=name, encoding="ros2msg", data=DEFINITIONS[name].encode())
-    decoder: Callable[[bytes], Any] = DecoderFactory().decoder_for("cdr", schema)
-    return decoder
+    return DecoderFactory().decoder_for("cdr", schema)
 
 
 def decode(content: bytes, schema: str, name: str) -> Any:
