@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.view.drawing.surface_mesh import SurfaceMesh, surface_mesh
+from nurbseg.app.view.drawing.frame import SurfaceMesh
+from nurbseg.app.view.drawing.surface_mesh import surface_mesh
 from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.labels.lookup import apply_lookup_table
 from nurbseg.segmentation.points.registration import PointMap

@@ -1,4 +1,4 @@
-"""Settings of the viewer: where to show, where to save, how large and how fine."""
+"""Settings of the viewer: where to show and save, and in which detail."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class ViewConfig(Settings):
 
     @property
     def viewer_url(self) -> str:
-        """Where the viewer is that is connected to, as Rerun writes it."""
+        """URL of the viewer to connect to, in Rerun's form."""
         if self.connect is None:
             return f"rerun+http://127.0.0.1:{self.port or DEFAULT_PORT}/proxy"
         host, port = viewer_address(self.connect)
@@ -86,7 +86,7 @@ class ViewConfig(Settings):
 
 
 def bracketed(host: str) -> str:
-    """Return a host as an address writes it: IPv6 in brackets."""
+    """Return a host as it is written in a URL: IPv6 in brackets."""
     return f"[{host}]" if ":" in host else host
 
 

@@ -1,4 +1,4 @@
-"""The saved recording: a file that gets every frame, written by a thread of its own."""
+"""The saved recording: a thread writes every frame to a file."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ import rerun as rr
 
 from nurbseg.app.piped_file import PipedFile
 from nurbseg.app.view.drawing.entities import FrameEntities
-from nurbseg.app.view.stream import Item, LogLine, Opening, Writer
+from nurbseg.app.view.stream import Item, Opening, Writer
 from nurbseg.app.view.viewer import ViewError
 from nurbseg.drivers.process.bounded_queue import BoundedQueue
 
-#: Frames that wait for the file: a second of a slow disk.
+#: Frames that may be queued: enough for a disk that is slow for a second.
 _FRAMES = 8
 #: Longest wait for room before the file counts as stuck, longest wait of a flush, seconds.
 _TIMEOUT_S = 10.0
-#: How often what was logged is forced into the file.
+#: Time between two flushes, seconds.
 _FLUSH_S = 0.5
-#: Time between two looks whether something was written, seconds.
+#: Time between two checks for progress, seconds.
 _LOOK_S = 0.1
 
 
 class FileSink:
-    """Saves a recording; every frame that it is given is in the file.
+    """Saves every frame in a recording.
 
-    With an index, what Rerun keeps for it grows with each frame. A ViewError says that the file, which must
-    not exist, cannot be created.
+    For an index, Rerun's memory grows with each frame. Raises ViewError if the file exists or cannot be
+    created.
     """
 
     def __init__(self, path: Path, opening: Opening, *, index: bool = True) -> None:
         self._path = path
-        self._queue: BoundedQueue[Item] = BoundedQueue(_FRAMES, "wait")
+        self.queue: BoundedQueue[Item] = BoundedQueue(_FRAMES, "wait")
         self._error: BaseException | None = None
         self._written = 0
         self._stream = opening.stream()
@@ -54,24 +54,15 @@ class FileSink:
         """Save a frame; waits where the disk is slow, and raises ViewError where the file is stuck."""
         self._check()
         try:
-            self._queue.put(frame, _TIMEOUT_S)
+            self.queue.put(frame, _TIMEOUT_S)
         except TimeoutError:
             raise ViewError(f"{self._path}: took no frame for {_TIMEOUT_S:g} s") from None
         self._check()
 
-    def put_line(self, line: LogLine) -> None:
-        """Save a line of the log; never waits."""
-        self._queue.put_note(line)
-
-    def begin_close(self) -> None:
-        """Accept nothing more."""
-        self._queue.close()
-
     def finish_close(self, limit_s: float, on_progress: Callable[[], None] = lambda: None) -> None:
-        """Wait until the file is whole, and raise ViewError if it does not get so.
+        """Wait until the file is complete; raise ViewError if nothing is written for `limit_s` seconds.
 
-        The limit is for the time without anything written: a busy computer writes late, a stuck disk never.
-        `on_progress` is called now and then while something is written.
+        `on_progress` is called from time to time while something is written.
         """
         written, deadline_s = self._written, time.monotonic() + limit_s
         while self._thread.is_alive() and time.monotonic() < deadline_s:
@@ -102,9 +93,9 @@ class FileSink:
             opening.send(self._stream)
             writer = Writer(self._stream)
             flushed_s = time.monotonic()
-            while not self._queue.finished:
+            while not self.queue.finished:
                 with contextlib.suppress(TimeoutError):
-                    if (item := self._queue.take(_FLUSH_S)) is not None:
+                    if (item := self.queue.take(_FLUSH_S)) is not None:
                         writer.write(item)
                         self._written += 1
                 if time.monotonic() - flushed_s > _FLUSH_S:
@@ -115,6 +106,6 @@ class FileSink:
             self._written += 1
         except Exception as err:
             self._error = err
-            self._queue.close()
+            self.queue.close()
         finally:
             self._stream.disconnect()

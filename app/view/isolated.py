@@ -1,4 +1,4 @@
-"""A view that another process shows and saves, and the messages to and from it."""
+"""A view that shows and saves frames in another process."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
+from functools import partial
 from operator import attrgetter
 from typing import Any
 
@@ -27,47 +28,37 @@ from nurbseg.drivers.process.child import ChildProcess, how_it_ended
 from nurbseg.drivers.settings import setting_paths
 from nurbseg.segmentation.config import SegmentationConfig
 
-#: Frames that may wait to be sent, where every one is saved.
+#: Frames that may wait to be sent when every one is saved.
 _WAITING = 2
-#: The process must have begun within this time, seconds; it imports Rerun first.
+#: Time limit for the start of the process, which imports Rerun first, seconds.
 _OPEN_S = 60.0
-#: Longest wait for room; the process itself reports after 10 s that its file is stuck.
+#: Longest wait for room in the queue, seconds; the process itself reports a stuck file after 10 s.
 _STUCK_S = 15.0
-#: What closing may take besides the file.
+#: Time limit for closing everything but the file, seconds.
 _REST_S = 0.7
-#: How long the first frame may take to be drawn, seconds: half a minute where nothing is compiled yet.
+#: Time limit for drawing the first frame, seconds; compiling for the first time takes half a minute.
 _COMPILE_S = 120.0
-#: Closing may take so long where the process writes, but slowly, seconds.
+#: Time limit for closing while the process still writes, seconds.
 _BUSY_S = 10.0
-#: How long the process may take to end by itself before it is killed, seconds.
+#: Time that the process has to end before it is killed, seconds.
 _END_S = 0.2
-#: Time between two looks whether it is over, seconds.
+#: Time between two checks whether the view is over, seconds.
 _LOOK_S = 0.5
-#: Frames over which the rate is taken.
+#: Frames over which the frame rate is averaged.
 _RATE_FRAMES = 10
 #: A device clock past this (the year 2001) is a date.
 _EPOCH_NS = 1_000_000_000 * 10**9
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Shown:
-    """A frame that waits to be drawn, with what was true of it when it was shown."""
-
-    result: FrameResult
-    moment: Moment
-    elapsed_ms: Mapping[str, float]
-    rate_hz: float
-
-
 class IsolatedView(View):
-    """Shows and saves frames as `nurbseg.app.view.rerun.RerunView` does, but by another process.
+    """Shows and saves frames with `nurbseg.app.view.rerun.RerunView` in another process.
 
-    One thread draws and sends each frame, another receives messages. Where a file is saved, every frame is,
-    and `show` waits if the process is behind; otherwise the oldest frame that waits is dropped.
+    One thread draws and sends frames, another receives messages. If a file is saved, it gets every frame, and
+    `show` waits while the process is behind; otherwise the oldest queued frame is dropped.
 
-    The process is of `begin_view` and ended with this view. Settings of the segmentation and what is known of
-    the device are kept with the recording, which is called `name`; messages of `logger` are shown too. Raises
-    ViewError if the file cannot be created, a port is taken, or the viewer cannot be started.
+    `process` comes from `begin_view` and ends with this view. The recording is called `name` and contains the
+    settings of the segmentation and the device's metadata; messages of `logger` are shown, too. Raises
+    ViewError if the file cannot be created, a port is in use, or the viewer cannot be started.
     """
 
     shows = True
@@ -89,7 +80,7 @@ class IsolatedView(View):
         self._logger = logger
         self._channel = process.connect(CODEC)
         # Every frame is saved, but only the newest is shown.
-        self._queue: BoundedQueue[_Shown | Line] = (
+        self._queue: BoundedQueue[partial[ViewFrame] | Line] = (
             BoundedQueue(1, "drop oldest") if config.save is None else BoundedQueue(_WAITING, "wait")
         )
         self._changed = threading.Condition()
@@ -106,7 +97,7 @@ class IsolatedView(View):
         except BaseException:
             process.close()
             raise
-        # Daemons: a program that never closes the view ends all the same, and then the file is closed.
+        # Daemons: a program that never closes the view still ends, which closes the file.
         self._threads = [
             threading.Thread(target=target, name=f"view-{target.__name__.strip('_')}", daemon=True)
             for target in (self._send, self._listen)
@@ -122,20 +113,20 @@ class IsolatedView(View):
         return self._queue.dropped + self._dropped_there
 
     def peak_memory_mb(self) -> float:
-        """Return the largest resident size that the process has had, 10^6 bytes; 0 where it is not known."""
+        """Return the peak resident memory of the process, 10^6 bytes; 0 if unknown."""
         return self._process.peak_memory_mb()
 
     def wait_connected(self, timeout_s: float) -> bool:
-        """Wait until a viewer takes frames; return whether one does, within `timeout_s` seconds."""
+        """Wait for a viewer that accepts frames; return whether there is one within `timeout_s` seconds."""
         with self._changed:
             return self._changed.wait_for(lambda: self.connections > 0 or self._over, timeout_s) and (
                 self.connections > 0
             )
 
     def show(self, result: FrameResult) -> None:
-        """Show a frame and save it: a viewer that is behind gets the newest one only, the file every one.
+        """Show and save a frame; a slow viewer gets only the newest one, the file gets every one.
 
-        Raises ViewError if the file can no longer be written, or the process that shows and saves is gone.
+        Raises ViewError if the file can no longer be written, or the process has ended.
         """
         if self._closed:
             raise ViewError("the view is closed")
@@ -145,21 +136,30 @@ class IsolatedView(View):
             self._since_epoch = frame.timestamp_ns > _EPOCH_NS
         self._moment = Moment(frame.index, frame.timestamp_ns, self._since_epoch)
         self._shown_s.append(time.monotonic())
-        shown = _Shown(result, self._moment, dict(result.elapsed_ms), self._rate_hz())
+        draw = partial(
+            drawn,
+            result,
+            self._config,
+            self.metric,
+            moment=self._moment,
+            elapsed_ms=dict(result.elapsed_ms),
+            rate_hz=self._rate_hz(),
+        )
         try:
-            self._queue.put(shown, _STUCK_S)
+            self._queue.put(draw, _STUCK_S)
         except TimeoutError:
             raise ViewError(f"{self._config.save}: took no frame for {_STUCK_S:g} s") from None
         self._check()
 
     def show_line(self, level: int, text: str) -> None:
-        """Show a line of the log, of one of logging's levels; from any thread, never waits."""
+        """Show a log line; callable from any thread, never waits."""
         self._queue.put_note(Line(self._moment, level, text))
 
     def close(self, *, file_limit_s: float = FILE_CLOSE_S) -> None:
-        """End within 2 s, or 10 s while the file grows: it is whole then; a viewer's window stays.
+        """Close within 2 s, or 10 s while the file grows; a viewer's window stays open.
 
-        A block that ends by itself waits longer for a slow disk. Raises ViewError if the file is not whole.
+        A ``with`` block that ends without an exception waits longer for a slow disk. Raises ViewError if the
+        file is incomplete.
         """
         if self._closed:
             return
@@ -182,8 +182,8 @@ class IsolatedView(View):
         self.close(file_limit_s=FILE_CLOSE_S if any(exception) else FILE_PATIENCE_S)
 
     def _wait_for_end(self, file_limit_s: float) -> bool:
-        """Return whether all is written in time."""
-        # On the first run on a computer the first frame waits until what draws it is compiled.
+        """Return whether everything was written in time."""
+        # In the first run on a computer, drawing the first frame waits for the compiler.
         if file_limit_s >= FILE_PATIENCE_S and self._shown_s:
             self._changed.wait_for(lambda: self._over or self._known is not None, _COMPILE_S)
         limit_s = file_limit_s + _REST_S
@@ -206,7 +206,7 @@ class IsolatedView(View):
             raise ViewError(self._problem)
 
     def _fail(self, problem: str) -> None:
-        """Take note of the first problem; nothing more is accepted."""
+        """Remember the first problem, and accept nothing more."""
         self._problem = self._problem or problem
         self._queue.close()
 
@@ -231,8 +231,8 @@ class IsolatedView(View):
         return f"the view process {how_it_ended(self._process.end(_END_S))}"
 
     def _send(self) -> None:
-        """Draw and send what is shown, then ask the process to end."""
-        # The other thread reports that the channel is closed.
+        """Draw and send what is queued, then ask the process to end."""
+        # The other thread reports a closed channel.
         with contextlib.suppress(ChannelClosedError):
             while not self._queue.finished:
                 with contextlib.suppress(TimeoutError):
@@ -241,7 +241,7 @@ class IsolatedView(View):
                         self._send_item(item)
             self._channel.send(Close(self._file_limit_s))
 
-    def _send_item(self, item: _Shown | Line) -> None:
+    def _send_item(self, item: partial[ViewFrame] | Line) -> None:
         try:
             message = item if isinstance(item, Line) else self._drawn(item)
             while not self._over and not self._channel.send(message, _LOOK_S):
@@ -252,18 +252,10 @@ class IsolatedView(View):
             what = f"{self._config.save}: " if self._config.save else ""
             self._fail(f"{what}a frame cannot be shown ({type(err).__name__}): {err}")
 
-    def _drawn(self, shown: _Shown) -> ViewFrame:
-        frame = drawn(
-            shown.result,
-            self._config,
-            self.metric,
-            moment=shown.moment,
-            elapsed_ms=shown.elapsed_ms,
-            rate_hz=shown.rate_hz,
-            known=self._known,
-        )
+    def _drawn(self, draw: partial[ViewFrame]) -> ViewFrame:
+        frame = draw(known=self._known)
         with self._changed:
-            self._known = shown.result.frame.calibration
+            self._known = frame.calibration or self._known
             self._changed.notify_all()
         return frame
 
@@ -292,7 +284,7 @@ class IsolatedView(View):
 def _properties(
     config: ViewConfig, segmentation: SegmentationConfig, metadata: Mapping[str, str]
 ) -> dict[str, dict[str, str]]:
-    """Return what is kept with a recording, by subject, as text."""
+    """Return what is stored with a recording, by subject, as text."""
     settings = {each.name: attrgetter(path)(segmentation) for path, each in setting_paths(type(segmentation))}
     properties: dict[str, Mapping[str, Any]] = {
         "segmentation": settings,
@@ -301,7 +293,7 @@ def _properties(
     }
     if metadata:
         properties["device"] = metadata
-    # As text: Rerun holds one name to one type, and a device may call anything anything.
+    # As text: Rerun allows one type per name, and a device's names and values are arbitrary.
     return {name: {key: str(value) for key, value in each.items()} for name, each in properties.items()}
 
 

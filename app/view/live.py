@@ -1,4 +1,4 @@
-"""The live view: a viewer that gets the newest frame, fed by a thread that may be lost to it."""
+"""The live view: a thread sends the newest frame to a viewer."""
 
 from __future__ import annotations
 
@@ -12,24 +12,23 @@ import rerun as rr
 
 from nurbseg.app.view.config import viewer_address
 from nurbseg.app.view.drawing.entities import FrameEntities
-from nurbseg.app.view.stream import Item, LogLine, Opening, Writer
+from nurbseg.app.view.stream import Item, Opening, Writer
 from nurbseg.app.view.viewer import cut_connections, listens
 from nurbseg.drivers.process.bounded_queue import BoundedQueue
 
 logger = logging.getLogger(__name__)
 
-#: How long a viewer is waited for at once, at first and at most, and before that is logged; seconds.
+#: First and longest wait for a viewer, and how long until a stalled one is logged; seconds.
 _POLL_S, _POLL_MAX_S, _PATIENCE_S = 0.2, 5.0, 3.0
 #: Pause between two attempts to reach a viewer.
 _RETRY_S = 0.5
 
 
 class ViewerSink:
-    """Shows the newest frames in a viewer, for as long as there is one; never makes anybody wait.
+    """Shows the newest frames in a viewer while there is one; the caller never waits.
 
-    At most one frame is on its way: the next is logged when the viewer's side took the one before. Without
-    that bound Rerun would block in `log` for as long as a viewer is frozen. A viewer that is being started
-    (`starting`) is waited for without a message.
+    A frame is logged once the viewer has taken the previous one: otherwise Rerun would block in `log` while
+    the viewer is frozen. `starting` says whether a viewer is being started, so that its absence is no news.
     """
 
     def __init__(self, url: str, opening: Opening, starting: Callable[[], bool] = lambda: False) -> None:
@@ -39,32 +38,19 @@ class ViewerSink:
         self._starting = starting
         self._absence_logged = self._stall_logged = False
         self.connections = 0
-        self._queue: BoundedQueue[Item] = BoundedQueue(1, "drop oldest")
+        self.queue: BoundedQueue[Item] = BoundedQueue(1, "drop oldest")
         self._stopping = threading.Event()
         # A daemon, because Rerun can block for good.
         self._thread = threading.Thread(target=self._run, name="view-live", daemon=True)
         self._thread.start()
 
-    @property
-    def dropped(self) -> int:
-        """Frames that the viewer was too slow or too absent for."""
-        return self._queue.dropped
-
     def put(self, frame: FrameEntities) -> None:
-        """Show a frame, or drop an older one that still waits."""
-        self._queue.put(frame)
+        """Show a frame; one that still waits is dropped."""
+        self.queue.put(frame)
 
-    def put_line(self, line: LogLine) -> None:
-        """Show a line of the log."""
-        self._queue.put_note(line)
-
-    def begin_close(self) -> None:
-        """Accept nothing more."""
-        self._queue.close()
-
-    def finish_close(self, deadline_s: float) -> None:
-        """Give the viewer until `deadline_s` (monotonic) to take what waits, then disconnect."""
-        self._thread.join(max(0.0, deadline_s - time.monotonic()))
+    def finish_close(self, limit_s: float) -> None:
+        """Give the viewer so many seconds to take what is queued, then disconnect."""
+        self._thread.join(limit_s)
         self._stopping.set()
         self._thread.join(1.5 * _POLL_S)
         if self._thread.is_alive():
@@ -73,7 +59,7 @@ class ViewerSink:
 
     def _run(self) -> None:
         try:
-            while not self._stopping.is_set() and not self._queue.finished:
+            while not self._stopping.is_set() and not self.queue.finished:
                 if listens(*self._address):
                     if self._serve():
                         continue
@@ -84,18 +70,18 @@ class ViewerSink:
             logger.exception("nothing more will be shown in the viewer at %s", self._url)
 
     def _may_come(self) -> bool:
-        """Whether to go on waiting for a viewer that does not listen."""
+        """Whether to keep waiting for a viewer that does not listen."""
         if self.connections:
-            return not self._queue.closed
+            return not self.queue.closed
         if self._starting():
             return True
         if not self._absence_logged:
             self._absence_logged = True
             logger.warning("no viewer is listening at %s; it will be used as soon as one is", self._url)
-        return not self._queue.closed
+        return not self.queue.closed
 
     def _serve(self) -> bool:
-        """Feed one viewer until it is gone or we stop; return whether it took anything."""
+        """Send to one viewer until it is gone or we stop; return whether it took anything."""
         stream = self._opening.stream()
         taken = False
         try:
@@ -106,12 +92,12 @@ class ViewerSink:
                 logger.info("showing in the viewer at %s", self._url)
                 self.connections += 1
             writer = Writer(stream)
-            while taken and not self._stopping.is_set() and not self._queue.finished:
+            while taken and not self._stopping.is_set() and not self.queue.finished:
                 with contextlib.suppress(TimeoutError):
-                    if (item := self._queue.take(1.0)) is not None:
+                    if (item := self.queue.take(1.0)) is not None:
                         writer.write(item)
                 taken = self._taken(stream)
-            # One that ends, or begins, may listen for a moment without taking anything.
+            # While it starts or ends, it may listen for a moment without taking anything.
             if connected and not taken and not self._stopping.is_set():
                 logger.warning("the viewer at %s is gone; it will be used again if it comes back", self._url)
             return connected

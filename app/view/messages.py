@@ -13,7 +13,7 @@ from nurbseg.segmentation.config import SegmentationConfig
 
 @dataclass(frozen=True, slots=True)
 class Open:
-    """Open the viewer and the file; `properties` are kept with the recording, by subject."""
+    """Open the viewer and the file; `properties` are stored with the recording, by subject."""
 
     config: ViewConfig
     segmentation: SegmentationConfig
@@ -32,7 +32,7 @@ class Opened:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A line of the log, of one of logging's levels, as it is to be shown."""
+    """A log line to show, and its level."""
 
     moment: Moment
     level: int
@@ -41,14 +41,14 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Close:
-    """End; the file may take so many seconds to be whole."""
+    """End; the file has so many seconds to be completed."""
 
     file_limit_s: float
 
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """Frames that were not shown, and how often a viewer was connected to."""
+    """Number of frames that were not shown, and of connections to a viewer so far."""
 
     dropped: int
     connections: int
@@ -56,14 +56,14 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """Something cannot be opened, shown or saved."""
+    """Something could not be opened, shown or saved."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class Closed:
-    """All is shown and saved."""
+    """Everything was shown and saved."""
 
 
 CODEC = Codec(Open, Opened, ViewFrame, Line, Close, Status, Failed, Closed)

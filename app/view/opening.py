@@ -1,4 +1,4 @@
-"""Opening of the view that a configuration asks for, and the early start of its process."""
+"""Opens the view that a configuration asks for, and starts its process early."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from nurbseg.drivers.process.child import ChildProcess
 if TYPE_CHECKING:
     from nurbseg.segmentation.config import SegmentationConfig
 
-#: Frames on their way to the process that shows: one is filled in while one is read.
+#: Frames in shared memory: one is written while another is read.
 _SLOTS = 2
 _NO_DISPLAY = (
     "no display (neither DISPLAY nor WAYLAND_DISPLAY is set), so nothing is shown: "
@@ -25,9 +25,9 @@ _NO_DISPLAY = (
 
 
 def chosen_view(config: ViewConfig, *, somebody_waits: bool) -> ViewConfig:
-    """Return the settings with a served page for "auto", where no window can be opened and somebody waits.
+    """Replace "auto" by a served page if no window can be opened and `somebody_waits` at a terminal.
 
-    Its ports are any free ones where the usual ones are taken.
+    If the usual ports are in use, any free ones are taken.
     """
     if config.mode != "auto" or chosen_mode(config, somebody_waits=somebody_waits) != "serve":
         return config
@@ -36,10 +36,10 @@ def chosen_view(config: ViewConfig, *, somebody_waits: bool) -> ViewConfig:
 
 
 def begin_view(config: ViewConfig) -> ChildProcess | None:
-    """Start the process that shows and saves, and imports what it needs meanwhile; None for nothing to show.
+    """Start the process that shows and saves; None if there is nothing to show or save.
 
-    What it does for a frame is Python for the most part, and only one thread of a process runs Python at a
-    time: in the process that segments it would hold up what is computed.
+    It imports its libraries while the run opens its source. Logging a frame to Rerun is mostly Python code,
+    which in the segmenting process would hold the interpreter's lock.
     """
     if chosen_mode(config) == "none" and config.save is None:
         return None
@@ -58,15 +58,15 @@ def open_view(
     logger: logging.Logger | None = None,
     process: ChildProcess | None = None,
 ) -> View:
-    """Open the view that a configuration asks for, in a process from `begin_view` if one was started.
+    """Open the view that a configuration asks for, in `process` if `begin_view` already started it.
 
-    `metadata` is what is known of the device; the messages of a logger, the package's by default, are shown
-    too. Raises ViewError if the file cannot be created, a port is taken, or the viewer cannot be started.
+    `metadata` describes the device. Messages of `logger`, by default the package's, are shown, too. Raises
+    ViewError if the file cannot be created, a port is in use, or the viewer cannot be started.
     """
     process = process or begin_view(config)
     if process is None:
         return View("" if config.mode == "none" else _NO_DISPLAY)
-    # Late: most of what draws is compiled, and a run without a view needs none of it.
+    # Late: most drawing code is compiled, and a run without a view needs none of it.
     from nurbseg.app.view.isolated import IsolatedView
 
     return IsolatedView(

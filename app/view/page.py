@@ -1,4 +1,4 @@
-"""The served page: Rerun's viewer for a browser, kept from asking any other host for anything."""
+"""The served page: Rerun's viewer for a browser, without connections to other hosts."""
 
 from __future__ import annotations
 
@@ -15,17 +15,16 @@ from urllib.parse import urlsplit
 _TIMEOUT_S = 30.0
 #: Longest wait for Rerun's server to start, and pause between two tries; seconds.
 _START_S, _PAUSE_S = 10.0, 0.1
-#: Fonts of another host, and connections to it that a browser would make ahead of time.
+#: Links to fonts of other hosts, and to hosts that a browser would connect to in advance.
 _FOREIGN_LINK = re.compile(rb'<link\b[^>]*href="https?://[^>]*>')
 _PASSED_ON = ("Content-Type", "Content-Encoding", "rerun-final-length")
 
 
 class PageServer:
-    """Hands the files of Rerun's own web server on, with a policy that the browser enforces.
+    """Forwards the files of Rerun's web server with a Content-Security-Policy.
 
-    Rerun's page asks for fonts, for news of releases and for examples, and sends usage statistics. The policy
-    (Content-Security-Policy) names the only addresses that the page may speak to: this server, and the port
-    that frames come from, on the host that the browser asked for the page.
+    Rerun's page loads fonts, release news and examples, and sends usage statistics. The policy allows
+    connections only to this server and to the port of the frames, on the host named in the browser's request.
     """
 
     def __init__(self, bind: str, port: int, rerun: tuple[str, int], stream_port: int) -> None:
@@ -41,7 +40,7 @@ class PageServer:
         self._thread.start()
 
     def close(self) -> None:
-        """Serve nothing more."""
+        """Stop serving."""
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
@@ -64,7 +63,7 @@ class _Handler(BaseHTTPRequestHandler):
             for name in _PASSED_ON:
                 if (value := answer.headers[name]) is not None:
                     self.send_header(name, value)
-            # What Rerun sends in parts has no length; it ends with the connection.
+            # A chunked answer of Rerun has no length and ends with the connection.
             self.send_header(*(("Connection", "close") if length is None else ("Content-Length", length)))
             self.send_header("Content-Security-Policy", self._policy())
             self.send_header("Referrer-Policy", "no-referrer")
@@ -79,7 +78,7 @@ class _Handler(BaseHTTPRequestHandler):
             connection.close()
 
     def _answer(self, connection: http.client.HTTPConnection) -> http.client.HTTPResponse:
-        """Ask Rerun, which may just be starting."""
+        """Request the file from Rerun, which may still be starting."""
         deadline_s = time.monotonic() + _START_S
         while True:
             try:
@@ -106,4 +105,4 @@ class _Handler(BaseHTTPRequestHandler):
         )
 
     def log_message(self, format: str, *args: object) -> None:
-        """Say nothing."""
+        """Log nothing."""

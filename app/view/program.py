@@ -1,6 +1,6 @@
-"""Shows and saves frames for another process; a program of its own.
+"""The program that shows and saves frames for another process.
 
-It ends on request, or when the other process is gone: then with the frames that came until then.
+It ends on request, or when the other process has ended, after the frames received until then.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from nurbseg.app.view.rerun import RerunView
 from nurbseg.app.view.viewer import FILE_PATIENCE_S, ViewError
 from nurbseg.drivers.process.channel import Channel, ChannelClosedError, LogForwarder, connect_to_parent
 
-#: Time between two looks what became of the viewer, seconds.
+#: Time between two checks of the viewer, seconds.
 _LOOK_S = 0.1
-#: Longest wait for a run to begin: it may wait for its source.
+#: Longest wait for the first message, seconds: the run may wait for its source.
 _BEGIN_S = 3600.0
-#: What ending may take when the other process is gone, seconds.
+#: Time limit for ending after the other process has ended, seconds.
 _END_S = 2.0 * FILE_PATIENCE_S
-#: Of glibc's `mallopt`: how many heaps there are at most.
+#: Parameter of glibc's `mallopt`: maximum number of heaps.
 _M_ARENA_MAX = -8
 
 
 def _handle_messages(view: RerunView, channel: Channel) -> float:
-    """Handle messages until the last one; return how long a file may take to be whole then, seconds."""
+    """Handle messages until the last one; return the time limit for completing a file, seconds."""
     sent = Status(0, 0)
     while True:
         if (status := Status(view.dropped, view.connections)) != sent:
@@ -50,7 +50,7 @@ def _handle_messages(view: RerunView, channel: Channel) -> float:
 
 
 def _share_one_heap() -> None:
-    """Let all threads take memory from one heap: arrays pass between them, and each heap would grow."""
+    """Let all threads share one heap: arrays pass between threads, and several heaps would each grow."""
     with contextlib.suppress(OSError, AttributeError):  # Another C library has no such heaps.
         ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
 
@@ -85,9 +85,9 @@ def _run(channel: Channel) -> int:
 
 
 def main() -> int:
-    """Show and save what comes through the channel."""
+    """Show and save what the channel delivers."""
     for number in (signal.SIGINT, signal.SIGTERM):
-        # The other process ends this one. Not ignored, which a viewer that is started would inherit.
+        # The other process ends this one. Not SIG_IGN, which a viewer started here would inherit.
         signal.signal(number, lambda *_: None)
     _share_one_heap()
     try:
@@ -97,5 +97,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    # Foreign threads that are stuck would keep the process from ending for good.
+    # Not sys.exit: a stuck thread of a library would keep the process alive forever.
     os._exit(main())

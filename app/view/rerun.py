@@ -1,10 +1,9 @@
-"""The view by Rerun: its sinks, the viewer's or the server's process, the program's log."""
+"""The view with Rerun: its sinks, the process of the viewer or server, and the program's log."""
 
 from __future__ import annotations
 
 import logging
 import os
-import time
 import uuid
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -14,8 +13,8 @@ from nurbseg.app.view.drawing.frame import Moment, ViewFrame
 from nurbseg.drivers.frame import Calibration
 from nurbseg.segmentation.config import SegmentationConfig
 
-# Rerun's own words on a lost viewer go to stderr, once for each entity; ours are enough. Files have no index
-# on purpose.
+# Rerun reports a lost viewer on stderr once for each entity, and a file without an index; we log the former
+# once, and the latter is intended.
 os.environ.setdefault(
     "RUST_LOG",
     "warn,re_grpc_client=off,re_sdk::recording_stream=off,re_quota_channel=off,re_log_encoding::rrd::file_sink=error",
@@ -43,7 +42,7 @@ from nurbseg.app.view.viewer import (
 
 logger = logging.getLogger(__name__)
 
-#: What closing may take, after the file is whole, for the viewer to take the last frame.
+#: How long the viewer may take for the last frame once the file is complete, seconds.
 _VIEWER_CLOSE_S = 0.3
 
 _LEVELS = {
@@ -56,10 +55,10 @@ _LEVELS = {
 
 
 class RerunView:
-    """Shows and saves frames, each sink in its own thread with its own stream of the same recording.
+    """Shows and saves frames; each sink has its own thread and its own stream of the same recording.
 
-    It runs in a process of its own: `nurbseg.app.view.program`. Its parameters and errors are those of
-    `IsolatedView`; `properties` is what is kept with the recording, by subject.
+    Runs in the process `nurbseg.app.view.program`. Parameters and errors are those of `IsolatedView`;
+    `properties` are stored with the recording, by subject.
     """
 
     def __init__(
@@ -109,10 +108,10 @@ class RerunView:
     @property
     def dropped(self) -> int:
         """Frames that were not shown live because the viewer was slow, frozen or absent."""
-        return sum(viewer.dropped for viewer in self._viewers)
+        return sum(viewer.queue.dropped for viewer in self._viewers)
 
     def show(self, frame: ViewFrame) -> None:
-        """Show a frame and save it: a viewer that is behind gets the newest one only, the file every one."""
+        """Show and save a frame; a slow viewer gets only the newest one, the file gets every one."""
         self._calibration = frame.calibration or self._calibration
         if self._calibration is None:
             raise ValueError("calibration: expected one with the first frame")
@@ -121,31 +120,31 @@ class RerunView:
             sink.put(entities)
 
     def restart_if_ended(self) -> None:
-        """Start what is served again, if it has ended; for the thread that made this object."""
+        """Restart the web server if it has ended; call from the thread that made this object."""
         if self._server is not None:
             self._server.restart_if_ended()
 
     def show_line(self, moment: Moment, level: int, text: str) -> None:
-        """Show a line of the log, of one of logging's levels, at a moment; never waits."""
+        """Show a log line at a time; never waits."""
         line = LogLine(moment, _LEVELS.get(level, "INFO"), text)
         for sink in self._sinks:
-            sink.put_line(line)
+            sink.queue.put_note(line)
 
     def close(
         self, *, file_limit_s: float = FILE_CLOSE_S, on_progress: Callable[[], None] = lambda: None
     ) -> None:
-        """Close all sinks, in the time and with the error that `IsolatedView.close` tells."""
+        """Close all sinks within the time, and with the errors, of `IsolatedView.close`."""
         if self._closed:
             return
         self._closed = True
         for sink in self._sinks:
-            sink.begin_close()
+            sink.queue.close()
         try:
             for file in self._files:
                 file.finish_close(file_limit_s, on_progress)
         finally:
             for viewer in self._viewers:
-                viewer.finish_close(time.monotonic() + _VIEWER_CLOSE_S)
+                viewer.finish_close(_VIEWER_CLOSE_S)
             if self._server is not None:
                 self._server.close()
 
@@ -168,7 +167,7 @@ class RerunView:
             self.how_to_look = f"rerun {config.save}"
 
     def _spawn(self, opening: Opening) -> None:
-        """Open a window, or use the one that is there."""
+        """Open a viewer's window, or use one that is already open."""
         port = self._config.port or free_port(self._config.bind)
         host = reachable(self._config.bind)
         process = None

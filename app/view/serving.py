@@ -1,4 +1,4 @@
-"""Rerun's web server as a process, the page in front of it, and what becomes of them when it ends."""
+"""Rerun's web server as a process, and the page in front of it."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from nurbseg.drivers.process.child import how_it_ended
 
 logger = logging.getLogger(__name__)
 
-#: A server that ends sooner than this after its start would do so again, seconds.
+#: A server that ends within this time of its start, seconds, is not restarted.
 _LASTING_S = 5.0
 
 
 class WebServer:
-    """Serves frames and the viewer to browsers, by a process of its own: a stalled browser stalls only that.
+    """Serves frames and the viewer to browsers from another process, the only one a stalled browser stalls.
 
-    Frames are sent to its `url`, a browser opens its `page_url`. A ViewError says that a port is taken, or
-    the process cannot be started.
+    Frames are sent to `url`; browsers open `page_url`. Raises ViewError if a port is in use or the process
+    cannot be started.
     """
 
     def __init__(self, config: ViewConfig) -> None:
@@ -63,11 +63,11 @@ class WebServer:
         self._started_s = time.monotonic()
 
     def is_starting(self) -> bool:
-        """Whether the server runs, if only since a moment ago."""
+        """Whether the server's process runs, though it may not listen yet."""
         return self._process.poll() is None
 
     def restart_if_ended(self) -> None:
-        """Start the server again if it has ended; for the thread that made this object."""
+        """Restart the server if it has ended; call from the thread that made this object."""
         code = self._process.poll()
         if code is None or self._given_up:
             return
@@ -85,7 +85,7 @@ class WebServer:
             logger.warning("the web server cannot be restarted: %s", err)
 
     def close(self) -> None:
-        """End the server and its page."""
+        """Stop the server and its page."""
         self._page.close()
         self._end()
 

@@ -1,4 +1,4 @@
-"""What goes into one stream of a recording: its beginning, then frames and lines of the log."""
+"""The content of a stream of a recording: how it begins, then frames and log lines."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ APPLICATION = "nurbseg"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Opening:
-    """What every recording begins with.
+    """How every recording begins.
 
-    All sinks of a run have one `recording_id`, so that a viewer takes what they hold for one recording;
-    `properties` are by subject, `static` is what holds at all times, with its path.
+    All sinks of a run share one `recording_id`, so that a viewer shows one recording. `properties` are by
+    subject; `static` holds entity paths with what is valid at all times.
     """
 
     recording_id: str
@@ -31,11 +31,11 @@ class Opening:
     static: tuple[tuple[str, rr.AsComponents], ...]
 
     def stream(self) -> rr.RecordingStream:
-        """Return a new stream, still without a sink."""
+        """Return a new stream without a sink."""
         return rr.RecordingStream(APPLICATION, recording_id=self.recording_id)
 
     def send(self, stream: rr.RecordingStream) -> None:
-        """Log it to a stream that has its sink."""
+        """Log this to a stream that has a sink."""
         stream.send_recording_name(self.name)
         for name, values in self.properties.items():
             stream.send_property(name, values)
@@ -44,7 +44,7 @@ class Opening:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogLine:
-    """One line of the program's log, with the moment of its frame and Rerun's name of the severity."""
+    """One line of the program's log, with the time of its frame and Rerun's name of the severity."""
 
     moment: Moment
     level: str
@@ -55,13 +55,13 @@ Item = FrameEntities | LogLine
 
 
 def log_entities(stream: rr.RecordingStream, entities: Entities, *, static: bool = False) -> None:
-    """Log each entity at its path, at the time that this thread set."""
+    """Log each entity at its path, at the current time of this thread."""
     for path, entity in entities:
         stream.log(path, entity, static=static)
 
 
 def set_time(stream: rr.RecordingStream, moment: Moment) -> None:
-    """Make a moment the time of what this thread logs next."""
+    """Set the time of what this thread logs next."""
     stream.set_time("frame", sequence=moment.frame)
     if moment.device_ns is None:
         return
@@ -72,13 +72,13 @@ def set_time(stream: rr.RecordingStream, moment: Moment) -> None:
 
 
 def _distance_m(frame: ViewFrame) -> float:
-    """Return how far away a frame's scene is, metres."""
+    """Return the distance of a frame's scene, metres."""
     depth_mm = frame.depth_mm[frame.depth_mm > 0]
     return float(np.median(depth_mm)) / 1000.0 if depth_mm.size else 1.0
 
 
 class Writer:
-    """Writes items to one stream; before them the layout for their kind and the cameras, when they change."""
+    """Writes items to one stream, and the layout and the cameras whenever they change."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
@@ -89,7 +89,7 @@ class Writer:
         self._stages: tuple[str, ...] = ()
 
     def write(self, item: Item) -> None:
-        """Log a frame or a line at its moment."""
+        """Log a frame or a line at its time."""
         set_time(self._stream, item.moment)
         if isinstance(item, LogLine):
             self._stream.log(LOG, rr.TextLog(item.text, level=item.level))
@@ -99,7 +99,7 @@ class Writer:
         went_back = item.moment.frame < self._newest and self._timeline == "frame"
         self._newest = max(self._newest, item.moment.frame)
         if went_back:
-            # A viewer follows to the highest number, which is not the newest any more.
+            # A viewer follows the highest frame number, which is no longer the newest frame.
             self._timeline = "log_time"
         if kind != self._kind or went_back:
             self._kind = registered, ground_truth, objects = kind
@@ -117,7 +117,7 @@ class Writer:
         if item.calibration is not self._calibration:
             self._calibration = item.calibration
             log_entities(self._stream, camera_entities(item.calibration), static=True)
-        if item.stages != self._stages:
-            self._stages = item.stages
-            log_entities(self._stream, stage_entities(item.stages), static=True)
+        if (stages := tuple(frame.elapsed_ms)) != self._stages:
+            self._stages = stages
+            log_entities(self._stream, stage_entities(stages), static=True)
         log_entities(self._stream, item.entities())

@@ -1,4 +1,4 @@
-"""The view: what shows each frame's result and saves it for viewing."""
+"""The view, which shows each frame's result and saves it for viewing."""
 
 from __future__ import annotations
 
@@ -10,25 +10,18 @@ if TYPE_CHECKING:
 
 
 class View:
-    """What shows each frame's result, a context manager that closes itself; this one shows nothing.
+    """A context manager that shows each frame's result; this one shows nothing."""
 
-    Attributes
-    ----------
-    shows : bool
-        Whether it does anything with a result.
-    how_to_look : str
-        What a person does to see it; empty where a window opens by itself or there is nothing to see.
-    serving : bool
-        Whether a web page is served, which ends with this view.
-    metric : str
-        Which of the metrics is shown of each segment.
-    """
-
+    #: Whether it does anything with a result.
     shows = False
+    #: The metric that is shown for each segment.
     metric: Metric = "mse"
+    #: Whether it serves a web page until it is closed.
+    serving = False
 
     def __init__(self, how_to_look: str = "") -> None:
-        self.how_to_look, self.serving = how_to_look, False
+        #: What the user must do to see it; empty if a window opens or there is nothing to see.
+        self.how_to_look = how_to_look
 
     @property
     def dropped(self) -> int:
@@ -36,14 +29,14 @@ class View:
         return 0
 
     def peak_memory_mb(self) -> float:
-        """Return the largest resident size of what shows and saves for this program, 10^6 bytes."""
+        """Return the peak resident memory of the process that shows and saves, 10^6 bytes."""
         return 0.0
 
     def show(self, result: FrameResult) -> None:
-        """Take a frame's result; never waits for a viewer."""
+        """Show a frame's result; never waits for a viewer."""
 
     def close(self) -> None:
-        """End within 2 s, with files whole; safe to call twice."""
+        """Close within 2 s, with files complete; may be called twice."""
 
     def __enter__(self) -> Self:
         return self

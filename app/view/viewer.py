@@ -1,4 +1,4 @@
-"""Viewers as processes and as peers: starting one, asking whether one listens, letting go of one."""
+"""Viewers as processes and peers: how they are started, found and disconnected."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from nurbseg.drivers.process.child import dying_with_parent
 
 logger = logging.getLogger(__name__)
 
-#: Longest wait for a file to be whole, seconds: where somebody waits for the end, and where nobody does.
+#: Longest wait for a file to be completed, seconds: when the user interrupts, and otherwise.
 FILE_CLOSE_S, FILE_PATIENCE_S = 1.2, 15.0
 #: Longest wait for a peer's TCP handshake.
 PROBE_TIMEOUT_S = 0.5
 
 
 class ViewError(Exception):
-    """What should be shown or saved cannot be; the message says what and why."""
+    """Something cannot be shown or saved; the message says what and why."""
 
 
 def has_display() -> bool:
@@ -35,7 +35,7 @@ def has_display() -> bool:
 
 
 def chosen_mode(config: ViewConfig, *, somebody_waits: bool = False) -> ViewMode:
-    """Return where to show, which "auto" leaves to what there is, and to whether somebody waits to look."""
+    """Return where to show; "auto" depends on the display and on whether a user waits at a terminal."""
     if config.mode != "auto":
         return config.mode
     if config.connect is not None:
@@ -44,10 +44,7 @@ def chosen_mode(config: ViewConfig, *, somebody_waits: bool = False) -> ViewMode
 
 
 def viewer_executable() -> Path:
-    """Return the native viewer that came with the package.
-
-    The ``rerun`` script is a wrapper in Python that would stand between us and the viewer's end.
-    """
+    """Return the native viewer of the package; the ``rerun`` script is a Python wrapper around it."""
     import rerun_cli  # type: ignore[import-untyped]
 
     path = Path(rerun_cli.__file__).parent / "rerun"
@@ -59,9 +56,9 @@ def viewer_executable() -> Path:
 def start_viewer(
     config: ViewConfig, port: int, *, headless: bool = False, size: str = ""
 ) -> subprocess.Popen[bytes]:
-    """Open a viewer's window, which outlives this process and listens on `port` of `config.bind` only.
+    """Open a viewer that outlives this process and listens on `port` of `config.bind` only.
 
-    Its size may be given, such as 1280x800; without a window, that of its pictures.
+    `size`, such as 1280x800, is that of its window or, if `headless`, of its screenshots.
     """
     words = ["--expect-data-soon", *(["--headless"] if headless else [])]
     words += ["--window-size", size] if size else []
@@ -69,7 +66,7 @@ def start_viewer(
 
 
 def start_web_server(config: ViewConfig, port: int, web_port: int) -> subprocess.Popen[bytes]:
-    """Serve the viewer as a web page, by a process that the caller ends, or the end of its thread."""
+    """Start a process that serves the viewer as a web page, and ends with the thread that started it."""
     return _start(config, port, ["--serve-web", "--web-viewer-port", str(web_port)], detached=False)
 
 
@@ -88,7 +85,7 @@ def _start(config: ViewConfig, port: int, words: list[str], *, detached: bool) -
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            # Out of this process's group, with which the terminal's signals go, and in which it is ended.
+            # Not in this process's group, which gets the terminal's signals and is ended as a whole.
             start_new_session=detached,
         )
     except OSError as err:
@@ -96,17 +93,17 @@ def _start(config: ViewConfig, port: int, words: list[str], *, detached: bool) -
 
 
 def private_environment() -> dict[str, str]:
-    """Return the environment in which Rerun gathers and sends no usage statistics.
+    """Return an environment in which Rerun collects no usage statistics.
 
-    Rerun 0.41 has no setting for one run: it sends none on computers that only build and test, which set
-    the variable CI. ``rerun analytics disable`` would be for good, and for all programs of the user.
+    Rerun 0.41 has no setting for a single run, but sends nothing where the variable CI is set. ``rerun
+    analytics disable`` would be permanent and affect all of the user's programs.
     """
     kept = {name: value for name, value in os.environ.items() if name != "FORCE_RERUN_ANALYTICS"}
     return kept | {"CI": "true"}
 
 
 def free_port(bind: str) -> int:
-    """Return a TCP port that nothing listens on; raises ViewError if that fails."""
+    """Return a free TCP port; raises ViewError if that fails."""
     try:
         return _bound(bind, 0)
     except OSError as err:
@@ -114,7 +111,7 @@ def free_port(bind: str) -> int:
 
 
 def is_taken(bind: str, port: int) -> bool:
-    """Whether something listens on a port already; raises ViewError where nothing can for another reason."""
+    """Whether a port is in use; raises ViewError if nothing can listen there for another reason."""
     try:
         _bound(bind, port)
     except OSError as err:
@@ -125,7 +122,7 @@ def is_taken(bind: str, port: int) -> bool:
 
 
 def _bound(bind: str, port: int) -> int:
-    """Take a port for a moment; return its number."""
+    """Bind a port briefly; return its number."""
     family = socket.AF_INET6 if ":" in bind else socket.AF_INET
     with socket.socket(family) as probe:
         if port:
@@ -136,12 +133,12 @@ def _bound(bind: str, port: int) -> int:
 
 
 def reachable(bind: str) -> str:
-    """Return an address to reach what listens on `bind`."""
+    """Return an address at which a server bound to `bind` can be reached."""
     return {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(bind, bind)
 
 
 def warn_beyond_loopback(bind: str, *ports: int) -> None:
-    """Say who sees what the camera sees, where somebody else than this computer can connect."""
+    """Warn if other computers can connect and so see the camera's images."""
     if not ip_address(bind).is_loopback:
         logger.warning(
             "anyone who can reach %s, ports %s, sees what the camera sees: the stream has no password or "
@@ -152,9 +149,9 @@ def warn_beyond_loopback(bind: str, *ports: int) -> None:
 
 
 def listens(host: str, port: int) -> bool:
-    """Whether a peer takes connections; at most `PROBE_TIMEOUT_S`.
+    """Whether a peer accepts connections, within `PROBE_TIMEOUT_S`.
 
-    Rerun's own connecting blocks for seconds where nobody listens, and logging then for good.
+    Without a listener, Rerun's own connection attempt blocks for seconds, and logging then forever.
     """
     try:
         with socket.create_connection((host, port), timeout=PROBE_TIMEOUT_S):
@@ -164,10 +161,10 @@ def listens(host: str, port: int) -> bool:
 
 
 def cut_connections(host: str, port: int) -> int:
-    """Shut down this process's TCP connections to a peer; return how many there were.
+    """Shut down this process's TCP connections to a peer; return their number.
 
-    A peer that stopped reading makes Rerun wait for good, at the latest when the interpreter ends. A
-    severed connection is an error to it, and it goes on.
+    If a peer stops reading, Rerun waits forever, at the latest when the interpreter ends; a closed connection
+    is an error from which it continues.
     """
     try:
         peers = {entry[4][:2] for entry in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)}

@@ -1,4 +1,4 @@
-"""How the viewer is laid out: what is seen, where, and what it is called."""
+"""Layout of the viewer, and its legend."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from nurbseg.app.view.drawing import tree as tree_drawing
 from nurbseg.app.view.drawing.palette import STOP_COLORS
 from nurbseg.segmentation.config import SegmentationConfig
 
-#: Where the eye is and what it looks at, in the depth camera's frame, as shares of the scene's distance.
+#: Positions of the eye and its target in the depth camera's frame, as multiples of the scene's distance.
 _EYE, _TARGET = (-0.36, -0.42, -0.4), (-0.1, 0.02, 1.0)
 
 _STOP_TEXTS = {
@@ -43,11 +43,10 @@ def blueprint(
     residual_max_m: float = 0.02,
     timeline: str = "frame",
 ) -> rrb.Blueprint:
-    """Return the layout: space above, pictures beside it, tree, tables and figures below.
+    """Return the layout: 3D and images above; tree, tables and plots below.
 
-    Where depth and color have not one camera, the color camera's own picture is shown too; a ground truth
-    beside the segments; objects in front of the surfaces that they consist of. "compact" shows less at once,
-    with the rest in tabs. The eye's place follows from how far away the scene is; the viewer follows
+    If depth and color are not `registered`, the color camera's own image is shown, too. "compact" shows less
+    at once, with the rest in tabs. The eye's position depends on the scene's distance; the viewer follows
     `timeline` to its end.
     """
     surfaces, points, residuals = _spaces("object" if objects else "segment", distance_m, residual_max_m)
@@ -96,7 +95,7 @@ def blueprint(
 def _spaces(
     colored_by: str, distance_m: float, residual_max_m: float
 ) -> tuple[rrb.View, rrb.View, rrb.Container]:
-    """Return the views of surfaces, points and residuals, from beside and above the camera."""
+    """Return the 3D views of surfaces, points and residuals."""
     by_residual = rr.Mesh3D.from_fields().visualizer(
         mappings=[
             VisualizerComponentMapping(
@@ -170,7 +169,7 @@ def _plot(
 
 
 def legend(view: ViewConfig, segmentation: SegmentationConfig) -> str:
-    """Return what the colors mean, as Markdown."""
+    """Return the meaning of the colors, as Markdown."""
     stops = "\n".join(f"- {_STOP_TEXTS[reason]}" for reason in STOP_COLORS)
     largest_mm = 1e3 * view.residual_max_m
     return f"""# What the colors mean

@@ -1,8 +1,9 @@
-"""From a frame's result to what views show of it."""
+"""Turns a frame's result into what views show."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +28,13 @@ def drawn(
     rate_hz: float,
     known: Calibration | None,
 ) -> ViewFrame:
-    """Return what views show of a frame, drawn as fine as `view` says.
+    """Return what views show of a frame, in the detail that `view` asks for.
 
-    `elapsed_ms` is the time of each stage until now, as the run may go on timing in `result`. A calibration
-    is left out where it is `known` from the frame before.
+    `elapsed_ms` holds the stages so far, as the run may go on adding to those of `result`. The calibration
+    is left out if it is `known` from the previous frame.
     """
     frame, tree = result.frame, result.tree
-    # Meshes go with the tree's own labels; what is seen bears those that last.
+    # Meshes need the tree's own labels; the ones shown persist from frame to frame.
     labels = tree.labels("surfaces")
     surfaces = apply_lookup_table(result.surface_of_leaf, labels)
     objects = apply_lookup_table(result.object_of_leaf, labels) if tree.objects else None
@@ -55,13 +56,7 @@ def drawn(
         truth_match=None if frame.labels is None else _best_overlaps(frame.labels, things),
         points_m=points_m,
         point_labels=point_labels,
-        vertices_m=mesh.vertices_m,
-        normals=mesh.normals,
-        triangles=mesh.triangles,
-        residuals_m=mesh.residuals_m,
-        vertex_surfaces=result.surface_of_leaf[mesh.labels],
-        isolines=mesh.isolines,
-        isoline_sizes=mesh.isoline_sizes,
+        mesh=replace(mesh, labels=result.surface_of_leaf[mesh.labels]),
         tree=_nodes(result, metric),
         merges=tuple(_merges(result)),
         elapsed_ms=dict(elapsed_ms),
@@ -73,7 +68,7 @@ def drawn(
 
 
 def _merges(result: FrameResult) -> Iterator[str]:
-    """Tell of each object of several surfaces which meet in it, by their labels, and by what evidence."""
+    """Describe, for each object of several surfaces, which of them touch and why they were merged."""
     tree = result.tree
     label_of = {leaf.name: label for label, leaf in zip(result.surface_labels, tree.leaves(), strict=True)}
     object_of = {name: place for place, each in enumerate(tree.objects) for name in each.leaves}
@@ -110,7 +105,7 @@ def _nodes(result: FrameResult, metric: Metric) -> tuple[TreeNode, ...]:
 
 
 def _best_overlaps(truth: NDArray[np.uint16], labels: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Return each region of the ground truth with the label that overlaps it most, by every fourth pixel."""
+    """Return each region of the ground truth and the label that overlaps it most, in every fourth pixel."""
     regions, things = truth[::2, ::2].ravel().astype(np.intp), labels[::2, ::2].ravel()
     count = int(things.max(initial=0)) + 1
     overlaps = np.bincount(regions * count + things, minlength=(int(regions.max(initial=0)) + 1) * count)
@@ -123,7 +118,7 @@ def _best_overlaps(truth: NDArray[np.uint16], labels: NDArray[np.uint16]) -> NDA
 def _some_points(
     points_m: NDArray[np.float32], labels: NDArray[np.uint16], points_max: int
 ) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
-    """Return evenly spaced points that have a label, with these; `points_max` at most."""
+    """Return at most `points_max` evenly spaced points that have a label, and their labels."""
     if points_max == 0:
         return np.zeros((0, 3), dtype=np.float32), np.zeros(0, dtype=np.uint16)
     step = max(1, int(np.ceil(np.sqrt(labels.size / points_max))))

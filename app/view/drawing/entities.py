@@ -1,4 +1,4 @@
-"""What a frame's result looks like to Rerun: entity paths and their contents."""
+"""Entity paths in Rerun, and their contents for a frame."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from nurbseg.app.view.config import ViewConfig
-from nurbseg.app.view.drawing.frame import Moment, ViewFrame
+from nurbseg.app.view.drawing.frame import Moment, SurfaceMesh, ViewFrame
 from nurbseg.app.view.drawing.palette import (
     LABEL_COLORS,
     NOTHING_COLOR,
@@ -47,18 +47,18 @@ EVENTS = f"{SEGMENT_COUNT}/events"
 GRID_STEP = f"{RATE}/grid_step"
 LOG = "log"
 
-#: Color of isolines, and how much nearer to the camera than their surfaces they are, which would hide them.
+#: Color of isolines, and the factor that moves them towards the camera, in front of their surfaces.
 _LINE_COLOR, _NEARER = (24, 26, 30), np.float32(0.998)
 _STRIPS = rr.components.LineStrip3DBatch([]).as_arrow_array().type
-#: Class of what was not found in a frame.
+#: Class of regions that were not found.
 _NOTHING = 65535
-#: Objects whose surfaces have shades of their own; further ones share them.
+#: Number of objects with their own shades; further objects reuse them.
 _SHADED_LABELS = 255
 
 
 @dataclass(slots=True, eq=False)
 class FrameEntities:
-    """One frame for all sinks: built by the first thread that needs it, shared with the others."""
+    """One frame for all sinks; the first thread that needs its entities builds them."""
 
     frame: ViewFrame
     calibration: Calibration
@@ -68,16 +68,11 @@ class FrameEntities:
 
     @property
     def moment(self) -> Moment:
-        """When it was."""
+        """Time of the frame."""
         return self.frame.moment
 
-    @property
-    def stages(self) -> tuple[str, ...]:
-        """Names of the stages that were timed."""
-        return tuple(self.frame.elapsed_ms)
-
     def entities(self) -> Entities:
-        """Return paths and what is logged there."""
+        """Return entity paths with their contents."""
         with self._lock:
             if self._built is None:
                 self._built = [
@@ -93,7 +88,7 @@ class FrameEntities:
 
 
 def camera_entities(calibration: Calibration) -> Entities:
-    """Return the cameras; logged static, again whenever they change."""
+    """Return the cameras; logged as static, again whenever they change."""
     yield CAMERA, _pinhole(calibration.depth, (250, 190, 60))
     if not calibration.is_registered:
         color_from_depth = calibration.color_from_depth
@@ -109,7 +104,7 @@ def camera_entities(calibration: Calibration) -> Entities:
 
 
 def opening_entities() -> Entities:
-    """Return what holds for the whole recording; logged static."""
+    """Return what is valid for the whole recording; logged as static."""
     yield WORLD, rr.ViewCoordinates.RDF
     things = range(1, LABEL_COLORS + 1)
     nothing = (_NOTHING, "not found", NOTHING_COLOR)
@@ -134,7 +129,7 @@ def opening_entities() -> Entities:
 
 
 def _shaded_class(label: int, shade: int) -> int:
-    """Return the class of a shade of an object's color; an annotation's colors hold for all frames."""
+    """Return the class of a shade of an object's color, as class colors are the same in all frames."""
     return (label - 1) % _SHADED_LABELS * SHADES + shade + 1
 
 
@@ -151,7 +146,7 @@ def _markdown(text: str) -> rr.TextDocument:
 
 
 def stage_entities(stages: Iterable[str]) -> Entities:
-    """Return how the lines of the stages' times are drawn; logged static."""
+    """Return how the times of the stages are plotted; logged as static."""
     for place, stage in enumerate(stages):
         yield f"{LATENCY}/{stage}", _line(stage.replace("_", " "), place)
 
@@ -161,7 +156,7 @@ def _line(name: str, place: int) -> rr.SeriesLines:
 
 
 def _pinhole(camera: Intrinsics, color: tuple[int, int, int]) -> rr.Pinhole:
-    # Rerun knows no lens distortion: the frustum is that of the ideal camera.
+    # Rerun does not support lens distortion, so the frustum ignores it.
     return rr.Pinhole(
         image_from_camera=camera.matrix,
         resolution=[camera.width, camera.height],
@@ -190,7 +185,7 @@ def _images(frame: ViewFrame, view: ViewConfig) -> Entities:
 
 
 def _relabelled(labels: NDArray[np.uint16], new_labels: Mapping[int, int]) -> NDArray[np.uint16]:
-    """Return an image with new labels, 0 for all that are not named; without Numba, which is slow to load."""
+    """Return an image with new labels, 0 for unlisted ones; without Numba, which is slow to import."""
     table = np.zeros(max(new_labels, default=0) + 2, dtype=np.uint16)
     table[[*new_labels]] = [*new_labels.values()]
     return table.take(labels, mode="clip")
@@ -204,6 +199,7 @@ def _space(frame: ViewFrame, view: ViewConfig) -> Entities:
                 _rounded(frame.points_m), class_ids=frame.point_labels, radii=rr.Radius.ui_points(1.3)
             ),
         )
+    mesh = frame.mesh
     of, shades = frame.object_of_surface, shades_of_surfaces(frame.object_of_surface)
     colors = np.full((max(of, default=0) + 1, 3), NOTHING_COLOR, dtype=np.uint8)
     for surface, shade in shades.items():
@@ -211,27 +207,27 @@ def _space(frame: ViewFrame, view: ViewConfig) -> Entities:
     yield (
         SURFACES,
         rr.Mesh3D(
-            vertex_positions=_rounded(frame.vertices_m),
-            vertex_normals=_rounded(frame.normals, 64),
-            triangle_indices=frame.triangles,
-            vertex_colors=packed(colors)[frame.vertex_surfaces],
+            vertex_positions=_rounded(mesh.vertices_m),
+            vertex_normals=_rounded(mesh.normals, 64),
+            triangle_indices=mesh.triangles,
+            vertex_colors=packed(colors)[mesh.labels],
         ),
     )
-    yield ISOLINES, rr.LineStrips3D(_strips(frame), colors=_LINE_COLOR, radii=rr.Radius.ui_points(0.4))
-    residuals = rr.components.ColorBatch(residual_colors(frame.residuals_m, view.residual_max_m))
+    yield ISOLINES, rr.LineStrips3D(_strips(mesh), colors=_LINE_COLOR, radii=rr.Radius.ui_points(0.4))
+    residuals = rr.components.ColorBatch(residual_colors(mesh.residuals_m, view.residual_max_m))
     archetype, component = RESIDUAL_COLORS.split(":")
     yield SURFACES, rr.DynamicArchetype(archetype, components={component: residuals})
 
 
 def _rounded(values: NDArray[np.float32], per_unit: int = 1024) -> NDArray[np.float32]:
-    """Return values, such as metres, rounded to what can be seen, which takes a third off a saved frame."""
+    """Return values rounded to what can be seen, which makes a saved frame a third smaller."""
     return np.asarray(np.rint(values * np.float32(per_unit)) / np.float32(per_unit))
 
 
-def _strips(frame: ViewFrame) -> Any:
-    """Return the isolines as Rerun keeps them; it would take them apart one by one."""
-    points = rr.components.Position3DBatch(_rounded(_NEARER * frame.vertices_m[frame.isolines]))
-    ends = np.cumsum(frame.isoline_sizes, dtype=np.int32)
+def _strips(mesh: SurfaceMesh) -> Any:
+    """Return the isolines in Arrow's form, to which Rerun would convert a list one line at a time."""
+    points = rr.components.Position3DBatch(_rounded(_NEARER * mesh.vertices_m[mesh.isolines]))
+    ends = np.cumsum(mesh.isoline_sizes, dtype=np.int32)
     return pa.ListArray.from_arrays(np.append(np.int32(0), ends), points.as_arrow_array(), type=_STRIPS)
 
 
@@ -253,7 +249,7 @@ def _scalars(frame: ViewFrame) -> Entities:
 
 
 def _log_lines(frame: ViewFrame) -> Entities:
-    """Return lines of the log: what happened to segments, and why the tree was reset."""
+    """Return log lines on events of segments and a reset of the tree."""
     if frame.events:
         yield LOG, rr.TextLog("; ".join(frame.events), level="INFO")
     if frame.reset_reason:

@@ -1,4 +1,4 @@
-"""What views are given of a frame: images, points, a mesh and words, ready to be shown, and no more."""
+"""The part of a frame's result that views show: images, points, a mesh and texts."""
 
 from __future__ import annotations
 
@@ -15,134 +15,112 @@ from nurbseg.segmentation.vocabulary import Division, StopReason
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """When something was: the frame's number, and the device's clock.
+    """Time of a frame, or of a log line."""
 
-    Parameters
-    ----------
-    frame : int
-        Number of the frame.
-    device_ns : int or None
-        Nanoseconds; None before the first frame.
-    since_epoch : bool
-        Whether the device's clock is a date; otherwise it counts from some start.
-    """
-
+    #: Number of the frame.
     frame: int
+    #: Device clock, nanoseconds; None before the first frame.
     device_ns: int | None
+    #: Whether the device's clock is a date; otherwise it counts from an arbitrary start.
     since_epoch: bool
 
 
 @dataclass(frozen=True, slots=True)
 class TreeNode:
-    """One segment of the tree, as it is drawn and listed."""
+    """A segment of the tree, as it is drawn and listed."""
 
     name: str
     children: tuple[str, ...]
-    #: Label of a leaf; None where it was split.
+    #: Label of a leaf; None for other segments.
     label: int | None
-    #: Label of the object that a leaf belongs to; None where surfaces are not merged into objects.
+    #: Label of a leaf's object; None if surfaces are not merged into objects.
     thing: int | None
     pixels: int
-    #: The deciding metric; None where it was not measured.
+    #: The deciding metric; None if it was not measured.
     value: float | None
     ratio: float | None
     stop: StopReason | None
     division: Division | None
     has_surface: bool
-    #: Frames in which the value, and the ratio or the reason, were found; None for the frame itself.
+    #: Frames in which the value, and the ratio or stop reason, were determined; None for this frame.
     measured: int | None
     judged: int | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ViewFrame:
-    """One frame as it is shown.
+class SurfaceMesh:
+    """Triangles on the fitted surfaces of all leaves.
 
     Parameters
     ----------
-    moment : Moment
-        When it was.
-    name : str
-        What the source calls it; may be empty.
-    metric : str
-        Which of the metrics is shown.
-    calibration : Calibration or None
-        Of its cameras; None where it is that of the frame before.
-    color : (H, W, 3) uint8
-        RGB on the depth camera's grid.
-    unregistered_color : (h, w, 3) uint8 or None
-        RGB as it was captured, where that is another image.
-    depth_mm : (H, W) uint16
-        Millimetres; 0 for no depth.
-    surfaces : (H, W) uint16
-        Surface of each pixel; 0 for none.
-    objects : (H, W) uint16 or None
-        Object of each pixel, where surfaces were merged into objects.
-    truth : (H, W) uint16 or None
-        Ground truth.
-    truth_match : (R, 2) uint16 or None
-        Regions of the ground truth, and the object or segment that overlaps each most; 0 for none.
-    points_m : (N, 3) float32
-        Some of the points, metres.
-    point_labels : (N,) uint16
-        Object of each, or surface where there are no objects.
-    vertices_m, normals : (V, 3) float32
-        Mesh of the surfaces, metres and unit vectors.
+    vertices_m : (V, 3) float32
+        Points on the surfaces, metres, in the depth camera's frame.
+    normals : (V, 3) float32
+        Unit normals that look towards the camera.
     triangles : (T, 3) uint32
-        Rows of the vertices.
+        Rows of `vertices_m`.
     residuals_m : (V,) float32
         Mean distance of the data around each vertex to the surface, metres.
-    vertex_surfaces : (V,) uint16
-        Surface of each vertex.
+    labels : (V,) uint16
+        Label of the segment that each vertex belongs to.
     isolines : (N,) uint32
-        Rows of the vertices on lines of constant parameter, line after line.
+        Rows of `vertices_m` on lines of constant parameter, line after line.
     isoline_sizes : (L,) intp
         Vertices of each line.
-    tree : tuple of TreeNode
-        Depth first, the root first.
-    merges : tuple of str
-        Of each object that several surfaces were merged into, which and by what evidence.
-    elapsed_ms : mapping of str to float
-        Time that each stage took until now, milliseconds.
-    rate_hz : float
-        Frames shown in a second; 0 where it is not known yet.
-    events : tuple of str
-        What happened to segments since the frame before.
-    grid_step : int or None
-        Step of the live tree's grid, pixels.
-    reset_reason : str
-        Why the live tree was reset; empty where it went on.
     """
 
-    moment: Moment
-    name: str
-    metric: Metric
-    calibration: Calibration | None
-    color: NDArray[np.uint8]
-    unregistered_color: NDArray[np.uint8] | None
-    depth_mm: NDArray[np.uint16]
-    surfaces: NDArray[np.uint16]
-    objects: NDArray[np.uint16] | None
-    truth: NDArray[np.uint16] | None
-    truth_match: NDArray[np.uint16] | None
-    points_m: NDArray[np.float32]
-    point_labels: NDArray[np.uint16]
     vertices_m: NDArray[np.float32]
     normals: NDArray[np.float32]
     triangles: NDArray[np.uint32]
     residuals_m: NDArray[np.float32]
-    vertex_surfaces: NDArray[np.uint16]
+    labels: NDArray[np.uint16]
     isolines: NDArray[np.uint32]
     isoline_sizes: NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewFrame:
+    """A frame as it is shown; label images have 0 for no label."""
+
+    moment: Moment
+    #: Name in the source; may be empty.
+    name: str
+    metric: Metric
+    #: None if it is that of the previous frame.
+    calibration: Calibration | None
+    #: (H, W, 3) RGB in the depth camera's image.
+    color: NDArray[np.uint8]
+    #: (h, w, 3) RGB as captured, if that is another image.
+    unregistered_color: NDArray[np.uint8] | None
+    #: (H, W) millimetres, 0 for no depth.
+    depth_mm: NDArray[np.uint16]
+    #: (H, W) labels of surfaces, of objects if there are any, and of the ground truth.
+    surfaces: NDArray[np.uint16]
+    objects: NDArray[np.uint16] | None
+    truth: NDArray[np.uint16] | None
+    #: (R, 2) regions of the ground truth, each with the object or surface that overlaps it most; 0 for none.
+    truth_match: NDArray[np.uint16] | None
+    #: (N, 3) some of the points, metres, and (N,) the object or surface of each.
+    points_m: NDArray[np.float32]
+    point_labels: NDArray[np.uint16]
+    #: Its labels are those of `surfaces`.
+    mesh: SurfaceMesh
+    #: Depth first.
     tree: tuple[TreeNode, ...]
+    #: For each object of several surfaces, which were merged and why.
     merges: tuple[str, ...]
+    #: Time of each stage, milliseconds.
     elapsed_ms: Mapping[str, float]
+    #: Frames shown per second; 0 if unknown.
     rate_hz: float
+    #: What happened to segments since the previous frame.
     events: tuple[str, ...]
+    #: Step of the live tree's grid, pixels.
     grid_step: int | None
+    #: Why the live tree was reset; empty if it was not.
     reset_reason: str
 
     @property
     def object_of_surface(self) -> dict[int, int]:
-        """Label of the object of each surface; of the surface itself where there are no objects."""
+        """Label of each surface's object, or of the surface itself if there are no objects."""
         return {each.label: each.thing or each.label for each in self.tree if each.label}

@@ -1,4 +1,4 @@
-"""Lines of constant parameter on the fitted surfaces, along the rows and columns of their lattices."""
+"""Lines of constant parameter on the fitted surfaces, along rows and columns of their lattices."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from nurbseg.app.view.drawing.surface_samples import Lattices
 def isolines(
     lattices: Lattices, row_of: NDArray[np.int64], every: int
 ) -> tuple[NDArray[np.uint32], NDArray[np.intp]]:
-    """Return the lines of constant v, then those of constant u, broken where a surface is trimmed.
+    """Return the lines of constant v, then those of constant u, interrupted where a surface is trimmed.
 
     Parameters
     ----------
     lattices : Lattices
         Of the surfaces.
     row_of : (V,) int64
-        Row of each of the lattices' vertices among those that are kept, -1 for the others.
+        Row of each lattice vertex among the kept vertices; -1 for the others.
     every : int
-        Which rows and columns of a lattice are lines; a lattice of fewer has one near its middle.
+        Distance of lines in rows or columns of a lattice; a smaller lattice has one line near its middle.
 
     Returns
     -------
     rows : (N,) uint32
         Rows of the kept vertices, line after line.
     sizes : (L,) intp
-        Vertices of each line, at least two.
+        Number of vertices of each line, at least two.
     """
     rows, columns = lattices.count.T
     surface = np.repeat(np.arange(rows.size), rows * columns)
@@ -37,7 +37,7 @@ def isolines(
     for line, number, order in ((row, rows, place), (column, columns, column * rows[surface] + row)):
         first = np.minimum(every, number - 1) // 2
         chosen = np.flatnonzero((row_of >= 0) & (line % every == first[surface]))
-        # Neighbours on a line follow each other; between two surfaces a number is left out.
+        # Keys of neighbours on a line are consecutive; between two surfaces one is left out.
         key = (lattices.start + np.arange(rows.size))[surface[chosen]] + order[chosen]
         in_order = np.argsort(key)
         chosen, key = chosen[in_order], key[in_order]

@@ -1,4 +1,4 @@
-"""The colors of labels, of the tree's nodes and of residuals; a color means the same in every frame."""
+"""Colors of labels, tree nodes and residuals, which mean the same in every frame."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
-#: Labels that have a color of their own; the viewer makes up colors beyond.
+#: Number of labels with a color of their own.
 LABEL_COLORS = 1023
 
-#: Fill of a leaf by the reason why it stopped; the first four are those of the paper's figure 3.
+#: Fill of a leaf by its stop reason; the first four are those of the paper's figure 3.
 STOP_COLORS: dict[StopReason, tuple[int, int, int]] = {
     StopReason.CRITERION: (222, 45, 38),
     StopReason.CHILD_TOO_SMALL: (253, 141, 20),
@@ -27,14 +27,14 @@ STOP_COLORS: dict[StopReason, tuple[int, int, int]] = {
     StopReason.UNTRIED: (214, 196, 120),
     StopReason.BUDGET: (128, 20, 70),
 }
-#: Fill of a segment that has parts: gray where it was cut, darker where nothing was.
+#: Fill of a divided segment: gray if it was cut, otherwise darker.
 DIVISION_COLORS: dict[Division, tuple[int, int, int]] = {
     Division.CUT: (150, 155, 162),
     Division.GAP: (92, 96, 102),
     Division.APPEARED: (112, 92, 82),
 }
 
-#: Lines of a plot, in the order of their first appearance.
+#: Lines of a plot, in their order.
 SERIES_COLORS = (
     (90, 170, 250),
     (245, 165, 60),
@@ -49,11 +49,11 @@ SERIES_COLORS = (
 #: Color of a region of the ground truth that nothing overlaps.
 NOTHING_COLOR = (128, 128, 128)
 
-#: Shades of an object's color for its surfaces: the share of white in it or, below 0, of black.
+#: Shades of an object's color for its surfaces: share of white or, if negative, of black.
 _SHADES = (0.0, 0.45, -0.35, 0.22, -0.18, 0.65, -0.5)
 SHADES = len(_SHADES)
 
-#: What people call colors, to find an object's row in a table that has no room for swatches.
+#: Names of colors, for tables that have no room for swatches.
 _COLOR_NAMES = {
     "red": (230, 25, 25),
     "orange": (245, 130, 30),
@@ -78,7 +78,7 @@ _COLOR_NAMES = {
     "gray": (150, 150, 150),
 }
 
-#: Residuals from 0 to the largest drawn: blue, cyan, green, yellow, red.
+#: Residuals from 0 to the maximum drawn: blue, cyan, green, yellow, red.
 _RESIDUAL_STOPS = ((38, 70, 200), (30, 165, 200), (70, 185, 85), (245, 215, 60), (214, 32, 32))
 
 
@@ -86,8 +86,8 @@ _RESIDUAL_STOPS = ((38, 70, 200), (30, 165, 200), (70, 185, 85), (245, 215, 60),
 def label_colors() -> NDArray[np.uint8]:
     """Return the colors of the labels 1, 2, ..., as (LABEL_COLORS, 3) RGB.
 
-    Each color is the one farthest, in the perceptual space OKLab, from all colors before it. So the
-    first few, which most frames use, differ most, and a label's color never depends on the others.
+    Each color is the one farthest, in the perceptual space OKLab, from all previous ones. So the first few,
+    which most frames use, differ most, and a label's color never depends on others.
 
     References
     ----------
@@ -97,7 +97,7 @@ def label_colors() -> NDArray[np.uint8]:
     rgb = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(-1, 3)
     lab = _oklab(rgb)
     chroma = np.hypot(lab[:, 1], lab[:, 2])
-    # Neither so dark nor so pale that a label drowns in the viewer's background or looks unlabelled.
+    # Neither so dark as the viewer's background nor so pale that a label looks unlabelled.
     usable = (lab[:, 0] > 0.58) & (lab[:, 0] < 0.90) & (chroma > 0.07)
     rgb, lab = rgb[usable], lab[usable]
     first = int(np.argmin(np.abs(rgb.astype(int) - [30, 120, 220]).sum(axis=1)))
@@ -112,10 +112,7 @@ def label_colors() -> NDArray[np.uint8]:
 
 
 def shades_of_surfaces(object_of_surface: Mapping[int, int]) -> dict[int, int]:
-    """Return which shade of its object's color each surface has, 0 to `SHADES` - 1, by label.
-
-    The surface of lowest label has shade 0, the object's own color.
-    """
+    """Return each surface's shade of its object's color; the lowest label has shade 0, the color itself."""
     shades: dict[int, int] = {}
     surfaces_of: dict[int, int] = {}
     for surface, thing in sorted(object_of_surface.items()):
@@ -125,7 +122,7 @@ def shades_of_surfaces(object_of_surface: Mapping[int, int]) -> dict[int, int]:
 
 
 def shaded(label: int, shade: int) -> tuple[int, int, int]:
-    """Return a shade of a label's color, RGB of the same hue."""
+    """Return a shade of a label's color, RGB."""
     share = _SHADES[shade]
     red, green, blue = (
         round(each + share * (255 - each) if share > 0 else (1.0 + share) * each)
@@ -135,40 +132,27 @@ def shaded(label: int, shade: int) -> tuple[int, int, int]:
 
 
 def label_color(label: int) -> tuple[int, int, int]:
-    """Return the RGB color of a label from 1 on; the first `LABEL_COLORS` differ."""
+    """Return the RGB color of a label; the first `LABEL_COLORS` differ."""
     red, green, blue = label_colors()[(label - 1) % LABEL_COLORS].tolist()
     return red, green, blue
 
 
 @lru_cache(maxsize=LABEL_COLORS)
 def color_name(label: int) -> str:
-    """Return what a label's color is called."""
+    """Return the name of a label's color."""
     named = _oklab(np.array([*_COLOR_NAMES.values()], dtype=np.uint8))
     distances = np.linalg.norm(named - _oklab(np.array([label_color(label)], dtype=np.uint8)), axis=1)
     return [*_COLOR_NAMES][int(np.argmin(distances))]
 
 
 def packed(colors: NDArray[np.uint8]) -> NDArray[np.uint32]:
-    """Return colors, (N, 3) RGB, as (N,) numbers 0xRRGGBBAA, which Rerun takes as they are."""
+    """Return colors, (N, 3) RGB, as Rerun's (N,) numbers 0xRRGGBBAA."""
     red, green, blue = colors.astype(np.uint32).T
     return np.asarray(red << 24 | green << 16 | blue << 8 | np.uint32(255), dtype=np.uint32)
 
 
 def residual_colors(residuals_m: NDArray[np.floating], residual_max_m: float) -> NDArray[np.uint32]:
-    """Return the color of each residual: blue for 0, through green, to red for `residual_max_m` and more.
-
-    Parameters
-    ----------
-    residuals_m : (N,) float
-        Metres, none NaN.
-    residual_max_m : float
-        Metres, more than 0.
-
-    Returns
-    -------
-    (N,) uint32
-        As of `packed`.
-    """
+    """Return the `packed` color of each residual: blue for 0, through green, to red for `residual_max_m`."""
     index = np.clip(residuals_m / residual_max_m * 255.0, 0.0, 255.0).astype(np.uint8)
     colors: NDArray[np.uint32] = _residual_table()[index]
     return colors

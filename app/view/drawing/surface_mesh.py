@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.app.view.drawing.frame import SurfaceMesh
 from nurbseg.app.view.drawing.isolines import isolines
 from nurbseg.app.view.drawing.surface_samples import Lattices, evaluate_vertices
 from nurbseg.drivers.compiled import F32, F64, I64, U16, Intp, compiled
@@ -14,37 +13,6 @@ from nurbseg.segmentation.segments import SegmentationTree
 
 #: Every so many rows and columns of a lattice are drawn as lines.
 _ISOLINE_EVERY = 4
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SurfaceMesh:
-    """Triangles on the fitted surfaces of all leaves.
-
-    Parameters
-    ----------
-    vertices_m : (V, 3) float32
-        Points on the surfaces, metres, in the depth camera's frame.
-    normals : (V, 3) float32
-        Unit normals that look towards the camera.
-    triangles : (T, 3) uint32
-        Rows of `vertices_m`.
-    residuals_m : (V,) float32
-        Mean distance of the data around each vertex to the surface, metres.
-    labels : (V,) uint16
-        Label of the segment that each vertex belongs to.
-    isolines : (N,) uint32
-        Rows of `vertices_m` on lines of constant parameter, line after line.
-    isoline_sizes : (L,) intp
-        Vertices of each line.
-    """
-
-    vertices_m: NDArray[np.float32]
-    normals: NDArray[np.float32]
-    triangles: NDArray[np.uint32]
-    residuals_m: NDArray[np.float32]
-    labels: NDArray[np.uint16]
-    isolines: NDArray[np.uint32]
-    isoline_sizes: NDArray[np.intp]
 
 
 def surface_mesh(tree: SegmentationTree, labels: NDArray[np.uint16], step_px: float) -> SurfaceMesh:

@@ -24,15 +24,15 @@ _METRIC_UNITS: dict[Metric, str] = {
     "nlc": "points",
 }
 
-#: Fewest shown points of an object whose size is told.
+#: Minimum number of shown points for which distance and size are given.
 _LEAST_POINTS = 10
 
 
 def object_table(frame: ViewFrame) -> str:
     """Return the objects of a frame, or its segments where there are no objects, the largest first.
 
-    Distance and size are those of the points that are shown: of their mean, and along their principal axes.
-    Below it, why surfaces were merged.
+    Distance (of the mean) and size (along the principal axes) are those of the points shown. Below the table
+    are the reasons why surfaces were merged.
     """
     kind = "segments" if frame.objects is None else "objects"
     object_of_surface = frame.object_of_surface
@@ -46,7 +46,7 @@ def object_table(frame: ViewFrame) -> str:
     errors_m = _root_mean_squares(frame, object_of_surface, count)
     order = np.argsort(frame.point_labels, kind="stable")
     ends = np.cumsum(np.bincount(frame.point_labels, minlength=count))
-    # Coordinates in rows, along which NumPy is several times as fast.
+    # Coordinates in rows, along which NumPy is several times faster.
     points_m = np.split(np.ascontiguousarray(frame.points_m[order].T), ends[:-1], axis=1)
     listed = np.flatnonzero(surfaces)
     lines = [
@@ -77,15 +77,15 @@ def _root_mean_squares(
     """Return the root mean square of the residuals of each object, metres; NaN without a surface."""
     lookup = np.zeros(max(object_of_surface, default=0) + 1, dtype=np.intp)
     lookup[[*object_of_surface]] = [*object_of_surface.values()]
-    thing = lookup[frame.vertex_surfaces]
-    squares = np.bincount(thing, frame.residuals_m.astype(np.float64) ** 2, count)
+    thing = lookup[frame.mesh.labels]
+    squares = np.bincount(thing, frame.mesh.residuals_m.astype(np.float64) ** 2, count)
     vertices = np.bincount(thing, minlength=count)
     means = np.divide(squares, vertices, out=np.full(count, np.nan), where=vertices > 0)
     return np.asarray(np.sqrt(means))
 
 
 def _place(points_m: NDArray[np.float32]) -> tuple[str, str]:
-    """Return the distance and the size of points, (3, N) metres, if they are enough."""
+    """Return the distance and size of points, (3, N) metres; empty if they are too few."""
     if points_m.shape[1] < _LEAST_POINTS:
         return "", ""
     mean = points_m.mean(axis=1)
@@ -97,9 +97,9 @@ def _place(points_m: NDArray[np.float32]) -> tuple[str, str]:
 
 
 def tree_table(frame: ViewFrame) -> str:
-    """Return the tree of a frame, one line for each segment; leaves have labels.
+    """Return the tree of a frame, a row for each segment.
 
-    What was found in an earlier frame bears its number: ``0.87 @12``.
+    Values from an earlier frame are marked with its number: ``0.87 @12``.
     """
     nodes, moment = frame.tree, frame.moment.frame
     leaves = sum(each.label is not None for each in nodes)
@@ -131,6 +131,6 @@ def _mark(found: int | None, frame: int) -> str:
 
 
 def _reason(node: TreeNode, frame: int) -> str:
-    """Return how a node is divided or why it is a leaf, with the frame of the trial that decided it."""
+    """Return how a node is divided or why it is a leaf, and the frame of the trial that decided this."""
     by_present_values = node.stop is not None and node.stop not in TRIED
     return str(node.stop or node.division) + ("" if by_present_values else _mark(node.judged, frame))

@@ -1,4 +1,4 @@
-"""What the tree of a frame looks like to Rerun: every segment, and folded by object."""
+"""The tree of a frame as Rerun's graphs: of all segments, and folded by object."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Entities = Iterable[tuple[str, Any]]
 
 TREE, OBJECT_TREE = "tree", "tree_by_object"
 
-#: The box in which the tree is drawn, whatever its size.
+#: Size of the drawing, for trees of any size.
 TREE_WIDTH, TREE_HEIGHT = 1000.0, 540.0
 #: Distance of neighbouring nodes and of levels in a small tree, and a node's largest radius.
 _SPACING, _LEVEL, _RADIUS = 70.0, 90.0, 17.0
@@ -34,7 +34,7 @@ _LEAST_RADIUS = 0.45
 
 
 def tree_entities(frame: ViewFrame) -> Entities:
-    """Return the drawing of a frame's tree, and of what it is by object where there are objects."""
+    """Return the graph of a frame's tree and, if there are objects, of the tree folded by object."""
     if frame.objects is not None:
         folded = folded_by_object(frame.tree)
         names = {each.name: _object_name(each) for each in folded}
@@ -51,7 +51,7 @@ def tree_entities(frame: ViewFrame) -> Entities:
 
 
 def folded_by_object(nodes: Sequence[TreeNode]) -> list[TreeNode]:
-    """Return a tree in which each part that lies within one object is a single leaf, depth first."""
+    """Return a tree, depth first, in which each subtree within one object becomes a leaf."""
     by_name = {each.name: each for each in nodes}
     things: dict[str, set[int | None]] = {}
     for each in reversed(nodes):
@@ -78,9 +78,9 @@ def _drawing(
     fills: Sequence[tuple[int, int, int]],
     dots: Mapping[str, tuple[str, tuple[int, int, int]]],
 ) -> Entities:
-    """Return a tree as a graph; below each node a dot, where it has one, with its own name and color.
+    """Return a tree as a graph, with dots below nodes, each with its own name and color.
 
-    Dots are in the same graph, because the viewer frames each graph for itself.
+    Dots are in the same graph, because the viewer scales each graph separately.
     """
     positions = tree_positions({each.name: each.children for each in nodes}, nodes[0].name)
     places, spacing = fitted(
@@ -104,7 +104,7 @@ def _drawing(
         ),
     )
     edges = [(names[each.name], names[child]) for each in nodes for child in each.children]
-    # Rerun takes an array apart in a fraction of the time of a list.
+    # Rerun converts an array much faster than a list.
     yield path, rr.GraphEdges(np.array(edges, dtype=np.str_).reshape(-1, 2), graph_type="directed")
 
 

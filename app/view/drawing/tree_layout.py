@@ -1,4 +1,4 @@
-"""Where the nodes of a tree are drawn: leaves side by side, parents over the middle of their children."""
+"""Positions of a tree's nodes: leaves side by side, parents centered above their children."""
 
 from __future__ import annotations
 
@@ -9,19 +9,9 @@ from numpy.typing import NDArray
 
 
 def tree_positions(children: Mapping[str, Sequence[str]], root: str) -> dict[str, tuple[float, int]]:
-    """Lay a tree out: each leaf has a column of its own, so that no two subtrees stand over each other.
+    """Return x and level of each node, depth first; leaves are at x = 0, 1, ..., the root at level 0.
 
-    Parameters
-    ----------
-    children : mapping of name to names
-        The parts of each node, from left to right; a leaf may be left out.
-    root : str
-        Name of the node at the top.
-
-    Returns
-    -------
-    dict of name to (x, level)
-        Depth first. Leaves are at x = 0, 1, ...; levels count from 0 at the root.
+    `children` holds the parts of each node, from left to right; leaves may be missing.
     """
     level = {root: 0}
     order, waiting = [], [root]
@@ -41,16 +31,10 @@ def tree_positions(children: Mapping[str, Sequence[str]], root: str) -> dict[str
 def fitted(
     positions: Sequence[tuple[float, int]], width: float, height: float, spacing_max: float, level_max: float
 ) -> tuple[NDArray[np.float32], float]:
-    """Scale a layout of `tree_positions` into a box that stays the same from frame to frame.
+    """Scale a layout of `tree_positions` into a box from (0, 0) to (`width`, `height`), y downwards.
 
-    Neighbours and levels of small trees are apart by `spacing_max` and `level_max`.
-
-    Returns
-    -------
-    places : (N, 2) float32
-        x and y, centred across the box, which begins at (0, 0), y downwards.
-    spacing : float
-        Distance of neighbours on a level.
+    Neighbours and levels are `spacing_max` and `level_max` apart in small trees, less in large ones. Returns
+    the positions, (N, 2), centered horizontally, and the distance of neighbours.
     """
     places = np.array(positions, dtype=np.float32).reshape(-1, 2)
     extent = places.max(axis=0)

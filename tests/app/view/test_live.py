@@ -179,8 +179,8 @@ def test_a_viewer_that_stalls_again_and_again_is_named_once(
     stream = MagicMock(flush=MagicMock(side_effect=[RuntimeError("timed out"), None] * 3))
     sink = live.ViewerSink(f"rerun+http://{LOCAL}:{free_port(LOCAL)}/proxy", MagicMock(), lambda: True)
     assert all(sink._taken(stream) for _ in range(3))
-    sink.begin_close()
-    sink.finish_close(time.monotonic())
+    sink.queue.close()
+    sink.finish_close(0.0)
     assert [each.split("/proxy ")[1] for each in caplog.messages] == [
         "is not responding; frames are not shown for now",
         "accepts frames again",
