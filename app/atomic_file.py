@@ -1,15 +1,18 @@
-"""Files that are there whole or not at all."""
+"""Files that are written completely or not at all."""
 
 from __future__ import annotations
 
+import json
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file under a temporary name and rename it, so that nobody ever reads a half of it.
+    """Write a file under a temporary name and rename it, so that nobody reads an incomplete file.
 
-    An OSError says that it cannot be written (no space left, no permission); what was there before stays.
+    Raises OSError if it cannot be written; an existing file is kept then.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
@@ -18,3 +21,8 @@ def write_atomically(path: Path, content: bytes) -> None:
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+def write_json(path: Path, document: Mapping[str, Any]) -> None:
+    """Write a JSON file as `write_atomically` does."""
+    write_atomically(path, (json.dumps(document, indent=1) + "\n").encode())

@@ -1,4 +1,4 @@
-"""Segments every frame of many recordings, and goes on where it was when it is begun again."""
+"""Segments every frame of many recordings, and resumes where it was interrupted."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
-from nurbseg.app.atomic_file import write_atomically
+from nurbseg.app.atomic_file import write_json
 from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, ExportError, run_settings
 from nurbseg.app.frames import Reader, places
@@ -19,9 +19,9 @@ from nurbseg.drivers.errors import DriverError, FrameFormatError, RecordingForma
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.segmentation.config import SegmentationConfig
 
-#: The file of an export that says how far it has come.
+#: The file with the progress of an export.
 PROGRESS_FILE = "progress.json"
-#: Frames that are one task: half a second of work at the least, and a few megabytes of results.
+#: Frames of one task: at least half a second of work, and a few megabytes of results.
 _TASK_FRAMES = 16
 
 #: The reader of each thread: a worker of a Dask cluster may have several.
@@ -30,47 +30,31 @@ _kept = threading.local()
 
 @dataclass(slots=True, eq=False)
 class Recording:
-    """A recording, and how far it has come.
-
-    Parameters
-    ----------
-    uri : str
-        What is segmented.
-    directory : str
-        Where its results are.
-    frames : int
-        Number of its frames.
-    done : int
-        How many of them, from the first on, are segmented or damaged.
-    damaged : dict of str to str
-        What is wrong with the frames that cannot be read, by their place.
-    segmented, bytes : int
-        Frames of this run, and bytes of their files.
-    failure : str
-        Why it is not complete; "" where it is, or is not yet.
-    """
+    """A recording, and its progress."""
 
     uri: str
+    #: Folder of its results.
     directory: str
     frames: int = 0
+    #: Number of frames that are segmented or damaged, from the first one on.
     done: int = 0
+    #: What is wrong with damaged frames, by their position.
     damaged: dict[str, str] = field(default_factory=dict)
+    #: Frames segmented in this run, and the size of their files.
     segmented: int = 0
     bytes: int = 0
+    #: Why it could not be completed.
     failure: str = ""
 
     @property
     def ended(self) -> bool:
-        """Whether nothing more is done with it."""
+        """Whether it is complete or has failed."""
         return bool(self.failure) or 0 < self.frames == self.done
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Batch:
-    """What is done to each recording, which gets a folder under `directory`.
-
-    Files of a run that was killed are replaced by the same.
-    """
+    """What to do with each recording, whose results go to a folder under `directory`."""
 
     directory: Path
     config: SegmentationConfig
@@ -80,7 +64,7 @@ class Batch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Task:
-    """Successive frames of one of the recordings."""
+    """Successive frames of a recording."""
 
     number: int
     uri: str
@@ -92,10 +76,7 @@ _Outcome = dict[str, bytes] | str
 
 
 def recordings_of(uris: Sequence[str], directory: Path) -> list[Recording]:
-    """Return recordings with their folders, which are called as they are.
-
-    Raises ValueError if two would have the same folder.
-    """
+    """Return recordings with their folders, named like them; raises ValueError if two have the same."""
     found: dict[Path, str] = {}
     for uri in uris:
         parts = [part for part in Path(uri).parts if part not in ("/", "..")]
@@ -112,11 +93,10 @@ def run_batch(
     workers: Workers,
     report: Callable[[Recording], None] = lambda recording: None,
 ) -> None:
-    """Segment what of each recording is not yet done, and count it in.
+    """Segment the frames of each recording that are not done yet.
 
-    Results are written by this process alone, in the order of the frames, and do not depend on who computed
-    them. What is wrong with a recording is kept with it, and the run continues with the others. `report` is
-    called with each when it is complete or has failed.
+    Only this process writes results, in the order of frames; they do not depend on the number of workers. If
+    a recording fails, the run continues with the others. `report` is called with each when it has ended.
     """
     exporters: dict[str, Exporter] = {}
 
@@ -150,7 +130,7 @@ def run_batch(
 
 
 def _begun(batch: Batch, recording: Recording) -> Exporter:
-    """Find out how far a recording has come, and open its export."""
+    """Read the progress of a recording, and open its export."""
     folder = Path(recording.directory)
     settings = run_settings(batch.config, source=recording.uri, surfaces=batch.export.surfaces)
     exporter = Exporter(folder, settings, replace(batch.export, force=True))
@@ -179,7 +159,7 @@ def _begun(batch: Batch, recording: Recording) -> Exporter:
 
 
 def _keep(recording: Recording, outcomes: Sequence[_Outcome], exporter: Exporter) -> None:
-    """Write what came of successive frames, and then how far the recording has come."""
+    """Write the files of successive frames, and then the recording's progress."""
     for outcome in outcomes:
         if isinstance(outcome, str):
             recording.damaged[str(recording.done)] = outcome
@@ -191,7 +171,7 @@ def _keep(recording: Recording, outcomes: Sequence[_Outcome], exporter: Exporter
     progress = {"frames": recording.frames, "done": recording.done, "damaged": recording.damaged}
     path = exporter.directory / PROGRESS_FILE
     try:
-        write_atomically(path, (json.dumps(progress, indent=1) + "\n").encode())
+        write_json(path, progress)
     except OSError as err:
         raise ExportError(f"{path}: cannot be written: {err.strerror}") from err
 
@@ -199,9 +179,9 @@ def _keep(recording: Recording, outcomes: Sequence[_Outcome], exporter: Exporter
 def segment_run(
     task: _Task, *, config: SegmentationConfig, options: SourceOptions, export: ExportConfig
 ) -> list[_Outcome]:
-    """Segment successive frames of a recording, each for itself; return the files of each.
+    """Segment successive frames of a recording independently; return the files of each.
 
-    Raises DriverError if the recording cannot be read, or ends before its time.
+    Raises DriverError if the recording cannot be read, or ends early.
     """
     outcomes: list[_Outcome] = []
     for frame in _reader().read(task.uri, options, task.run):

@@ -1,9 +1,8 @@
-"""nurbseg-batch: segments many recordings, on all cores or a cluster, and goes on after it was ended."""
+"""The command nurbseg-batch, which segments many recordings on all cores or a cluster."""
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Sequence
@@ -20,7 +19,7 @@ from nurbseg.drivers.settings import value_kinds
 if TYPE_CHECKING:
     from nurbseg.app.batch.batch import Recording
 
-#: The file that tells of all recordings.
+#: The report on all recordings.
 REPORT_FILE = "report.json"
 
 _DESCRIPTION = """\
@@ -120,7 +119,7 @@ def _tell(recording: Recording) -> None:
 def _write_report(
     path: Path, ended: str, seconds: float, recordings: Sequence[Recording], by: dict[str, Any]
 ) -> None:
-    from nurbseg.app.atomic_file import write_atomically
+    from nurbseg.app.atomic_file import write_json
     from nurbseg.app.evaluation.computer import computer
     from nurbseg.app.versions import versions
 
@@ -138,7 +137,7 @@ def _write_report(
         "computer": computer(),
         "versions": versions(),
     }
-    write_atomically(path, (json.dumps(document, indent=1) + "\n").encode())
+    write_json(path, document)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What each variant answers on one frame; what variants have in common is done once."""
+"""The labels of each variant on one frame; work that variants share is done once."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.evaluation.methods.flat import best_lambda
-from nurbseg.app.evaluation.methods.methods import CLUSTERS, labels_on_disk, rival
-from nurbseg.app.evaluation.variants import LABELS_PREFIX, TREE_METHODS, Variant
+from nurbseg.app.evaluation.methods.methods import CLUSTERS, METHODS, dmzc12, labels_on_disk
+from nurbseg.app.evaluation.variants import LABELS_PREFIX, Variant
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.cut.ncut import Cut
 from nurbseg.segmentation.methods import segment
@@ -26,11 +26,10 @@ from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS
 
 
 class SharedWork:
-    """Cuts and fits of one frame by the paper's method, made once for all settings that make the very same.
+    """Cuts and fits of one frame by the paper's method, computed once for all settings that agree on them.
 
-    A cut depends on a segment's name and points, not on the metric that judges it: trees that differ in
-    metric, threshold and limits share all the cuts and fits that they both come to. One object serves one
-    frame and one thread; it holds on to everything until it is dropped.
+    A cut depends on a segment's name and points, but not on metric, threshold and limits. For one frame and
+    one thread.
     """
 
     def __init__(self) -> None:
@@ -39,7 +38,7 @@ class SharedWork:
     def cut(
         self, grid: PixelGrid, node: Node, vectors: NDArray[np.float32], config: SegmentationConfig
     ) -> tuple[Cut, NDArray[np.bool_]]:
-        """Do as `cut_in_two`."""
+        """Return the result of `cut_in_two`."""
         key = (node.name, _digest(node.grid_pixels), _judged_alike(config, "mse"))
         if key not in self._made:
             self._made[key] = cut_in_two(grid, node, vectors, config)
@@ -47,8 +46,8 @@ class SharedWork:
         return found
 
     def fit(self, grid: PixelGrid, places: NDArray[np.intp], config: SegmentationConfig) -> Fit:
-        """Do as `fit_segment`."""
-        # One fit has all metrics of residuals, another all nine.
+        """Return the result of `fit_segment`."""
+        # A fit has either all residual metrics or all nine.
         metric: Metric = "vmxc" if config.metric in CURVATURE_METRICS else "mse"
         key = (_digest(places), _judged_alike(config, metric))
         if key not in self._made:
@@ -62,15 +61,15 @@ def _digest(places: NDArray[np.intp]) -> bytes:
 
 
 def _judged_alike(config: SegmentationConfig, metric: Metric) -> SegmentationConfig:
-    """Return settings that are equal for all that differ in what is made of cuts and fits alone."""
+    """Return the settings without those that do not affect cuts and fits."""
     return replace(config, metric=metric, ratio_max=1.0, depth_max=0, splits_max=0, budget_ms=0.0)
 
 
 class Answers:
-    """Segments one frame with one variant after the other; shares what they have in common.
+    """Segments one frame with several variants.
 
-    `seed` and the frame's `index` in its source are the state of each variant's random generator; label
-    images of other programs are found by its `name`.
+    `seed` and the frame's `index` in its source seed each variant's random generator; `name` finds label
+    images of other programs.
     """
 
     def __init__(self, cloud: PointMap, name: str, index: int, seed: int) -> None:
@@ -90,16 +89,17 @@ class Answers:
                     f"{self._cloud.valid.shape} as its depth image, got {labels.shape}"
                 )
             return labels, None
-        if variant.method not in TREE_METHODS:
-            return rival(variant)(self._cloud, rng), None
         config = variant.config
+        if variant.method == "dmzc12":
+            return dmzc12(self._cloud, rng, config), None
+        if variant.method in METHODS:
+            return METHODS[variant.method](self._cloud, rng), None
         if variant.lambda_auto:
-            chosen = (config.samples, config.affinity_scale)
-            if chosen not in self._lambdas:
-                self._lambdas[chosen] = best_lambda(self._cloud, config, clusters=CLUSTERS, seed=self._seed)[
-                    0
-                ]
-            config = replace(config, geometry_weight=self._lambdas[chosen])
+            used = (config.samples, config.affinity_scale)
+            if used not in self._lambdas:
+                chosen, _ = best_lambda(self._cloud, config, clusters=CLUSTERS, seed=self._seed)
+                self._lambdas[used] = chosen
+            config = replace(config, geometry_weight=self._lambdas[used])
         if config.method == "stag15":
             tree = segment_stag15(self._cloud, config, cut=self._shared.cut, fit=self._shared.fit)
         else:

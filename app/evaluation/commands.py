@@ -1,4 +1,4 @@
-"""What the commands of nurbseg-eval do, once their arguments are read."""
+"""The commands of nurbseg-eval."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from importlib import import_module
 from typing import get_args
 
-from nurbseg.app.atomic_file import write_atomically
+from nurbseg.app.atomic_file import write_atomically, write_json
 from nurbseg.app.command.config_file import format_config, read_config
 from nurbseg.app.config import AppConfig
 from nurbseg.app.evaluation.arguments import base_config, source_options
@@ -24,7 +24,7 @@ from nurbseg.app.evaluation.report.progress import Progress
 from nurbseg.app.evaluation.report.report import write_report
 from nurbseg.app.evaluation.report.tables import all_tables, as_markdown, as_text
 from nurbseg.app.evaluation.results import StudyResults, write_rows
-from nurbseg.app.evaluation.store import StudyStore, write_json
+from nurbseg.app.evaluation.store import StudyStore
 from nurbseg.app.evaluation.study import Study, frame_refs, read_frame, run_study, times_per_frame
 from nurbseg.app.evaluation.tuning import searched_settings, tune
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, grid_of, variants_of
@@ -34,12 +34,12 @@ from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.points.registration import PointMap, register
 from nurbseg.segmentation.surfaces.noise import measure_noise
 
-#: Lines of the summary at the end, the verdict first.
+#: Number of sentences in the final summary.
 _SUMMARY_LINES = 10
 
 
 def study_of(given: argparse.Namespace) -> Study:
-    """Return the study that the arguments describe, without its variants."""
+    """Return the study that the arguments describe, without variants."""
     leasts = {"frames": 1, "start": 0, "jobs": 1, "seed": 0, "pictures": 0, "pieces": 1}
     for name, least in leasts.items():
         value = getattr(given, name, None)
@@ -57,7 +57,7 @@ def study_of(given: argparse.Namespace) -> Study:
 
 
 def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
-    """Score methods and settings; write tables and a report."""
+    """Score methods and settings, and write tables and a report."""
     methods = [*_words(given.methods), *(f"{LABELS_PREFIX}{folder}" for folder in given.labels)]
     for method in methods:
         check_method(method)
@@ -82,7 +82,7 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
     if not results.frames:
         raise ValueError(f"{', '.join(study.sources)}: no frame has ground truth; see {given.out}/frames")
     seconds = times_per_frame(study, given.time_frames) if given.time_frames > 0 else {}
-    write_json(given.out / "times.json", dict(seconds))
+    write_json(given.out / "times.json", seconds)
     files = list(write_rows(results, given.out))
     tables = all_tables(results, seconds)
     about = f"{len(results.frames)} frames. {versions_line()}. Computed on {'; '.join(results.computers())}."
@@ -115,7 +115,7 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
 
 
 def _check_before(study: Study, *, report: bool) -> None:
-    """Raise what would end a study later, before anything is written or computed."""
+    """Raise errors that would end the study later, before anything is written or computed."""
     for name in ("pyarrow", *(("jinja2", "matplotlib") if report else ())):
         import_module(name)
     for ref in frame_refs(study):
@@ -128,7 +128,7 @@ def _check_before(study: Study, *, report: bool) -> None:
 
 
 def search(given: argparse.Namespace, study: Study) -> None:
-    """Search the settings that score best, and write them as a configuration for nurbseg-live."""
+    """Search for the best settings, and write them as a configuration for nurbseg-live."""
     config = base_config(given)
     if given.method is not None:
         config = replace(config, method=given.method)
@@ -187,7 +187,7 @@ def _words(text: str) -> list[str]:
 
 
 def check(given: argparse.Namespace) -> int:
-    """Print what is wrong with a folder of exports and what was checked; return 1 where something is."""
+    """Print findings on a folder of exports and what was checked; return 1 if there are findings."""
     options = source_options(given)
     if given.calibration is not None:
         options = replace(options, calibration=read_camera_file(given.calibration))

@@ -1,51 +1,36 @@
-"""The scores of one segmentation of one frame, as a flat record."""
+"""The scores of one segmentation of one frame."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.scoring.boundaries import boundary_scores
-from nurbseg.segmentation.scoring.objects import object_scores, without_background
+from nurbseg.segmentation.scoring.objects import ObjectScores, object_scores, without_background
 from nurbseg.segmentation.scoring.scores import Contingency
 
 
-@dataclass(frozen=True, slots=True)
-class FrameScores:
-    """How a label map compares with the ground truth.
+class FrameScores(NamedTuple):
+    """Scores of a label map against the ground truth."""
 
-    Parameters
-    ----------
-    ri, gtrc : float
-        Rand index and ground-truth region covering, 0 to 1, greater is better.
-    voi : float
-        Variation of information, bits, smaller is better.
-    obj : float
-        Mean best IoU over the ground-truth regions but the largest; NaN where there is one region.
-    segments, regions : int
-        Segments found and regions of the ground truth, over the pixels that count.
-    over, under : float
-        The two halves of `voi`, bits: regions torn into segments, and segments that hold several.
-    precision, recall : float
-        Of boundaries within 2 pixels; NaN where there are none.
-    """
-
+    #: Rand index and ground-truth region covering, 0 to 1, greater is better.
     ri: float
     gtrc: float
+    #: Variation of information, bits, smaller is better.
     voi: float
+    #: Mean best IoU over the ground-truth regions except the largest; NaN if there is only one.
     obj: float
+    #: Number of segments and of ground-truth regions.
     segments: int
     regions: int
+    #: The two parts of `voi`, bits: over- and under-segmentation.
     over: float
     under: float
+    #: Of boundaries within 2 pixels; NaN if there are none.
     precision: float
     recall: float
-
-    def as_record(self) -> dict[str, float | int | None]:
-        """Return the scores by name, None in place of NaN, which JSON does not know."""
-        return {name: None if value != value else value for name, value in asdict(self).items()}
 
 
 def score_objects(
@@ -53,36 +38,35 @@ def score_objects(
     truth: NDArray[np.integer],
     points_m: NDArray[np.float32],
     pieces: int = 1,
-) -> dict[str, float | None]:
+) -> ObjectScores:
     """Score the objects of a segmentation, over pixels that have depth and ground truth.
 
     Parameters
     ----------
     labels : (H, W) integer
-        Segments; 0 is none. The largest, and what lies in one plane with it, is the background.
+        Segments; 0 is none. The largest, and those coplanar with it, are the background.
     truth : (H, W) integer
         Ground truth; 0 is none.
     points_m : (H, W, 3) float32
-        Points, metres; NaN where there is none.
+        Points, metres; NaN if there is none.
     pieces : int
-        An object of the ground truth is its label over this, rounded down, 0 being the background. With 1
-        labels are those of objects, and the largest region is the background.
+        A ground-truth label divided by this, rounded down, is an object, and 0 is the background. With 1,
+        labels are objects, and the largest region is the background.
 
     Returns
     -------
-    dict
-        Of `ObjectScores`, by name; None in place of NaN.
+    ObjectScores
+        Of all objects but the background.
     """
     counted = np.isfinite(points_m[..., 2]) & (truth > 0)
     known = np.where(counted, truth.astype(np.int64), 0)
     if pieces == 1:
         known[known == np.bincount(known[counted]).argmax()] = 0
     judged = np.where(counted, labels.astype(np.int64), 0)
-    scores = object_scores(without_background(judged, points_m), known // pieces)
-    return {name: None if value != value else value for name, value in scores._asdict().items()}
+    return object_scores(without_background(judged, points_m), known // pieces)
 
 
-#: For each score of the tables: its heading and whether greater is better.
+#: Heading of each score in the tables, and whether greater is better.
 SCORES = {
     "ri": ("RI", True),
     "gtrc": ("GTRC", True),
@@ -96,8 +80,8 @@ def score_frame(
 ) -> FrameScores:
     """Score a segmentation against the ground truth, over pixels that have depth and ground truth.
 
-    A pixel that has both but bears no label (0) counts as part of one more segment: a method may not
-    raise its score by leaving pixels out.
+    Pixels that have both but no label (0) count as one more segment, so that leaving pixels out does not
+    raise the scores.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Runs variants over labelled frames, in parallel, keeping each finished frame on disk."""
+"""Runs variants on labelled frames in parallel, and stores each finished frame on disk."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from nurbseg.segmentation.segments import SegmentationTree
 
 @dataclass(frozen=True, slots=True)
 class FrameRef:
-    """A frame of a source, by its place, so that any worker can read it."""
+    """A frame of a source by its position, so that any worker can read it."""
 
     uri: str
     index: int
@@ -42,10 +42,10 @@ class FrameRef:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Study:
-    """What is compared on what: `frames` at the most of each source, from `start` on.
+    """The variants to compare, and the frames: of each source at most `frames`, from `start` on.
 
-    `seed` is that of methods that draw random numbers, but for the tree methods, which have a setting;
-    `pieces` that of `nurbseg.app.evaluation.scoring.score_objects`.
+    `seed` is used by methods with random numbers other than the tree methods, which have a setting for it;
+    `pieces` is that of `nurbseg.app.evaluation.scoring.score_objects`.
     """
 
     sources: tuple[str, ...]
@@ -57,7 +57,7 @@ class Study:
     pieces: int = 1
 
     def description(self) -> dict[str, Any]:
-        """Return what kept results depend on, besides the variants, which have keys of their own."""
+        """Return what stored results depend on apart from the variant, which has its own key."""
         return {
             "sources": list(self.sources),
             "options": {
@@ -67,7 +67,7 @@ class Study:
             },
             "seed": self.seed,
             "pieces": self.pieces,
-            # Results of another version are not mixed with its own.
+            # Results of different versions are not mixed.
             "nurbseg": versions().get("nurbseg", "not installed"),
         }
 
@@ -89,13 +89,12 @@ def run_study(
     scheduler: str | None = None,
     report: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[FrameRef]:
-    """Do what of a study is not yet on disk, and return its frames.
+    """Compute the results of a study that are not yet on disk, and return its frames.
 
-    Frames are shared out to the processes of `open_workers`; results are written by this process alone, a
-    frame at a time, and do not depend on who computed them or in which order. `report` is called after each
-    frame with the number of finished frames and of all. Raises DriverError if a source cannot be opened;
-    ValueError if the scheduler does not answer, or has no worker; WorkerLostError if a frame ends two
-    processes that work on it.
+    The processes of `open_workers` segment frames; only this process writes results, which do not depend on
+    the number of processes. `report` is called after each frame with the numbers of finished frames and of
+    all. Raises DriverError if a source cannot be opened, ValueError if the scheduler does not answer or has
+    no worker, and WorkerLostError if two processes died while working on a frame.
     """
     todo = []
     refs = frame_refs(study)
@@ -125,7 +124,7 @@ def run_study(
 
 @dataclass(frozen=True, slots=True)
 class FrameOutcome:
-    """What a worker found in a frame: JSON values, and files by their path in the store."""
+    """A worker's results for a frame: JSON values, and files by their path in the store."""
 
     key: str
     record: dict[str, Any]
@@ -133,7 +132,7 @@ class FrameOutcome:
 
 
 def read_frame(ref: FrameRef, options: SourceOptions) -> RGBDFrame:
-    """Read one frame of a source by its place; raises FrameFormatError if it is damaged."""
+    """Read a frame of a source; raises FrameFormatError if it is damaged."""
     with open_source(ref.uri, options) as source:
         source.skip(ref.index)
         return source.read(timeout_s=60.0)
@@ -144,9 +143,8 @@ def evaluate_frame(
 ) -> FrameOutcome:
     """Segment one frame with several variants and score each.
 
-    What the variants share (reading, registration, vectors, and every cut and fit that two settings of one
-    method both make) is done once. A frame that is damaged, has no ground truth or no pixel that counts is
-    recorded as skipped.
+    Work that variants share (reading, registration, and cuts and fits of one method) is done once. A frame
+    that is damaged or has no pixel with both depth and ground truth is recorded as skipped.
     """
     ref, variants = task
     cv2.setNumThreads(1)
@@ -172,10 +170,12 @@ def evaluate_frame(
     answers = Answers(cloud, frame.name, ref.index, seed)
     for variant in variants:
         labels, tree = answers.of(variant)
-        results[variant.key] = {
-            **score_frame(labels, frame.labels, cloud.valid).as_record(),
-            **score_objects(labels, frame.labels, cloud.points_m, pieces),
+        scores = {
+            **score_frame(labels, frame.labels, cloud.valid)._asdict(),
+            **score_objects(labels, frame.labels, cloud.points_m, pieces)._asdict(),
         }
+        # JSON has no NaN.
+        results[variant.key] = {name: None if np.isnan(value) else value for name, value in scores.items()}
         files[label_path(ref.key, variant)] = label_png(labels)
         if tree is not None:
             files[tree_path(ref.key, variant)] = outline(tree, variant)
@@ -183,10 +183,10 @@ def evaluate_frame(
 
 
 def times_per_frame(study: Study, frames: int) -> Mapping[str, float]:
-    """Return the median seconds a frame of each variant by name, alone, nothing shared, without registration.
+    """Return each variant's median time per frame in seconds, without shared work and registration.
 
-    The first frames that are not damaged are used; the first of each variant is done twice and counted once.
-    Label images of other programs have no time.
+    The first frames that are not damaged are used; each variant runs once before it is timed. Label images of
+    other programs have no time.
     """
     clouds: list[tuple[PointMap, str, int]] = []
     for ref in frame_refs(study):
@@ -211,12 +211,12 @@ def times_per_frame(study: Study, frames: int) -> Mapping[str, float]:
 
 
 def label_path(key: str, variant: Variant) -> str:
-    """Return where a variant's labels of a frame are kept, within the store."""
+    """Return the path of a variant's labels of a frame in the store."""
     return f"labels/{variant.key}/{key}.png"
 
 
 def tree_path(key: str, variant: Variant) -> str:
-    """Return where a variant's tree of a frame is kept, within the store."""
+    """Return the path of a variant's tree of a frame in the store."""
     return f"trees/{variant.key}/{key}.json"
 
 
@@ -229,7 +229,7 @@ def label_png(labels: NDArray[np.integer]) -> bytes:
 
 
 def outline(tree: SegmentationTree, variant: Variant) -> bytes:
-    """Encode what a drawing of the tree needs as JSON."""
+    """Encode the parts of a tree that are drawn as JSON."""
     segments = [
         {
             "name": each.name,

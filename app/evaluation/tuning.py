@@ -1,4 +1,4 @@
-"""Searches the settings that score best on labelled frames, and says how sure the gain is."""
+"""Searches for the settings that score best on labelled frames, and estimates the gain."""
 
 from __future__ import annotations
 
@@ -24,29 +24,19 @@ from nurbseg.segmentation.points.registration import PointMap, register
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tuned:
-    """What a search found.
+    """The result of a search."""
 
-    Parameters
-    ----------
-    config : SegmentationConfig
-        The settings with the best mean over all frames.
-    objective : float
-        Their mean objective over all frames: optimistic, as they were chosen by it.
-    gain : Estimate
-        Gain over the settings the search began with, on frames that had no part in the choice (each fold
-        is judged by the settings chosen on the others), with its interval.
-    """
-
+    #: The settings with the best mean objective over all frames, and this mean, which is optimistic.
     config: SegmentationConfig
     objective: float
+    #: Cross-validated gain over the initial settings; each fold has the best settings of the others.
     gain: Estimate
 
 
 def objective_of(labels: NDArray[np.integer], truth: NDArray[np.integer], valid: NDArray[np.bool_]) -> float:
-    """Return what is maximised: the ground-truth region covering minus a tenth of the VoI in bits.
+    """Return the objective: the ground-truth region covering minus a tenth of the VoI in bits.
 
-    The covering alone cannot tell apart settings that tear small objects differently; the information
-    can, and a tenth brings both to one scale.
+    The covering alone hardly depends on how small objects are divided; VoI / 10 has a similar scale.
     """
     scores = score_frame(labels, truth, valid)
     return scores.gtrc - 0.1 * scores.voi
@@ -64,10 +54,9 @@ def tune(
 ) -> Tuned:
     """Search metric, T, lambda, T_p, affinity scale and splitting point with Optuna.
 
-    Every tried setting, `start` first, is scored on every frame; the winner of each of `folds` parts is the
-    best on the other parts. What is not searched stays as in `start`. `report` is called after each of
-    `budget` trials with its number and the best mean. Raises ValueError if there are fewer than two labelled
-    frames, or `budget` or `folds` is below 2.
+    Each of `budget` settings, `start` first, is scored on every frame; other settings stay as in `start`.
+    `report` is called after each with its number and the best mean so far. Raises ValueError if there are
+    fewer than two labelled frames, or `budget` or `folds` is below 2.
     """
     import optuna
 
@@ -114,13 +103,13 @@ def _cross_validated_gain(table: NDArray[np.float64], folds: int, seed: int) -> 
 
 _Labelled = tuple[PointMap, NDArray[np.uint16]]
 
-#: Registered frames that a process keeps; half a gigabyte at 640x480.
+#: Number of registered frames that a process keeps: half a gigabyte at 640x480.
 _CLOUDS_MOST = 100
 _CLOUDS: dict[str, _Labelled | None] = {}
 
 
 def _labelled_cloud(ref: FrameRef, study: Study) -> _Labelled | None:
-    """Register a frame, the first ones once in each process; tried settings differ in what comes after."""
+    """Register a frame, the first `_CLOUDS_MOST` only once in each process."""
     known = json.dumps([ref.uri, ref.index, study.description()["options"]])
     if known in _CLOUDS:
         return _CLOUDS[known]
@@ -154,7 +143,7 @@ _SMALLEST = {
 
 
 def searched_settings(config: SegmentationConfig) -> dict[str, Any]:
-    """Return the settings of a configuration that are searched, by name."""
+    """Return the settings that are searched, by name."""
     names = ("metric", "ratio_max", "geometry_weight", "affinity_scale", "splitting_point")
     section, smallest, _, _ = _SMALLEST[config.method]
     return {name: getattr(config, name) for name in names} | {

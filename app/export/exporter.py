@@ -1,4 +1,4 @@
-"""Files of each frame's result: labels, tree, objects and what else is wanted; and of the settings."""
+"""Writes the files of each frame's result, and of the settings."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.atomic_file import write_atomically
+from nurbseg.app.atomic_file import write_atomically, write_json
 from nurbseg.app.export.cad import cad_file
 from nurbseg.app.export.cloud import cloud_file
 from nurbseg.app.export.config import ExportConfig
@@ -26,19 +26,19 @@ from nurbseg.app.result import FrameResult
 from nurbseg.app.view.drawing.palette import LABEL_COLORS, label_colors
 from nurbseg.segmentation.config import DepthConfig, Metric, SegmentationConfig
 
-#: The file of an export that holds what all its frames were made with.
+#: The file with the settings of all frames of an export.
 SETTINGS_FILE = "settings.json"
-#: The file of an export that holds the objects of all frames, a row for each.
+#: The table of the objects of all frames.
 OBJECTS_FILE = "objects.csv"
 _OBJECTS_SUFFIX = "_objects.json"
 
 
 class ExportError(Exception):
-    """A result cannot be written; the message says where, why, and what is kept."""
+    """A result cannot be written; the message says where and why."""
 
 
 class MissingExtraError(ExportError):
-    """A form of export needs a library that is not installed; the message says how to install it."""
+    """An export format needs a library that is not installed; the message says how to install it."""
 
 
 def run_settings(
@@ -50,11 +50,10 @@ def run_settings(
     surfaces: bool = False,
     depth: DepthConfig | None = None,
 ) -> dict[str, Any]:
-    """Return what ``settings.json`` holds: all that the frames of one export have in common.
+    """Return the content of ``settings.json``.
 
-    `temporal` says whether a frame continues the one before it; `target_fps` is the rate that is held by a
-    coarser grid, 1/s, or 0 where the grid is always that of `config`; `depth` is what is done to depth images
-    before.
+    `temporal` says whether a frame continues the previous one; `target_fps` is the rate that is maintained by
+    a coarser grid, 1/s, or 0 if the grid is always that of `config`; `depth` is the preprocessing of depth.
     """
     return {
         "source": source,
@@ -67,21 +66,13 @@ def run_settings(
 
 
 class Exporter:
-    """Writes results to a folder, each file whole or not at all.
+    """Writes results to a folder, which is created if needed; see docs/files.md.
 
-    A frame's files are named by its number, or by its name in the source: ``000012_labels.png``,
-    ``000012_tree.json`` and what else is wanted. Where surfaces were merged into objects,
-    ``000012_surfaces.png`` and ``000012_objects.png`` hold both; the labels are those that the level asks
-    for. Where frames continue each other, a segment has one label in all of them. The tree is written last:
-    where it is, the others are.
+    A frame's tree is written last: if it exists, the frame's other files do. `settings` comes from
+    `run_settings`; its `surfaces` overrides that of `export`. `written` counts frames.
 
-    Beside them ``settings.json`` holds `settings`, of `run_settings`, that all frames were made with, and
-    ``objects.csv`` the objects of all frames, if they are wanted. A folder that holds results of other
-    settings is refused; one that does not exist is made. `export` says what is written of each frame; as an
-    attribute its `surfaces` is that of the settings. `written` counts frames.
-
-    Raises MissingExtraError if a library is missing that a form needs, and ExportError if the folder cannot
-    be made, or holds other results.
+    Raises MissingExtraError if a format needs a missing library, and ExportError if the folder cannot be
+    created or contains results with other settings.
     """
 
     def __init__(
@@ -103,7 +94,7 @@ class Exporter:
             raise ExportError(f"{directory}: cannot be created: {err.strerror}") from err
         _refuse_other_results(directory, settings)
         try:
-            write_atomically(directory / SETTINGS_FILE, (json.dumps(settings, indent=1) + "\n").encode())
+            write_json(directory / SETTINGS_FILE, settings)
         except OSError as err:
             raise ExportError(f"{directory / SETTINGS_FILE}: cannot be written: {err.strerror}") from err
 
@@ -112,9 +103,9 @@ class Exporter:
         self.write_files(frame_files(result, self._metric, self.export))
 
     def write_files(self, files: Mapping[str, bytes]) -> None:
-        """Write the files of one frame that `frame_files` has made, in their order.
+        """Write a frame's files from `frame_files` in their order.
 
-        Raises ExportError if one cannot be written, or already exists and may not be replaced.
+        Raises ExportError if one cannot be written, or exists and must not be replaced.
         """
         for name, content in files.items():
             path = self.directory / name
@@ -136,10 +127,7 @@ class Exporter:
 
 
 def frame_files(result: FrameResult, metric: Metric, export: ExportConfig) -> dict[str, bytes]:
-    """Return the files of a frame by name, the tree last; `metric` decided the splits.
-
-    Raises ExportError if the labels cannot be a PNG.
-    """
+    """Return the files of a frame by name, the tree last; `metric` decided the splits."""
     tree = result.tree
     files = {"labels.png": _png(result.labels())}
     if tree.objects:
@@ -167,7 +155,7 @@ def frame_files(result: FrameResult, metric: Metric, export: ExportConfig) -> di
 
 
 def _refuse_other_results(directory: Path, settings: Mapping[str, Any]) -> None:
-    """Raise if a folder holds results that were made with other settings."""
+    """Raise ExportError if a folder contains results with other settings."""
     advice = "export to another folder, or delete this one"
     path = directory / SETTINGS_FILE
     try:
@@ -179,20 +167,26 @@ def _refuse_other_results(directory: Path, settings: Mapping[str, Any]) -> None:
     except (OSError, ValueError) as err:
         raise ExportError(f"{path}: cannot be read: {err}; {advice}") from err
     if before != settings:
-        was, now = _flat(before), _flat(settings)
-        differing = (
-            f"{key} is {was.get(key)} there and {now.get(key)} now"
-            for key in {**was, **now}
-            if was.get(key) != now.get(key)
-        )
-        raise ExportError(f"{path}: belongs to another run: {', '.join(differing)}; {advice}")
+        differing = ", ".join(differences(before, settings))
+        raise ExportError(f"{path}: belongs to another run: {differing}; {advice}")
+
+
+def differences(before: Any, now: Mapping[str, Any]) -> list[str]:
+    """Describe how the settings in a file differ from those of this run; `before` may be any JSON."""
+    was, own = _flat(before), _flat(now)
+    return [
+        f"{key} is {was.get(key)} there and {own.get(key)} now"
+        for key in {**was, **own}
+        if was.get(key) != own.get(key)
+    ]
 
 
 def _flat(settings: Any) -> dict[str, Any]:
-    """Return settings and those of the segmentation side by side."""
-    if not isinstance(settings, Mapping):
-        return {}
-    return {**settings, **settings.get("segmentation", {}), "segmentation": None}
+    """Return settings without sections."""
+    flat: dict[str, Any] = {}
+    for key, value in settings.items() if isinstance(settings, Mapping) else ():
+        flat |= value if isinstance(value, Mapping) else {key: value}
+    return flat
 
 
 def _json(document: Mapping[str, Any]) -> bytes:
@@ -200,7 +194,7 @@ def _json(document: Mapping[str, Any]) -> bytes:
 
 
 def _preview(result: FrameResult) -> bytes:
-    """Return the labels in colors over the frame in gray."""
+    """Return the colored labels over the gray frame."""
     labels = result.labels()
     colors = np.vstack([np.zeros((1, 3), dtype=np.uint8), label_colors()])
     painted = colors[np.where(labels > 0, (labels - 1) % LABEL_COLORS + 1, 0)]

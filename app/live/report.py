@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import resource
 import sys
 import time
@@ -16,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from nurbseg.app.atomic_file import write_atomically
+from nurbseg.app.atomic_file import write_json
 from nurbseg.app.config import AppConfig
 from nurbseg.app.export.exporter import ExportError
 from nurbseg.app.live.capture import CaptureThread
@@ -178,10 +177,9 @@ class RunReport:
         if self._config.export.report is None:
             return
         path = Path(self._config.export.report)
-        content = json.dumps(self.document(ended), indent=2) + "\n"
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(path, content.encode())
+            write_json(path, self.document(ended))
         except OSError as err:
             raise ExportError(f"{path}: cannot be written: {err.strerror}") from err
 

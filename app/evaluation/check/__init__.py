@@ -1,1 +1,1 @@
-"""Holds what was exported against what it says of itself."""
+"""Checks exports for consistency."""

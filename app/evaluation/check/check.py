@@ -1,4 +1,4 @@
-"""Checks a folder of exports against itself, its settings and its recording."""
+"""Checks a folder of exports for consistency with itself, its settings and its recording."""
 
 from __future__ import annotations
 
@@ -29,26 +29,17 @@ from nurbseg.segmentation.points.registration import register
 class FolderCheck:
     """Checks the frames of a folder of exports.
 
-    Nothing here calls what made the values: surfaces are evaluated by SciPy; metrics, ratios and the order of
-    the tree are computed again. What is shared is the recording's frames and their registration. Without the
-    recording that was segmented, no value is recomputed from points.
+    The checks share no code with the segmentation but the reading and registration of frames: surfaces are
+    evaluated with SciPy; metrics, ratios and the order of the tree are computed independently. Values are
+    recomputed from points only with the recording that was segmented.
 
-    Attributes
-    ----------
-    frames, segments, recomputed : int
-        What was checked so far: frames, their segments, and those of them whose values were recomputed.
-    history : History
-        Their values and trials, and how many belong to frames that are not there.
-
-    Raises
-    ------
-    ValueError
-        If the folder holds no export, or a recording is given for one without surfaces.
+    Raises ValueError if the folder contains no export, or a recording is given for one without surfaces.
     """
 
     def __init__(
         self, folder: Path, recording: str | None = None, options: SourceOptions | None = None
     ) -> None:
+        #: What was checked so far; `recomputed` counts segments whose values were recomputed.
         self.frames = self.segments = self.recomputed = 0
         self.history = History()
         self._folder = folder
@@ -56,7 +47,7 @@ class FolderCheck:
         self._options = options or SourceOptions()
         self._settings = read_settings(folder)
         stems = (path.name.removesuffix("_tree.json") for path in folder.glob("*_tree.json"))
-        # Files named as in their source are in its order, too.
+        # This is also the order of files that are named as in their source.
         self._stems = sorted(stems, key=natural_key)
         if not self._stems:
             raise ValueError(f"{folder}: contains no NNNNNN_tree.json")
@@ -73,7 +64,7 @@ class FolderCheck:
         self._preparation = DepthPreparation(self._settings.depth, noise)
 
     def findings(self) -> Iterator[Finding]:
-        """Check frame after frame, and yield what is wrong."""
+        """Check all frames, and yield what is wrong."""
         with ExitStack() as stack:
             source = None
             if self._recording is not None:
@@ -92,7 +83,7 @@ class FolderCheck:
         names = list(check_names(frame))
         yield from names
         if names:
-            # The rest asks which segment is part of which.
+            # The other checks need to know which segment is part of which.
             return
         stops = check_stops if frame.settings.independent else check_live_stops
         for check in (check_partition, check_merges, check_splits, stops, self.history.check):
@@ -106,14 +97,14 @@ class FolderCheck:
 
     def _check_against(self, frame: ExportedFrame, recorded: RGBDFrame | None) -> Iterator[Finding]:
         if recorded is None:
-            yield Finding(frame.tree_file, "", "frame", "one of the recording", str(frame.number))
+            yield frame.wrong("", "frame", "one of the recording", frame.number)
             return
         for field, expected, found in (
             ("name", recorded.name, frame.tree.name),
             ("timestamp_ns", recorded.timestamp_ns, frame.tree.timestamp_ns),
         ):
             if found != expected:
-                yield Finding(frame.tree_file, "", field, f"{expected} as recorded", str(found))
+                yield frame.wrong("", field, f"{expected} as recorded", found)
         cloud = register(self._preparation.prepared(recorded))
         yield from check_values(frame, cloud)
         yield from check_floors(frame, cloud)
@@ -121,7 +112,7 @@ class FolderCheck:
 
 
 def _recorded(source: FrameSource, frame: ExportedFrame) -> RGBDFrame | None:
-    """Read on up to the frame of an export; None where the recording does not hold it."""
+    """Read up to the frame of an export; return None if the recording does not contain it."""
     while True:
         try:
             recorded = source.read()

@@ -1,4 +1,4 @@
-"""What a folder of exports holds, as it is read back, and what is found to be wrong with it."""
+"""The files of an export as they are read back, and findings on them."""
 
 from __future__ import annotations
 
@@ -12,17 +12,13 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import DepthConfig, SegmentationConfig
 
-#: Largest step of a grid that may be coarser than asked for.
+#: Maximum step of a grid that a rate controller made coarser.
 _STEP_MOST = 8
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One place where an export contradicts itself, its settings or its recording.
-
-    It is in a file, in a value (`field`) of a segment ("P010") or of what else is named; an empty segment is
-    the whole frame.
-    """
+    """A contradiction in a field of a segment (or "" for the frame) in one of its files."""
 
     file: str
     segment: str
@@ -38,7 +34,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class RunSettings:
-    """What all frames of an export were made with; see `nurbseg.app.export.exporter.run_settings`."""
+    """The settings of all frames of an export; see `nurbseg.app.export.exporter.run_settings`."""
 
     source: str
     temporal: bool
@@ -49,12 +45,12 @@ class RunSettings:
 
     @property
     def independent(self) -> bool:
-        """Whether the tree of each frame is grown for that frame alone."""
+        """Whether the tree of each frame is grown independently of other frames."""
         return not (self.temporal and self.config.method == "nurbseg")
 
 
 class Measured(NamedTuple):
-    """A value of the deciding metric, None where nothing was measured, and its number of points."""
+    """A value of the deciding metric, None if there is none, and its number of points."""
 
     value: float | None
     points: int
@@ -72,16 +68,13 @@ class ExportedTrial:
 
     @property
     def whole(self) -> Measured:
-        """What was measured of the whole."""
+        """Value and points of the whole."""
         return Measured(self.value, self.points)
 
 
 @dataclass(frozen=True, slots=True)
 class ExportedSegment:
-    """A segment as the tree's file describes it.
-
-    `measured` and `judged` are the number of the file's frame where it does not give them.
-    """
+    """A segment in the tree's file; `measured` and `judged` are the file's own frame if missing there."""
 
     name: str
     parent: str | None
@@ -106,7 +99,7 @@ class ExportedSegment:
 
     @property
     def counted(self) -> float:
-        """What the value counts for in a ratio: no less than its floor, and 0 where nothing was measured."""
+        """The value as it counts in a ratio: at least its floor, and 0 if it is missing."""
         return max(self.value or 0.0, self.floor)
 
 
@@ -120,7 +113,7 @@ class ExportedObject:
 
 @dataclass(frozen=True, slots=True)
 class ExportedContact:
-    """Two leaves that meet, whether they were merged, and by what evidence; without in earlier versions."""
+    """Two leaves in contact, whether they were merged, and the evidence, which earlier versions left out."""
 
     first: str
     second: str
@@ -157,7 +150,7 @@ class ExportedTree:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExportedSurface:
-    """A surface as the file of surfaces holds it; shapes and units are those of `NurbsSurface`."""
+    """A surface in the file of surfaces, with the shapes and units of `NurbsSurface`."""
 
     degree: tuple[int, int]
     knots_u: NDArray[np.float64]
@@ -169,11 +162,10 @@ class ExportedSurface:
 
 @dataclass(frozen=True, eq=False)
 class ExportedFrame:
-    """All files of a frame, whose names begin with its `stem`.
+    """All files of a frame, whose names begin with `stem`.
 
-    Images are "labels" and, where there are objects, "surfaces" and "objects", (H, W) uint16. Surfaces and
-    measured pixels, (N,) int64 flat indices, are by the segments' names; empty where surfaces are not
-    exported.
+    Images are "labels" and, if there are objects, "surfaces" and "objects", (H, W) uint16. Surfaces and
+    measured pixels, (N,) int64 flat indices, are by segment name; empty if surfaces are not exported.
     """
 
     stem: str
@@ -193,6 +185,10 @@ class ExportedFrame:
         """Rows and columns."""
         return self.tree.height, self.tree.width
 
+    def wrong(self, segment: str, field: str, expected: object, found: object) -> Finding:
+        """Return a finding in the file of the tree."""
+        return Finding(self.tree_file, segment, field, str(expected), str(found))
+
     @cached_property
     def segments(self) -> Mapping[str, ExportedSegment]:
         """Segments by name, in the order of the file."""
@@ -200,12 +196,12 @@ class ExportedFrame:
 
     @cached_property
     def objects(self) -> Mapping[int, tuple[str, ...]]:
-        """Names of the leaves of each object; none where nothing was merged."""
+        """Names of the leaves of each object; empty if nothing was merged."""
         return {each.object: each.leaves for each in self.tree.objects}
 
     @cached_property
     def step(self) -> int:
-        """Step of the grid on which splits were decided; the leaves were measured on every point of it."""
+        """Step of the grid on which splits were decided and leaves measured, pixels."""
         valid = self.images["labels"] > 0
         asked = self.settings.config.decimation or (2 if self.shape[1] > 320 else 1)
         if not valid[::asked, ::asked].any() and valid.any():
@@ -239,15 +235,15 @@ class ExportedFrame:
 
     @property
     def leaf_image(self) -> NDArray[np.uint16]:
-        """Which leaf each pixel belongs to, by the leaf's own label, (H, W)."""
+        """Label of each pixel's leaf, (H, W)."""
         return self.images["surfaces" if self.objects else "labels"]
 
     def leaves(self) -> Iterator[ExportedSegment]:
-        """Return the segments that have no parts."""
+        """Return the leaves."""
         return (each for each in self.segments.values() if not each.children)
 
     def below(self, name: str) -> list[ExportedSegment]:
-        """Return the leaves below a segment; of a leaf, itself."""
+        """Return the leaves below a segment, or a leaf itself."""
         return [leaf for leaf in self.leaves() if leaf.name.startswith(name)]
 
     def points_below(self, name: str) -> int:
@@ -259,7 +255,7 @@ class ExportedFrame:
         return sum(self.segments[name[:end]].division == "cut" for end in range(1, len(name)))
 
     def parts(self, name: str) -> list[ExportedSegment]:
-        """Return the parts of a split, going through segments that only hold others together."""
+        """Return the parts of a split, which may be below segments divided by a gap."""
         found, waiting = [], [self.segments[child] for child in self.segments[name].children]
         while waiting:
             part = waiting.pop(0)

@@ -1,4 +1,4 @@
-"""Whether the floors of the metrics follow from the sensor's noise at the measured points."""
+"""Checks that the floors of the metrics follow from the sensor's noise at the measured points."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from nurbseg.app.evaluation.check.values import have_points
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap
 
-#: Points at the rim of a segment are taken to be so much noisier.
+#: Factor of the noise at the border of a segment.
 _RIM_FACTOR = 3.0
-#: Inverse depths and distances are of single precision: noise may be off by this share.
+#: Relative error of noise, as inverse depths and distances are of single precision.
 _SINGLE = 2.0**-21
 
 
 def check_floors(frame: ExportedFrame, cloud: PointMap) -> Iterator[Finding]:
-    """Recompute what noise leaves of the metric that decides at the measured pixels of every segment.
+    """Recompute the floor of the deciding metric at the measured pixels of every segment.
 
-    Noise of inverse depth moves a point along its ray by its deviation, times depth, times distance. The
-    floors of curvature do not depend on the points: they are compared with each other only. Segments whose
-    pixels are not whole are passed over; `cloud` has the points of the same frame.
+    Noise of inverse depth moves a point along its ray by its deviation times depth times distance. Floors of
+    curvature metrics do not depend on the points, so they are only compared with each other. Segments with
+    damaged pixels are skipped; `cloud` holds the points of the same frame.
     """
     config = frame.settings.config
     floored = config.method == "nurbseg" and config.extended.noise_floor > 0
@@ -43,17 +43,15 @@ def check_floors(frame: ExportedFrame, cloud: PointMap) -> Iterator[Finding]:
             noise_m *= config.extended.noise_floor * config.extended.inverse_depth_noise
             least, most = (_floor(noise_m * factor, config) for factor in (1.0 - _SINGLE, 1.0 + _SINGLE))
         if not least <= each.floor <= most:
-            yield Finding(frame.tree_file, name, "floor", f"{least:.9g} to {most:.9g}", repr(each.floor))
+            yield frame.wrong(name, "floor", f"{least:.9g} to {most:.9g}", each.floor)
     for name, floor in per_point.items():
         first = next(iter(per_point.values()))
         if not floor > 0 or abs(floor - first) > 1e-9 * first:
-            yield Finding(
-                frame.tree_file, name, "floor", f"{first:.9g} as of others, more than 0", repr(floor)
-            )
+            yield frame.wrong(name, "floor", f"{first:.9g} as of others, more than 0", floor)
 
 
 def _noise(pixels: NDArray[np.int64], cloud: PointMap, step: int) -> NDArray[np.float64]:
-    """Return by how much inverse depth off by 1/m moves each point, metres, times the factor of the rim."""
+    """Return how far an error of 1/m in inverse depth moves each point, metres, including `_RIM_FACTOR`."""
     rows, columns = np.divmod(pixels, cloud.valid.shape[1])
     own = np.zeros(cloud.valid[::step, ::step].shape, dtype=np.bool_)
     own[rows // step, columns // step] = True
@@ -65,7 +63,7 @@ def _noise(pixels: NDArray[np.int64], cloud: PointMap, step: int) -> NDArray[np.
 
 
 def _floor(noise_m: NDArray[np.float64], config: SegmentationConfig) -> float:
-    """Return the expected metric of normal errors of these deviations."""
+    """Return the expected metric of normal errors with these deviations."""
     if config.metric == "mae":
         return float(np.sqrt(2.0 / np.pi) * noise_m.mean())
     if config.metric == "nle":

@@ -1,4 +1,4 @@
-"""Whether values and trials that belong to other frames are those in the files of these frames."""
+"""Checks values and trials that a live tree keeps from earlier frames."""
 
 from __future__ import annotations
 
@@ -8,22 +8,16 @@ from nurbseg.app.evaluation.check.exported import ExportedFrame, ExportedTrial, 
 
 
 class History:
-    """Values and trials of the frames that were checked so far.
-
-    Attributes
-    ----------
-    unchecked : int
-        Values and trials that belong to frames that are not in the export.
-    """
+    """Values and trials of the frames that were checked so far."""
 
     def __init__(self) -> None:
+        #: Number of values and trials from frames that are not in the export.
         self.unchecked = 0
         self._values: dict[int, set[tuple[float | None, int]]] = {}
         self._trials: dict[int, set[ExportedTrial | None]] = {}
 
     def check(self, frame: ExportedFrame) -> Iterator[Finding]:
-        """Check what belongs to frames before, which were checked, and remember what belongs to this one."""
-        tree = frame.tree_file
+        """Check values and trials from earlier frames, and remember those of this frame."""
         for name, each in frame.segments.items():
             for field, number, known, found in (
                 ("value", each.measured, self._values, (each.value, each.points)),
@@ -32,8 +26,7 @@ class History:
                 if number == frame.number or found in known.get(number, ()):
                     continue
                 if number > frame.number or number in known:
-                    expected = f"one of frame {number}, to which it is said to belong"
-                    yield Finding(tree, name, field, expected, str(found))
+                    yield frame.wrong(name, field, f"one of frame {number}, as the file says", found)
                 else:
                     self.unchecked += 1
         own = frame.segments.values()

@@ -1,4 +1,4 @@
-"""The check of objects: evidence adds up, borders are as long as seen, and merges follow from both."""
+"""Checks objects: the sum of evidence, the lengths of borders, and the merges that follow from them."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from nurbseg.app.evaluation.check.exported import ExportedFrame, Finding
 
-#: Borders are seen across so many pixels without a label, at most, of an image of 640 columns.
+#: Maximum width of a gap without labels in a border, pixels of an image of 640 columns.
 _REACH_PX = 6
 #: Half of the last digit of evidence.
 _ROUNDING = 5e-4
 
 
 def check_merges(frame: ExportedFrame) -> Iterator[Finding]:
-    """Check what became of every two leaves that meet, and why."""
+    """Check the contacts of leaves, and the objects that follow from them."""
     object_of = {name: number for number, names in frame.objects.items() for name in names}
     leaves = {leaf.name for leaf in frame.leaves()}
     sound = True
@@ -27,18 +27,18 @@ def check_merges(frame: ExportedFrame) -> Iterator[Finding]:
         pair = f"{first}-{second}"
         together = first in object_of and object_of[first] == object_of.get(second)
         if first == second or not {first, second} <= leaves:
-            yield Finding(frame.tree_file, pair, "contact", "two leaves", f"{first} and {second}")
+            yield frame.wrong(pair, "contact", "two leaves", f"{first} and {second}")
             sound = False
         elif merged != together:
-            yield Finding(frame.tree_file, pair, "merged", f"{together} by their objects", str(merged))
+            yield frame.wrong(pair, "merged", f"{together} by their objects", merged)
         if contact.evidence is None or contact.log_odds is None:
-            # An earlier version did not write it.
+            # An earlier version did not write evidence.
             sound = False
             continue
         total = sum(contact.evidence.values())
         if not abs(total - contact.log_odds) <= _ROUNDING:
             expected = f"{total:.3f}, the sum of its evidence"
-            yield Finding(frame.tree_file, pair, "log_odds", expected, str(contact.log_odds))
+            yield frame.wrong(pair, "log_odds", expected, contact.log_odds)
     if sound and frame.objects:
         if frame.settings.independent:
             yield from _check_samples(frame)
@@ -46,11 +46,11 @@ def check_merges(frame: ExportedFrame) -> Iterator[Finding]:
 
 
 def _check_samples(frame: ExportedFrame) -> Iterator[Finding]:
-    """Count the places of every border again."""
+    """Count the samples of every border again."""
     name_of = {leaf.leaf: leaf.name for leaf in frame.leaves()}
     reach = max(1, round(_REACH_PX * frame.shape[1] / 640))
     counts = _crossings(frame.leaf_image, reach) + _crossings(frame.leaf_image.T, reach)
-    # Labels of no leaf are told of elsewhere.
+    # Labels of no leaf are found by another check.
     seen = {
         frozenset(name_of[label] for label in pair): count
         for pair, count in counts.items()
@@ -60,11 +60,11 @@ def _check_samples(frame: ExportedFrame) -> Iterator[Finding]:
     for pair in sorted({*seen, *told}, key=sorted):
         if told.get(pair) != seen.get(pair):
             expected = f"{seen.get(pair)} places in the image of the leaves"
-            yield Finding(frame.tree_file, "-".join(sorted(pair)), "samples", expected, str(told.get(pair)))
+            yield frame.wrong("-".join(sorted(pair)), "samples", expected, told.get(pair))
 
 
 def _crossings(labels: NDArray[np.uint16], reach: int) -> Counter[frozenset[int]]:
-    """Count where rows go from one label to another, over less than `reach` pixels without one."""
+    """Count changes of the label along rows, across gaps of less than `reach` pixels."""
     counts: Counter[frozenset[int]] = Counter()
     empty = np.ones((labels.shape[0], labels.shape[1] - 1), dtype=np.bool_)
     for apart in range(1, min(reach, labels.shape[1] - 1) + 1):
@@ -77,10 +77,10 @@ def _crossings(labels: NDArray[np.uint16], reach: int) -> Counter[frozenset[int]
 
 
 def _check_objects(frame: ExportedFrame) -> Iterator[Finding]:
-    """Merge again: of all groups the two that are likeliest one, while they are likely enough; then join."""
+    """Merge again, the likeliest two groups first, as long as they are likely enough; then join."""
     place = {leaf.name: n for n, leaf in enumerate(frame.leaves())}
     groups = {n: {name} for name, n in place.items()}
-    # Between two groups, by their first leaves: log odds times places, exactly, and places.
+    # By the first leaves of two groups: sum of log odds, exact, and number of samples.
     between: dict[tuple[int, int], tuple[Fraction, int]] = {}
     for each in frame.tree.contacts:
         first, second = sorted((place[each.first], place[each.second]))
@@ -88,7 +88,7 @@ def _check_objects(frame: ExportedFrame) -> Iterator[Finding]:
         between[first, second] = Fraction(round(1000 * (each.log_odds or 0.0)), 1000) * places, places
     least = Fraction(frame.settings.config.extended.log_odds_min)
     while True:
-        # Of pairs alike, that of the first leaves.
+        # Among equal pairs, that of the first leaves.
         likeliest = max(between, key=lambda pair: (_mean(between[pair]), (-pair[0], -pair[1])), default=None)
         if likeliest is None or _mean(between[likeliest]) <= least:
             break
@@ -105,12 +105,12 @@ def _check_objects(frame: ExportedFrame) -> Iterator[Finding]:
         pieces = [number for number, names in groups.items() if {join.first, join.second} & names]
         if len(pieces) < 2:
             leaves = f"{join.first}-{join.second}"
-            yield Finding(frame.tree_file, leaves, "joins", "leaves of two objects", "one object or none")
+            yield frame.wrong(leaves, "joins", "leaves of two objects", "one object or none")
             continue
         groups[pieces[0]] |= groups.pop(pieces[1])
     told = {frozenset(names) for names in frame.objects.values()}
     for group in sorted(sorted(names) for names in groups.values() if frozenset(names) not in told):
-        yield Finding(frame.tree_file, "", "objects", f"one of {', '.join(group)} by the log odds", "none")
+        yield frame.wrong("", "objects", f"one of {', '.join(group)} by the log odds", "none")
 
 
 def _mean(odds_and_places: tuple[Fraction, int]) -> Fraction:

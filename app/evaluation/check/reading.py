@@ -39,10 +39,7 @@ class _UnexpectedError(ValueError):
 
 
 def read_settings(folder: Path) -> RunSettings:
-    """Read what the frames of a folder of exports were made with.
-
-    Raises ValueError if the folder has no such file, or it is damaged.
-    """
+    """Read the settings of a folder of exports; raises ValueError if they are missing or damaged."""
     path = folder / SETTINGS_FILE
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
@@ -53,7 +50,7 @@ def read_settings(folder: Path) -> RunSettings:
             float(values["target_fps"]),
             bool(values["surfaces"]),
             updated(SegmentationConfig(), **segmentation),
-            # Exports of the version before have none.
+            # Exports of an earlier version have none.
             updated(DepthConfig(), **in_sections(DepthConfig, values.get("depth", {}))[0]),
         )
     except FileNotFoundError:
@@ -67,21 +64,9 @@ def read_settings(folder: Path) -> RunSettings:
 
 
 def read_frame(folder: Path, stem: str, settings: RunSettings) -> ExportedFrame:
-    """Read the files of one frame.
+    """Read the files of a frame, whose names begin with `stem`.
 
-    Parameters
-    ----------
-    folder : Path
-        Of the export.
-    stem : str
-        The frame's number, as in the names of its files.
-    settings : RunSettings
-        Say whether there is a file of surfaces.
-
-    Raises
-    ------
-    DamagedExportError
-        If a file is missing or not what it should be.
+    Raises DamagedExportError if a file is missing or not as expected.
     """
     file = f"{stem}_tree.json"
     try:
@@ -99,7 +84,7 @@ def read_frame(folder: Path, stem: str, settings: RunSettings) -> ExportedFrame:
 
 
 def _filled_in(document: Any) -> Any:
-    """Fill in what earlier versions did not write: frames of values, evidence of contacts, joins."""
+    """Fill in fields that earlier versions left out."""
     for each in document.get("segments", ()):
         for key in ("measured", "judged"):
             if each.get(key) is None:
@@ -115,9 +100,9 @@ _type_hints = cache(get_type_hints)
 
 
 def _decoded(kind: Any, value: Any) -> Any:
-    """Return a JSON value as a type asks: a class from an object with its fields, a tuple from a list.
+    """Convert a JSON value to a type: objects to dataclasses, lists to tuples.
 
-    Raises ValueError if it is none; names the field, and the segment that it belongs to.
+    Raises ValueError, which names the field and its segment, if the value does not fit.
     """
     origin, inner = get_origin(kind), get_args(kind)
     if origin is UnionType:
@@ -140,7 +125,7 @@ def _decoded(kind: Any, value: Any) -> Any:
                 raise ValueError(f"{whose}{err}") from err
         return kind(**fields)
     kinds = (float, int) if kind is float else origin or kind
-    # To Python, a truth value is a whole number.
+    # In Python, bool is a subclass of int.
     if isinstance(value, bool) == (kind is bool) and isinstance(value, kinds):
         return value
     raise _UnexpectedError(f"expected {getattr(kind, '__name__', kind)}, got {value!r}")

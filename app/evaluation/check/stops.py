@@ -1,4 +1,4 @@
-"""Whether each leaf stopped for the reason in the file, the tree being grown again in its order (eq. 6)."""
+"""Checks the reason why each leaf stopped, by growing the tree again in its order (eq. 6)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from nurbseg.segmentation.config import SegmentationConfig
 
 
 def check_stops(frame: ExportedFrame) -> Iterator[Finding]:
-    """Grow a tree of this frame alone again in its order, the worst segment first; check the reasons."""
+    """Check the stop reasons of a tree of one frame by growing it again, the worst segment first."""
     root = frame.segments["P"]
     first = frame.parts("P") if root.division == "gap" else [root]
     waiting = [(-each.counted, each.name) for each in first]
@@ -25,26 +25,24 @@ def check_stops(frame: ExportedFrame) -> Iterator[Finding]:
             continue
         if expected is None and time_is_over:
             found = each.stop or "split"
-            yield Finding(frame.tree_file, name, "stop", "budget, as that of one before it", found)
+            yield frame.wrong(name, "stop", "budget, as that of one before it", found)
         if each.division == "cut":
             if expected is not None:
-                yield Finding(frame.tree_file, name, "stop", expected, "split")
+                yield frame.wrong(name, "stop", expected, "split")
             splits += 1
             for part in frame.parts(name):
                 heapq.heappush(waiting, (-part.counted, part.name))
         elif expected is not None or each.trial is not None:
             if each.stop != (expected or "criterion"):
-                yield Finding(frame.tree_file, name, "stop", expected or "criterion", str(each.stop))
+                yield frame.wrong(name, "stop", expected or "criterion", each.stop)
             if expected is not None and each.trial is not None:
-                yield Finding(frame.tree_file, name, "trial", f"none, it stopped by {expected}", "a trial")
+                yield frame.wrong(name, "trial", f"none, it stopped by {expected}", "a trial")
         elif each.stop not in ("no-cut", "child-too-small"):
-            yield Finding(
-                frame.tree_file, name, "stop", "no-cut or child-too-small, without a trial", str(each.stop)
-            )
+            yield frame.wrong(name, "stop", "no-cut or child-too-small, without a trial", each.stop)
 
 
 def _early_stop(frame: ExportedFrame, each: ExportedSegment, splits: int) -> str | None:
-    """Return why a segment is not cut at all (eq. 6); None where it is."""
+    """Return why a segment must not be cut (eq. 6); None if it must."""
     config = frame.settings.config
     if _hopeless(each, config):
         return "noise"
@@ -58,23 +56,23 @@ def _early_stop(frame: ExportedFrame, each: ExportedSegment, splits: int) -> str
         return "splits"
     if not each.surface:
         return "no-fit"
-    # What is 0 cannot improve; the paper's first split asks for no improvement.
+    # A value of 0 cannot improve; the paper's first split needs no improvement.
     first = config.method == "stag15" and each.name == "P" and (each.values.get("mse") or 0.0) > 0
     return None if each.counted > 0 or first else "criterion"
 
 
 def _hurried(frame: ExportedFrame, each: ExportedSegment) -> bool:
-    """Say whether a segment may have been left as it was since the time for the frame was over."""
+    """Whether a segment may have been left uncut because the frame's time limit was reached."""
     return each.stop == "budget" and frame.settings.config.budget_ms > 0 and each.trial is None
 
 
 def _hopeless(each: ExportedSegment, config: SegmentationConfig) -> bool:
-    """Say whether a value is so near its floor that no ratio of floored values is below T."""
+    """Whether a value is so close to its floor that no ratio of floored values is below T."""
     return each.floor > 0 and each.floor >= config.ratio_max * each.counted
 
 
 def check_live_stops(frame: ExportedFrame) -> Iterator[Finding]:
-    """Check the reasons of a live tree's leaves against their values, in any order."""
+    """Check the stop reasons of a live tree's leaves against their values."""
     config = frame.settings.config
     cuts = sum(each.division == "cut" for each in frame.segments.values())
     for leaf in frame.leaves():
@@ -93,6 +91,6 @@ def check_live_stops(frame: ExportedFrame) -> Iterator[Finding]:
             "budget": _hurried(frame, leaf),
         }
         if not holds.get(leaf.stop or "", False):
-            yield Finding(frame.tree_file, leaf.name, "stop", "a reason that holds", str(leaf.stop))
+            yield frame.wrong(leaf.name, "stop", "a reason that holds", leaf.stop)
         if leaf.trial is not None and leaf.trial.kept:
-            yield Finding(frame.tree_file, leaf.name, "trial", "one that was rejected", str(leaf.trial))
+            yield frame.wrong(leaf.name, "trial", "one that was rejected", leaf.trial)

@@ -1,4 +1,4 @@
-"""Whether a tree, its label images and its objects say the same: names, sums, and one leaf for each pixel."""
+"""Checks that a tree, its label images and its objects agree on names, sizes and labels."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from nurbseg.app.evaluation.check.exported import ExportedFrame, ExportedSegment
 
 
 def check_names(frame: ExportedFrame) -> Iterator[Finding]:
-    """Check names, parents, children, depths and the order of segments: whether the tree is one tree."""
+    """Check names, parents, children, depths and the order of segments."""
     waiting, reached = ["P"], []
     while waiting:
         reached.append(waiting.pop())
@@ -20,7 +20,7 @@ def check_names(frame: ExportedFrame) -> Iterator[Finding]:
             if len(reached) > len(frame.segments):
                 break
     if reached != list(frame.segments):
-        yield Finding(frame.tree_file, "", "segments", f"{reached} (depth first)", f"{list(frame.segments)}")
+        yield frame.wrong("", "segments", f"{reached} (depth first)", list(frame.segments))
     for name, each in frame.segments.items():
         children = (f"{name}0", f"{name}1") if each.children else ()
         for field, expected, found in (
@@ -29,28 +29,28 @@ def check_names(frame: ExportedFrame) -> Iterator[Finding]:
             ("depth", len(name) - 1, each.depth),
         ):
             if found != expected:
-                yield Finding(frame.tree_file, name, field, str(expected), str(found))
+                yield frame.wrong(name, field, expected, found)
 
 
 def check_partition(frame: ExportedFrame) -> Iterator[Finding]:
     """Check sizes, labels and objects against the label images.
 
-    Labels are places in the tree, or identities where frames continue each other.
+    Labels are positions in the tree or, if frames continue each other, identities.
     """
-    tree, image, in_order = frame.tree_file, frame.leaf_image, not frame.settings.temporal
+    image, in_order = frame.leaf_image, not frame.settings.temporal
     counts = np.bincount(image.ravel(), minlength=1 << 16)
     known = {0}
     for place, leaf in enumerate(frame.leaves(), start=1):
         label = leaf.leaf or 0
         if in_order and label != place:
-            yield Finding(tree, leaf.name, "leaf", f"{place}, its place among the leaves", str(leaf.leaf))
+            yield frame.wrong(leaf.name, "leaf", f"{place}, its place among the leaves", leaf.leaf)
         if label in known and (label > 0 or leaf.size > 0):
-            yield Finding(tree, leaf.name, "leaf", "a label of its own", str(leaf.leaf))
+            yield frame.wrong(leaf.name, "leaf", "a label of its own", leaf.leaf)
             continue
         known.add(label)
         pixels = int(counts[label]) if 0 < label < counts.size else 0
         if leaf.size != pixels:
-            yield Finding(tree, leaf.name, "size", f"{pixels}, the pixels of its label", str(leaf.size))
+            yield frame.wrong(leaf.name, "size", f"{pixels}, the pixels of its label", leaf.size)
     for label in sorted(set(np.flatnonzero(counts).tolist()) - known):
         file = f"{frame.stem}_{'surfaces' if frame.objects else 'labels'}.png"
         yield Finding(file, "", f"label {label}", "a leaf of the tree", f"{counts[label]} pixels of none")
@@ -58,37 +58,36 @@ def check_partition(frame: ExportedFrame) -> Iterator[Finding]:
         if each.children:
             total = sum(frame.segments[child].size for child in each.children)
             if each.size != total:
-                yield Finding(tree, name, "size", f"{total}, the sum of its children", str(each.size))
+                yield frame.wrong(name, "size", f"{total}, the sum of its children", each.size)
         yield from _labels_of(frame, each)
     yield from _check_objects(frame, in_order)
 
 
 def _labels_of(frame: ExportedFrame, each: ExportedSegment) -> Iterator[Finding]:
-    """Say which of a segment's three labels are not what they follow from."""
+    """Check a segment's label, leaf and object against each other."""
     by_object = bool(frame.objects) and frame.tree.level != "surfaces"
     expected = each.object if by_object else each.leaf
     if each.label != expected:
-        yield Finding(frame.tree_file, each.name, "label", str(expected), str(each.label))
+        yield frame.wrong(each.name, "label", expected, each.label)
     if not each.children:
         return
     for field, value in (("leaf", each.leaf), ("object", each.object)):
         if value is not None:
-            yield Finding(frame.tree_file, each.name, field, "None, it is no leaf", str(value))
+            yield frame.wrong(each.name, field, "None, it is no leaf", value)
 
 
 def _check_objects(frame: ExportedFrame, in_order: bool) -> Iterator[Finding]:
-    tree = frame.tree_file
     object_of = {name: number for number, names in frame.objects.items() for name in names}
     listed = [name for names in frame.objects.values() for name in names]
     leaves = [leaf.name for leaf in frame.leaves()]
     if frame.objects and sorted(listed) != sorted(leaves):
-        yield Finding(tree, "", "objects", f"each of the leaves {sorted(leaves)} once", f"{sorted(listed)}")
+        yield frame.wrong("", "objects", f"each of the leaves {sorted(leaves)} once", sorted(listed))
     if in_order and list(frame.objects) != list(range(1, len(frame.objects) + 1)):
-        yield Finding(tree, "", "objects", "the numbers 1, 2, ...", f"{list(frame.objects)}")
+        yield frame.wrong("", "objects", "the numbers 1, 2, ...", list(frame.objects))
     label_of = np.zeros(1 << 16, dtype=np.uint16)
     for leaf in frame.leaves():
         if leaf.object != object_of.get(leaf.name):
-            yield Finding(tree, leaf.name, "object", str(object_of.get(leaf.name)), str(leaf.object))
+            yield frame.wrong(leaf.name, "object", object_of.get(leaf.name), leaf.object)
         if leaf.leaf and 0 < leaf.leaf < label_of.size:
             label_of[leaf.leaf] = object_of.get(leaf.name, 0)
     expected = {"objects": label_of[frame.leaf_image]} if frame.objects else {}

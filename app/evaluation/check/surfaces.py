@@ -1,4 +1,4 @@
-"""Whether surfaces, and the pixels that they were fitted to, are whole; and their points, by SciPy."""
+"""Checks surfaces and the pixels they were fitted to, and evaluates surfaces with SciPy."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def check_measured(frame: ExportedFrame) -> Iterator[Finding]:
         pixels = frame.measured[name]
         if pixels.size != each.points:
             yield Finding(file, name, "measured", f"{each.points} pixels", str(pixels.size))
-        # What was measured in another frame has that one's pixels, and what a live tree did not cut has none.
+        # Values from another frame have its pixels; a segment that a live tree did not cut has none.
         own = each.measured == frame.number and (pixels.size or each.points)
         if each.children and own and not np.array_equal(pixels, _measured_below(frame, name)):
             yield Finding(file, name, "measured", "the pixels of its leaves", "others")
@@ -46,7 +46,7 @@ def check_surfaces(frame: ExportedFrame) -> Iterator[Finding]:
         yield Finding(frame.surfaces_file, "", "names", str(with_surface), str(list(frame.surfaces)))
     for name, each in frame.segments.items():
         if each.surface == bool(each.reason):
-            yield Finding(frame.tree_file, name, "reason", "one where there is no surface", repr(each.reason))
+            yield frame.wrong(name, "reason", "one where there is no surface", repr(each.reason))
     boxes = _boxes(frame)
     for name, surface in frame.surfaces.items():
         if name not in frame.segments:
@@ -61,10 +61,8 @@ def check_surfaces(frame: ExportedFrame) -> Iterator[Finding]:
         top, left, bottom, right = surface.window
         for box in corners:
             if not (top <= box[0] and left <= box[1] and box[2] <= bottom and box[3] <= right):
-                whole = tuple(int(each) for each in box)
-                yield Finding(
-                    frame.surfaces_file, name, "window", f"to hold all pixels, {whole}", str(surface.window)
-                )
+                whole = f"to hold all pixels, {tuple(int(each) for each in box)}"
+                yield Finding(frame.surfaces_file, name, "window", whole, str(surface.window))
                 break
         if not (0 <= top < bottom <= frame.shape[0] and 0 <= left < right <= frame.shape[1]):
             image = f"part of the image {frame.shape}"
@@ -72,7 +70,7 @@ def check_surfaces(frame: ExportedFrame) -> Iterator[Finding]:
 
 
 def _boxes(frame: ExportedFrame) -> dict[str, tuple[int, int, int, int]]:
-    """Return first row and column of each segment's pixels, and one past the last of each."""
+    """Return the bounding box of each segment's pixels: first row and column, one past the last of each."""
     leaf_of = {leaf.leaf: leaf.name for leaf in frame.leaves() if leaf.leaf}
     boxes: dict[str, tuple[int, int, int, int]] = {}
     for label, found in enumerate(find_objects(frame.leaf_image), start=1):
@@ -85,7 +83,7 @@ def _boxes(frame: ExportedFrame) -> dict[str, tuple[int, int, int, int]]:
 
 
 def malformed(surface: ExportedSurface) -> tuple[str, str, str] | None:
-    """Return what of a surface's arrays is wrong: the field, what is expected, and what was found."""
+    """Return what is wrong with a surface's arrays: the field, what is expected, and what was found."""
     n, m = surface.weights.shape if surface.weights.ndim == 2 else (0, 0)
     if surface.control_points_m.shape != (n, m, 3):
         return "control_points_m", f"{(n, m, 3)} as weights", str(surface.control_points_m.shape)

@@ -1,4 +1,4 @@
-"""Whether the values of the nine metrics follow from the surfaces and the points of the recording."""
+"""Checks that the values of the nine metrics follow from the surfaces and the recording's points."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from nurbseg.app.evaluation.check.surfaces import derivatives, malformed
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap
 
-#: Residuals that are no more than this are the rounding of the points, and count as 0.
+#: Residuals of at most this size come from rounding of the points and count as 0.
 _ROUNDING_M = 1e-6
-#: Inverse depths and distances are of single precision: a residual may be off by this share of both.
+#: Relative error of inverse depths and distances, which are of single precision.
 _SINGLE = 2.0**-22
-#: What is computed in double precision agrees to this share, curvature included.
+#: Relative error of values computed in double precision, including curvature.
 _DOUBLE = 1e-9
-#: Tangents whose parallelogram is smaller than this share of their squares span no plane.
+#: Tangents whose parallelogram is smaller than this share of their squares do not span a plane.
 _FLAT_SHARE = 1e-9
-#: How far the surface of a pixel may lie beside the pixel's ray, radians: half a pixel of an image 640 wide.
+#: Maximum angle between a surface point and its pixel's ray, radians: half a pixel at 640 columns.
 _BESIDE_MOST = 1e-3
 
-#: Least and most that a value may be.
+#: Smallest and largest valid value.
 Bounds = tuple[float, float]
 
 
 def check_values(frame: ExportedFrame, cloud: PointMap) -> Iterator[Finding]:
     """Recompute the values of every segment from its surface and the points at its measured pixels.
 
-    What is not whole is passed over; `cloud` has the points of the same frame.
+    Damaged surfaces are skipped; `cloud` holds the points of the same frame.
     """
     labelled, config = frame.leaf_image > 0, frame.settings.config
     if not np.array_equal(labelled, cloud.valid):
@@ -65,15 +65,15 @@ def check_values(frame: ExportedFrame, cloud: PointMap) -> Iterator[Finding]:
                 for key, value in curvature_values(S, config).items()
             }
         if set(values) != set(bounds):
-            yield Finding(frame.tree_file, name, "values", str(sorted(bounds)), str(sorted(values)))
+            yield frame.wrong(name, "values", sorted(bounds), sorted(values))
         for key in values.keys() & bounds.keys():
             (least, most), value = bounds[key], values[key]
             if value is None or not least <= value <= most:
-                yield Finding(frame.tree_file, name, key, f"{least:.9g} to {most:.9g}", repr(value))
+                yield frame.wrong(name, key, f"{least:.9g} to {most:.9g}", value)
 
 
 def have_points(pixels: NDArray[np.int64], cloud: PointMap) -> bool:
-    """Say whether there are pixels, all in the image, and each with a point."""
+    """Whether there are pixels, and all of them are in the image and have a point."""
     inside = pixels[(pixels >= 0) & (pixels < cloud.valid.size)]
     return 0 < inside.size == pixels.size and bool(cloud.valid.ravel()[inside].all())
 
@@ -81,10 +81,10 @@ def have_points(pixels: NDArray[np.int64], cloud: PointMap) -> bool:
 def _along_rays(
     on_surface_m: NDArray[np.float64], points_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Return distances of points to a surface along their rays, how far these may be off, and the rays.
+    """Return distances of points to a surface along their rays, their errors, and the largest angle.
 
-    A surface of inverse depth meets the ray of each pixel in one point, whose distance is in proportion to
-    the depths. The last value is the largest angle between a point's ray and that of its surface point.
+    A surface of inverse depth meets each pixel's ray in one point, whose distance is proportional to its
+    depth. The angle is that between the rays of a point and of its surface point, radians.
     """
     distances_m = np.linalg.norm(points_m, axis=1)
     residuals_m = distances_m * np.abs(on_surface_m[:, 2] / points_m[:, 2] - 1.0)

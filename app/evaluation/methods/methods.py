@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from nurbseg.app.evaluation.methods import pcl, rivals
 from nurbseg.app.evaluation.methods.flat import best_lambda
-from nurbseg.app.evaluation.variants import LABELS_PREFIX, TREE_METHODS, Variant
+from nurbseg.app.evaluation.variants import LABELS_PREFIX, TREE_METHODS
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap
 
@@ -24,27 +23,22 @@ from nurbseg.segmentation.points.registration import PointMap
 CLUSTERS = 8
 
 
-class LabelMethod(Protocol):
-    """Segments one frame.
-
-    Takes a `PointMap` and a random generator, which is its only source of randomness, and returns
-    (H, W) labels; 0 and pixels without a point do not count.
-    """
-
-    def __call__(self, cloud: PointMap, rng: np.random.Generator) -> NDArray[np.integer]:
-        """Return the labels of a frame."""
+#: Takes a frame's points and its only source of random numbers; returns labels (H, W). The label 0 and pixels
+#: without a point do not count.
+LabelMethod = Callable[[PointMap, np.random.Generator], NDArray[np.integer]]
 
 
-def _dmzc12(
+def dmzc12(
     cloud: PointMap, rng: np.random.Generator, config: SegmentationConfig | None = None
 ) -> NDArray[np.integer]:
+    """Flat spectral clustering with the lambda of best unsupervised quality; see `best_lambda`."""
     seed = int(rng.integers(2**31))
     return best_lambda(cloud, config or SegmentationConfig(), clusters=CLUSTERS, seed=seed)[1]
 
 
-#: Rivals by name; the tree methods, which share work between their settings, are not among them.
+#: All methods by name, except the tree methods, which share work between settings.
 METHODS: Mapping[str, LabelMethod] = {
-    "dmzc12": _dmzc12,
+    "dmzc12": dmzc12,
     "fh04": rivals.fh04_color,
     "fh04-depth": rivals.fh04_color_depth,
     "slic-ncut": rivals.slic_ncut,
@@ -55,10 +49,10 @@ METHODS: Mapping[str, LabelMethod] = {
 
 
 def check_method(name: str) -> None:
-    """Make sure that a method is known and can run here.
+    """Check that a method exists and can run here.
 
-    Raises ValueError if there is no such method, or the folder of its label images is not there;
-    BackendMissingError if what it needs is not installed; the message says what that is.
+    Raises ValueError if there is no such method or folder of label images, and BackendMissingError if a
+    program it needs is not installed.
     """
     if name.startswith(LABELS_PREFIX):
         folder = Path(name.removeprefix(LABELS_PREFIX))
@@ -72,10 +66,10 @@ def check_method(name: str) -> None:
 
 
 def labels_on_disk(folder: Path, frame_name: str, index: int) -> NDArray[np.integer]:
-    """Read what another program found in a frame, (H, W) labels as they are.
+    """Read another program's labels of a frame, (H, W).
 
     ``NAME_labels.png``, ``NAME_label.png``, ``NAME.png`` and ``NNNNNN_labels.png`` (the frame's number) are
-    looked for in this order. Raises ValueError if none is there, or it is not an image of one channel.
+    tried in this order. Raises ValueError if none exists, or it is not an image of one channel.
     """
     names = [f"{index:06d}_labels.png", f"{index:06d}.png"]
     if frame_name:
@@ -88,10 +82,3 @@ def labels_on_disk(folder: Path, frame_name: str, index: int) -> NDArray[np.inte
                 raise ValueError(f"{path}: expected a label image of one channel")
             return np.asarray(image, dtype=np.int64)
     raise ValueError(f"{folder}: no labels of frame {frame_name or index}; expected {names[0]}")
-
-
-def rival(variant: Variant) -> Callable[[PointMap, np.random.Generator], NDArray[np.integer]]:
-    """Return the function of a variant that is not one of the tree methods."""
-    if variant.method == "dmzc12":
-        return partial(_dmzc12, config=variant.config)
-    return METHODS[variant.method]
