@@ -203,7 +203,4 @@ def _preview(result: FrameResult) -> bytes:
 
 
 def _png(image: NDArray[Any]) -> bytes:
-    written, content = cv2.imencode(".png", image)
-    if not written:
-        raise ExportError(f"an image of the shape {image.shape} cannot be written as PNG")
-    return content.tobytes()
+    return cv2.imencode(".png", image)[1].tobytes()

@@ -1,4 +1,4 @@
-"""From the source to the worker: a thread that reads frames and leaves them in a queue."""
+"""A thread that reads frames from the source and queues them."""
 
 from __future__ import annotations
 
@@ -26,69 +26,33 @@ _log = logging.getLogger(__name__)
 
 #: Longest wait of one read, seconds; stopping takes at most this long.
 _READ_TIMEOUT_S = 0.5
-#: Longest wait for the read that is under way when the run ends: a file on a dead disk never answers.
+#: Longest wait for a pending read when the run ends, seconds: a file on a dead disk never answers.
 _STOP_TIMEOUT_S = 5.0
-#: Damaged frames that are logged one by one; the others are counted.
+#: Number of damaged frames that are logged; further ones are only counted.
 _DAMAGED_NAMED_MAX = 20
-#: Time between two looks whether a pause is over, seconds.
+#: Time between two checks whether a pause is over, seconds.
 PAUSE_LOOK_S = 0.05
-#: Periods of which the median is taken for the rate of the source.
+#: Number of periods whose median gives the rate of the source.
 _PERIODS = 15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Captured:
-    """A frame and when it came.
-
-    Parameters
-    ----------
-    frame : RGBDFrame
-        The frame.
-    arrived_s : float
-        When the source handed it out, `time.monotonic` seconds.
-    jumps : int
-        How often reading had gone to another frame before.
-    """
+    """A frame and its time of arrival, `time.monotonic` seconds."""
 
     frame: RGBDFrame
     arrived_s: float
+    #: Number of seeks before it was read.
     jumps: int = 0
 
 
 class CaptureThread:
-    """Reads a source on a thread of its own and leaves the frames in a queue.
+    """Reads a source on its own thread and queues the frames.
 
-    It borrows the source: stop the thread (leave the ``with`` block) before closing that. A damaged
-    frame is named in the log, counted, and passed over; every other error of the source comes out of
-    the queue's `take`, after the frames read before it.
-
-    Parameters
-    ----------
-    source : FrameSource
-        Read by this thread alone from now on.
-    lossless : bool
-        Whether the source waits for the consumer instead of running on.
-    recording : Recording, optional
-        Gets every frame first; while it is behind, frames are not left in the queue. `record` changes it.
-    preparation : DepthPreparation, optional
-        What is done to their depth after that.
-
-    Attributes
-    ----------
-    frames : BoundedQueue of Captured
-        Where the frames are left, one at a time; its `dropped` counts those that a newer one replaced.
-    read : int
-        Frames read.
-    source_hz : float
-        Rate of the source, by when its frames come; 0 as long as it is not known.
-    withheld : int
-        Frames that were not left in the queue, because the recording was behind.
-    jumps : int
-        How often reading was asked to go to another frame; those of before have fewer `jumps`.
-    damaged : int
-        Frames that could not be read.
-    damaged_frames : list of str
-        What was wrong with the first of them.
+    It borrows the source: leave the ``with`` block before closing it. Damaged frames are logged, counted and
+    skipped; `frames.take` raises any other error of the source, after the frames before it. If `lossless`,
+    the source waits for the consumer; otherwise newer frames replace older ones. Every frame first goes to
+    `recording` (only there, while the recording is behind) and then through `preparation`.
     """
 
     def __init__(
@@ -101,12 +65,14 @@ class CaptureThread:
     ) -> None:
         self._preparation = preparation
         self.recording = recording
-        self.withheld = 0
         self.frames: BoundedQueue[Captured] = BoundedQueue(1, "wait" if lossless else "drop oldest")
-        self.read = 0
-        self.damaged = 0
+        #: Frames read, frames not queued because the recording was behind, and damaged frames.
+        self.read = self.withheld = self.damaged = 0
+        #: What is wrong with the first damaged frames.
         self.damaged_frames: list[str] = []
+        #: Measured frame rate of the source; 0 if unknown.
         self.source_hz = 0.0
+        #: Number of seeks requested, and carried out.
         self.jumps = self._jumps = 0
         self._paused = False
         self._steps = 0
@@ -130,12 +96,12 @@ class CaptureThread:
 
     @property
     def losses(self) -> Mapping[str, int]:
-        """What the source lost before it could be read, counted by reason."""
+        """Frames that the source lost before they could be read, by reason."""
         return self._source.losses
 
     @property
     def speed(self) -> float:
-        """Multiple of the recorded rate that a replay is paced by; 0 where it is not."""
+        """Speed of a replay as a multiple of the recorded rate; 0 if it is not paced."""
         return self._source.speed if isinstance(self._source, Paced) else 0.0
 
     @speed.setter
@@ -144,7 +110,7 @@ class CaptureThread:
             self._source.speed = speed
 
     def pause(self, paused: bool) -> None:
-        """Read nothing for now, or go on where reading ended."""
+        """Pause or resume reading."""
         self._paused = paused
         self._restart()
 
@@ -153,13 +119,13 @@ class CaptureThread:
         self._requests.put(self._step)
 
     def seek(self, index: int) -> None:
-        """Go on reading at a frame; while paused, read this one frame."""
+        """Continue at a frame; while paused, read only this frame."""
         self.jumps += 1
         jumps = self.jumps
         self._requests.put(lambda: self._seek(index, jumps))
 
     def record(self, recording: Recording | None) -> None:
-        """Record the frames that follow to another file, or none; the recording before is finished."""
+        """Finish the current recording, and record the following frames to another one, or none."""
         self._requests.put(lambda: self._record(recording))
 
     def _step(self) -> None:
@@ -181,7 +147,7 @@ class CaptureThread:
             self._source.restart()
 
     def stop(self) -> None:
-        """Stop reading, and wait for the read that is under way, a few seconds at most."""
+        """Stop reading; wait a few seconds at most for a pending read."""
         self._stop.set()
         self.frames.discard()
         if self._thread.ident is not None:
@@ -224,14 +190,14 @@ class CaptureThread:
         except EndOfRecordingError:
             self.frames.close()
         except BaseException as err:
-            # A thread that dies is never silent: the worker raises this.
+            # The worker raises this.
             self.frames.close(err)
         finally:
             if self.recording is not None:
                 self.recording.finish()
 
     def _take_period(self, before: Captured | None, captured: Captured) -> None:
-        """Take note of the time between two frames, frames that were lost in between included."""
+        """Add the period between two frames to the statistics, considering frames lost in between."""
         if before is None or captured.jumps != before.jumps or captured.frame.index <= before.frame.index:
             return
         frames = captured.frame.index - before.frame.index

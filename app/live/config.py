@@ -1,4 +1,4 @@
-"""What a user may ask of live segmentation, where each frame continues the one before."""
+"""Settings of live segmentation, in which each frame continues the previous one."""
 
 from __future__ import annotations
 
@@ -42,5 +42,5 @@ class LiveConfig(Settings):
     )
 
     def follows(self, *, every_frame: bool) -> bool:
-        """Say whether frames continue each other in a run of every frame, or of the newest ones."""
+        """Whether frames continue each other in a run of every frame, or of the newest ones."""
         return self.temporal == "on" or (self.temporal == "auto" and not every_frame)

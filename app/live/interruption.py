@@ -1,4 +1,4 @@
-"""SIGINT (Ctrl-C) and SIGTERM: both end a run cleanly, once, and not in the middle of closing files."""
+"""SIGINT (Ctrl-C) and SIGTERM, which end a run cleanly."""
 
 from __future__ import annotations
 
@@ -10,19 +10,14 @@ from typing import Any, Self
 
 
 class Interruption:
-    """Turns SIGINT and SIGTERM into one `KeyboardInterrupt` on the main thread.
+    """Turns the first SIGINT or SIGTERM into a `KeyboardInterrupt` on the main thread.
 
-    The signal is remembered as well, because an exception can get lost in a callback of foreign code:
-    call `check` where the run can end. After `hold`, signals are remembered only, so that nothing
-    disturbs the closing of files.
-
-    Attributes
-    ----------
-    signal_number : int or None
-        The first signal that came.
+    Call `check` where the run can end, because the exception can get lost in a callback of a library. After
+    `hold`, signals raise nothing, so that files are closed undisturbed.
     """
 
     def __init__(self) -> None:
+        #: The first signal.
         self.signal_number: int | None = None
         self._held = False
         self._before: dict[int, Any] = {}
@@ -38,20 +33,20 @@ class Interruption:
 
     @property
     def exit_code(self) -> int:
-        """What a shell expects of a process that such a signal ended: 130 for Ctrl-C."""
+        """The exit code of a process that a signal ended: 130 for Ctrl-C."""
         return 128 + (self.signal_number or signal.SIGINT)
 
     def check(self) -> None:
-        """Raise `KeyboardInterrupt` if a signal came and its exception got lost."""
+        """Raise `KeyboardInterrupt` if a signal came."""
         if self.signal_number is not None:
             raise KeyboardInterrupt
 
     def hold(self) -> None:
-        """Let no signal raise any more."""
+        """Let signals no longer raise an exception."""
         self._held = True
 
     def wait(self, until: Callable[[], bool] = lambda: False) -> None:
-        """Wait until something is so, or for a signal: then it ends with `KeyboardInterrupt`."""
+        """Wait until a condition holds; a signal raises `KeyboardInterrupt`."""
         self._held = False
         while not until():
             self.check()

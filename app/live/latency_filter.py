@@ -1,4 +1,4 @@
-"""Latency filter: which results come too late to be shown as live."""
+"""Latency filter: holds back results that are too late to be shown live."""
 
 from __future__ import annotations
 
@@ -8,15 +8,12 @@ from collections.abc import Callable
 
 _log = logging.getLogger(__name__)
 
-#: However slow the computer: something is shown this often, seconds.
+#: Longest time without a result shown, seconds.
 _LONGEST_GAP_S = 1.0
 
 
 class LatencyFilter:
-    """Holds back results that are older than allowed, but never all of them, and counts them in `held_back`.
-
-    The age counts when a frame's labels are ready; any is allowed where `age_max_ms` is 0.
-    """
+    """Holds back results that are older than `age_max_ms`, or none if it is 0, and counts them."""
 
     def __init__(self, age_max_ms: float, *, clock: Callable[[], float] = time.monotonic) -> None:
         self.held_back = 0
@@ -26,10 +23,7 @@ class LatencyFilter:
         self._said = False
 
     def passes(self, age_ms: float) -> bool:
-        """Say whether a result of this age is to be shown, and take note of it.
-
-        The first one always is, and one that is too old where nothing was shown for a second.
-        """
+        """Return whether to show a result of this age: the first always, later ones at least every second."""
         now_s = self._clock()
         if self._age_max_ms > 0 and age_ms > self._age_max_ms and self._shown_s is not None:
             if now_s - self._shown_s < _LONGEST_GAP_S:

@@ -1,4 +1,4 @@
-"""Which source a run takes, and what it takes instead where no camera is found."""
+"""Opens the source of a run, or a fallback if no camera is found."""
 
 from __future__ import annotations
 
@@ -21,43 +21,29 @@ from nurbseg.drivers.source import FrameSource, Paced
 _log = logging.getLogger(__name__)
 
 CAMERA, SYNTHETIC = "openni2:", "synthetic:"
-#: Settings that a camera does not heed.
+#: Settings that do not apply to cameras.
 _REPLAY_SETTINGS = ("speed", "loop", "start", "intrinsics", "depth_scale")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenedSource:
-    """A source as the user wants it: from its start, paced, looped and limited.
-
-    Parameters
-    ----------
-    source : FrameSource
-        To be read; closing it closes all that is behind it.
-    uri : str
-        What was opened.
-    camera : FrameSource
-        What is behind it: the camera or recording itself.
-    every_frame : bool
-        Whether each frame is to be segmented; otherwise the newest.
-    looped : Looped or None
-        Where a replay starts again at its end, or not; None for a camera.
-    """
+    """A source, paced, looped and limited as configured; closing it closes what it wraps."""
 
     source: FrameSource
     uri: str
+    #: The camera or recording that it wraps.
     camera: FrameSource
+    #: Whether each frame is to be segmented, or only the newest.
     every_frame: bool
+    #: The layer that repeats a replay; None for a camera.
     looped: Looped | None = None
 
 
 def open_chosen(app_config: AppConfig) -> OpenedSource:
-    """Open the source that the configuration names, or else a camera, or else the fallback.
+    """Open the configured source, or else a camera, or else the fallback.
 
-    Raises
-    ------
-    DriverError
-        If the source cannot be opened. Only an absent camera leads to the fallback, and only where a
-        fallback is named or no source is.
+    Raises DriverError if the source cannot be opened. The fallback replaces a missing camera only if it was
+    configured or no source was.
     """
     config = app_config.source
     options = SourceOptions(
@@ -68,10 +54,14 @@ def open_chosen(app_config: AppConfig) -> OpenedSource:
     )
     uri = _named_uri(config)
     if not uri.startswith(CAMERA):
-        # A camera reads the file itself; a recording gets its content.
+        # A camera reads the file itself.
         if app_config.camera.calibration is not None:
             options = replace(options, calibration=read_camera_file(Path(app_config.camera.calibration)))
-        _warn_of_camera_settings(uri, app_config.camera)
+        heeded = set() if uri.startswith(SYNTHETIC) else {"calibration"}
+        if uri.lower().endswith(".oni"):
+            heeded |= {"mirror", "registration"}
+        ignored = {each.name for each in described_fields(DeviceOptions)} - heeded
+        _warn_of_ignored(app_config.camera, ignored, f"cameras only, ignored for {uri}")
         return _prepared(uri, app_config, options)
     try:
         return _prepared(uri, app_config, options)
@@ -96,7 +86,7 @@ def _named_uri(config: SourceConfig) -> str:
 
 
 def demo_uri() -> str:
-    """Return where the demo recording lies, or the synthetic source where it was not installed."""
+    """Return the demo recording, or the synthetic source if it is not installed."""
     try:
         recording = files("nurbseg.recordings") / "demo.mcap"
     except ModuleNotFoundError:
@@ -108,14 +98,14 @@ def demo_uri() -> str:
 
 
 def _prepared(uri: str, app_config: AppConfig, options: SourceOptions) -> OpenedSource:
-    """Open a source, and put on top of it what the user wants of a replay."""
+    """Open a source and apply the settings for replays."""
     config = app_config.source
     source = camera = _opened_at_start(uri, config, options)
     looped = None
     try:
         every_frame = not source.live and config.speed == 0
         if source.live:
-            _warn_of_replay_settings(config)
+            _warn_of_ignored(config, _REPLAY_SETTINGS, "replays only, ignored for a camera")
         else:
             source = looped = Looped(
                 source, lambda: _opened_at_start(uri, config, options), repeats=config.loop
@@ -151,23 +141,8 @@ def _opened_at_start(uri: str, config: SourceConfig, options: SourceOptions) -> 
     return source
 
 
-def _warn_of_camera_settings(uri: str, camera: DeviceOptions) -> None:
-    heeded = set() if uri.startswith(SYNTHETIC) else {"calibration"}
-    if uri.lower().endswith(".oni"):
-        heeded |= {"mirror", "registration"}
-    _warn_of(
-        camera,
-        {each.name for each in described_fields(DeviceOptions)} - heeded,
-        f"cameras only, ignored for {uri}",
-    )
-
-
-def _warn_of_replay_settings(config: SourceConfig) -> None:
-    _warn_of(config, _REPLAY_SETTINGS, "replays only, ignored for a camera")
-
-
-def _warn_of(config: SourceConfig | DeviceOptions, names: Collection[str], reason: str) -> None:
-    """Log which of some settings are not at their defaults."""
+def _warn_of_ignored(config: SourceConfig | DeviceOptions, names: Collection[str], reason: str) -> None:
+    """Warn of settings that are ignored but not at their defaults."""
     ignored = [
         flags(each)[0]
         for each in described_fields(type(config))

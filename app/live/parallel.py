@@ -1,4 +1,4 @@
-"""Frames that several processes segment at once, each for itself; results come in the order of the frames."""
+"""Segments frames independently in several processes; results come in the order of frames."""
 
 from __future__ import annotations
 
@@ -29,34 +29,26 @@ class FrameFailedError(RuntimeError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segmented:
-    """What came of a frame.
+    """The result of a frame."""
 
-    Parameters
-    ----------
-    leaves : int
-        Number of its segments.
-    elapsed_ms : mapping of str to float
-        Time that each stage took, milliseconds.
-    files : mapping of str to bytes
-        What is exported of it, by name.
-    result : FrameResult or None
-        All of it, where that is wanted: it takes ten times as much memory as the frame.
-    """
-
+    #: Number of segments.
     leaves: int
+    #: Time of each stage, milliseconds.
     elapsed_ms: Mapping[str, float]
+    #: Exported files by name.
     files: Mapping[str, bytes]
+    #: Left out unless needed: it takes ten times as much memory as the frame.
     result: FrameResult | None = None
 
 
 def process_count(workers: int | Literal["auto"]) -> int:
-    """Return how many processes a setting asks for."""
+    """Return the number of processes that a setting asks for."""
     return len(os.sched_getaffinity(0)) if workers == "auto" else workers
 
 
 def segment_alone(frame: RGBDFrame, config: SegmentationConfig, *, export: ExportConfig | None) -> Segmented:
-    """Segment a frame for itself, and make the files that `export` asks for."""
-    # The other cores have other frames to do.
+    """Segment a frame independently, and encode the files that `export` asks for."""
+    # The other cores work on other frames.
     cv2.setNumThreads(1)
     result = process_frame(frame, config)
     started_s = time.perf_counter()
@@ -73,12 +65,10 @@ def segment_in_parallel(
     export: ExportConfig | None,
     whole: bool,
 ) -> Generator[tuple[Captured, Segmented]]:
-    """Segment frames as `segment_alone` does, by several processes.
+    """Segment frames with `segment_alone` in several processes, and yield them in their order.
 
-    Frames are taken as there is room for them, so that at most twice as many as there are processes are under
-    way. They come in their order, with the time on the way (``wait``) and until now (``capture_to_labels``);
-    `whole` says whether all that came of a frame is wanted, or its files alone. Raises FrameFailedError if a
-    frame cannot be segmented, or ends two processes that work on it.
+    At most two frames per process are taken in advance. `whole` says whether the complete result is needed.
+    Raises FrameFailedError if a frame cannot be segmented, or two processes died while working on it.
     """
     segment = partial(_segmented, config=config, export=export, whole=whole)
     with open_workers(count) as workers:
@@ -107,5 +97,5 @@ def _frozen(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
     return MappingProxyType(values)
 
 
-# Python sends no read-only mappings, and a result holds some.
+# Results contain read-only mappings, which Python cannot pickle.
 copyreg.pickle(MappingProxyType, lambda values: (_frozen, (dict(values),)))

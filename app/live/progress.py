@@ -1,4 +1,4 @@
-"""Progress of a run: a line in the log every few seconds, or the status line of a terminal."""
+"""Reports the progress of a run: log lines every few seconds, or the status line of a terminal."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from nurbseg.drivers.frame import RGBDFrame
 
 _log = logging.getLogger(__name__)
 
-#: Time between two lines, seconds.
+#: Time between two log lines, seconds.
 _INTERVAL_S = 5.0
-#: Time between two states of the status line, and without a frame until it says so, seconds.
+#: Time between updates of the status line, and without a frame until it says so, seconds.
 _DRAW_S, _SILENCE_S = 0.25, 2.0
-#: Frames of which the status line says the rate.
+#: Number of frames over which the status line averages the rate.
 _RATE_FRAMES = 15
-#: Room for the source in the status line, columns.
+#: Maximum width of the source's name in the status line, columns.
 _SOURCE_COLUMNS = 24
 
 
 class Progress:
-    """Tells the progress of a run, in a status line where there is one, else in the log."""
+    """Reports the progress of a run in the status line, if there is one, or else in the log."""
 
     def __init__(
         self,
@@ -54,7 +54,7 @@ class Progress:
         objects: int = 0,
         late: int = 0,
     ) -> None:
-        """Say something of a frame, if it is time to, or the first; `late` were too old to be shown."""
+        """Report a frame if it is the first or due; `late` frames were too old to be shown."""
         self._frames += 1
         self._came_s.append(self._clock())
         self._late = late
@@ -82,7 +82,7 @@ class Progress:
         self._is_first, self._frames, self._logged_s = False, 0, self._clock()
 
     def recorded(self) -> None:
-        """Say how the recording goes, if it is time to."""
+        """Report the recording if it is due."""
         self._came_s.append(self._clock())
         if self._line is None and self._clock() - self._logged_s >= _INTERVAL_S:
             _log.info("%d read%s", self._capture.read, self._recorded())
@@ -95,7 +95,7 @@ class Progress:
         return f", {recording.frames} recorded" + (f", {recording.lost} lost" if recording.lost else "")
 
     def waiting(self) -> None:
-        """Say that no frame comes, or that all are kept for the recording, if that lasts."""
+        """Report, if it lasts, that there is no frame or that frames are only recorded."""
         if self._line is None and self._clock() - self._logged_s >= _INTERVAL_S:
             if withheld := self._capture.withheld - self._withheld:
                 _log.info("writing is slow: %d frames only recorded%s", withheld, self._recorded())
@@ -105,13 +105,13 @@ class Progress:
             self._frames, self._logged_s = 0, self._clock()
 
     def draw(self, *, paused: bool = False) -> None:
-        """Write the status line, if there is one and it is time to."""
+        """Update the status line if there is one and it is due."""
         now_s = self._clock()
         if self._line is None or now_s - self._drawn_s < _DRAW_S:
             return
         self._drawn_s = now_s
         if paused or not self._came_s or now_s - self._came_s[-1] > _SILENCE_S:
-            # The rate after a silence is that of the frames since.
+            # The rate is measured anew after a pause.
             self._came_s.clear()
             state = "paused" if paused else "waiting for a frame"
         else:
@@ -122,12 +122,12 @@ class Progress:
         drops = f"{capture.frames.dropped + capture.withheld + capture.damaged} dropped"
         drops += f", {self._late} late" if self._late else ""
         recording = "" if capture.recording is None else recording_status(capture.recording)
-        # The recording comes early, so that it is seen in 80 columns.
+        # The recording comes early, to be visible in 80 columns.
         self._line.show(" | ".join(filter(None, (self._source, recording, state, self._found, drops))))
 
 
 def recording_status(recording: Recording) -> str:
-    """Return how a recording goes: its length, size and rate, and what the disk has room for at that rate."""
+    """Return a recording's length, size and rate, and the remaining time until the disk is full."""
     if recording.ended:
         return "recording stopped"
     text = f"rec {recording.seconds:.1f} s, {recording.size_mb:.1f} MB"

@@ -1,4 +1,4 @@
-"""Rate controller: lowers what a frame may cost until a wanted rate is held, and logs that."""
+"""Rate controller: coarsens the grid until the target frame rate is reached."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from nurbseg.segmentation.live.updater import Budget
 
 _log = logging.getLogger(__name__)
 
-#: Pixels by which the step of the grid may exceed the usual one; more saves nothing. The budget of revisions
-#: stays: what is put off piles up until a frame is segmented from scratch, which costs more than was saved.
+#: Pixels by which the grid's step may exceed the usual one; more saves nothing. The budget for updates of the
+#: tree stays: postponed updates add up to a frame that is segmented from scratch, which costs more.
 _COARSER = (0, 1, 2)
-#: Share of its period beyond which a frame costs too much, and below which it has to stay on a finer grid.
+#: Share of the frame period above which the grid becomes coarser, and below which it may become finer.
 _FULL, _SPARE = 0.9, 0.8
-#: Share of its period beyond which the first frames are reason enough, slow as they are.
+#: Share of the frame period above which even the first, slow frames make the grid coarser.
 _HOPELESS = 1.25
-#: Frames of which the median is taken.
+#: Number of frames whose median time counts.
 _FRAMES = 30
-#: Frames between two changes: down, and up.
+#: Number of frames between two changes: to a coarser and to a finer grid.
 _DOWN_AFTER, _UP_AFTER = 8, 60
-#: Frames after which a finer grid is tried whatever it cost before.
+#: Number of frames after which a finer grid is tried regardless of its earlier cost.
 _FORGET_AFTER = 3600
 
 
 class RateController:
-    """Chooses the working resolution that holds a rate; its `level` is what is given up, 0 for nothing."""
+    """Chooses the step of the grid that maintains a frame rate; `level` is 0 for the usual step."""
 
     def __init__(self, target_hz: float) -> None:
         if not target_hz > 0:
@@ -35,27 +35,21 @@ class RateController:
         self._target_hz = target_hz
         self._took_ms: deque[float] = deque(maxlen=_FRAMES)
         self._since = 0
-        # Before the last change, and how many times as much a frame costs on the next finer grid, by level.
+        # Time per frame before the last change, and by level the factor of the next finer grid.
         self._before_ms = 0.0
         self._was_finer: bool | None = None
         self._finer_costs = [1.0] * len(_COARSER)
 
     @property
     def budget(self) -> Budget:
-        """What the next frame may cost."""
+        """The budget of the next frame."""
         return Budget(coarser=_COARSER[self.level])
 
     def took(self, frame_ms: float, *, source_hz: float = 0.0, cold: bool = False) -> None:
-        """Take note of what a frame cost.
+        """Consider the time from taking a frame to its labels.
 
-        Parameters
-        ----------
-        frame_ms : float
-            Time from taking the frame to its labels, milliseconds.
-        source_hz : float
-            Rate of the source, beyond which there is nothing to gain; 0 where it is not known.
-        cold : bool
-            Whether it was segmented from scratch, which predicts nothing of those that follow.
+        `source_hz` is the rate of the source, 0 if unknown, above which there is nothing to gain. A `cold`
+        frame was segmented from scratch and predicts nothing.
         """
         self._since += 1
         if cold:
@@ -65,10 +59,10 @@ class RateController:
             return
         hz = min(self._target_hz, source_hz or self._target_hz)
         period_ms = 1e3 / hz
-        # The median: nor is a single frame that takes longer.
+        # The median ignores single slow frames.
         usual_ms = statistics.median(self._took_ms)
         full = len(self._took_ms) == _FRAMES
-        # The first frames take longer: by a little, they are no reason to change.
+        # The first frames take a little longer, which is no reason to change.
         if not (full or self._before_ms or usual_ms > _HOPELESS * period_ms):
             return
         costs_too_much = usual_ms > _FULL * period_ms and self.level + 1 < len(_COARSER)

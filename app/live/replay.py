@@ -1,4 +1,4 @@
-"""What a user may ask of a replay beyond its frames in their order: a part of it, or again and again."""
+"""Replays that are repeated or limited."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ from nurbseg.drivers.source import FrameSource, Wrapped
 
 
 class Looped(Wrapped):
-    """A recording that may start again at its end; frame numbers and timestamps then go on rising.
+    """A recording that is repeated while `repeats` is set; frame numbers and timestamps keep increasing.
 
-    `source` is the first pass, closed with this one; `reopen` opens each further pass. The attribute
-    `repeats` says whether there is one at the next end.
+    `source` is the first pass; `reopen` opens each further pass.
     """
 
     def __init__(
@@ -26,13 +25,13 @@ class Looped(Wrapped):
         self.repeats = repeats
         self._reopen = reopen
         self._last: RGBDFrame | None = None
-        # Until two frames tell the recording's own.
+        # Until it is known from two frames.
         self._period_ns = FRAME_INTERVAL_NS
         self._index_offset = 0
         self._time_offset_ns = 0
-        #: Number in the recording of each pass's first frame, and the frames of a pass; 0 in the first one.
+        #: Number of each pass's first frame in the recording, and the length of a pass; 0 in the first pass.
         self._first = self._length = 0
-        #: Number and time that the first frame of a further pass gets.
+        #: Number and time of the first frame of the next pass.
         self._seam: tuple[int, int] | None = None
 
     def _read(self, timeout_s: float) -> RGBDFrame:
@@ -77,7 +76,7 @@ class Looped(Wrapped):
         self._source = self._reopen()
 
     def _seek(self, index: int) -> None:
-        """Go to a frame by its number in any pass; frames then have their numbers in the recording."""
+        """Seek to a frame by its number in any pass; frames then have their numbers in the recording."""
         if self._length and index >= self._first:
             index = self._first + (index - self._first) % self._length
         self._source.seek(index)
@@ -86,21 +85,10 @@ class Looped(Wrapped):
 
 
 class Limited(Wrapped):
-    """The beginning of another source.
+    """A source that ends after some frames, except damaged ones, or some time, both after `delay_s`.
 
-    Parameters
-    ----------
-    source : FrameSource
-        Borrowed and closed with this one.
-    frames : int or None
-        Number of frames; damaged ones do not count, nor those of the delay.
-    duration_s : float or None
-        Time from the first frame, seconds: by the frames' own clock, and for a live source from the first
-        read by the computer's as well, so that a silent camera ends too.
-    delay_s : float
-        Time at the beginning that both do not count, seconds.
-    clock : callable
-        Monotonic seconds.
+    Time is that of the frames' timestamps and, for a live source, also that of `clock` (monotonic seconds),
+    so that a camera without frames ends, too.
     """
 
     def __init__(
@@ -131,7 +119,7 @@ class Limited(Wrapped):
             raise EndOfRecordingError("the requested duration is over")
         frame = self._source.read(timeout_s)
         if self._last_ns is not None:
-            # A camera's clock may be reset, as its streams are when OpenNI2's recorder begins.
+            # A camera's clock is reset when OpenNI2's recorder starts.
             self._elapsed_ns += max(0, frame.timestamp_ns - self._last_ns)
         self._last_ns = frame.timestamp_ns
         if self._is_over(self._elapsed_ns * 1e-9):
@@ -144,7 +132,7 @@ class Limited(Wrapped):
         return self._duration_s is not None and elapsed_s >= self._duration_s + self._delay_ns * 1e-9
 
     def _seek(self, index: int) -> None:
-        # The time between both frames does not count.
+        # The time skipped does not count.
         self._last_ns = None
         super()._seek(index)
 

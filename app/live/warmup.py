@@ -1,4 +1,4 @@
-"""Warm-up: loads the compiled loops of a run while its source and its view are being opened."""
+"""Warm-up: loads compiled functions while the source and the view are being opened."""
 
 from __future__ import annotations
 
@@ -17,36 +17,29 @@ from nurbseg.segmentation.config import SegmentationConfig
 
 _log = logging.getLogger(__name__)
 
-#: Size of the frames, pixels, and how many: one that is segmented alone, and two that continue it.
+#: Size of the frames, pixels, and their number: one segmented independently, and two that continue it.
 _WIDTH, _HEIGHT, _FRAMES = 160, 120, 3
-#: Longest wait, seconds: loading takes half a second, compiling for the first time half a minute.
+#: Longest wait, seconds: loading takes half a second, compiling half a minute.
 _WAIT_S = 120.0
-#: Time between two moments at which a signal can end the wait, seconds.
+#: Time between two points at which a signal can end the wait, seconds.
 _LOOK_S = 0.1
 
 
 class WarmUp:
-    """Segments a few small made-up frames on a thread, by which most of the loops of a run are loaded.
+    """Segments and draws a few small artificial frames on a thread, which loads most compiled functions.
 
-    Without it the first frame of a camera would do so, and those that come in that half second be lost.
-
-    Parameters
-    ----------
-    config : SegmentationConfig
-        Of the run.
-    temporal : bool
-        Whether its frames continue each other.
+    Otherwise the first frame of a camera would take half a second longer, and the frames meanwhile be lost.
     """
 
     def __init__(self, config: SegmentationConfig, *, temporal: bool) -> None:
         self._config = config
         self._temporal = temporal
-        # A daemon: a run that cannot begin does not wait for it.
+        # A daemon, so that a run that cannot start does not wait for it.
         self._thread = threading.Thread(target=self._run, name="warm-up", daemon=True)
         self._thread.start()
 
     def wait(self) -> None:
-        """Wait until everything is loaded, two minutes at most; what is not yet then is loaded later."""
+        """Wait until everything is loaded, two minutes at most."""
         deadline_s = time.monotonic() + _WAIT_S
         while self._thread.is_alive() and time.monotonic() < deadline_s:
             self._thread.join(_LOOK_S)
@@ -66,12 +59,12 @@ class WarmUp:
                     known=None,
                 )
         except Exception:
-            # The run's own frames fail in the same way, with a clearer message.
+            # The run's own frames will fail with a clearer message.
             _log.debug("the warm-up failed", exc_info=True)
 
 
 def _frame(index: int) -> RGBDFrame:
-    """Return a frame of folded walls and a cone that moves, with noise and holes: something for each step."""
+    """Return a frame of folded walls and a moving cone, with noise and holes, that exercises every step."""
     rows, columns = np.mgrid[:_HEIGHT, :_WIDTH]
     x, y = columns / _WIDTH - 0.5, rows / _HEIGHT - 0.6
     from_tip = np.hypot(x - 0.2 - 0.02 * index, y)

@@ -1,1 +1,1 @@
-"""What a person or a script changes of a run while it goes on."""
+"""Control of a run by commands."""

@@ -1,4 +1,4 @@
-"""The commands of a run: their lines, the keys that stand for them, and what the help says."""
+"""The commands of a run: lines, keys and help."""
 
 from __future__ import annotations
 
@@ -8,19 +8,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One row of the help.
-
-    Parameters
-    ----------
-    line : str
-        How the command is written as a line.
-    keys : mapping of str to str
-        Keys, and the line that each stands for; digits typed before a key end one that ends with a space.
-    text : str
-        What it does.
-    """
+    """A command as a line, its keys, and its help."""
 
     line: str
+    #: The line that each key stands for; digits typed before the key are appended if it ends with a space.
     keys: Mapping[str, str]
     text: str
 

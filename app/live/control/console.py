@@ -1,4 +1,4 @@
-"""Commands for a run while it goes on: keys of a terminal, or lines of standard input."""
+"""Reads commands during a run: keys of a terminal, or lines of standard input."""
 
 from __future__ import annotations
 
@@ -21,20 +21,14 @@ _log = logging.getLogger(__name__)
 
 Control = Literal["auto", "lines", "off"]
 
-#: Time between two looks whether the console is closed, seconds.
+#: Time between two checks whether the console is closed, seconds.
 _LOOK_S = 0.2
 
 
 class Console:
-    """Reads commands on a thread of its own; `take` never waits.
+    """Reads commands from a file descriptor on its own thread.
 
-    Parameters
-    ----------
-    descriptor : int
-        What is read.
-    keys : bool
-        Whether it is a terminal, which then passes on each key at once, until the console is closed;
-        otherwise each line is a command.
+    With `keys` it is a terminal in which each key is a command; otherwise each line is one.
     """
 
     def __init__(self, descriptor: int, *, keys: bool) -> None:
@@ -47,7 +41,7 @@ class Console:
     def __enter__(self) -> Self:
         if self._keys:
             self._before = termios.tcgetattr(self._descriptor)
-            # Keys that were pressed before count.
+            # Keeps keys that were pressed before.
             tty.setcbreak(self._descriptor, termios.TCSADRAIN)
         self._thread.start()
         return self
@@ -59,7 +53,7 @@ class Console:
             termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
 
     def take(self) -> str | None:
-        """Return the next command, if there is one."""
+        """Return the next command, or None; never waits."""
         with suppress(queue.Empty):
             return self._commands.get_nowait()
         return None
@@ -93,18 +87,18 @@ class Console:
 
 
 def open_console(control: Control) -> Console | None:
-    """Return what commands are read from; None where there is nothing."""
+    """Return the console that a setting asks for; None if there is none."""
     if control == "lines":
         return Console(sys.stdin.fileno(), keys=False)
     return Console(sys.stdin.fileno(), keys=True) if in_terminal(control) else None
 
 
 def in_terminal(control: Control) -> bool:
-    """Say whether somebody sits at a terminal, who is to control the run by it."""
+    """Whether a user controls the run from a terminal."""
     return control == "auto" and sys.stdin.isatty() and sys.stderr.isatty()
 
 
 def open_status_line(control: Control) -> AbstractContextManager[StatusLine | None]:
-    """Return the status line; None where there is no terminal that can have one, or with --quiet."""
+    """Return the status line; None with --quiet, or without a suitable terminal."""
     wanted = in_terminal(control) and _log.isEnabledFor(logging.INFO) and os.environ.get("TERM") != "dumb"
     return StatusLine(sys.stderr) if wanted else nullcontext()

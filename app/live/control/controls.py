@@ -1,4 +1,4 @@
-"""What can be changed of a run while it goes on, and how it is said."""
+"""Effects of the commands on a run."""
 
 from __future__ import annotations
 
@@ -15,26 +15,15 @@ from nurbseg.segmentation.config import Level, Method, Metric, SegmentationConfi
 
 _log = logging.getLogger(__name__)
 
-#: What a key changes the speed of a replay by, and the ratio.
+#: Changes of the speed of a replay, and of the ratio, by a key.
 _SPEED_FACTOR, _RATIO_STEP = 1.5, 0.05
 
 
 class Controls:
-    """Carries out commands.
+    """Executes commands.
 
-    `config` says how frames are to be segmented from now on, and may not change where `fixed` says why. Of a
-    replay, `looped`, reading can pause; a camera is read on.
-
-    Attributes
-    ----------
-    paused, ended : bool
-        Whether no frame is to be taken for now, or none any more.
-    snapshot : bool
-        Whether the next frame is to be written.
-    position : int
-        Number of the frame that is segmented, or to which somebody went since.
-    steps : int
-        How many frames are still to be taken while paused.
+    `fixed` says why the settings must not change, and is empty if they may. While paused, a replay, `looped`,
+    is not read; a camera is.
     """
 
     def __init__(
@@ -46,9 +35,12 @@ class Controls:
         *,
         fixed: str = "",
     ) -> None:
+        #: Settings for the following frames.
         self.config = config
         self.paused = self.ended = False
+        #: Whether to write a snapshot of the next frame.
         self.snapshot = False
+        #: Frames to take while paused, and number of the current frame or of that sought since.
         self.steps = self.position = 0
         self.recorder = recorder
         self._capture = capture
@@ -74,7 +66,7 @@ class Controls:
         }
 
     def apply(self, command: str) -> None:
-        """Carry out a command, and say what it did or what is wrong with it."""
+        """Execute a command, and log its effect or what is wrong with it."""
         name, _, word = command.partition(" ")
         if name not in self._commands:
             _log.warning("%r is not a command; help lists them", name[:80])
@@ -172,7 +164,7 @@ class Controls:
 
 
 def _chosen(word: str, now: str, choices: Sequence[str]) -> Any:
-    """Return the choice that a word names, or the one after the present one."""
+    """Return the choice that a word names or, if it is empty, the one after the current one."""
     if word and word not in choices:
         raise ValueError(f"expected one of {', '.join(choices)}, got {word[:80]!r}")
     return word or choices[(choices.index(now) + 1) % len(choices)]

@@ -1,4 +1,4 @@
-"""The frames that a run takes, one after the other, and the commands that come in between."""
+"""Takes frames from the queue, and executes commands between them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from nurbseg.app.live.progress import Progress
 
 _log = logging.getLogger(__name__)
 
-#: Time between two looks whether the run was interrupted, seconds.
+#: Time between two checks whether the run was interrupted, seconds.
 _TAKE_TIMEOUT_S = 0.5
 
 
@@ -27,7 +27,7 @@ def controlled_frames(
     progress: Progress,
     interruption: Interruption,
 ) -> Generator[Captured, None, None]:
-    """Yield frame after frame, and the last one again when settings change while none is taken."""
+    """Yield frames, and the last one again if settings change during a pause."""
     last: Captured | None = None
     segmented_by = controls.config
     with open_console(control) or nullcontext() as console:
@@ -55,7 +55,7 @@ def captured_frames(
     interruption: Interruption,
     controls: Controls | None = None,
 ) -> Iterator[Captured | None]:
-    """Yield frame after frame until the source ends, and None now and then where none comes or is taken."""
+    """Yield frames until the source ends, and None from time to time if there is none or during a pause."""
     while True:
         interruption.check()
         progress.draw(paused=controls is not None and controls.paused)
@@ -72,7 +72,7 @@ def captured_frames(
         if captured is None:
             return
         if captured.jumps != capture.jumps:
-            # It was on its way as somebody went to another frame.
+            # It was queued before a seek.
             continue
         if controls is not None and controls.steps:
             controls.steps -= 1
@@ -80,7 +80,7 @@ def captured_frames(
 
 
 def wait_for_quit(control: Control, interruption: Interruption) -> None:
-    """Wait until somebody quits by a command, or with Ctrl-C; other commands do nothing any more."""
+    """Wait for the command to quit or Ctrl-C; other commands no longer have an effect."""
     with open_console(control) or nullcontext() as console:
         how = "Ctrl-C ends" if console is None else "q or Ctrl-C ends"
         _log.info("all frames are shown; %s the server", how)

@@ -1,4 +1,4 @@
-"""A snapshot: everything of one frame, in a folder of its own."""
+"""Writes a snapshot: all files of one frame, in a new folder."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _log = logging.getLogger(__name__)
 
 
 def try_snapshot(result: FrameResult, settings: Mapping[str, Any], folder: Path) -> None:
-    """Write a snapshot and say where; a run goes on without it where that is not possible."""
+    """Write a snapshot and log where, or why that failed."""
     try:
         _log.info("snapshot: %s", write_snapshot(result, settings, folder))
     except ExportError as err:
@@ -28,13 +28,12 @@ def try_snapshot(result: FrameResult, settings: Mapping[str, Any], folder: Path)
 def write_snapshot(result: FrameResult, settings: Mapping[str, Any], folder: Path) -> Path:
     """Write color, depth, labels, objects, tree, surfaces and cloud of a frame; return the new folder.
 
-    It is named by the time and the frame. `settings`, as `run_settings` returns it, is what ``settings.json``
-    is to hold. Raises ExportError if a file cannot be written.
+    `settings` comes from `run_settings`. Raises ExportError if a file cannot be written.
     """
     frame = result.frame
     made = folder / f"snapshot-{datetime.now():%Y%m%d-%H%M%S}-frame{frame.index}"
     try:
-        # It shows what the camera saw.
+        # Images are private.
         made.mkdir(mode=0o700)
     except OSError as err:
         raise ExportError(f"{made}: cannot be created: {err.strerror}") from err

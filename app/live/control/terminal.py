@@ -1,4 +1,4 @@
-"""The terminal: the line at its bottom that is written again and again, above which the log goes on."""
+"""The status line at the bottom of a terminal, below the log."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _ERASE = "\r\x1b[K"
 
 
 def in_foreground(descriptor: int) -> bool:
-    """Say whether this process may use a terminal: one in the background would be stopped for it."""
+    """Whether this process may use a terminal: a background process would be stopped."""
     try:
         return os.tcgetpgrp(descriptor) == os.getpgrp()
     except OSError:
@@ -21,13 +21,7 @@ def in_foreground(descriptor: int) -> bool:
 
 
 class StatusLine:
-    """The last line of a terminal; while it is open, the log's lines are written above it.
-
-    Parameters
-    ----------
-    stream : file
-        The terminal, to which the log is written, too.
-    """
+    """The last line of a terminal, `stream`; while it is open, the log is written above it."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -51,25 +45,25 @@ class StatusLine:
         self.show("")
 
     def show(self, text: str) -> None:
-        """Write a line in place of the one before, as far as the terminal is wide."""
-        # A terminal that is gone takes nothing more.
+        """Replace the line, cut to the width of the terminal."""
+        # The terminal may be gone.
         with self._lock, suppress(OSError):
             self._text = text
             self._draw()
 
     def write(self, text: str) -> None:
-        """Write whole lines above."""
+        """Write complete lines above."""
         with self._lock:
             self._draw(text)
 
     def flush(self) -> None:
-        """Do nothing, as all is written at once; a stream has this."""
+        """Do nothing: `write` flushes."""
 
     def _draw(self, above: str = "") -> None:
-        """Write everything in one piece, so that what others write does not come in between."""
+        """Write everything at once, so that no other output comes in between."""
         ours = in_foreground(self._stream.fileno())
         erased = _ERASE if ours and self._is_drawn else ""
-        # The cursor waits at the line's beginning, where what a viewer says itself covers it.
+        # The cursor stays at the beginning of the line, so that a viewer's own output overwrites it.
         line = f"{cut(self._text, self._columns() - 1)}\r" if ours and self._text else ""
         self._is_drawn = bool(line)
         self._stream.write(f"{erased}{above}{line}")
@@ -77,14 +71,14 @@ class StatusLine:
 
     def _columns(self) -> int:
         try:
-            # Some terminals do not say it.
+            # Some terminals return 0.
             return os.get_terminal_size(self._stream.fileno()).columns or 80
         except OSError:
             return 80
 
 
 def cut(text: str, columns: int) -> str:
-    """Return as much of a text as has room, without what is not printed."""
+    """Return the beginning of a text that fits, with "?" for characters that cannot be printed."""
     kept = ""
     for character in text:
         is_wide = unicodedata.east_asian_width(character) in ("W", "F")
