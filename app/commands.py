@@ -1,50 +1,46 @@
-"""The commands as they are installed: each begins here, before anything else is imported."""
+"""The entry points of the installed commands, which import everything else."""
 
 from __future__ import annotations
 
 import signal
 from importlib import import_module
-from types import ModuleType
+from typing import Any
 
 _INTERRUPTED = 130
 
 
 def live() -> int:
-    """Run nurbseg-live, which handles signals from when it has begun something to be finished."""
-    result: int = _imported("nurbseg.app.command.cli").command()
-    return result
+    """Run nurbseg-live, which handles signals itself once there is something to finish."""
+    return _run("nurbseg.app.command.cli", "command", on_interrupt=signal.SIG_DFL)
 
 
 def batch() -> int:
     """Run nurbseg-batch."""
-    return _interruptible(_imported("nurbseg.app.batch.cli"), "main")
+    return _run("nurbseg.app.batch.cli")
 
 
 def devices() -> int:
     """Run nurbseg-devices."""
-    return _interruptible(_imported("nurbseg.app.devices.cli"), "main")
+    return _run("nurbseg.app.devices.cli")
 
 
 def evaluation() -> int:
     """Run nurbseg-eval."""
-    return _interruptible(_imported("nurbseg.app.evaluation.cli"), "command")
+    return _run("nurbseg.app.evaluation.cli", "command")
 
 
 def record() -> int:
     """Run nurbseg-record."""
-    return _interruptible(_imported("nurbseg.app.recording.cli"), "main")
+    return _run("nurbseg.app.recording.cli")
 
 
-def _imported(module: str) -> ModuleType:
-    """Import a module; until then, Ctrl-C ends the process without a word, as there is nothing to finish."""
+def _run(module: str, function: str = "main", *, on_interrupt: Any = signal.default_int_handler) -> int:
+    """Run a command; Ctrl-C ends the process silently during imports, and then as `on_interrupt` says."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-    return import_module(module)
-
-
-def _interruptible(module: ModuleType, function: str) -> int:
+    run = getattr(import_module(module), function)
     try:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        result: int = getattr(module, function)()
+        signal.signal(signal.SIGINT, on_interrupt)
+        code: int = run()
     except KeyboardInterrupt:
         return _INTERRUPTED
-    return result
+    return code

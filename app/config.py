@@ -1,7 +1,7 @@
-"""The configuration of a run: one frozen value made of sections, each a dataclass that describes itself.
+"""The configuration of a run, made of sections.
 
-A section's fields are its keys in the configuration file and its flags on the command line. A new
-setting is one new field; a new section is one new dataclass and one new field of `AppConfig`.
+A section's fields are its keys in the configuration file and its flags on the command line. A new setting is
+a new field; a new section is a new dataclass and a new field of `AppConfig`.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from nurbseg.segmentation.config import DepthConfig, SegmentationConfig
 
 @dataclass(frozen=True, slots=True)
 class SourceConfig(Settings):
-    """Where frames come from, and which of them are taken.
+    """Settings of the source of frames.
 
-    Raises ValueError if more than one source is named, or a value is out of its bounds.
+    Raises ValueError if more than one source is named, or a value is out of bounds.
     """
 
     device: str | None = setting(
@@ -90,25 +90,25 @@ class SourceConfig(Settings):
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Which of the kinds of source the user named."""
+        """The kinds of source that the user named."""
         return tuple(name for name in SOURCE_KINDS if getattr(self, name))
 
     @property
     def replayed(self) -> str | None:
-        """What is to be replayed; None where it is a camera."""
+        """The recording to replay; None for a camera."""
         if self.color_images is not None and self.depth_images is not None:
             patterns = {"color": self.color_images, "depth": self.depth_images}
             return f"images:?{urlencode(patterns, safe='*?/[]')}"
         return "synthetic:" if self.synthetic else self.replay
 
 
-#: The fields of `SourceConfig` of which one at most is given; the last one given wins.
+#: The fields of `SourceConfig` of which at most one is given.
 SOURCE_KINDS = ("device", "replay", "color_images", "synthetic")
 
 
 @dataclass(frozen=True, slots=True)
 class AppConfig:
-    """The configuration of a run; each section says what it is of."""
+    """The configuration of a run."""
 
     source: SourceConfig = field(default_factory=SourceConfig)
     camera: DeviceOptions = field(default_factory=DeviceOptions)
@@ -121,12 +121,12 @@ class AppConfig:
 
     @property
     def shown(self) -> ViewConfig:
-        """What is shown and saved for viewing: nothing where frames are only recorded."""
+        """The view, which is none if frames are only recorded."""
         return ViewConfig(mode="none") if self.record.only else self.view
 
 
 def sections(config_type: type[Any] = AppConfig) -> dict[str, type[Any]]:
-    """Return the sections of a configuration by path (``segmentation.stag15``), in their order."""
+    """Return the sections of a configuration by path (``segmentation.stag15``)."""
     found = {}
     for name, section in subsections(config_type).items():
         found[name] = section

@@ -1,4 +1,4 @@
-"""The frames of a recording by their places, so that any process can read them."""
+"""Reads frames of a recording by their positions, in any process."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
 
-#: More frames than any source has: what passing over all of them is asked with.
+#: More frames than any recording has.
 _ALL = 10**9
 #: Longest wait for a frame of a recording, seconds.
 _READ_TIMEOUT_S = 60.0
 
 
 def places(uri: str, options: SourceOptions, start: int = 0, most: int | None = None) -> range:
-    """Return the places of a recording's frames, without decoding them.
+    """Return the positions of a recording's frames, without decoding them.
 
     Raises DriverError if it cannot be opened, and ValueError if it is a camera.
     """
@@ -29,10 +29,7 @@ def places(uri: str, options: SourceOptions, start: int = 0, most: int | None = 
 
 
 class Reader:
-    """Reads frames by their places, and keeps the recording open that was read last.
-
-    Many recordings can only be passed through: going on from the place before spares the way there.
-    """
+    """Reads frames by their positions, and keeps the last recording open, as many cannot seek."""
 
     def __init__(self) -> None:
         self._source: FrameSource | None = None
@@ -40,7 +37,7 @@ class Reader:
         self._next = 0
 
     def read(self, uri: str, options: SourceOptions, run: range) -> Iterator[RGBDFrame | FrameFormatError]:
-        """Yield the frames at successive places, or what is wrong with each that is damaged.
+        """Yield the frames at successive positions, or the error of a damaged frame.
 
         Raises DriverError if the recording cannot be read.
         """
@@ -57,7 +54,7 @@ class Reader:
                 return
 
     def close(self) -> None:
-        """Close what is open."""
+        """Close the last recording."""
         if self._source is not None:
             self._source.close()
             self._source = None

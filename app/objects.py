@@ -1,4 +1,4 @@
-"""What is measured of the objects of a frame: place, size, orientation, color, and how well surfaces fit."""
+"""Measures the objects of a frame: position, size, orientation, color, and errors of their surfaces."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Segment, SegmentationTree
 from nurbseg.segmentation.surfaces.surface import normals
 
-#: Points of an object that decide how its box is turned; it holds all of them.
+#: Number of an object's points that determine the rotation of its box, which contains all of them.
 _TURNED_POINTS = 4000
-#: Places of a surface at which its normals are averaged.
+#: Number of normals of a surface that are averaged.
 _NORMALS = 100
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrientedBox:
-    """A box that holds all points of an object.
+    """A box that contains all points of an object.
 
-    Its last axis is the direction in which they vary least; across it, the box is the rectangle of least
-    area around some of them.
+    Its last axis is the direction in which they vary least; perpendicular to it, the box is the rectangle of
+    least area around a sample of them.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class OrientedBox:
         points = np.ascontiguousarray(np.asarray(points_m).T, dtype=np.float64)
         mean = points.mean(axis=1)
         points -= mean[:, np.newaxis]
-        # Eigenvectors in columns, that of the least variance first.
+        # Eigenvectors in columns, by ascending variance.
         axes = np.linalg.eigh(points @ points.T)[1].T[::-1]
         some = points[:, :: -(-points.shape[1] // _TURNED_POINTS)]
         (_, (width, height), degrees) = cv2.minAreaRect((axes[:2] @ some).T.astype(np.float32))
@@ -64,14 +64,14 @@ class OrientedBox:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredObject:
-    """An object of a frame and what is measured of it; a surface, where nothing was merged into objects.
+    """An object of a frame, or a surface if surfaces are not merged into objects.
 
     Parameters
     ----------
     label : int
-        In the label image of the objects.
+        Label in the label image of the objects.
     leaves : tuple of str
-        Names of the surfaces that it consists of.
+        Names of its surfaces.
     pixels : (N,) intp
         Flat indices into the image, ascending.
     points_m : (N, 3) float32
@@ -79,13 +79,13 @@ class MeasuredObject:
     colors : (N, 3) uint8
         RGB of each point.
     box : OrientedBox
-        Around its points.
+        Box around its points.
     mean_normal : (3,) float64 or None
-        Mean of the normals of its surfaces, as a unit vector towards the camera; None where there is none.
+        Mean of the normals of its surfaces, a unit vector towards the camera; None without a surface.
     rms_m : float or None
         Root mean square of the distances of its points to its surfaces, metres; None without a surface.
     tree : SegmentationTree
-        That it is of.
+        Tree of the frame.
     """
 
     label: int
@@ -109,7 +109,7 @@ class MeasuredObject:
         return np.asarray(self.colors.mean(axis=0, dtype=np.float64))
 
     def mesh(self, step_px: float = 2.0) -> SurfaceMesh:
-        """Return its surfaces as triangles, cut to its pixels.
+        """Return its surfaces as triangles, trimmed to its pixels.
 
         Parameters
         ----------
@@ -121,10 +121,11 @@ class MeasuredObject:
         return surface_mesh(self.tree, own, step_px)
 
 
+@one_blas_thread()
 def measure_objects(
     cloud: PointMap, tree: SegmentationTree, object_of_leaf: NDArray[np.uint16]
 ) -> tuple[MeasuredObject, ...]:
-    """Measure every object of a frame that has a pixel.
+    """Measure the objects of a frame that have pixels.
 
     Parameters
     ----------
@@ -133,20 +134,13 @@ def measure_objects(
     tree : SegmentationTree
         Its segments.
     object_of_leaf : (L + 1,) uint16
-        Label of the object of each leaf, by the leaf's place plus one; 0 for 0.
+        Label of each leaf's object, by the leaf's position from 1 on; 0 at position 0.
 
     Returns
     -------
     tuple of MeasuredObject
         In the order of their labels.
     """
-    with one_blas_thread():
-        return _measured(cloud, tree, object_of_leaf)
-
-
-def _measured(
-    cloud: PointMap, tree: SegmentationTree, object_of_leaf: NDArray[np.uint16]
-) -> tuple[MeasuredObject, ...]:
     leaf_image = tree.labels("surfaces")
     labels = apply_lookup_table(object_of_leaf, leaf_image).ravel()
     order = np.argsort(labels, kind="stable")
@@ -176,7 +170,7 @@ def _measured(
 
 
 def _mean_normal(leaves: Sequence[Segment], width: int) -> NDArray[np.float64] | None:
-    """Return the mean direction of the normals at some pixels of each leaf, which count for all of them."""
+    """Return the mean normal at a sample of pixels of each leaf, weighted by size."""
     total = np.zeros(3)
     for leaf in leaves:
         if leaf.fit.surface is None or not leaf.pixels.size:

@@ -1,4 +1,4 @@
-"""What the argument parsers of the commands share."""
+"""The argument parsers of the commands."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import NoReturn
 
 
 class _Parser(argparse.ArgumentParser):
-    """Answers a flag that there is not with the nearest ones."""
+    """Suggests the nearest flags for an unknown one."""
 
     def error(self, message: str) -> NoReturn:
-        """End with a message, the usage before it."""
+        """Print the usage and a message, and exit."""
         what, found, words = message.partition("unrecognized arguments: ")
         known = sorted(_all_flags(self))
         for word in words.split() if found and not what else ():
@@ -37,7 +37,7 @@ def _all_flags(parser: argparse.ArgumentParser) -> set[str]:
 def command_parser(
     prog: str, description: str, epilog: str, usage: str | None = None
 ) -> argparse.ArgumentParser:
-    """Return a parser that keeps the lines of its texts, and takes flags at full length only."""
+    """Return a parser that keeps line breaks of its texts, and does not accept abbreviated flags."""
     return _Parser(
         prog=prog,
         usage=usage,
@@ -49,7 +49,7 @@ def command_parser(
 
 
 def add_setting_flags(parser: argparse.ArgumentParser) -> None:
-    """Add the flags that choose a segmentation's settings."""
+    """Add the flags for settings of the segmentation."""
     parser.add_argument("--config", type=Path, metavar="FILE", help="read settings from a TOML file")
     parser.add_argument(
         "--set",
@@ -62,7 +62,7 @@ def add_setting_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def add_calibration_flags(parser: argparse.ArgumentParser) -> None:
-    """Add the flags that say what recordings without calibration do not."""
+    """Add the flags for recordings without calibration."""
     parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="for data without calibration, pixels")
     parser.add_argument(
         "--depth-scale", type=float, help="depth units per metre, for data that does not specify them"

@@ -1,4 +1,4 @@
-"""A file that a library writes without ever learning that the disk is full."""
+"""A file behind a pipe, for a library that cannot handle a full disk."""
 
 from __future__ import annotations
 
@@ -11,19 +11,18 @@ from pathlib import Path
 
 from nurbseg.drivers.files import create_private
 
-#: Read at once, and what the pipe may hold, bytes.
+#: Size of a read, and of the pipe, bytes.
 _PART = 1 << 20
 
 
 class PipedFile:
-    """A file behind a pipe: what is written into the pipe goes to the file, or nowhere after an error.
+    """A file behind a pipe, whose content goes to the file, or nowhere after an error.
 
-    Some libraries stand still for good once a file of theirs cannot be written. They are given a pipe in its
-    place, which is read to its end whatever becomes of the file. The block ends the wait for writers that are
-    still to come; the file ends when the last writer has closed the pipe.
+    Some libraries hang forever if a file cannot be written. This pipe is always read to its end. Open it for
+    writing within the ``with`` block; the file ends when the last writer has closed the pipe.
 
-    The file must not exist; its folder is made, and only this user may read it. Raises OSError if it cannot
-    be created. The attribute `error` says why it could not be written; what came after is not in it.
+    The file must not exist; its folder is created, and only this user may read it. Raises OSError if it
+    cannot be created. `error` is the reason why it could not be written any further.
     """
 
     def __init__(self, path: Path) -> None:
@@ -32,7 +31,7 @@ class PipedFile:
         self._file = create_private(path, buffering=0)
         self._read_end, self._write_end = os.pipe()
         with contextlib.suppress(OSError):
-            # A writer need not wait then for each 64 kB to be taken.
+            # Otherwise a writer would wait after every 64 kB.
             fcntl.fcntl(self._write_end, fcntl.F_SETPIPE_SZ, _PART)
         self._thread = threading.Thread(target=self._copy, name=f"view-file-{path.name}")
         self._thread.start()
@@ -45,7 +44,7 @@ class PipedFile:
         os.close(self._write_end)
 
     def join(self, timeout_s: float) -> bool:
-        """Wait until the file has ended; return whether it has, within `timeout_s` seconds."""
+        """Wait for the end of the file; return whether it came within `timeout_s` seconds."""
         self._thread.join(max(0.0, timeout_s))
         return not self._thread.is_alive()
 

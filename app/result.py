@@ -1,4 +1,4 @@
-"""What one frame gave: its points, its segments, and how long that took."""
+"""The result of a frame: points, segments and times."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from nurbseg.segmentation.segments import SegmentationTree
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameResult:
-    """A frame and what came of it.
+    """A frame and its segmentation.
 
     Parameters
     ----------
     frame : RGBDFrame
         As it was captured.
     cloud : PointMap
-        Its points with their colors.
+        Its colored points.
     tree : SegmentationTree
         Its segments.
     elapsed_ms : mapping of str to float
-        Time that each stage took, milliseconds.
+        Time of each stage, milliseconds.
     surface_identities, object_identities : Identities or None
-        Of the tree's leaves and objects, by their labels, where frames continue each other. Then labels are
-        identities: a segment keeps its own from frame to frame.
+        Identities of the tree's leaves and objects, if frames continue each other. Then labels are
+        identities, and persist from frame to frame.
     update : UpdateReport or None
-        What was done to the live tree for this frame; None where the frame was segmented for itself.
+        Update of the live tree; None if the frame was segmented independently.
     """
 
     frame: RGBDFrame
@@ -49,12 +49,12 @@ class FrameResult:
 
     @property
     def surface_of_leaf(self) -> NDArray[np.uint16]:
-        """Label of the surface by the leaf's place in the tree plus one; 0 for 0."""
+        """Label of each leaf's surface, by the leaf's position from 1 on; 0 at position 0."""
         return np.array([0, *self.surface_labels], dtype=np.uint16)
 
     @property
     def object_of_leaf(self) -> NDArray[np.uint16]:
-        """Label of the object, or surface without objects, by the leaf's place plus one; 0 for 0."""
+        """Label of each leaf's object, or surface if there are none, by the leaf's position from 1 on."""
         if not self.tree.objects:
             return self.surface_of_leaf
         numbered = zip(self.object_labels, self.tree.objects, strict=True)
@@ -62,13 +62,12 @@ class FrameResult:
         return np.array([0, *(label[leaf.name] for leaf in self.tree.leaves())], dtype=np.uint16)
 
     def labels(self, level: Level | None = None) -> NDArray[np.uint16]:
-        """Return the label of every pixel, (H, W) uint16; 0 where there is no depth.
+        """Return the label of every pixel, (H, W) uint16; 0 without depth.
 
         Parameters
         ----------
         level : {"surfaces", "objects", "things"}, optional
-            What a label stands for; the tree's own level without it. In a tree of things
-            objects are things.
+            What a label stands for, by default the tree's level. In a tree of things, objects are things.
         """
         objects = (level or self.tree.level) != "surfaces"
         of_leaf = self.object_of_leaf if objects else self.surface_of_leaf
@@ -76,22 +75,22 @@ class FrameResult:
 
     @property
     def objects(self) -> tuple[MeasuredObject, ...]:
-        """What is measured of each object, in the order of labels; computed again each time."""
+        """Measurements of each object, in the order of labels; computed on each access."""
         return measure_objects(self.cloud, self.tree, self.object_of_leaf)
 
     @property
     def surface_labels(self) -> tuple[int, ...]:
-        """Label of each leaf of the tree, in their order."""
+        """Label of each leaf of the tree."""
         return _each_identified(len(self.tree.leaves()), self.surface_identities)
 
     @property
     def object_labels(self) -> tuple[int, ...]:
-        """Label of each object, in their order."""
+        """Label of each object of the tree."""
         return _each_identified(len(self.tree.objects), self.object_identities)
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """What happened to the segments, at the tree's level, since the frame before."""
+        """What happened to segments of the tree's level since the previous frame."""
         by_object = self.tree.objects and self.tree.level != "surfaces"
         identities = self.object_identities if by_object else self.surface_identities
         return () if identities is None else identities.events
@@ -100,5 +99,5 @@ class FrameResult:
 def _each_identified(count: int, identities: Identities | None) -> tuple[int, ...]:
     if identities is None:
         return tuple(range(1, count + 1))
-    # A leaf may have lost its last pixel to its neighbours: then it has no identity, and its label is 0.
+    # A leaf without pixels has no identity, and its label is 0.
     return tuple(identities.of_label.get(label, 0) for label in range(1, count + 1))

@@ -1,4 +1,4 @@
-"""The versions that figures and recordings depend on."""
+"""Versions of installed packages."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _PACKAGES = ("nurbseg", "numpy", "scipy", "opencv-python-headless", "rerun-sdk",
 
 
 def versions(packages: Iterable[str] = _PACKAGES) -> dict[str, str]:
-    """Return the versions of Python, of the platform, and of the packages that are installed."""
+    """Return the versions of Python, the platform and the installed packages."""
     found = {"python": platform.python_version(), "platform": platform.platform()}
     for package in packages:
         with suppress(PackageNotFoundError):

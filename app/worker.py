@@ -1,4 +1,4 @@
-"""A process that does tasks for `nurbseg.app.workers`, until the one that started it is gone."""
+"""The program of a worker process of `nurbseg.app.workers`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 
 
 def serve(descriptor: int) -> None:
-    """Do what the other end of a connection asks for, until it is gone."""
+    """Execute the calls that arrive through a connection, until its other end is closed."""
     calls = Connection(descriptor)
     threading.Thread(target=_end_with_parent, args=(descriptor,), name="parent", daemon=True).start()
     while True:

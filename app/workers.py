@@ -1,4 +1,4 @@
-"""Processes that share out work, of this computer or of a Dask cluster; results come in the tasks' order."""
+"""Distributes tasks to processes of this computer or of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -18,39 +18,38 @@ from nurbseg.drivers.process.child import end_group, how_it_ended, python_comman
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-#: Longest time for one task, seconds: a study may do a frame with a hundred settings.
+#: Time limit of a task, seconds: a study may segment a frame with a hundred settings.
 _TASK_LIMIT_S = 3600.0
-#: Longest wait beyond that of a task that is done twice, and for a cluster's first worker, seconds.
+#: Additional wait for a task that is executed twice, and wait for a cluster's first worker, seconds.
 _SPARE_S, _WORKER_TIMEOUT_S = 10.0, 20.0
 #: Longest wait for a scheduler's answer, seconds.
 _SCHEDULER_TIMEOUT_S = 10.0
-#: What a process that is lost may take to end by itself, seconds.
+#: Time that a lost process has to end by itself, seconds.
 _LAST_WORDS_S = 1.0
 
 
 class WorkerLostError(RuntimeError):
-    """A process ended in the middle of a task, and so did another one that was given the same task."""
+    """Two processes died while working on the same task."""
 
 
 class Workers(Protocol):
-    """Who does the work."""
+    """Executes tasks."""
 
     def submit(self, function: Callable[[Task], Result], task: Task, /) -> Future[Result]:
-        """Have a task done; `function` is found by its name, and the task is copied."""
+        """Execute a task; `function` is found by its name, and the task is copied."""
         ...
 
     def ahead(self) -> int:
-        """Return how many tasks may wait or be under way besides the one whose result is wanted."""
+        """Return the number of tasks to submit in advance."""
         ...
 
 
 def in_order(
     workers: Workers, function: Callable[[Task], Result], tasks: Iterable[Task]
 ) -> Iterator[tuple[Task, Future[Result]]]:
-    """Do tasks, a bounded number at once, and yield each in its turn with its future, which is done.
+    """Execute tasks, a limited number at a time, and yield each in its order with its future, which is done.
 
-    The function is one of a module; what it returns or raises is the future's. Tasks are taken as there is
-    room for them. Raises WorkerLostError if nothing comes any more.
+    The function must be one of a module. Raises WorkerLostError if there is no result for a long time.
     """
     pending: deque[tuple[Task, Future[Result]]] = deque()
 
@@ -73,11 +72,11 @@ def in_order(
 
 @contextmanager
 def open_workers(count: int, scheduler: str | None = None) -> Iterator[Workers]:
-    """Choose who does the work, and let go of them afterwards.
+    """Provide workers until the block ends.
 
-    That is so many processes of this computer, 1 for this one alone, or a Dask scheduler
-    (``tcp://HOST:8786``), whose workers must see the same files under the same names. Raises ValueError if
-    the scheduler does not answer, or has no worker.
+    These are `count` processes of this computer (1 for this process alone), or those of a Dask scheduler
+    (``tcp://HOST:8786``), which must see the same files under the same names. Raises ValueError if the
+    scheduler does not answer, or has no worker.
     """
     if scheduler is not None:
         with _cluster(scheduler) as cluster:
@@ -93,7 +92,7 @@ def open_workers(count: int, scheduler: str | None = None) -> Iterator[Workers]:
 
 
 class _ThisProcess:
-    """Does a task when it is given."""
+    """Executes a task when it is submitted."""
 
     def submit(self, function: Callable[[Task], Result], task: Task, /) -> Future[Result]:
         future: Future[Result] = Future()
@@ -108,7 +107,7 @@ class _ThisProcess:
 
 
 class _Processes:
-    """Processes on this computer, each with a thread here that waits for it."""
+    """Processes on this computer, each with a thread that waits for it."""
 
     def __init__(self, count: int) -> None:
         self._count = count
@@ -127,7 +126,7 @@ class _Processes:
         return self._threads.submit(self._done, function, task)
 
     def ahead(self) -> int:
-        # One more for each, so that it need not wait for the next.
+        # One more for each, so that none waits for its next task.
         return 2 * self._count - 1
 
     def _done(self, function: Callable[[Task], Result], task: Task) -> Result:
@@ -138,7 +137,7 @@ class _Processes:
             self._idle.put(process)
 
     def close(self) -> None:
-        """End all processes, whatever they are doing."""
+        """End all processes at once."""
         for each in self._all:
             each.end()
         self._threads.shutdown(cancel_futures=True)
@@ -147,7 +146,7 @@ class _Processes:
 
 
 class _Process:
-    """One process, and another one in its place when it is lost; one thread at a time calls it."""
+    """A process that is replaced if it dies; called by one thread at a time."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -162,12 +161,12 @@ class _Process:
                 python_command("nurbseg.app.worker", str(theirs.fileno())),
                 stdin=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
-                # Ctrl-C is for this process, which ends the others in its own time.
+                # Ctrl-C must reach this process only, which ends the others.
                 start_new_session=True,
             )
 
     def call(self, function: Callable[[Task], Result], task: Task) -> Result:
-        """Have a task done, once more if the process is lost."""
+        """Execute a task, once more if the process dies."""
         lost = ""
         for _ in range(2):
             try:
@@ -189,17 +188,17 @@ class _Process:
         raise WorkerLostError(f"the process working on it {lost}, and so did another one")
 
     def end(self) -> None:
-        """End the process for good, whoever calls it."""
+        """End the process for good; callable from any thread."""
         with self._lock:
             self._closed = True
             self._end(0.0)
 
     def close(self) -> None:
-        """Let go of the connection to the process, which has ended."""
+        """Close the connection to the process, which has ended."""
         self._connection.close()
 
     def _end(self, limit_s: float) -> str:
-        """End the process, if it does not within a time, and return how it ended."""
+        """Wait for the end of the process, or kill it; return how it ended."""
         return how_it_ended(end_group(self._process, limit_s))
 
 

@@ -23,7 +23,7 @@ _EPILOG = """\
 exit codes: 0 done, 1 failed while running, 2 usage, configuration or no source, 130 interrupted
 example: nurbseg-live --replay my_folder --intrinsics 525,525,319.5,239.5 --speed 0 --export out"""
 
-#: What the help says above each section's flags.
+#: Titles of the sections in the help.
 _TITLES = {
     "source": "source",
     "camera": "camera (--calibration also for --replay)",
@@ -40,20 +40,17 @@ _TITLES = {
 
 @dataclass(frozen=True, slots=True)
 class Arguments:
-    """What the command line asks for.
-
-    `config` is the defaults, overridden by the configuration file, overridden by the flags; `print_config`
-    says whether to print it instead of running. `verbosity` is -1 for warnings only, 0 for progress, 1 for
-    every frame.
-    """
+    """The command line: defaults, overridden by the configuration file, overridden by flags."""
 
     config: AppConfig
+    #: Whether to print the configuration instead of running.
     print_config: bool
+    #: -1 for warnings only, 0 for progress, 1 for every frame.
     verbosity: int
 
 
 class _Version(argparse.Action):
-    """Prints the version; looks it up only when asked, because that takes a while."""
+    """Prints the version, which takes time to look up."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
         from importlib.metadata import PackageNotFoundError, version
@@ -66,10 +63,10 @@ class _Version(argparse.Action):
 
 
 def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
-    """Read the process's arguments, or others.
+    """Parse the process's arguments, or others.
 
-    Raises SystemExit with code 2 and a message on stderr if an argument or the configuration file is wrong;
-    with code 0 after ``--help`` and ``--version``.
+    Raises SystemExit with code 2 and a message on stderr if an argument or the configuration file is wrong,
+    and with code 0 after ``--help`` and ``--version``.
     """
     parser = _parser()
     given = vars(parser.parse_args(words))
@@ -123,12 +120,12 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def add_flag(group: Any, key: str, each: Field[Any], kind: ValueKind) -> None:
-    """Add the flag of a setting to a parser or a group of one, under a key, with no default."""
+    """Add the flag of a setting to a parser or a group, without a default value."""
     metadata = each.metadata
     text = describe(metadata).replace("%", "%%")
     options: dict[str, Any] = {"dest": key, "default": argparse.SUPPRESS}
     if kind.kind is bool:
-        # A source is named or not; every other switch can be turned off again.
+        # Every switch but a source can be turned off again.
         is_source = each.name in SOURCE_KINDS
         switch = "store_true" if is_source else argparse.BooleanOptionalAction
         text += "" if is_source else f" (default: {'on' if each.default else 'off'})"
@@ -165,9 +162,9 @@ def _reader(kind: ValueKind) -> Callable[[str], Any]:
 
 
 def _overridden(config: AppConfig, given: dict[str, Any]) -> AppConfig:
-    """Return the configuration with the flags that were given."""
+    """Return the configuration overridden by flags."""
     if any(f"source.{kind}" in given for kind in SOURCE_KINDS):
-        # A source named by a flag takes the place of another that the file names.
+        # A source named by a flag replaces that of the file.
         unnamed = {f"source.{kind}": None for kind in (*SOURCE_KINDS, "depth_images")}
         given = unnamed | {"source.synthetic": False} | given
     for name, section in sections().items():
@@ -180,7 +177,7 @@ def _overridden(config: AppConfig, given: dict[str, Any]) -> AppConfig:
 
 
 def _as_flag(section: type[Any], message: str) -> str:
-    """Return a message about a field as one about its flag."""
+    """Turn a message on a field into one on its flag."""
     field_name, colon, rest = message.partition(":")
     for each in described_fields(section):
         if each.name == field_name:

@@ -25,19 +25,17 @@ DONE, FAILED, NOT_STARTED = 0, 1, 2
 def command() -> NoReturn:
     """Run the command with the process's arguments, and end the process with its exit code."""
     code = main()
-    # All that is to be closed is closed. Foreign threads that are stuck, as Rerun's are on a full disk,
-    # would keep the process from ending for good.
+    # Everything is closed. Threads of libraries that hang, as Rerun's do on a full disk, would keep the
+    # process alive forever.
     logging.shutdown()
     sys.stdout.flush()
     os._exit(code)
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run the command with the process's arguments, or others.
+    """Run the command with the process's arguments, or others; return its exit code.
 
-    Returns 0 where it is done, 1 where it failed while running, 2 without a source or with a wrong
-    configuration, and 130 where it was interrupted. Raises SystemExit with code 2 if an argument is wrong,
-    with code 0 after ``--help`` and ``--version``.
+    Raises SystemExit as `parse_arguments` does.
     """
     one_thread_for_products()
     _begin_logging()
@@ -55,7 +53,7 @@ def main(words: Sequence[str] | None = None) -> int:
         except KeyboardInterrupt:
             pass
         except Exception:
-            # Foreign code sometimes turns the interruption into an error of its own.
+            # Libraries sometimes turn an interruption into another error.
             if interruption.signal_number is None:
                 _log.exception("unexpected failure")
                 return FAILED
@@ -63,13 +61,13 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Arguments, interruption: Interruption) -> int:
-    # Late, so that --help need not wait for numpy and OpenCV; what shows imports Rerun in the meantime.
+    # Late, so that --help does not wait for numpy and OpenCV.
     from nurbseg.app.recording.config import dated
     from nurbseg.app.view.opening import begin_view, chosen_view
     from nurbseg.app.view.viewer import ViewError
 
     config = arguments.config
-    # Somebody at a terminal, for whom nothing is written either, waits for something to look at.
+    # A user at a terminal who writes no files wants to see something.
     somebody_waits = sys.stderr.isatty() and config.view.save is None and config.export.directory is None
     view = replace(config.view, save=config.view.save and dated(config.view.save))
     config = replace(config, view=chosen_view(view, somebody_waits=somebody_waits))
@@ -114,7 +112,7 @@ def _run_with(arguments: Arguments, interruption: Interruption, process: ChildPr
 
 
 class _Format(logging.Formatter):
-    """Progress as plain lines; what is wrong with a word before it."""
+    """Formats progress as plain lines, and warnings and errors with their level."""
 
     def format(self, record: logging.LogRecord) -> str:
         level = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""

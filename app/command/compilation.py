@@ -1,4 +1,4 @@
-"""Says that loops are being compiled, which the first run on a computer waits for."""
+"""Logs the progress of compiling, which the first run on a computer waits for."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from nurbseg.drivers.process.child import dying_with_parent, python_command
 
 _log = logging.getLogger(__name__)
 
-#: Seconds from one line about the progress to the next.
+#: Time between two log lines, seconds.
 _PROGRESS_S = 5.0
-#: New objects from one search for unreachable ones to the next while compiling, which makes very many that
-#: live on: at Python's usual 700 a twentieth of the time goes into searches.
+#: Number of new objects between garbage collections while compiling, which creates very many lasting ones: at
+#: Python's default of 700, collections take a twentieth of the time.
 _GARBAGE_THRESHOLD = 100_000
-#: What compiles beside the run on another core: fits are a quarter of all, needed after a third of the time.
+#: Compiles fits, a quarter of all, on another core; they are needed after a third of the time.
 _BESIDE = python_command("nurbseg.app.command.fits")
-#: It ends within this time when it is killed, seconds, unless the kernel waits for a dead disk.
+#: Longest wait for its end after it was killed, seconds.
 _KILLED_S = 5.0
 
 
 @contextmanager
 def logged_compilation() -> Iterator[None]:
-    """Say while the block runs that code is compiled and how far that is, and at its end how long it took."""
+    """Log the progress of compiling while the block runs, and its duration at the end."""
     listener = _Listener()
     try:
         with event.install_listener("numba:compile", listener):
@@ -42,7 +42,7 @@ def logged_compilation() -> Iterator[None]:
 
 
 class _Listener(event.Listener):
-    """Adds up the time that is spent compiling; functions within functions count once."""
+    """Measures the time spent compiling; nested functions count once."""
 
     def __init__(self) -> None:
         self.spent_s = 0.0
@@ -55,7 +55,7 @@ class _Listener(event.Listener):
 
     def _start_beside(self) -> None:
         nowhere = subprocess.DEVNULL
-        # Without it all is compiled here, and takes longer.
+        # Without it, everything is compiled in this process.
         with suppress(OSError):
             if (os.cpu_count() or 1) > 1:
                 self._beside = subprocess.Popen(
@@ -63,7 +63,7 @@ class _Listener(event.Listener):
                 )
 
     def end(self) -> None:
-        """End what compiles beside the run, if it still does."""
+        """End the other process if it is still compiling."""
         if self._beside is not None:
             self._beside.kill()
             with suppress(subprocess.TimeoutExpired):

@@ -1,4 +1,4 @@
-"""The configuration file: TOML with a table for each section, read strictly and written with comments."""
+"""Reads and writes the configuration file: TOML with a table for each section."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ _HEAD = """\
 
 
 class ConfigError(ValueError):
-    """A configuration cannot be used; the message names the file, the key and what is expected."""
+    """A configuration is invalid; the message names the file, the key and what is expected."""
 
 
 def read_config(path: Path) -> AppConfig:
-    """Read a configuration file: TOML, with any part of the sections and keys of `AppConfig`.
+    """Read a configuration file, which may contain some sections and keys of `AppConfig` only.
 
-    Raises ConfigError if the file cannot be read, or a section, key or value is none of ours.
+    Raises ConfigError if the file cannot be read, or a section, key or value is invalid.
     """
-    # Late: --help need not wait for the parsers.
+    # Late, so that --help does not wait for the parsers.
     from nurbseg.drivers.structured_text import parse_toml
 
     try:
@@ -85,12 +85,12 @@ def _unknown(name: str, table: object) -> str:
 
 
 def _nearest(key: str) -> str:
-    """Return " (did you mean ...?)" with the valid key that a wrong one resembles most, or nothing."""
+    """Return " (did you mean ...?)" with the valid key most similar to a wrong one, or an empty text."""
     valid: dict[str, str] = {}
     for name, section in sections().items():
         for each in described_fields(section):
             full = f"{name}.{each.name}"
-            # A key may be right and in the wrong section, or be called as the literature does.
+            # A key may be in the wrong section, or a symbol of the literature.
             for spelling in (full, each.name, each.metadata["symbol"], each.metadata["flag"]):
                 valid.setdefault(spelling, full)
     valid.pop("", None)
@@ -105,7 +105,7 @@ def _nearest(key: str) -> str:
 
 
 def format_config(config: AppConfig) -> str:
-    """Return a configuration as a complete TOML file; reading it gives the same configuration."""
+    """Return a configuration as a complete TOML file."""
     lines = [_HEAD]
     for name, section in sections().items():
         lines.append(f"[{name}]")
@@ -119,7 +119,7 @@ def format_config(config: AppConfig) -> str:
 
 
 def describe(metadata: Any) -> str:
-    """Return what a setting means, with its unit and bounds, in one line."""
+    """Return the description of a setting with its unit and bounds, in one line."""
     bounds = [
         f"{word} {metadata[key]:g}"
         for key, word in (("above", "more than"), ("least", "at least"), ("most", "at most"))
@@ -135,7 +135,7 @@ def _toml(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        # JSON's escapes are TOML's, except that TOML wants DEL escaped as well.
+        # TOML's escapes are JSON's, but DEL must be escaped, too.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, tuple):
         return f"[{', '.join(_toml(each) for each in value)}]"

@@ -1,4 +1,4 @@
-"""Compiles the fits of surfaces, for the run that started it to find on disk."""
+"""Compiles the fits of surfaces into the cache on disk, for the run that started it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from nurbseg.segmentation.surfaces.leastsquares import fit_splines
 
 
 def main() -> None:
-    """Fit a spline to a plane, which compiles for the types that a frame's fits have."""
+    """Fit a spline to a plane, with the argument types of a frame's fits."""
     basis = pixel_basis(8, 5)
     fit_splines(np.ones((1, 8, 8), np.float32), np.ones((8, 8), np.bool_), (0, 0), basis, basis, 0.1)
 

@@ -1,4 +1,4 @@
-"""The command nurbseg-devices: which cameras are there, why one is not, and a Kinect's motor."""
+"""The command nurbseg-devices, which lists and diagnoses cameras, and moves a Kinect's motor."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from nurbseg.drivers.doctor.kinect_motor import TILT_MAX_DEG, KinectMotor, LedCo
 
 READY, NOT_READY = 0, 1
 
-#: OpenNI2 must be done with its cameras within this time, seconds.
+#: Time limit for OpenNI2, seconds.
 _TIME_LIMIT_S = 60.0
 
 _DESCRIPTION = """\
@@ -40,7 +40,7 @@ def main(words: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return code
     except BrokenPipeError:
-        # The reader has enough, as `head` has; the flush at exit would fail once more.
+        # The reader, such as `head`, has ended; the flush at exit would fail again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return NOT_READY
     except DriverError as err:
@@ -48,8 +48,6 @@ def main(words: Sequence[str] | None = None) -> int:
         if isinstance(err, DeviceNotFoundError):
             print("To find out why: nurbseg-devices doctor", file=sys.stderr)
         return NOT_READY
-    except KeyboardInterrupt:
-        return 130
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -159,7 +157,7 @@ def _calibration(arguments: argparse.Namespace) -> int:
     path: Path = arguments.file
     if path.exists() and not arguments.force:
         raise DriverError(f"{path}: already exists; --force overwrites it")
-    # Without the camera's own registration, with which its frames have one camera only.
+    # With the camera's own registration, frames would have one camera only.
     options = DeviceOptions(serial=arguments.serial, registration="software")
     with _quiet(), _time_limit(), DeviceSource(arguments.device.removeprefix("openni2:"), options) as source:
         calibration, name = source.calibration, source.metadata["device"]
@@ -182,7 +180,7 @@ def _calibration(arguments: argparse.Namespace) -> int:
 
 @contextmanager
 def _time_limit() -> Iterator[None]:
-    """End the program if a driver hangs, which nothing else can make it return from."""
+    """End the program if a driver hangs."""
     timer = threading.Timer(_TIME_LIMIT_S, _give_up)
     timer.daemon = True
     timer.start()
@@ -204,7 +202,7 @@ def _give_up() -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep warnings about the very values that are being asked for from being printed."""
+    """Suppress warnings about the very values that are written."""
     logger = logging.getLogger("nurbseg")
     level = logger.level
     logger.setLevel(logging.ERROR)

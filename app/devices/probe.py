@@ -1,4 +1,4 @@
-"""Asks OpenNI2 for its cameras from another process, because its drivers may crash or hang."""
+"""Lists OpenNI2's cameras in another process, because its drivers may crash or hang."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from nurbseg.drivers.doctor.finding import Probe
 from nurbseg.drivers.openni2.usb_ids import WANTED
 from nurbseg.drivers.process.child import dying_with_parent, python_command
 
-#: A camera that does not answer lets its driver wait for some seconds.
+#: Time limit, seconds: a driver waits some seconds for a camera that does not answer.
 _TIME_LIMIT_S = 20.0
 
 
 def probe(wanted: str = "any", *, time_limit_s: float = _TIME_LIMIT_S) -> Probe:
-    """Return which cameras OpenNI2 lists and opens, of those meant by what `--device` was given."""
+    """Return which cameras OpenNI2 lists and opens, of those that `wanted` (of `--device`) selects."""
     command = python_command("nurbseg.app.devices.cli", "list", "--json")
     try:
         done = subprocess.run(
@@ -27,7 +27,7 @@ def probe(wanted: str = "any", *, time_limit_s: float = _TIME_LIMIT_S) -> Probe:
         name = signal.Signals(-done.returncode).name
         return Probe(error=f"OpenNI2, or one of its drivers, crashed ({name}).")
     try:
-        # Drivers sometimes print something of their own first.
+        # Drivers sometimes print something first.
         cameras = json.loads(done.stdout[done.stdout.index("{") :])["cameras"]
     except ValueError:
         words = done.stderr.strip().splitlines()

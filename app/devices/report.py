@@ -20,7 +20,7 @@ _MARKS = {"ok": "ok", "error": "ERROR", "warning": "warning", "note": "note"}
 
 
 def cameras_as_text(cameras: Sequence[Camera]) -> str:
-    """Return the cameras as a table for each."""
+    """Return a table for each camera."""
     if not cameras:
         return "OpenNI2 finds no camera. To find out why: nurbseg-devices doctor"
     count = "1 camera" if len(cameras) == 1 else f"{len(cameras)} cameras"
@@ -49,30 +49,20 @@ def cameras_as_text(cameras: Sequence[Camera]) -> str:
 
 def cameras_as_json(cameras: Sequence[Camera]) -> str:
     """Return the cameras as JSON; the keys are those of `Camera`, described in docs/cameras.md."""
-    described = []
-    for camera in cameras:
-        each = asdict(camera)
+    described = [asdict(camera) for camera in cameras]
+    for each in described:
         for key in ("depth_modes", "color_modes"):
-            each[key] = [
-                {
-                    "width": mode.width,
-                    "height": mode.height,
-                    "fps": mode.fps,
-                    "pixel_format": mode.pixel_format.name,
-                }
-                for mode in getattr(camera, key)
-            ]
-        described.append(each)
+            each[key] = [mode._asdict() | {"pixel_format": mode.pixel_format.name} for mode in each[key]]
     return json.dumps({"cameras": described}, indent=2)
 
 
 def findings_as_text(findings: Iterable[Finding], system: System) -> str:
-    """Return what the doctor found, with what to do, and what it looked at."""
+    """Return the doctor's findings with instructions, and what it examined."""
     blocks = []
     for finding in findings:
         lines = _wrapped(finding.title, f"{_MARKS[finding.severity]:<9}", 9)
         lines += _wrapped(finding.reason, " " * 9, 9) if finding.reason else []
-        # Commands stay whole, so that they can be copied.
+        # Commands are not wrapped, so that they can be copied.
         lines += [f"{'':9}{number}. {step}" for number, step in enumerate(finding.steps, start=1)]
         blocks.append("\n".join(lines))
     ready = any(finding.severity == "ok" for finding in findings)
@@ -109,7 +99,7 @@ def motor_as_text(state: MotorState) -> str:
 
 
 def motor_as_json(state: MotorState) -> str:
-    """Return the same as JSON."""
+    """Return the state of a Kinect's accelerometer and motor as JSON."""
     return json.dumps({**asdict(state), "acceleration_g": state.acceleration_g}, indent=2)
 
 

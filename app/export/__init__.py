@@ -1,1 +1,1 @@
-"""Files of the results: labels, tree, surfaces."""
+"""Writes results to files."""

@@ -1,4 +1,4 @@
-"""The surfaces of a frame as true NURBS in a file of Rhino's, which CAD programs read: by rhino3dm."""
+"""The surfaces of a frame as NURBS in a Rhino file, which CAD programs read."""
 
 from __future__ import annotations
 
@@ -17,18 +17,17 @@ from nurbseg.segmentation.surfaces.bspline import basis_matrix
 from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate
 from nurbseg.segmentation.vocabulary import display_name
 
-#: Version of the file format that rhino3dm is to write.
+#: Version of the file format.
 _RHINO_VERSION = 7
 
 
 def cad_file(result: FrameResult) -> bytes:
-    """Return the surfaces of a frame's leaves, a layer for each object, with the outlines of their pixels.
+    """Return the surfaces of a frame's leaves and their outlines, a layer for each object.
 
-    A 3DM file of rhino3dm cannot hold trimmed surfaces that are made from nothing. So a surface spans the
-    rectangle of its segment's pixels, and beside it, on it, are the curves to trim it by. Metres in the depth
-    camera's frame: x right, y down, z forward.
+    rhino3dm cannot create trimmed surfaces. So a surface spans the rectangle of its segment's pixels, with
+    curves on it for trimming. Metres in the depth camera's frame: x right, y down, z forward.
     """
-    # Its type hints are not those of the library itself.
+    # Not imported directly, as its type hints are wrong.
     rhino3dm: Any = import_module("rhino3dm")
     model = rhino3dm.File3dm()
     model.ApplicationName = "nurbseg"
@@ -62,12 +61,11 @@ def cad_file(result: FrameResult) -> bytes:
 
 
 def clamped(surface: NurbsSurface, window: tuple[int, int, int, int]) -> NurbsSurface:
-    """Return a part of a surface, exactly the same there, whose knots are clamped at its borders.
+    """Return an identical part of a surface whose knots are clamped at its borders.
 
-    Other programs want a surface to begin and end at control points; ours go on over the border of the data.
-    The part (first row, first column, and one past the last of each; it ends where the knots do) has the same
-    knots between its borders, so that its control points follow from as many points of the surface, in
-    homogeneous coordinates.
+    Other programs expect a surface to start and end at control points; ours continue beyond the data.
+    `window` is the part: first row, first column, and one past the last of each. As the inner knots are the
+    same, the control points follow from as many points of the surface, in homogeneous coordinates.
     """
     from scipy.interpolate import make_interp_spline
 
@@ -80,12 +78,12 @@ def clamped(surface: NurbsSurface, window: tuple[int, int, int, int]) -> NurbsSu
             (surface.knots_u, surface.degree[0], left, right - 1),
         )
     ):
-        # Beyond its own ends it may run through infinity. One row or column still needs an extent.
+        # Outside its knots, a surface may run through infinity. A single row or column needs an extent.
         begin = min(max(first, own[degree]), own[-degree - 1] - 1.0)
         end = max(min(last, own[-degree - 1]), begin + 1.0)
         inner = own[(own > begin) & (own < end)]
         new = np.concatenate([np.full(degree + 1, begin), inner, np.full(degree + 1, end)])
-        # Greville's abscissae: as many places as there are control points, each where one of them counts.
+        # Greville abscissae: one place for each control point.
         places = np.array([new[i + 1 : i + 1 + degree].mean() for i in range(new.size - degree - 1)])
         values = np.moveaxis(np.tensordot(basis_matrix(own, degree, places), net, axes=(1, axis)), 0, axis)
         net = np.moveaxis(make_interp_spline(places, values, degree, new, axis=axis).c, 0, axis)
@@ -100,7 +98,7 @@ def _extent(leaf: Segment, width: int) -> tuple[int, int, int, int]:
 
 
 def _outlines(leaf: Segment, shape: tuple[int, int]) -> list[NDArray[np.float64]]:
-    """Return the borders of a leaf's pixels, and of its holes, as closed lines of (row, column)."""
+    """Return the outlines of a leaf's pixels and their holes as closed lines of (row, column)."""
     mask = np.zeros(shape, dtype=np.uint8)
     mask.flat[leaf.pixels] = 1
     contours, _ = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
@@ -112,7 +110,7 @@ def _rhino_surface(rhino3dm: Any, surface: NurbsSurface) -> Any:
     (p, q), (rows, columns) = surface.degree, surface.weights.shape
     made = rhino3dm.NurbsSurface.Create(3, True, p + 1, q + 1, columns, rows)
     for knots, own in ((made.KnotsU, surface.knots_u), (made.KnotsV, surface.knots_v)):
-        # Rhino leaves the first and the last knot out, which decide nothing.
+        # Rhino leaves out the first and the last knot, which have no effect.
         for place, knot in enumerate(own[1:-1].tolist()):
             knots[place] = knot
     homogeneous = np.dstack([surface.control_points_m * surface.weights[..., np.newaxis], surface.weights])

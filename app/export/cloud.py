@@ -13,11 +13,10 @@ from nurbseg.segmentation.surfaces.surface import evaluate_lattice
 
 
 def cloud_file(result: FrameResult, form: CloudForm) -> bytes:
-    """Return the points of a frame with all that is known of each, binary, little endian.
+    """Return the points of a frame with color, normal and labels, binary, little endian.
 
-    PLY holds the points alone, PCD is organised: a point for each pixel, NaN where there is none. Points are
-    in metres in the depth camera's frame; `label` is that of the level, `surface` and `object` are those of
-    both.
+    PLY contains only points; PCD is organized, with NaN for pixels without a point. Points are in metres in
+    the depth camera's frame; `label` is that of the tree's level.
     """
     vectors = np.concatenate([result.cloud.points_m, surface_normals(result.tree)], axis=2)
     labels = [result.labels(), result.labels("surfaces"), result.labels("objects")]
@@ -34,7 +33,7 @@ def cloud_file(result: FrameResult, form: CloudForm) -> bytes:
 def surface_normals(tree: SegmentationTree) -> NDArray[np.float32]:
     """Return the normal of the fitted surface at each pixel, (H, W, 3) float32.
 
-    Unit vectors towards the camera; 0 where no surface explains the pixel.
+    Unit vectors towards the camera; 0 for pixels without a surface.
     """
     height, width = tree.shape
     image = np.zeros((height * width, 3), dtype=np.float32)

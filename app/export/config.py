@@ -1,4 +1,4 @@
-"""What is written of each frame's result, and of the run."""
+"""Settings of the files written for each frame and for the run."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Naming = Literal["number", "source"]
 
 @dataclass(frozen=True, slots=True)
 class ExportConfig(Settings):
-    """What is written of each frame's result, and of the run."""
+    """Settings of the files written for each frame and for the run."""
 
     directory: str | None = setting(
         None,
@@ -66,5 +66,5 @@ class ExportConfig(Settings):
 
 
 def export_forms() -> list[Field[Any]]:
-    """Return the settings that say what else is written of a frame, and under which names."""
+    """Return the settings of a frame's optional files and of file names."""
     return [each for each in described_fields(ExportConfig) if each.metadata["flag"].startswith("export-")]

@@ -1,4 +1,4 @@
-"""The surfaces of a frame as triangles, cut to their pixels: GLB, OBJ or PLY, an object each."""
+"""The surfaces of a frame as triangles, by object: GLB, OBJ or PLY."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from nurbseg.app.export.config import MeshForm
 from nurbseg.app.export.ply import ply
-from nurbseg.app.objects import MeasuredObject
 from nurbseg.app.result import FrameResult
+from nurbseg.app.view.drawing.frame import SurfaceMesh
 
-#: GLB: magic and version, kinds of chunks, of components and of buffers.
+#: GLB: magic bytes, and types of chunks, components and buffers.
 _GLTF, _JSON, _BIN = b"glTF", b"JSON", b"BIN\0"
 _FLOAT, _UINT32, _ARRAY, _ELEMENTS = 5126, 5125, 34962, 34963
 _PLY_VECTORS, _PLY_COLORS = ("x", "y", "z", "nx", "ny", "nz"), ("red", "green", "blue")
@@ -31,42 +31,36 @@ class _ObjectMesh:
     name: str
     label: int
     color: NDArray[np.uint8]
-    vertices_m: NDArray[np.float32]
-    normals: NDArray[np.float32]
-    triangles: NDArray[np.uint32]
+    mesh: SurfaceMesh
 
 
 def mesh_file(result: FrameResult, form: MeshForm) -> bytes:
     """Return the fitted surfaces of a frame as triangles, metres in the depth camera's frame.
 
-    In GLB and OBJ each object has a name (``object 3``), in PLY its label is with each vertex. The color is
-    the object's mean color. GLB turns the frame (x right, y down, z forward) as glTF wants it.
+    In GLB and OBJ each object has a name (``object 3``), in PLY each vertex has its label. The color is the
+    object's mean color. GLB rotates the frame (x right, y down, z forward) to glTF's convention.
     """
     kind = "object" if result.tree.objects else "surface"
-    meshes = [_object_mesh(each, kind) for each in result.objects]
-    meshes = [each for each in meshes if len(each.triangles)]
+    meshes = [
+        _ObjectMesh(f"{kind} {each.label}", each.label, np.rint(each.mean_color).astype(np.uint8), mesh)
+        for each in result.objects
+        if len((mesh := each.mesh()).triangles)
+    ]
     return {"glb": _glb, "obj": _obj, "ply": _ply}[form](meshes)
 
 
-def _object_mesh(each: MeasuredObject, kind: str) -> _ObjectMesh:
-    mesh = each.mesh()
-    color = np.rint(each.mean_color).astype(np.uint8)
-    name = f"{kind} {each.label}"
-    return _ObjectMesh(name, each.label, color, mesh.vertices_m, mesh.normals, mesh.triangles)
-
-
 def _ply(meshes: Sequence[_ObjectMesh]) -> bytes:
-    sizes = [len(each.vertices_m) for each in meshes]
+    sizes = [len(each.mesh.vertices_m) for each in meshes]
     kinds = [*((name, "<f4") for name in _PLY_VECTORS), *((name, "|u1") for name in _PLY_COLORS)]
     vertices = np.empty(sum(sizes), dtype=[*kinds, ("object", "<u2")])
     triangles = [np.zeros((0, 3), dtype=np.int64)]
     first = 0
     for each, size in zip(meshes, sizes, strict=True):
         own = vertices[first : first + size]
-        columns = (*each.vertices_m.T, *each.normals.T, *each.color, each.label)
+        columns = (*each.mesh.vertices_m.T, *each.mesh.normals.T, *each.color, each.label)
         for name, values in zip(vertices.dtype.names or (), columns, strict=True):
             own[name] = values
-        triangles.append(each.triangles.astype(np.int64) + first)
+        triangles.append(each.mesh.triangles.astype(np.int64) + first)
         first += size
     faces = np.empty(sum(map(len, triangles)), dtype=[("count", "|u1"), ("vertex_indices", "<i4", (3,))])
     faces["count"], faces["vertex_indices"] = 3, np.concatenate(triangles)
@@ -76,12 +70,13 @@ def _ply(meshes: Sequence[_ObjectMesh]) -> bytes:
 def _obj(meshes: Sequence[_ObjectMesh]) -> bytes:
     lines, first = ["# metres; x right, y down, z forward"], 1
     for each in meshes:
+        mesh = each.mesh
         lines.append(f"o {each.name.replace(' ', '_')}")
         red, green, blue = (each.color / 255.0).round(4).tolist()
-        lines += [f"v {x:.6f} {y:.6f} {z:.6f} {red} {green} {blue}" for x, y, z in each.vertices_m.tolist()]
-        lines += [f"vn {x:.5f} {y:.5f} {z:.5f}" for x, y, z in each.normals.tolist()]
-        lines += [f"f {a}//{a} {b}//{b} {c}//{c}" for a, b, c in (each.triangles + first).tolist()]
-        first += len(each.vertices_m)
+        lines += [f"v {x:.6f} {y:.6f} {z:.6f} {red} {green} {blue}" for x, y, z in mesh.vertices_m.tolist()]
+        lines += [f"vn {x:.5f} {y:.5f} {z:.5f}" for x, y, z in mesh.normals.tolist()]
+        lines += [f"f {a}//{a} {b}//{b} {c}//{c}" for a, b, c in (mesh.triangles + first).tolist()]
+        first += len(mesh.vertices_m)
     return ("\n".join(lines) + "\n").encode()
 
 
@@ -99,13 +94,14 @@ def _glb(meshes: Sequence[_ObjectMesh]) -> bytes:
 
     objects = []
     for number, each in enumerate(meshes):
-        bounds = {"min": each.vertices_m.min(axis=0).tolist(), "max": each.vertices_m.max(axis=0).tolist()}
+        vertices_m = each.mesh.vertices_m
+        bounds = {"min": vertices_m.min(axis=0).tolist(), "max": vertices_m.max(axis=0).tolist()}
         primitive = {
             "attributes": {
-                "POSITION": added(each.vertices_m, _ARRAY, _FLOAT, "VEC3", **bounds),
-                "NORMAL": added(each.normals, _ARRAY, _FLOAT, "VEC3"),
+                "POSITION": added(vertices_m, _ARRAY, _FLOAT, "VEC3", **bounds),
+                "NORMAL": added(each.mesh.normals, _ARRAY, _FLOAT, "VEC3"),
             },
-            "indices": added(each.triangles.reshape(-1), _ELEMENTS, _UINT32, "SCALAR"),
+            "indices": added(each.mesh.triangles.reshape(-1), _ELEMENTS, _UINT32, "SCALAR"),
             "material": number,
         }
         objects.append({"name": each.name, "primitives": [primitive]})
@@ -132,7 +128,7 @@ def _glb(meshes: Sequence[_ObjectMesh]) -> bytes:
 
 
 def _material(each: _ObjectMesh) -> dict[str, Any]:
-    # glTF's colors are linear, an image's are sRGB.
+    # glTF's colors are linear, those of images sRGB.
     linear = ((each.color / 255.0) ** 2.2).round(4).tolist()
     surface = {"baseColorFactor": [*linear, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.9}
     return {"name": each.name, "pbrMetallicRoughness": surface, "doubleSided": True}

@@ -1,4 +1,4 @@
-"""The objects of a frame as a JSON document, and those of all frames as a table."""
+"""The objects of a frame as JSON, and those of all frames as a table."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from nurbseg.app.result import FrameResult
 from nurbseg.drivers.frame import Intrinsics
 from nurbseg.segmentation.vocabulary import display_name
 
-#: What coordinates mean, for programs and people that have only the file.
+#: Description of the coordinates.
 CONVENTION = "depth camera, metres: x right, y down, z forward; pixel centres at whole numbers (column, row)"
 
-#: Columns of the table: what each is called, and where it is in the document of a frame and of an object.
+#: Columns of the table, by their keys in the documents of a frame and of an object.
 _OF_FRAME = ("frame", "name", "timestamp_ns")
 _VECTORS = {
     "centroid_m": "xyz",
@@ -42,7 +42,7 @@ COLUMNS = (
 
 
 def objects_document(result: FrameResult) -> dict[str, Any]:
-    """Return what is measured of a frame's objects, its camera and the convention of its coordinates."""
+    """Return the measurements of a frame's objects, its camera and the convention of coordinates."""
     frame = result.frame
     merged = "things" if result.tree.level == "things" else "objects"
     return {
@@ -82,9 +82,9 @@ def _rounded(values: NDArray[np.floating], digits: int = 6) -> list[float]:
 
 
 class ObjectTable:
-    """A CSV table of the objects of all frames, a row for each, to which frames are added one by one.
+    """A CSV table with a row for each object of each frame.
 
-    Rows of a table that is there already are kept up to the first frame that is added.
+    Rows of an existing table are kept up to the first frame that is added.
     """
 
     def __init__(self, path: Path) -> None:
@@ -92,7 +92,7 @@ class ObjectTable:
         self._begun = False
 
     def add(self, document: Mapping[str, Any]) -> None:
-        """Add the objects of a frame, of its `objects_document`."""
+        """Add the objects of a frame from its `objects_document`."""
         if not self._begun:
             self._begin(int(document["frame"]))
             self._begun = True
@@ -100,11 +100,11 @@ class ObjectTable:
             file.write(_lines(_rows(document)))
 
     def _begin(self, frame: int) -> None:
-        """Write the head, and the rows of frames before the first one."""
+        """Write the header, and rows of an existing table before the first frame."""
         rows: list[Sequence[Any]] = [COLUMNS]
         if self._path.exists():
             with self._path.open(encoding="utf-8", newline="") as file:
-                # The last line of a run that was killed may be half of one.
+                # The last line of a killed run may be incomplete.
                 before = [row for row in csv.reader(file) if len(row) == len(COLUMNS)]
             rows += [row for row in before[1:] if int(row[0]) < frame]
         write_atomically(self._path, _lines(rows).encode())

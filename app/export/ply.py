@@ -9,12 +9,9 @@ _TYPES = {"<f4": "float", "|u1": "uchar", "<u2": "ushort", "<i4": "int"}
 
 
 def ply(**elements: NDArray[np.void]) -> bytes:
-    """Return a PLY file.
+    """Return a PLY file of elements, (N,) records each.
 
-    Parameters
-    ----------
-    **elements : (N,) of records
-        By name. A field of several numbers is a list, whose length stands before it in a field ``count``.
+    A field with several numbers becomes a list, whose length must precede it as a field ``count``.
     """
     head = ["ply", "format binary_little_endian 1.0", "comment metres; x right, y down, z forward"]
     content = []

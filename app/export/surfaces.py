@@ -14,11 +14,7 @@ from nurbseg.segmentation.vocabulary import display_name
 def surfaces_npz(tree: SegmentationTree) -> bytes:
     """Return the surfaces of a tree's segments as an NPZ file.
 
-    It holds ``names`` (S,) of the segments that have a surface, ``degree`` (S, 2), ``window`` (S, 4) in
-    pixels (first row, first column, one past the last of each), and of the segment ``P010`` the arrays
-    ``P010_knots_u``, ``P010_knots_v`` in pixels, ``P010_control_points_m`` (n, m, 3) and
-    ``P010_weights`` (n, m). Of every segment there is ``P010_measured`` (N,): flat indices of the pixels on
-    which its values were measured, ascending, each as its difference to the one before.
+    docs/files.md describes its arrays.
     """
     arrays: dict[str, Any] = {}
     names, degrees, windows = [], [], []

@@ -1,4 +1,4 @@
-"""The tree of a frame as a JSON document."""
+"""The tree of a frame as JSON or DOT."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from nurbseg.segmentation.vocabulary import display_name
 
 
 def tree_document(result: FrameResult, metric: Metric) -> dict[str, Any]:
-    """Return a frame's tree, decided by a metric, as what its JSON file holds."""
+    """Return a frame's tree, decided by `metric`, as the content of its JSON file."""
     tree = result.tree
     numbered = tuple(zip(result.object_labels, tree.objects, strict=True))
     object_of = {name: label for label, each in numbered for name in each.leaves}
@@ -88,7 +88,7 @@ def _segment_document(each: Segment, metric: Metric, frame: int) -> dict[str, An
 
 
 def _measured_in(each: Segment, frame: int) -> int | None:
-    """Return the number of the frame that the values belong to; None where nothing was measured."""
+    """Return the frame in which the values were measured; None if there are none."""
     if not each.fit.values:
         return None
     return frame if each.measured is None else each.measured
@@ -105,15 +105,12 @@ def _trial_document(trial: Trial) -> dict[str, Any]:
 
 
 def _number(value: float) -> float | None:
-    # JSON knows no infinity: a ratio against nothing and a metric of nothing are both "no value".
+    # JSON has neither infinity nor NaN.
     return float(value) if math.isfinite(value) else None
 
 
 def tree_graph(result: FrameResult, metric: Metric) -> str:
-    """Return a frame's tree as a graph for Graphviz, in the language DOT.
-
-    A node tells a segment's name, its pixels, the metric and why it is a leaf; leaves also their object.
-    """
+    """Return a frame's tree in Graphviz's language DOT."""
     lines = [f'digraph "frame {result.frame.index}" {{', '  node [shape=box, fontname="sans-serif"];']
     object_of = dict(
         zip((leaf.name for leaf in result.tree.leaves()), result.object_of_leaf[1:], strict=True)

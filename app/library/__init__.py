@@ -1,6 +1,6 @@
 """Segments the frames of depth cameras: normalized cuts, decided by NURBS surface fits.
 
-A frame is segmented for itself by `segment`, and frame after frame by a `Segmenter`, which keeps the labels:
+`segment` segments a single frame, a `Segmenter` a sequence, in which segments keep their labels:
 
 >>> frame = RGBDFrame.from_arrays(depth, color, fx=525, fy=525, cx=319.5, cy=239.5)
 >>> result = segment(frame)
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     __version__: str
 
-# Imported on use: a command shows its help in less time than numpy takes.
+# Imported on use, so that a command shows its help before numpy is loaded.
 _HOME = {
     "Calibration": "drivers.frame:Calibration",
     "FrameResult": "app.result:FrameResult",

@@ -1,1 +1,1 @@
-"""Recording while a run goes on."""
+"""Recording during a run, and checks of recordings."""

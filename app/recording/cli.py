@@ -1,4 +1,4 @@
-"""The command nurbseg-record: whether recordings are whole, and new ones of those that are not."""
+"""The command nurbseg-record, which checks and repairs recordings."""
 
 from __future__ import annotations
 

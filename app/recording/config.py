@@ -1,4 +1,4 @@
-"""What a user may ask of a recording."""
+"""Settings of recordings."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ _SUFFIXES = (".mcap", ".oni")
 
 
 def dated(name: str) -> str:
-    """Return a file's name with the present date and time for ``{date}``."""
+    """Replace ``{date}`` in a file name by the current date and time."""
     return name.replace("{date}", time.strftime("%Y%m%d-%H%M%S"))
 
 
 @dataclass(frozen=True, slots=True)
 class RecordConfig(Settings):
-    """Settings of the recording that is made while a run goes on.
+    """Settings of the recording that is made during a run.
 
-    Raises ValueError if a value is out of its bounds, or the file is of neither kind.
+    Raises ValueError if a value is out of bounds, or the file is neither .mcap nor .oni.
     """
 
     file: str | None = setting(

@@ -1,4 +1,4 @@
-"""Whether a recording is whole: which frames it holds, what is missing, and who opens it."""
+"""Inspects recordings: which frames they contain, what is missing, and whether Rerun opens them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from nurbseg.drivers.registry import open_source
 Form = Literal["mcap", "oni", "rrd"]
 
 _FORMS: dict[bytes, Form] = {MCAP_MAGIC: "mcap", ONI_MAGIC: "oni", b"RRF2": "rrd"}
-#: A step between two frames is a gap from so many usual steps on.
+#: Minimum length of a gap between frames, as a multiple of the usual period.
 _GAP_STEPS = 1.5
 #: Longest wait for a frame, seconds.
 _FRAME_S = 30.0
@@ -32,51 +32,33 @@ _FRAME_S = 30.0
 
 @dataclass(slots=True)
 class Inspection:
-    """What was found of a recording.
-
-    Parameters
-    ----------
-    file : str
-        Its path.
-    form : {"mcap", "oni", "rrd"}
-        By its content.
-    frames : int
-        Frames that can be read.
-    first_ns, last_ns : int or None
-        Their first and last stamp; None where there is none.
-    gaps : list of (int, float)
-        After which frame there is one, counted from 0, and how long it is, seconds.
-    end_written : bool
-        Whether its writer came to the end.
-    opens_in_rerun : bool or None
-        None where Rerun is not made for it.
-    problems : list of str
-        What is wrong with it, for a person.
-    remarks : list of str
-        What else there is to know.
-    """
+    """The state of a recording, as ``nurbseg-record --json`` prints it."""
 
     file: str
     form: Form
+    #: Number of readable frames, and their first and last timestamps.
     frames: int = 0
     first_ns: int | None = None
     last_ns: int | None = None
+    #: The frame before each gap, counted from 0, and the gap's length, seconds.
     gaps: list[tuple[int, float]] = field(default_factory=list)
+    #: Whether it was closed properly.
     end_written: bool = True
+    #: None if Rerun does not support the format.
     opens_in_rerun: bool | None = None
     problems: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
 
     @property
     def whole(self) -> bool:
-        """Whether nothing is wrong with it."""
+        """Whether there are no problems."""
         return not self.problems
 
 
 def form_of(path: Path) -> Form:
-    """Return of which form a file is, by its first bytes.
+    """Return a file's format by its first bytes.
 
-    Raises RecordingFormatError if it cannot be read, or is of none.
+    Raises RecordingFormatError if it cannot be read, or has another format.
     """
     with open_regular(path) as file:
         head = file.read(8)
@@ -87,10 +69,7 @@ def form_of(path: Path) -> Form:
 
 
 def inspect(path: Path) -> Inspection:
-    """Read a recording to its end, and compare it with what it should be.
-
-    Raises DriverError if nothing of it can be read.
-    """
+    """Read a recording completely and check it; raises DriverError if nothing can be read."""
     form = form_of(path)
     found = Inspection(str(path), form)
     look = {"mcap": _look_at_mcap, "oni": _look_at_oni, "rrd": _look_at_rrd}[form]
@@ -124,7 +103,7 @@ def _look_at_oni(path: Path, found: Inspection) -> None:
         except BackendMissingError:
             found.remarks.append("OpenNI2 is not installed: the images were not decoded")
     if not found.frames:
-        # Of the images that would be played, by what is stored.
+        # The stored images that would be played.
         played = file.depth.frames[: len(file.color.frames)]
         _count(found, [1000 * frame.timestamp_us for frame in played])
 
@@ -151,7 +130,7 @@ def _look_at_rrd(path: Path, found: Inspection) -> None:
 
 
 def _read_frames(path: Path, found: Inspection) -> dict[str, str]:
-    """Read every frame, images and all; return what the source says of itself."""
+    """Decode every frame; return the source's metadata."""
     stamps: list[int] = []
     damaged: list[str] = []
     with open_source(path) as source:

@@ -1,4 +1,4 @@
-"""Recording by OpenNI2's own recorder, which takes the images from the driver and not from us."""
+"""Recording to .oni by OpenNI2's recorder, which gets the images from the driver."""
 
 from __future__ import annotations
 
@@ -15,12 +15,11 @@ _log = logging.getLogger(__name__)
 
 
 class OniRecording(Recording):
-    """Starts and stops the recorder of a camera, on the thread that reads the camera.
+    """Starts and stops a camera's recorder, on the thread that reads the camera.
 
-    It begins now where `at_once` says that nobody reads the camera yet and no delay is set, and raises
-    DriverError if it cannot; or else with the first frame. `frames` are those read while the recorder was at
-    work, give or take those on their way as it began; none are `lost`, because the recorder has a thread and
-    a processor core of its own.
+    With `at_once` (nobody reads the camera yet) and no delay it starts immediately, and raises DriverError if
+    it cannot; otherwise with the first frame. `frames` are those read while the recorder was running; none
+    are `lost`, because the recorder has its own thread.
     """
 
     def __init__(self, path: Path, camera: Recordable, config: RecordConfig, *, at_once: bool = True) -> None:
@@ -32,18 +31,13 @@ class OniRecording(Recording):
             self._start()
 
     @property
-    def ended(self) -> bool:
-        """Whether nothing more is written."""
-        return bool(self.failure)
-
-    @property
     def finished(self) -> bool:
-        """Whether what came is written, after `finish` or a failure."""
+        """Whether all frames are written, after `finish` or a failure."""
         return self._is_finished or self.ended
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files; more than one where the camera was away in between."""
+        """The files; several if the camera was disconnected in between."""
         later = self._camera.recorded_files[1:] if isinstance(self._camera, Reconnecting) else ()
         return (self.path, *later)
 
@@ -52,8 +46,8 @@ class OniRecording(Recording):
         self._is_recording = True
 
     def put(self, frame: RGBDFrame) -> None:
-        """Begin when it is time, and end when the disk is nearly full; for the thread that reads."""
-        # Once it is recording, the camera's clock has started again from zero.
+        """Start after the delay, and stop when the disk is nearly full."""
+        # Starting the recorder resets the camera's clock.
         if self.failure or (not self._is_recording and self._is_early(frame)):
             return
         try:
@@ -82,7 +76,7 @@ class OniRecording(Recording):
         _log.error("%s", self.failure)
 
     def finish(self) -> None:
-        """Finish the file, as no frame follows; for the thread that reads, and safe to call twice."""
+        """Finish the file; call from the thread that reads the camera, also twice."""
         if self._is_recording:
             self._is_recording = False
             try:
@@ -92,5 +86,5 @@ class OniRecording(Recording):
         self._is_finished = True
 
     def close(self) -> None:
-        """Finish the file, for when nobody reads the camera any more; safe to call twice."""
+        """Finish the file when nobody reads the camera any more; may be called twice."""
         self.finish()

@@ -1,39 +1,40 @@
-"""Recording by ourselves: a queue and a thread of its own between the camera and the file."""
+"""Recording to .mcap: a queue and a thread between the camera and the file."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 from nurbseg.app.recording.config import RecordConfig
-from nurbseg.app.recording.parts import PartedWriter
 from nurbseg.app.recording.recording import Recording
 from nurbseg.drivers.errors import DriverError
+from nurbseg.drivers.files import part_after
 from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.drivers.mcap.writer import RecordingWriter
 from nurbseg.drivers.process.bounded_queue import BoundedQueue
 
 _log = logging.getLogger(__name__)
 
-#: What may wait to be written: about five seconds of VGA frames at 30 Hz.
+#: Maximum size of the queue: about five seconds of VGA frames at 30 Hz.
 _QUEUE_BYTES_MAX = 240_000_000
-#: Share of that from which on the live path gives way.
+#: Share of that above which frames are only recorded.
 _BEHIND_SHARE = 0.4
 _WAIT_S = 0.5
-#: How long writing what waits may take at the end, seconds: of a run that ended, and of one interrupted.
+#: Time limit for writing the queue at the end of a run, and of an interrupted one, seconds.
 _DRAIN_S, _INTERRUPTED_DRAIN_S = 60.0, 1.2
-#: Longest wait for the one frame that is being written.
+#: Longest wait for the frame that is being written, seconds.
 _LAST_FRAME_S = 10.0
 
 
 class QueuedRecording(Recording):
-    """Takes frames from the thread that captures them and writes them on a thread of its own.
+    """Queues frames and writes them on its own thread.
 
-    A frame that finds the queue full is lost and counted, or waits if nothing is to be lost; before that,
-    from `behind` on, the capture thread keeps frames from being segmented, which leaves the processor to the
-    recording. When the disk is nearly full, or a write fails, the file is closed, to be read up to there, and
-    `failure` says why. The writer is closed with this.
+    If the queue is full, a frame is lost and counted or, if `lossless`, waits. Before that, while `behind`,
+    the capture thread does not pass frames on, which leaves the processor to the recording. If the disk is
+    nearly full or writing fails, the file is closed and remains readable, and `failure` says why.
     """
 
     def __init__(self, writer: PartedWriter, config: RecordConfig, *, lossless: bool = False) -> None:
@@ -52,26 +53,26 @@ class QueuedRecording(Recording):
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files; more than one where the recording is split."""
+        """The files; several if the recording is split."""
         return self._writer.files
 
     @property
     def behind(self) -> bool:
-        """As every recording's; never for a lossless one, whose source waits instead."""
+        """Whether the queue is so full that nothing else should use the processor; never if lossless."""
         return not self._lossless and self._queue.filled > self._behind_bytes
 
     @property
     def ended(self) -> bool:
-        """Whether nothing more is written."""
+        """Whether no more frames are written."""
         return self._queue.closed
 
     @property
     def finished(self) -> bool:
-        """Whether what came is written, after `finish` or a failure."""
+        """Whether all frames are written, after `finish` or a failure."""
         return not self._thread.is_alive()
 
     def put(self, frame: RGBDFrame) -> None:
-        """Have a frame written; never waits, unless the recording is lossless and the queue full."""
+        """Queue a frame; waits only if the recording is lossless and the queue full."""
         if self._is_early(frame):
             return
         self._add_time(frame)
@@ -91,11 +92,11 @@ class QueuedRecording(Recording):
             finally:
                 self._writer.close()
         except Exception as err:
-            # Whatever it is, the run goes on without the recording, and says so at its end.
+            # The run continues without the recording, and reports it at the end.
             self._fail(err)
 
     def _next(self) -> RGBDFrame | None:
-        """Return the frame that is due; None after the last one."""
+        """Wait for the next frame; None after the last one."""
         while True:
             with contextlib.suppress(TimeoutError):
                 return self._queue.take(_WAIT_S)
@@ -107,16 +108,16 @@ class QueuedRecording(Recording):
         _log.error("%s; %d frames are in the file", self.failure, self.frames)
 
     def finish(self) -> None:
-        """Say that no frame follows; what waits is written."""
+        """Accept no more frames; queued ones are still written."""
         self._queue.close()
 
     def close(self, timeout_s: float = _DRAIN_S) -> None:
-        """Write what waits and finish the file, once. What waits too long is lost, and counted."""
+        """Write the queue and finish the file; frames not written in time are lost and counted."""
         self.finish()
         self._thread.join(timeout_s)
         if self._thread.is_alive():
             self.lost += self._queue.discard()
-            # What is left is the frame that is being written; a dead disk never finishes it.
+            # Only the current frame is left, which a dead disk never finishes.
             self._thread.join(_LAST_FRAME_S)
             if self._thread.is_alive():
                 self.failure = self.failure or f"{self.path}: the disk could not store the last frame"
@@ -127,3 +128,41 @@ class QueuedRecording(Recording):
     def __exit__(self, *exception: object) -> None:
         interrupted = isinstance(exception[1], KeyboardInterrupt)
         self.close(_INTERRUPTED_DRAIN_S if interrupted else _DRAIN_S)
+
+
+class PartedWriter:
+    """Writes frames to a file and, every `split_s` seconds of their timestamps, to a new one.
+
+    Raises OSError if the file cannot be created.
+    """
+
+    def __init__(
+        self, path: Path, open_file: Callable[[Path], RecordingWriter], split_s: float | None = None
+    ) -> None:
+        self.files: tuple[Path, ...] = (path,)
+        self._open_file = open_file
+        self._split_ns = None if split_s is None else round(split_s * 1e9)
+        self._first_ns: int | None = None
+        self._writer = open_file(path)
+
+    def write(self, frame: RGBDFrame) -> None:
+        """Write a frame.
+
+        Raises OSError if that fails, and DriverError if the file was deleted, as its disk space would not be
+        free until it is closed.
+        """
+        if not self.files[-1].exists():
+            raise DriverError(f"{self.files[-1]} was deleted or moved")
+        if self._first_ns is None:
+            self._first_ns = frame.timestamp_ns
+        elif self._split_ns is not None and frame.timestamp_ns - self._first_ns >= self._split_ns:
+            self._writer.close()
+            part = part_after(self.files[0], len(self.files))
+            self._writer = self._open_file(part)
+            self.files += (part,)
+            self._first_ns = frame.timestamp_ns
+        self._writer.write(frame)
+
+    def close(self) -> None:
+        """Finish the current file; raises OSError if it cannot be written."""
+        self._writer.close()

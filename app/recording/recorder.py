@@ -1,4 +1,4 @@
-"""Recording while a run goes on: which recorder is taken, and what is said of it at the end."""
+"""The recordings of a run: how they are started, ended and logged."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from nurbseg.app.export.exporter import ExportError
 from nurbseg.app.recording import disk_space
 from nurbseg.app.recording.config import RecordConfig, dated
 from nurbseg.app.recording.oni import OniRecording
-from nurbseg.app.recording.parts import PartedWriter
-from nurbseg.app.recording.queue import QueuedRecording
+from nurbseg.app.recording.queue import PartedWriter, QueuedRecording
 from nurbseg.app.recording.recording import Recording
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.files import check_absent, part_after
@@ -24,12 +23,12 @@ from nurbseg.drivers.source import FrameSource
 
 _log = logging.getLogger(__name__)
 
-#: Of a recording that is begun by a command, where none was named.
+#: Name of recordings started by a command, unless another was configured.
 DEFAULT_NAME = "recording-{date}.mcap"
 
 
 class RecordError(ExportError):
-    """A recording cannot be begun, or is not whole."""
+    """A recording cannot be started, or is incomplete."""
 
 
 def open_recording(
@@ -39,12 +38,11 @@ def open_recording(
     lossless: bool = False,
     at_once: bool = True,
 ) -> Recording | None:
-    """Begin the recording that the configuration asks for; None where it asks for none.
+    """Start the configured recording; None if there is none.
 
-    `source` is the camera or recording itself, without what limits or paces it. `lossless` says whether it
-    waits for the recording, `at_once` whether nobody reads it yet. Raises RecordError if the file exists,
-    cannot be made, or the disk has too little space; or if an .oni file is asked for, and the source is not a
-    camera.
+    `source` is the camera or recording itself. `lossless` says whether it waits for the recording, `at_once`
+    whether nobody reads it yet. Raises RecordError if the file exists or cannot be created, the disk has too
+    little space, or an .oni file is requested of a source that is not a camera.
     """
     if config.file is None:
         return None
@@ -74,7 +72,7 @@ def open_recording(
 
 
 def log_recorded(recording: Recording) -> None:
-    """Say in the log what was recorded; a RecordError says that it ended before the run did."""
+    """Log what was recorded; raises RecordError if the recording failed."""
     if recording.failure:
         raise RecordError(f"{recording.failure}; the {recording.frames} previous frames can be replayed")
     files = ", ".join(str(file) for file in recording.files)
@@ -89,12 +87,11 @@ def log_recorded(recording: Recording) -> None:
 
 
 class Recorder:
-    """Makes the recordings of a run, one after the other, each in a file of its own.
+    """Makes the recordings of a run, one after the other.
 
-    The first recording begins now, if `config` names a file, and a RecordError says that it cannot. `source`
-    and `lossless` are those of `open_recording`. `name` names the further files: ``{date}`` becomes the date
-    and time, and a name that is taken gets a number. The attribute `recording` is the one that is being made,
-    or failed last.
+    The first one starts immediately if `config` names a file; raises RecordError if it cannot. `source` and
+    `lossless` are those of `open_recording`. In `name`, that of further files, ``{date}`` becomes the date
+    and time, and a number is added if the file exists. `recording` is the current one, even if it failed.
     """
 
     def __init__(
@@ -110,13 +107,13 @@ class Recorder:
 
     @property
     def is_recording(self) -> bool:
-        """Whether frames are recorded now."""
+        """Whether frames are being recorded."""
         return self.recording is not None and not self.recording.ended
 
     def begin(self) -> Path:
-        """Begin a recording while the source is read, and return its file.
+        """Start a recording while the source is read, and return its file.
 
-        Raises RecordError if there is one already, or the file cannot be made.
+        Raises RecordError if there is one already, or the file cannot be created.
         """
         if self.recording is not None and self.is_recording:
             raise RecordError(f"{self.recording.path} is already being recorded")
@@ -130,13 +127,13 @@ class Recorder:
         return path
 
     def end(self) -> None:
-        """Have no recording for now; the thread that reads finishes this one."""
+        """Let go of the current recording, which the capture thread finishes."""
         if self.recording is not None:
             self._ending.append(self.recording)
             self.recording = None
 
     def log_finished(self) -> None:
-        """Say what was recorded where a recording has ended; one that failed does not end the run."""
+        """Log recordings that have ended since; a failed one does not end the run."""
         for each in [each for each in self._ending if each.finished]:
             self._ending.remove(each)
             self._log_ended(each)
@@ -150,7 +147,7 @@ class Recorder:
             _log.error("%s", err)
 
     def log_all(self) -> None:
-        """Say what was recorded, when all is closed, as `log_recorded` does."""
+        """Log all remaining recordings as `log_recorded` does; they must be closed."""
         for each in self._ending:
             self._log_ended(each)
         self._ending.clear()
@@ -159,7 +156,7 @@ class Recorder:
 
     @contextmanager
     def logged(self) -> Iterator[None]:
-        """Say after the block what was recorded, as `log_all` does, also where Ctrl-C ended it."""
+        """Call `log_all` after the block, also if Ctrl-C ended it."""
         try:
             yield
         except KeyboardInterrupt:
@@ -171,7 +168,7 @@ class Recorder:
         self.log_all()
 
     def figures(self) -> list[dict[str, Any]]:
-        """Return what the run's report says of each recording."""
+        """Return the entries of all recordings in the run's report."""
         rest = self._ending if self.recording is None else [*self._ending, self.recording]
         return [*self._figures, *(each.figures() for each in rest)]
 

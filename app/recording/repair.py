@@ -1,4 +1,4 @@
-"""Writes a recording that was cut short, or is damaged, as a whole file."""
+"""Writes a complete copy of a truncated or damaged recording."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from nurbseg.drivers.openni2.oni.file import correct_header, write_end
 
 
 def repair(path: Path, output: Path, *, force: bool = False) -> list[str]:
-    """Write what can be read of a recording as a new file; return what is not in it, for a person.
+    """Write the readable part of a recording to a new file; return remarks on what was left out.
 
-    The recording stays as it is; the new file appears when it is whole, and only this user may read it.
-    `force` replaces a file of that name, `path` itself included. Raises DriverError if nothing of the
-    recording can be read, the new file exists, or cannot be written.
+    The new file appears when it is complete, and only this user may read it. `force` replaces an existing
+    file, even `path` itself. Raises DriverError if nothing can be read, or the new file exists or cannot be
+    written.
     """
     write = {"mcap": _write_mcap, "oni": _write_oni, "rrd": viewer_file.rewrite}[form_of(path)]
     part = output.with_name(f".{output.name}.part")

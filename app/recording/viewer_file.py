@@ -1,4 +1,4 @@
-"""Files of Rerun's viewer (.rrd), as Rerun's own program sees and rewrites them."""
+"""Checks and rewrites files of Rerun's viewer (.rrd) with Rerun's own program."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from nurbseg.drivers.files import create_private
 
 #: Longest wait for Rerun to read or write a file, seconds.
 _LIMIT_S = 3600.0
-#: Where the file has one image for each frame.
+#: An entity with one image per frame.
 _SHOWN = "world/camera/image/depth"
 
 
 def complaint(*words: str) -> str:
-    """Run Rerun's program; return what it complains of, or nothing."""
+    """Run Rerun's program; return its error message, or an empty text."""
     try:
         done = subprocess.run(
             [viewer_executable(), *words], capture_output=True, text=True, timeout=_LIMIT_S, check=False
@@ -31,9 +31,9 @@ def complaint(*words: str) -> str:
 
 
 def rewrite(path: Path, output: Path) -> None:
-    """Write what can be read of a file, with an index, to a new one.
+    """Write the readable part of a file, with an index, to a new one.
 
-    Raises DriverError if Rerun cannot, and OSError if the new one cannot be created.
+    Raises DriverError if Rerun fails, and OSError if the new file cannot be created.
     """
     create_private(output).close()
     problem = complaint("rrd", "optimize", "--continue-on-error", str(path), "-o", str(output))
@@ -42,11 +42,8 @@ def rewrite(path: Path, output: Path) -> None:
 
 
 def stamps_ns(path: Path) -> list[int]:
-    """Return the stamps of the frames that a file holds, in their order.
-
-    Raises RuntimeError if its last message is cut off.
-    """
-    # Late: that imports Rerun, which recordings do not need.
+    """Return the timestamps of a file's frames; raises RuntimeError if the file is truncated."""
+    # Late: Rerun is slow to import.
     from rerun.chunk import RrdReader
 
     found: dict[int, int] = {}
