@@ -1,1 +1,1 @@
-"""Evaluation against ground truth: methods, scores, tables, figures and tuning."""
+"""Evaluation against ground truth."""

@@ -1,4 +1,4 @@
-"""Sources and settings by the arguments of nurbseg-eval and nurbseg-batch."""
+"""Source options and settings from the arguments of nurbseg-eval and nurbseg-batch."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from nurbseg.segmentation.config import SegmentationConfig
 
 
 def source_options(given: argparse.Namespace) -> SourceOptions:
-    """Return what the arguments say of recordings that do not say it themselves."""
+    """Return the options for recordings without calibration."""
     intrinsics = None
     if given.intrinsics is not None:
         try:
@@ -25,7 +25,7 @@ def source_options(given: argparse.Namespace) -> SourceOptions:
 
 
 def base_config(given: argparse.Namespace) -> SegmentationConfig:
-    """Return the settings of the segmentation that the arguments give."""
+    """Return the settings of the segmentation."""
     config = SegmentationConfig() if given.config is None else read_config(given.config).segmentation
     chosen: dict[str, Any] = {} if given.seed is None else {"seed": given.seed}
     for text in given.settings:

@@ -1,4 +1,4 @@
-"""Which category of its data set a frame belongs to."""
+"""The category of a frame in its data set."""
 
 from __future__ import annotations
 
@@ -22,9 +22,8 @@ _OSD = {
 def category_of(name: str, uri: str) -> str:
     """Return a frame's category.
 
-    Frames of the Object Segmentation Database (``learn12``, ``test3``) have those of their data set;
-    frames named ``scene2...`` are a category for each scene, as in the paper's tables; all others are
-    one category for each source.
+    Frames of the Object Segmentation Database (``learn12``, ``test3``) have those of the data set; frames
+    named ``scene2...`` have one for each scene, as in the paper's tables; others have one for each source.
     """
     match = re.fullmatch(r"(learn|test)(\d+)", name)
     if match:

@@ -1,4 +1,4 @@
-"""nurbseg-eval: how good segmentations of labelled frames are, beside their rivals and by their settings."""
+"""The command nurbseg-eval, which scores segmentations of labelled frames."""
 
 from __future__ import annotations
 
@@ -111,19 +111,13 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def command() -> int:
-    """Run the command in a process of its own, with the same matrix products on most processors."""
+    """Run the command with the same matrix products on most processors."""
     same_products_everywhere()
     return main()
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run the command in this process; without a command the first argument is ``run``.
-
-    Returns
-    -------
-    int
-        Exit code: 0 done, 1 failed while running or findings, 2 usage or no data, 130 interrupted.
-    """
+    """Run the command in this process, by default ``run``; return its exit code."""
     one_thread_for_products()
     words = list(sys.argv[1:] if words is None else words)
     if words and words[0] not in (*_COMMANDS, "-h", "--help"):

@@ -1,4 +1,4 @@
-"""What a result depends on besides the program: the processor, its matrix products and the libraries."""
+"""The processor, BLAS kernels and library versions that results depend on."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from pathlib import Path
 from nurbseg.app.versions import versions
 
 _CPU_INFO = Path("/proc/cpuinfo")
-#: The kernel of OpenBLAS that every processor with AVX2 and FMA runs.
+#: The kernel of OpenBLAS that every processor with AVX2 and FMA can run.
 _COMMON_KERNEL = "Haswell"
 
 
 def same_products_everywhere(
     environment: MutableMapping[str, str] = os.environ, cpu_info: Path = _CPU_INFO
 ) -> None:
-    """Let OpenBLAS run the kernel that most processors have, so that tables can be made again on another.
+    """Let OpenBLAS use the kernel that most processors support, so that tables are reproducible.
 
-    Newer processors have kernels of their own, which sum in another order. That is enough to send a pixel
-    to the other side of a cut, and now and then a tree another way. What the user has set is overruled. This
-    has an effect only before numpy is imported, on x86-64 with AVX2 and FMA, and on OpenBLAS.
+    Kernels of newer processors sum in another order, which sometimes moves a pixel to the other side of a cut
+    and changes a tree. Overrides the user's setting. Call this before numpy is imported; it affects only
+    OpenBLAS on x86-64 with AVX2 and FMA.
     """
     if {"avx2", "fma"} <= set(_cpu_line("flags", cpu_info).split()):
         environment["OPENBLAS_CORETYPE"] = _COMMON_KERNEL
 
 
 def computer() -> str:
-    """Return the processor and the kernels that compute matrix products in this process, as one line."""
-    # NumPy and SciPy each bring a library of their own.
+    """Return the processor and the BLAS kernels of this process as one line."""
+    # NumPy and SciPy each have their own library.
     import scipy.linalg.lapack  # noqa: F401
     from threadpoolctl import threadpool_info
 
@@ -43,7 +43,7 @@ def computer() -> str:
 
 
 def versions_line() -> str:
-    """Return the versions that a result depends on, as one line."""
+    """Return the versions that results depend on as one line."""
     packages = ("nurbseg", "numpy", "scipy", "opencv-python-headless", "scikit-image", "scikit-learn")
     found = versions(packages)
     return ", ".join(
@@ -52,7 +52,7 @@ def versions_line() -> str:
 
 
 def _cpu_line(name: str, cpu_info: Path) -> str:
-    """Return a property of the first processor; empty where there is no such line."""
+    """Return a property of the first processor, or an empty text."""
     try:
         lines = cpu_info.read_text(encoding="utf-8").splitlines()
     except OSError:

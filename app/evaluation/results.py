@@ -1,4 +1,4 @@
-"""The scores of a study as one table of frames and variants, and its means."""
+"""The scores of a study, by frame and variant, and their means."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from nurbseg.app.evaluation.variants import Variant
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StudyResults:
-    """The finished frames of a study in the order of their keys, and those skipped, with the reason."""
+    """The finished frames of a study in the order of their keys, and the skipped ones."""
 
     variants: tuple[Variant, ...]
     frames: tuple[dict[str, Any], ...]
@@ -26,10 +26,7 @@ class StudyResults:
 
     @classmethod
     def load(cls, store: StudyStore, variants: Sequence[Variant], keys: Container[str]) -> StudyResults:
-        """Read what a store has for these variants of the frames with these keys.
-
-        Frames that are not finished for all variants are left out.
-        """
+        """Read the frames with these keys that are finished for all these variants."""
         frames, skipped = [], []
         for frame in store.frames():
             if frame["key"] not in keys:
@@ -41,15 +38,15 @@ class StudyResults:
         return cls(tuple(variants), tuple(frames), tuple(skipped))
 
     def categories(self) -> tuple[str, ...]:
-        """Return the categories in the order of their first frames."""
+        """Return the categories in the order of frames."""
         return tuple(dict.fromkeys(frame["category"] for frame in self.frames))
 
     def computers(self) -> tuple[str, ...]:
-        """Return the processors that frames were computed on, with their kernels, in the order of frames."""
+        """Return the processors and kernels of the frames, in the order of frames."""
         return tuple(dict.fromkeys(frame.get("computer", "a computer not recorded") for frame in self.frames))
 
     def values(self, variant: Variant, score: str, category: str | None = None) -> NDArray[np.float64]:
-        """Return a score of every frame, or of one category's, (N,) float64, NaN where a frame has none."""
+        """Return a score of the frames of a category, or of all, (N,) float64; NaN if a frame has none."""
         return np.array(
             [
                 np.nan if (value := frame["results"][variant.key][score]) is None else value
@@ -64,13 +61,13 @@ class StudyResults:
         return bootstrap_mean(self.values(variant, score, category))
 
     def mean(self, variant: Variant, score: str, category: str | None = None) -> float:
-        """Return a score's mean over the frames that have one; NaN where none has."""
+        """Return a score's mean over the frames that have one, or NaN."""
         values = self.values(variant, score, category)
         values = values[np.isfinite(values)]
         return float(values.mean()) if values.size else float("nan")
 
     def best(self, score: str, category: str | None = None) -> set[str]:
-        """Return the names of the variants with the best mean, as printed to three digits."""
+        """Return the names of the variants with the best mean, rounded to three digits."""
         means = {each.name: round(self.mean(each, score, category), 3) for each in self.variants}
         known = [value for value in means.values() if np.isfinite(value)]
         if not known:
@@ -79,7 +76,7 @@ class StudyResults:
         return {name for name, value in means.items() if value == wanted}
 
     def leaders(self) -> list[Variant]:
-        """Return the variant with the best mean covering of each method, in the order of the tables."""
+        """Return the variant with the best mean covering of each method."""
         best: dict[str, Variant] = {}
         for each in self.variants:
             known = best.setdefault(each.method, each)
@@ -88,13 +85,13 @@ class StudyResults:
         return [each for each in self.variants if best[each.method] is each]
 
     def worst_frames(self, variant: Variant) -> tuple[dict[str, Any], ...]:
-        """Return the frames by ground-truth region covering, the worst first."""
+        """Return the frames sorted by ground-truth region covering, the worst first."""
         return tuple(
             sorted(self.frames, key=lambda each: (each["results"][variant.key]["gtrc"], each["key"]))
         )
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return one flat row for each frame and variant."""
+        """Return a flat row for each frame and variant."""
         return [
             {
                 "frame": frame["name"],
@@ -111,7 +108,7 @@ class StudyResults:
 
 
 def write_rows(results: StudyResults, folder: Path) -> tuple[Path, Path]:
-    """Write ``results.parquet`` and ``results.csv``, a row for each frame and variant; return their paths."""
+    """Write ``results.parquet`` and ``results.csv``; return their paths."""
     import pyarrow
     import pyarrow.csv
     import pyarrow.parquet

@@ -1,4 +1,4 @@
-"""Means over frames and how sure they are."""
+"""Means over frames and their confidence intervals."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.stats import bootstrap
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A mean over frames with its bootstrap interval."""
+    """A mean over frames and its bootstrap interval."""
 
     mean: float
     low: float
@@ -22,23 +22,23 @@ class Estimate:
 def bootstrap_mean(
     values: NDArray[np.float64], *, level: float = 0.95, draws: int = 2000, seed: int = 0
 ) -> Estimate:
-    """Estimate a mean over frames and its percentile bootstrap interval.
+    """Compute a mean over frames and its percentile bootstrap interval.
 
     Parameters
     ----------
     values : (N,) float64
-        One value a frame; NaN where a frame has none, which leaves it out.
+        One value per frame; NaN is left out.
     level : float
-        Share of resampled means that the interval holds.
+        Confidence level.
     draws : int
         Number of resamples.
     seed : int
-        The same seed gives the same interval.
+        Seed of the resampling.
 
     Returns
     -------
     Estimate
-        NaN throughout where there is no value.
+        NaN if there is no value.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""What is compared: a method with its settings, and the grids that name many of them at once."""
+"""The methods and settings that are compared, and grids of settings."""
 
 from __future__ import annotations
 
@@ -13,51 +13,41 @@ from typing import Any, get_args
 from nurbseg.drivers.settings import nested, setting_paths, updated, value_kind
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 
-#: Methods decided by the tree of surface fits; the metric and threshold grids apply to them alone.
+#: Methods with a tree of surface fits, to which grids of metrics and thresholds apply.
 TREE_METHODS = ("nurbseg", "stag15", "pz14")
 
-#: Settings that the flat clustering shares with the trees; it chooses lambda itself.
+#: Settings of the flat clustering, which chooses lambda itself.
 _FLAT_SETTINGS = ("samples", "affinity_scale")
 
-#: Settings that a method's name stands for.
+#: Settings that a method's name implies.
 _FIXED = {
     "stag15": ("method",),
     "nurbseg": ("method",),
     "pz14": ("method", "metric", "stag15.control_points"),
 }
 
-#: Begins the name of a method that stands for label images of another program.
+#: Prefix of methods that read label images of another program.
 LABELS_PREFIX = "labels:"
 
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """One row of a table: a method, its settings and the name under which it is reported.
+    """A method with settings: a row of the tables."""
 
-    Parameters
-    ----------
-    name : str
-        Unique in a study, e.g. ``stag15 mse T=0.9``.
-    method : str
-        Name of the method, or ``labels:DIR`` for label images of another program.
-    config : SegmentationConfig
-        Settings of the methods of this project; of them ``dmzc12`` uses the samples and the affinity
-        scale, and the other rivals none.
-    lambda_auto : bool
-        Whether lambda is chosen for each frame by the unsupervised quality.
-    content : str
-        What results depend on besides: the state of the label images of another program.
-    """
-
+    #: Unique in a study: ``stag15 mse T=0.9``.
     name: str
+    #: Name of the method, or ``labels:DIR`` for label images of another program.
     method: str
+    #: Of these settings, ``dmzc12`` uses the samples and the affinity scale, and other baselines none.
     config: SegmentationConfig
+    #: Whether lambda is chosen for each frame by the unsupervised quality.
     lambda_auto: bool = False
+    #: State of the label images of another program.
     content: str = ""
 
     @property
     def key(self) -> str:
-        """Name of this variant's results on disk: equal for equal work and for nothing else."""
+        """Name of the variant's results on disk, which is equal for equal work only."""
         config = asdict(self.config)
         if self.method not in TREE_METHODS:
             used = _FLAT_SETTINGS if self.method == "dmzc12" else ()
@@ -67,9 +57,9 @@ class Variant:
 
 
 def setting_value(name: str, text: str) -> Any:
-    """Turn the text of a setting, by its name or symbol (``lambda``), into its value.
+    """Return the value of a setting, given by name or symbol (``lambda``), from a text.
 
-    Raises ValueError if there is no such setting, or the text is no value of it.
+    Raises ValueError if there is no such setting, or the value is invalid.
     """
     path = path_named(name)
     try:
@@ -81,7 +71,7 @@ def setting_value(name: str, text: str) -> Any:
 
 
 def path_named(name: str) -> str:
-    """Return the path (``stag15.control_points``) of the setting that a name or symbol stands for."""
+    """Return the path (``stag15.control_points``) of a setting by its name or symbol."""
     wanted = name.replace("-", "_")
     for path, each in setting_paths(SegmentationConfig):
         if wanted in (path, each.name, each.metadata["symbol"], each.metadata["formerly"]):
@@ -91,10 +81,9 @@ def path_named(name: str) -> str:
 
 
 def grid_of(texts: Iterable[str]) -> dict[str, list[Any]]:
-    """Read ``NAME=VALUE,VALUE,...`` texts into the values of each setting; ``lambda=auto`` is allowed.
+    """Parse ``NAME=VALUE,VALUE,...`` into the values of each setting; ``lambda=auto`` is allowed.
 
-    Raises ValueError if a text has another form, a value is not one of its setting's, or the setting is the
-    method, which is not part of a grid.
+    Raises ValueError if a text has another form, a value is invalid, or the setting is the method.
     """
     grid: dict[str, list[Any]] = {}
     for text in texts:
@@ -119,11 +108,10 @@ def variants_of(
     grid: Mapping[str, Sequence[Any]] | None = None,
     base: SegmentationConfig | None = None,
 ) -> tuple[Variant, ...]:
-    """Spell out a study's variants: every method with every combination of the settings that it uses.
+    """Return every method with every combination of the settings that it uses.
 
-    Metrics and thresholds, the configured ones where there are none, apply to the tree methods but ``pz14``,
-    whose metric is MSE by definition; the grid (see `grid_of`) to the methods of this project. Raises
-    ValueError if a metric is unknown or a combination is out of bounds.
+    Metrics and thresholds (by default those of `base`) apply to the tree methods except ``pz14``, whose
+    metric is MSE; `grid` comes from `grid_of`. Raises ValueError if a metric or value is invalid.
     """
     base = base or SegmentationConfig()
     for metric in metrics:
@@ -172,7 +160,7 @@ def _variant(method: str, chosen: Mapping[str, Any], base: SegmentationConfig) -
 
 
 def _state_of_images(folder: Path) -> str:
-    """Tell one state of a folder's images from another, so that replaced ones are scored again."""
+    """Describe the state of a folder's images, so that replaced ones are scored again."""
     found = [(path.name, path.stat()) for path in sorted(folder.glob("*.png"))]
     return json.dumps([(name, status.st_size, status.st_mtime_ns) for name, status in found])
 

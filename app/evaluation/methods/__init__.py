@@ -1,1 +1,1 @@
-"""The methods that can be compared."""
+"""The methods to compare with."""

@@ -1,7 +1,7 @@
 """Flat spectral clustering of a frame, and the unsupervised choice of lambda (Dal Mutto et al., 2012).
 
-The method that the recursive one is compared with: the same vectors and the same Nystrom normalized
-cuts, but one clustering into a given number of segments in place of a tree of fits.
+A baseline for the recursive method: the same vectors and Nystrom normalized cuts, but a single clustering
+into a given number of segments instead of a tree of fits.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from nurbseg.segmentation.cut.affinity import affinity
 from nurbseg.segmentation.cut.features import features
 from nurbseg.segmentation.points.registration import PointMap
 
-#: Weights of geometry against color that are tried, from color alone mattering to geometry alone.
+#: Weights of geometry against color that are tried.
 LAMBDAS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0)
 _EIGENVALUE_SHARE = 1e-6
-#: Width of the band around a segment that its surroundings are taken from, as a share of the image's.
+#: Width of the band around a segment that counts as its surroundings, as a share of the image's width.
 _BAND_SHARE = 0.02
 
 
@@ -41,7 +41,7 @@ def spectral_embedding(
     vectors : (N, D) float32
         Feature vectors, dimensionless; N at least 2.
     dimensions : int
-        Number of eigenvectors wanted; fewer come back where the sample has a lower rank.
+        Number of eigenvectors; fewer are returned if the sample has a lower rank.
     samples : int
         Number of points whose affinities are computed exactly.
     rng : numpy.random.Generator
@@ -69,7 +69,7 @@ def spectral_embedding(
     Q /= np.sqrt(degrees)[:, np.newaxis]
     eigenvalues, leading = np.linalg.eigh((Q.T @ Q).astype(np.float64))
     kept = np.flatnonzero(eigenvalues > _EIGENVALUE_SHARE)[::-1][:dimensions]
-    # Q V has the eigenvectors times the roots of their eigenvalues: without these each counts the same.
+    # Q V holds the eigenvectors times the roots of their eigenvalues, which would weight them.
     embedded = Q @ (leading[:, kept] / np.sqrt(eigenvalues[kept])).astype(np.float32)
     norms = np.linalg.norm(embedded, axis=1, keepdims=True)
     return np.asarray(embedded / np.maximum(norms, 1e-12), dtype=np.float32)
@@ -87,14 +87,14 @@ def flat_clusters(
     config : SegmentationConfig
         Its lambda, samples and affinity scale are used.
     clusters : int
-        Number of segments asked for.
+        Number of segments.
     rng : numpy.random.Generator
-        Draws the sample and the first centers.
+        Draws the sample and the initial centers.
 
     Returns
     -------
     (H, W) uint16
-        1 to `clusters`; 0 where there is no point.
+        1 to `clusters`; 0 without a point.
 
     References
     ----------
@@ -119,23 +119,23 @@ def flat_clusters(
 
 
 def unsupervised_quality(labels: NDArray[np.uint16], cloud: PointMap) -> float:
-    """Judge a segmentation without ground truth: contrast to surroundings minus own dispersion.
+    """Score a segmentation without ground truth: contrast to surroundings minus dispersion.
 
-    Both are taken for color and for position in units of the frame's deviations (sigma_c, sigma_g), for
-    each segment, weighed by its size, and averaged over the two cues. The surroundings of a segment are
-    the other points in a band around it.
+    Both are computed for color and for position, in units of the frame's deviations (sigma_c, sigma_g), and
+    averaged over the two and over segments, weighted by size. The surroundings of a segment are the other
+    points in a band around it.
 
     Parameters
     ----------
     labels : (H, W) uint16
-        0 where there is no segment.
+        0 for no segment.
     cloud : PointMap
         The frame.
 
     Returns
     -------
     float
-        Dimensionless, greater is better; -inf for fewer than two segments.
+        Dimensionless, greater is better; -inf with fewer than two segments.
     """
     vectors = np.zeros((*labels.shape, 6), np.float32)
     vectors[cloud.valid] = features(cloud, SegmentationConfig())
@@ -178,18 +178,18 @@ def best_lambda(
     config : SegmentationConfig
         Settings of the clustering; its lambda is replaced.
     clusters : int
-        Number of segments asked for.
+        Number of segments.
     seed : int
-        Each candidate starts from the same one.
+        Seed of the random numbers of each candidate.
     candidates : sequence of float
-        Values of lambda that are tried; the smaller wins a tie.
+        Values of lambda to try; the first of equally good ones is chosen.
 
     Returns
     -------
     lambda_ : float
         The chosen weight of geometry.
     labels : (H, W) uint16
-        The clustering with it.
+        The clustering with this weight.
     """
     best: tuple[float, float, NDArray[np.uint16]] | None = None
     for candidate in candidates:

@@ -1,7 +1,4 @@
-"""The methods that can be compared, behind one interface: ``method(cloud, rng) -> labels``.
-
-To add one, write a function of that form and name it in `METHODS`.
-"""
+"""The methods to compare with, as functions ``method(cloud, rng) -> labels``, registered in `METHODS`."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ from nurbseg.app.evaluation.variants import LABELS_PREFIX, TREE_METHODS
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap
 
-#: Number of segments for methods that need to know it.
+#: Number of segments of methods that need to know it.
 CLUSTERS = 8
 
 

@@ -1,6 +1,6 @@
-"""Two geometric rivals from the Point Cloud Library, through a small program built on request.
+"""Two geometric methods of the Point Cloud Library, in a small program that is built on first use.
 
-Needs Debian's libpcl-dev, cmake and a C++ compiler; nothing else of the project does.
+Needs Debian's libpcl-dev, cmake and a C++ compiler.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ _SOURCES = ("CMakeLists.txt", "pcl_rivals.cpp")
 
 @cache
 def program() -> Path:
-    """Return the program, building it where this version of its source has not been built yet.
+    """Return the program, and build it if necessary.
 
-    Raises BackendMissingError if PCL, cmake or a compiler is missing, or the build fails; says what to
-    install.
+    Raises BackendMissingError, which says what to install, if PCL, cmake or a compiler is missing, or the
+    build fails.
     """
     needed = "install them: apt-get install libpcl-dev cmake g++"
     if shutil.which("cmake") is None or shutil.which("c++") is None:
@@ -103,7 +103,7 @@ def lccp(cloud: PointMap, rng: np.random.Generator) -> NDArray[np.integer]:
 
 
 def organized(cloud: PointMap, rng: np.random.Generator) -> NDArray[np.integer]:
-    """Planes of the organized cloud, then Euclidean clusters of what is left, by PCL [1]_.
+    """Planes of the organized cloud, then Euclidean clusters of the remaining points, by PCL [1]_.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""Methods of other people, called through their kept libraries, as functions ``(cloud, rng) -> labels``."""
+"""Methods from scikit-image and scikit-learn as functions ``(cloud, rng) -> labels``."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from nurbseg.segmentation.points.registration import PointMap
 
 Labels = NDArray[np.integer]
 
-#: Smallest region of the graph-based methods, pixels of a 640x480 image.
+#: Minimum region size of the graph-based methods, pixels of a 640x480 image.
 _SMALLEST_PX = 750
 
 
 def _filled_depth(cloud: PointMap) -> NDArray[np.float32]:
-    """Give each pixel without depth that of its nearest neighbour with one, metres."""
+    """Fill holes with the depth of the nearest pixel, metres."""
     depth_m = np.where(cloud.valid, cloud.points_m[:, :, 2], 0.0).astype(np.float32)
     missing = (~cloud.valid).astype(np.uint8)
     if missing.all():
@@ -38,7 +38,7 @@ def _as_unit_range(image: NDArray[np.floating]) -> NDArray[np.float64]:
 def fh04_color(cloud: PointMap, rng: np.random.Generator) -> Labels:
     """Graph-based segmentation of the color image [1]_, by scikit-image.
 
-    Scale 1000, sigma 0.8 and a smallest region of 750 pixels at 640x480, in proportion elsewhere.
+    Scale 1000, sigma 0.8 and a minimum size of 750 pixels at 640x480, proportional at other sizes.
 
     References
     ----------
@@ -51,10 +51,9 @@ def fh04_color(cloud: PointMap, rng: np.random.Generator) -> Labels:
 
 
 def fh04_color_depth(cloud: PointMap, rng: np.random.Generator) -> Labels:
-    """Graph-based segmentation of color and depth together, by scikit-image.
+    """Graph-based segmentation of color and depth, by scikit-image.
 
-    Depth is a fourth channel with the weight of the three color channels together, holes filled from
-    the nearest pixel.
+    Depth, with holes filled from the nearest pixel, is a fourth channel with the weight of the other three.
     """
     from skimage.segmentation import felzenszwalb
 
@@ -62,7 +61,7 @@ def fh04_color_depth(cloud: PointMap, rng: np.random.Generator) -> Labels:
     depth = 3.0 * _as_unit_range(_filled_depth(cloud))
     image = np.dstack([cloud.color / 255.0, depth])
     with warnings.catch_warnings():
-        # It warns of four channels although the channel axis is given.
+        # It warns about four channels although the channel axis is given.
         warnings.filterwarnings("ignore", "Got image with third dimension", RuntimeWarning)
         found = felzenszwalb(image, scale=1000, sigma=0.8, min_size=smallest, channel_axis=2)
     return np.asarray(found) + 1
@@ -79,7 +78,7 @@ def slic_ncut(cloud: PointMap, rng: np.random.Generator) -> Labels:
 
 
 def kmeans(cloud: PointMap, rng: np.random.Generator, *, clusters: int) -> Labels:
-    """2-means' flat sibling: k-means of the 6-D vectors of color and position (eq. 3), by scikit-learn."""
+    """k-means of the 6-D vectors of color and position (eq. 3), by scikit-learn."""
     from sklearn.cluster import MiniBatchKMeans
 
     vectors = features(cloud, SegmentationConfig())

@@ -1,1 +1,1 @@
-"""The report of a study."""
+"""Tables, plots and the report of a study."""

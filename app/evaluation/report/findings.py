@@ -1,4 +1,4 @@
-"""Findings of a study, as sentences made from its tables."""
+"""Findings of a study as sentences."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from nurbseg.app.evaluation.statistics import bootstrap_mean
 
 
 def means_of(results: StudyResults) -> dict[str, dict[str, float]]:
-    """Return for each score the mean of each variant over all frames, by name, in the order of the tables."""
+    """Return each score's means over all frames by the names of variants."""
     return {score: {each.name: results.mean(each, score) for each in results.variants} for score in SCORES}
 
 
 def verdict(results: StudyResults) -> str:
-    """Say in a sentence which method is ahead by its best setting, and how sure that is."""
+    """Describe which method is best with its best setting, and the confidence interval."""
     ranked = sorted(results.leaders(), key=lambda each: -results.mean(each, "gtrc"))
     first = f"{ranked[0].name} (GTRC {digits(results.mean(ranked[0], 'gtrc'))})"
     if len(ranked) == 1:
@@ -34,9 +34,9 @@ def verdict(results: StudyResults) -> str:
 
 
 def findings(means: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """Describe how the methods rank by each score, and the range of each method with several settings.
+    """Describe the ranking of methods by each score, and the range of each method over its settings.
 
-    `means` holds for each of `SCORES` the mean of each variant, whose name begins with its method.
+    `means` comes from `means_of`; a variant's name begins with its method.
     """
     methods: dict[str, list[str]] = {}
     for name in means["ri"]:
@@ -68,7 +68,7 @@ def findings(means: Mapping[str, Mapping[str, float]]) -> list[str]:
 
 
 def _ordered(means: Mapping[str, float], names: list[str], greater: bool) -> list[str]:
-    """Order variants with a mean, the best first; equal ones, as printed, in the order of the table."""
+    """Sort variants that have a mean, rounded to three digits, the best first."""
     known = [name for name in names if np.isfinite(means[name])]
     return sorted(known, key=lambda name: round(means[name], 3) * (-1 if greater else 1))
 

@@ -1,4 +1,4 @@
-"""Pictures of frames and segmentations, as PNG and JPEG."""
+"""Pictures of frames and segmentations as PNG and JPEG."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _JPEG_QUALITY = 85
 def label_colors(labels: NDArray[np.integer], truth: NDArray[np.integer] | None = None) -> NDArray[np.uint8]:
     """Color a label map, (H, W, 3) uint8 RGB; 0 becomes black.
 
-    With a ground truth, the largest overlap of a region and a segment shares the region's color; other
-    segments get colors that no region has.
+    With a ground truth, segments have the colors of the regions they are matched to, largest overlaps first;
+    other segments have colors that no region has.
     """
     colors = np.zeros((*labels.shape, 3), np.uint8)
     values = np.unique(labels[labels > 0])
@@ -60,19 +60,19 @@ def depth_colors(depth_mm: NDArray[np.uint16]) -> NDArray[np.uint8]:
 
 
 def error_colors(residual_m: NDArray[np.floating[Any]], most_m: float) -> NDArray[np.uint8]:
-    """Color residuals as the paper's figure 2, blue at 0 to red at `most_m`; black where NaN."""
+    """Color residuals as in the paper's figure 2, from blue at 0 to red at `most_m`; NaN becomes black."""
     return _mapped(np.nan_to_num(residual_m) / most_m, np.isfinite(residual_m), cv2.COLORMAP_JET)
 
 
 def _mapped(share: NDArray[np.floating], known: NDArray[np.bool_], colormap: int) -> NDArray[np.uint8]:
-    """Color shares from 0 to 1 by a map of OpenCV's, RGB; black where they are not known."""
+    """Color shares from 0 to 1 by a map of OpenCV, RGB; unknown ones become black."""
     colors = cv2.applyColorMap((255 * np.clip(share, 0.0, 1.0)).astype(np.uint8), colormap)[:, :, ::-1].copy()
     colors[~known] = 0
     return np.asarray(colors, dtype=np.uint8)
 
 
 def tile(image: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
-    """Scale an RGB image to a width, pixels averaged, so that thin borders remain."""
+    """Scale an RGB image to a width; when reduced, pixels are averaged, so that thin borders remain."""
     height = round(image.shape[0] * width / image.shape[1])
     method = cv2.INTER_AREA if width < image.shape[1] else cv2.INTER_NEAREST
     return np.asarray(cv2.resize(image, (width, height), interpolation=method), dtype=np.uint8)
@@ -84,7 +84,7 @@ def jpeg(image: NDArray[np.uint8]) -> bytes:
 
 
 def strip_png(tiles: Sequence[tuple[str, NDArray[np.uint8]]], width: int = 240) -> bytes:
-    """Put captioned RGB pictures of one shape, `width` wide, side by side, as the paper's figure 4 does."""
+    """Put RGB pictures of one shape side by side with captions, each `width` pixels wide, as PNG."""
     columns = []
     for caption, image in tiles:
         small = tile(image, width)

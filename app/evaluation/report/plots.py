@@ -1,4 +1,4 @@
-"""Plots of scores and of trees, as PNG: a color for each method, a kind of line for each metric."""
+"""Plots of scores and trees as PNG, with a color for each method and a line style for each metric."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.vocabulary import StopReason
 
 _INNER_COLOR = "#e4e7eb"
-#: Lines of the nine metrics, and the marks on them.
+#: Line styles and markers of the nine metrics.
 _LINES = ("-", "--", ":", "-.")
 _MARKS = ("o", "s", "^")
 
@@ -41,7 +41,7 @@ def _plotter() -> Any:
 
 
 def threshold_plot(results: StudyResults) -> bytes | None:
-    """Plot each score against T, a line for each metric; None where there is only one T."""
+    """Plot each score against T, a line for each metric; None if there is only one T."""
     trees = [each for each in results.variants if each.method in TREE_METHODS]
     thresholds = sorted({each.config.ratio_max for each in trees})
     if len(thresholds) < 2:
@@ -70,7 +70,7 @@ def threshold_plot(results: StudyResults) -> bytes | None:
 
 
 def category_plot(results: StudyResults) -> bytes | None:
-    """Plot the covering of each variant by category as bars with intervals; None for one category."""
+    """Plot the covering by category as bars with intervals; None if there is only one category."""
     categories = results.categories()
     shown = results.leaders()
     if len(categories) < 2:
@@ -106,7 +106,7 @@ def time_plot(results: StudyResults, seconds: Mapping[str, float]) -> bytes | No
         if variant.name in named:
             axis.annotate(variant.name, at, fontsize=7, xytext=(4, 3), textcoords="offset points")
     axis.set(xscale="log", xlabel="time per frame (ms)", ylabel="GTRC")
-    # Plain numbers, also between two powers of ten.
+    # Plain numbers, also between powers of ten.
     axis.xaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.xaxis.set_major_formatter(ticker.FuncFormatter(lambda ms, _: f"{ms:g}"))
     axis.xaxis.set_minor_formatter(ticker.NullFormatter())
@@ -115,26 +115,26 @@ def time_plot(results: StudyResults, seconds: Mapping[str, float]) -> bytes | No
 
 
 def method_color(results: StudyResults, method: str) -> str:
-    """Return the color of a method, the same in all plots of a study."""
+    """Return the color of a method in all plots of a study."""
     methods = list(dict.fromkeys(each.method for each in results.variants))
     return f"C{methods.index(method)}"
 
 
 def metric_line(metric: Metric) -> dict[str, str]:
-    """Return how the line of a metric is drawn, in the words of Matplotlib; no two are alike."""
+    """Return Matplotlib's unique line style of a metric."""
     number = get_args(Metric).index(metric)
     return {"linestyle": _LINES[number % len(_LINES)], "marker": _MARKS[number // len(_LINES)]}
 
 
 def stop_color(stop: str) -> str:
-    """Return the viewer's color of a leaf that stopped for this reason, as ``#rrggbb``."""
+    """Return the viewer's color of a stop reason as ``#rrggbb``."""
     return "#{:02x}{:02x}{:02x}".format(*STOP_COLORS[StopReason(stop)])
 
 
 def tree_plot(segments: Sequence[Mapping[str, Any]]) -> bytes:
-    """Draw a segmentation tree as the paper's figure 3: leaves filled by the reason why they are leaves.
+    """Draw a tree as in the paper's figure 3, with leaves colored by their stop reason.
 
-    Each segment has a ``name`` ("" for the root), ``stop`` and ``size``.
+    Each segment has a ``name`` ("" for the root) and ``stop``.
     """
     pyplot = _plotter()
     names = {each["name"] for each in segments}

@@ -1,4 +1,4 @@
-"""How far a command is and how long it still takes."""
+"""Progress and remaining time of a command."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _LOG_S = 60.0
 
 
 class Progress:
-    """Tells on stderr how far a command is: in a line that grows in a terminal, in a few lines in a log."""
+    """Prints progress on stderr: a bar in a terminal, or else a line from time to time."""
 
     def __init__(self, unit: str, clock_s: Callable[[], float] = time.monotonic) -> None:
         self._unit = unit
@@ -20,7 +20,7 @@ class Progress:
         self._logged_s = clock_s()
 
     def __call__(self, done: int, total: int, more: str = "") -> None:
-        """Tell of `done` of `total`; the first call says what was there before."""
+        """Report `done` of `total`; the first call says how much was done before."""
         now_s = self._clock_s()
         began_s, before = self._first = self._first or (now_s, done)
         words = f"{done}/{total} {self._unit}"
@@ -29,7 +29,7 @@ class Progress:
         if sys.stderr.isatty():
             filled = round(30 * done / max(total, 1))
             end = "\n" if done == total else ""
-            # What is left of a longer line is cleared.
+            # Clears the rest of a longer line.
             print(f"\r[{'#' * filled:.<30}] {words} {more}\x1b[K", end=end, file=sys.stderr, flush=True)
         elif done == total or now_s - self._logged_s >= _LOG_S:
             self._logged_s = now_s
@@ -37,11 +37,7 @@ class Progress:
 
 
 def _span(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.0f} s"
     minutes = seconds / 60
-    return (
-        f"{seconds:.0f} s"
-        if minutes < 2
-        else f"{minutes:.0f} min"
-        if minutes < 120
-        else f"{minutes / 60:.1f} h"
-    )
+    return f"{minutes:.0f} min" if minutes < 120 else f"{minutes / 60:.1f} h"

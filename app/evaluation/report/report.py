@@ -1,4 +1,4 @@
-"""The report of a study: one HTML file that needs nothing else, and its pictures as PNG beside it."""
+"""The report of a study: a self-contained HTML file, and its pictures as PNG."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.segments import Segment, SegmentationTree
 
 _TILE_PX = 214
-#: Frames whose trees and fits are drawn: the worst and the best ones.
+#: Number of the worst and of the best frames whose trees and fits are drawn.
 _TREES = 3
-#: Residual at the red end of the error pictures.
+#: Residual that is drawn in red, metres.
 _ERROR_M = 0.05
 
 
@@ -45,10 +45,9 @@ def write_report(
     date: str,
     frames_shown: int = 200,
 ) -> Path:
-    """Write ``report.html`` and ``pictures/*.png`` into the study's folder; return the former's path.
+    """Write ``report.html`` and ``pictures/*.png`` to the study's folder; return the path of the former.
 
-    There are pictures of the worst frames, `frames_shown` at the most. `seconds`, the time per frame by
-    variant, may be empty.
+    It shows at most `frames_shown` of the worst frames. `seconds` is the time per frame by variant.
     """
     import jinja2
 
@@ -107,7 +106,7 @@ def _frame_pictures(
     variants: Sequence[Variant],
     folder: Path,
 ) -> dict[str, Any]:
-    """Show color, depth, ground truth and each method's result of a frame side by side."""
+    """Draw color, depth, ground truth and each variant's labels of a frame side by side."""
     read = read_frame(FrameRef(frame["uri"], frame["index"], frame["key"]), study.options)
     cloud = register(read)
     truth = read.labels
@@ -139,7 +138,7 @@ def _frame_pictures(
 def _tree_pictures(
     study: Study, store: StudyStore, results: StudyResults, variant: Variant, folder: Path
 ) -> list[tuple[str, str]]:
-    """Draw the trees and the fitting errors of the worst and the best frames of a variant."""
+    """Draw trees and fitting errors of the worst and best frames of a variant."""
     order = results.worst_frames(variant)
     drawn = []
     for frame in dict.fromkeys(each["key"] for each in (*order[:_TREES], *order[-_TREES:])):
@@ -160,7 +159,7 @@ def _tree_pictures(
 def _error_tiles(
     study: Study, frame: Mapping[str, Any], variant: Variant
 ) -> list[tuple[str, NDArray[np.uint8]]]:
-    """Show where surfaces do not fit: of the whole cloud, of its two parts, and of the leaves (figure 2)."""
+    """Draw the residuals of the whole cloud, its parts, and the leaves (figure 2)."""
     cloud = register(read_frame(FrameRef(frame["uri"], frame["index"], frame["key"]), study.options))
     _, tree = Answers(cloud, frame["name"], frame["index"], study.seed).of(variant)
     tiles = [("color", cloud.color)]
@@ -183,7 +182,7 @@ def _error_tiles(
 
 
 def _fitted(tree: SegmentationTree, segments: Sequence[Segment]) -> list[Segment]:
-    """Put the nearest parts that have a surface in place of segments that have none."""
+    """Replace segments without a surface by their nearest parts that have one."""
     by_name = {each.name: each for each in tree.segments}
     found, open_ = [], list(segments)
     while open_:
@@ -196,7 +195,7 @@ def _fitted(tree: SegmentationTree, segments: Sequence[Segment]) -> list[Segment
 
 
 def _spread(image: NDArray[np.float64], step: int) -> NDArray[np.float64]:
-    """Fill the pixels between those of a decimated grid with the value to their upper left."""
+    """Fill pixels between those of a decimated grid with the value to their upper left."""
     height, width = image.shape
     return image[::step, ::step].repeat(step, axis=0).repeat(step, axis=1)[:height, :width]
 

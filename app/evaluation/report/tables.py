@@ -1,4 +1,4 @@
-"""Tables laid out as the paper's: a row for each variant, a column for each category, and the mean."""
+"""Tables as in the paper: a row for each variant, a column for each category, and the mean."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nurbseg.segmentation.scoring.objects import ObjectScores
 
 
 def score_rows(results: StudyResults, score: str) -> list[list[str]]:
-    """Lay out one score: variant, categories, mean and its interval; the best of a column in ``*``."""
+    """Return the table of a score: categories, mean and interval; the best of a column in ``*``."""
     categories = results.categories()
     columns: list[str | None] = [*categories, None] if len(categories) > 1 else [None]
     heading = ["variant", *("mean" if each is None else each for each in columns), "95 % interval"]
@@ -29,7 +29,7 @@ def score_rows(results: StudyResults, score: str) -> list[list[str]]:
 
 
 def detail_rows(results: StudyResults, seconds: Mapping[str, float]) -> list[list[str]]:
-    """Lay out what the paper's tables lack: segments, errors of either kind, boundaries and time."""
+    """Return a table of segments, over- and under-segmentation, boundaries and time."""
     rows = [["variant", "segments", "of", "over", "under", "precision", "recall", "ms/frame"]]
     for variant in results.variants:
         means = [
@@ -50,7 +50,7 @@ def detail_rows(results: StudyResults, seconds: Mapping[str, float]) -> list[lis
 
 
 def object_rows(results: StudyResults) -> list[list[str]]:
-    """Lay out the scores of objects: overlap and boundaries (precision, recall, F) and the share found."""
+    """Return a table of objects: overlap and boundaries (precision, recall, F), and the share found."""
     rows = [["variant", *(f"{what} {score}" for what in ("overlap", "boundary") for score in "PRF"), "found"]]
     for variant in results.variants:
         rows.append([variant.name, *(digits(results.mean(variant, score)) for score in ObjectScores._fields)])
@@ -58,7 +58,7 @@ def object_rows(results: StudyResults) -> list[list[str]]:
 
 
 def as_text(rows: Sequence[Sequence[str]]) -> str:
-    """Align a table for a terminal; names to the left, figures to the right."""
+    """Format a table for a terminal."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     lines = []
     for number, row in enumerate(rows):
@@ -73,7 +73,7 @@ def as_text(rows: Sequence[Sequence[str]]) -> str:
 
 
 def as_markdown(rows: Sequence[Sequence[str]]) -> str:
-    """Write a table as Markdown; what is in ``*`` becomes bold."""
+    """Format a table as Markdown; cells in ``*`` become bold."""
     lines = []
     for number, row in enumerate(rows):
         lines.append("| " + " | ".join(cell.replace("*", "**") for cell in row) + " |")
@@ -83,7 +83,7 @@ def as_markdown(rows: Sequence[Sequence[str]]) -> str:
 
 
 def all_tables(results: StudyResults, seconds: Mapping[str, float]) -> list[tuple[str, list[list[str]]]]:
-    """Return every table with its caption, in the order of the paper."""
+    """Return all tables with their captions."""
     tables = []
     for score, (heading, greater) in SCORES.items():
         direction = "greater" if greater else "smaller"
@@ -97,10 +97,10 @@ def all_tables(results: StudyResults, seconds: Mapping[str, float]) -> list[tupl
 
 
 def digits(value: float) -> str:
-    """Write a score with three digits, and nothing where there is none."""
+    """Format a score with three digits, or "-"."""
     return "-" if math.isnan(value) else f"{value:.3f}"
 
 
 def interval(estimate: Estimate) -> str:
-    """Write an interval."""
+    """Format an interval."""
     return f"{digits(estimate.low)} to {digits(estimate.high)}"
