@@ -8,6 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
 from nurbseg.drivers.frame import Calibration
 from nurbseg.drivers.openni2 import nominal
 from nurbseg.drivers.openni2.capi import OniCropping, PixelFormat, StreamProperty
@@ -28,14 +31,8 @@ _COLOR_FORMATS = (PixelFormat.RGB888, PixelFormat.YUYV, PixelFormat.YUV422, Pixe
 class AppliedSettings:
     """What the camera does, after it was asked.
 
-    Parameters
-    ----------
-    registered : bool
-        Whether the camera brings depth onto the color image.
-    flip_depth, flip_color : bool
-        Whether the images must be mirrored here, because the camera does not do as asked.
-    states : dict of str to str
-        What is on and off, for a person and for recordings.
+    An image is flipped here where the camera does not mirror as asked; `states` is what is on and off, for a
+    person and for recordings.
     """
 
     registered: bool
@@ -115,52 +112,31 @@ def calibrate(
 ) -> Calibration:
     """Return the calibration of what two streams deliver.
 
-    Parameters
-    ----------
-    depth_size, color_size : (width, height)
-        Of their images, pixels.
-    fov : (depth, color)
-        Their horizontal fields of view, radians, where they are known.
-    options : DeviceOptions
-        May name a calibration file, and have images mirrored.
-    registered : bool
-        Whether depth was brought onto the color image, and so is seen from the color camera.
-    cameras : CameraFile, optional
-        A calibration that the user gives in another way than by that file.
-
-    Raises
-    ------
-    CalibrationError
-        If the calibration file is damaged or does not fit.
+    Sizes are (width, height) in pixels; `fov` are the horizontal fields of view of depth and color, radians,
+    where known. The options may name a calibration file and mirror the images; `cameras` is a calibration
+    that the user gives in another way. Depth that is `registered` is seen from the color camera. Raises
+    CalibrationError if the calibration file is damaged or does not fit.
     """
-    given = None
     if options.calibration is not None:
         from nurbseg.drivers.calibration.file import read_camera_file
 
         cameras = read_camera_file(Path(options.calibration))
-    if cameras is not None:
-        given = cameras.calibration(
-            depth_size=cameras.depth.size or depth_size, color_size=cameras.color.size or color_size
-        )
+    given = cameras and cameras.calibration(
+        depth_size=cameras.depth.size or depth_size, color_size=cameras.color.size or color_size
+    )
     if registered:
-        camera = given.color if given else nominal.from_field_of_view(*color_size, fov[1])
-        calibration = Calibration(
-            depth=nominal.fitted(camera, *depth_size), color=nominal.fitted(camera, *color_size)
-        )
+        depth = color = given.color if given else nominal.from_field_of_view(*color_size, fov[1])
+        color_from_depth: NDArray[np.float64] = np.eye(4)
     elif given:
-        calibration = Calibration(
-            depth=nominal.fitted(given.depth, *depth_size),
-            color=nominal.fitted(given.color, *color_size),
-            color_from_depth=given.color_from_depth,
-        )
+        depth, color, color_from_depth = given.depth, given.color, given.color_from_depth
     else:
         logger.warning(
             "no calibration given: color is mapped to depth with PrimeSense's nominal values, which may "
             "be off by some pixels; use --calibration FILE for a measured one"
         )
-        calibration = Calibration(
-            depth=nominal.from_field_of_view(*depth_size, fov[0]),
-            color=nominal.color_camera(*color_size),
-            color_from_depth=nominal.color_from_depth(),
-        )
+        depth = nominal.from_field_of_view(*depth_size, fov[0])
+        color, color_from_depth = nominal.color_camera(*color_size), nominal.color_from_depth()
+    calibration = Calibration(
+        nominal.fitted(depth, *depth_size), nominal.fitted(color, *color_size), color_from_depth
+    )
     return nominal.mirrored(calibration) if options.mirror else calibration

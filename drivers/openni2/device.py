@@ -14,9 +14,9 @@ from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.openni2.capi import DeviceState, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate, configure, set_modes
 from nurbseg.drivers.openni2.oni.recorder import OniRecorder
-from nurbseg.drivers.openni2.opened import OpenedDevice, describe, open_camera
+from nurbseg.drivers.openni2.opened import describe, open_camera
 from nurbseg.drivers.openni2.options import DeviceOptions
-from nurbseg.drivers.openni2.stream import Image, Stream, find_any, frame_images, wait_for_any
+from nurbseg.drivers.openni2.stream import Image, Stream, frame_images, wait_for_any
 from nurbseg.drivers.source import FrameSource
 
 logger = logging.getLogger(__name__)
@@ -118,33 +118,16 @@ class DeviceSource(FrameSource):
         return self._pairing.half_pairs
 
     @property
-    def device(self) -> OpenedDevice:
-        """The opened camera; not to be closed."""
-        return self._device
-
-    @property
     def losses(self) -> Mapping[str, int]:
         """Depth images never seen here, and images whose other half never came."""
         return {"missed": self.missed, "half_pairs": self.half_pairs}
 
     def start_recording(self, path: Path, *, lossy: bool = False) -> None:
-        """Record with OpenNI2's recorder to an .oni file, from the next frame on.
+        """Record with OpenNI2's recorder to an .oni file, which must not exist, from the next frame on.
 
-        The streams stop for a moment. Like `read`, this is for the one thread that reads.
-
-        Parameters
-        ----------
-        path : Path
-            The file, which must not exist.
-        lossy : bool
-            Whether color is packed as JPEG; depth never is.
-
-        Raises
-        ------
-        DriverError
-            If it cannot be recorded to, or a recording is being made already.
-        DeviceLostError
-            If the camera is gone.
+        The streams stop for a moment. Like `read`, this is for the one thread that reads. Where `lossy`,
+        color is packed as JPEG; depth never is. Raises DriverError if it cannot be recorded to, or a
+        recording is being made already, and DeviceLostError if the camera is gone.
         """
         self._check_present()
         if self._recorder is not None:
@@ -187,7 +170,8 @@ class DeviceSource(FrameSource):
             begun = time.monotonic()
             left_s = max(deadline - begun, 0.0)
             library = self._device.library
-            stream = find_any(library, self._streams) or wait_for_any(
+            # The second image of a pair is often there already.
+            stream = wait_for_any(library, self._streams, 0.0) or wait_for_any(
                 library, self._streams, min(left_s, _SLICE_S)
             )
             # A stale image may follow the camera's going.

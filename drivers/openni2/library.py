@@ -82,18 +82,11 @@ class Library:
     Use `acquire` and `release`, which count the users; the last one to go shuts it down, so that the
     next one finds the cameras that are there by then (some drivers look only once).
 
-    Attributes
-    ----------
-    native : ctypes.CDLL
-        The functions; Python's other threads run during a call.
-    waiting : int
-        Threads that wait in the library for an image.
-    ending : bool
-        Whether the program ends, so that nobody may begin to wait.
-    quick : ctypes.PyDLL
-        The same functions without that: for calls that are known not to wait. Every call through
-        `native` may cost a whole switch interval (5 ms) when other threads are busy, and half a dozen
-        of these are more than a frame has time for.
+    During a call of a function of `native`, Python's other threads run. A call of `quick` keeps them from
+    that and is for functions that are known not to wait: every call through `native` may cost a whole switch
+    interval (5 ms) when other threads are busy, and half a dozen of these are more than a frame has time for.
+    `waiting` counts the threads that wait in the library for an image, and nobody may begin to wait while the
+    program is `ending`.
     """
 
     def __init__(self, path: str) -> None:

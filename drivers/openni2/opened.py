@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import logging
 import os
@@ -31,23 +32,23 @@ class OpenedDevice(Closing):
         self.uri = uri
         self.streams: tuple[Stream, ...] = ()
         self._handle = ctypes.c_void_p()
-        self._closed = False
-        self._listening: object = None
+        self._held = contextlib.ExitStack()
         self.library: Library = acquire()
+        self._held.callback(release, self.library)
         try:
             if on_event is not None:
                 # Before it is opened, so that its going in between is not missed.
-                self._listening = self.library.listen(uri, on_event)
+                self._held.callback(self.library.unlisten, self.library.listen(uri, on_event))
+            native = self.library.native
             self.library.check(
-                self.library.native.oniDeviceOpen(os.fsencode(uri), ctypes.byref(self._handle)),
+                native.oniDeviceOpen(os.fsencode(uri), ctypes.byref(self._handle)),
                 f"opening {uri}",
                 DeviceNotFoundError,
             )
         except BaseException:
-            # A handle of a device that did not open is not to be closed.
-            self._handle = ctypes.c_void_p()
             self.close()
             raise
+        self._held.callback(native.oniDeviceClose, self._handle)
 
     def find(self, name: DeviceProperty, kind: type[Any]) -> Any | None:
         """Return a property as a ctypes value, or None where the device does not report it."""
@@ -110,21 +111,12 @@ class OpenedDevice(Closing):
 
     def close(self) -> None:
         """Give everything back, in the order that the library wants; safe to repeat."""
-        if self._closed:
-            return
-        self._closed = True
-        if self._listening is not None:
-            self.library.unlisten(self._listening)
-        try:
-            for stream in self.streams:
-                stream.stop()
-            for stream in self.streams:
-                stream.destroy()
-            self.streams = ()
-            if self._handle:
-                self.library.native.oniDeviceClose(self._handle)
-        finally:
-            release(self.library)
+        for stream in self.streams:
+            stream.stop()
+        for stream in self.streams:
+            stream.destroy()
+        self.streams = ()
+        self._held.close()
 
 
 def serial_of(listing: DeviceListing) -> str:

@@ -150,18 +150,9 @@ class Stream:
     def take(self) -> Image | None:
         """Copy the image that is waiting, for a stream that `wait_for_any` has named.
 
-        Returns
-        -------
-        Image or None
-            Depth as uint16 in the mode's unit, color as RGB uint8; None where the image is not
-            there any more, as it may be when a camera is unplugged.
-
-        Raises
-        ------
-        DeviceLostError
-            If the library cannot give it.
-        FrameFormatError
-            If the image is not what its mode says.
+        Depth is uint16 in the mode's unit, color RGB uint8. None where the image is not there any more, as it
+        may be when a camera is unplugged. Raises DeviceLostError if the library cannot give it, and
+        FrameFormatError if it is not what its mode says.
         """
         frame = ctypes.POINTER(OniFrame)()
         # This cannot wait: an image is there, and nobody else takes it.
@@ -240,20 +231,8 @@ def wait_for_any(library: Library, streams: tuple[Stream, ...], timeout_s: float
     Of several, the one whose image is oldest. A recording that is played step by step advances by one image
     with each call that finds none. Raises DeviceLostError where the library cannot wait.
     """
-    return _any(library, library.native, streams, timeout_s)
-
-
-def find_any(library: Library, streams: tuple[Stream, ...]) -> Stream | None:
-    """Return a stream that has an image already, without releasing Python's lock.
-
-    The second image of a pair is often there: polling is cheaper than waiting for Python's lock.
-    """
-    return _any(library, library.quick, streams, 0.0)
-
-
-def _any(
-    library: Library, functions: ctypes.CDLL, streams: tuple[Stream, ...], timeout_s: float
-) -> Stream | None:
+    # Without a wait, Python's lock is kept: getting it again takes longer than looking.
+    functions = library.native if timeout_s > 0 else library.quick
     handles = (ctypes.c_void_p * len(streams))(*(stream.handle for stream in streams))
     index = ctypes.c_int(-1)
     if library.ending:

@@ -51,39 +51,17 @@ def _slots(options: DeviceOptions) -> int:
 class IsolatedCamera(FrameSource):
     """Frames of a camera, read as `DeviceSource` does, but by another process.
 
-    Up to a second of frames waits here for a reader that comes late.
+    Up to a second of frames waits here for a reader that comes late; `missed` counts those that the camera
+    delivered, but that were too late or too many, and `half_pairs` images whose other half never came within
+    `pairing_limit_s`.
 
-    Parameters
-    ----------
-    wanted : str
-        Which camera, as `nurbseg.drivers.openni2.selection.choose` reads it.
-    options : DeviceOptions, optional
-        Its settings.
-    pairing_limit_s : float
-        Largest difference between the times of a depth image and its color image, seconds.
-    patience_s : float, optional
-        Where the camera is not there, let the process look for it at this interval, seconds. The
-        source is usable once `is_open` says so.
-    process : ChildProcess, optional
-        From `begin_process` with the same options; ended with this source.
+    `wanted` is read by `nurbseg.drivers.openni2.selection.choose`. With `patience_s`, the process looks for a
+    camera that is not there at this interval, seconds, and the source is usable once `is_open` says so.
+    `process` is from `begin_process` with the same options, and ended with this source.
 
-    Attributes
-    ----------
-    missed : int
-        Frames that the camera delivered, but that were too late or too many for us.
-    half_pairs : int
-        Images whose other half never came.
-
-    Raises
-    ------
-    BackendMissingError
-        If OpenNI2 is not installed.
-    DeviceNotFoundError
-        If there is no such camera, or it cannot be opened.
-    CalibrationError
-        If the options name a calibration file that is damaged.
-    DriverError
-        If the camera has no such streams or modes.
+    Raises BackendMissingError if OpenNI2 is not installed, DeviceNotFoundError if there is no such camera or
+    it cannot be opened, CalibrationError if the options name a calibration file that is damaged, and
+    DriverError if the camera has no such streams or modes.
     """
 
     live = True

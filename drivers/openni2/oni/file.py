@@ -67,18 +67,9 @@ class StoredStream:
 class OniFile:
     """What a recording holds.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    depth, color : StoredStream
-        Its two streams.
-    complete : bool
-        Whether the recorder got to write its end; otherwise the frames are those before the break.
-    note : dict
-        What our own recorder added; empty in the recordings of others.
-    counts_all : bool
-        Whether the header counts all streams, without which OpenNI2's player refuses the file.
+    It is `complete` if the recorder got to write its end; otherwise the frames are those before the break.
+    The `note` is what our own recorder added. Where the header does not count all streams, OpenNI2's player
+    refuses the file.
     """
 
     path: Path

@@ -97,15 +97,8 @@ class OniRecorder:
     def close(self, note: dict[str, Any]) -> None:
         """Finish the file; must come before the streams are destroyed.
 
-        Parameters
-        ----------
-        note : dict
-            Goes to the file's end, where OpenNI2 does not read: what its format has no place for.
-
-        Raises
-        ------
-        RecordingFormatError
-            If the file could not be finished: the disk was full.
+        The note goes to the file's end, where OpenNI2 does not read: what its format has no place for. Raises
+        RecordingFormatError if the file could not be finished: the disk was full.
         """
         self._destroy()
         if self._beyond_limit:
