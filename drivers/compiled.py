@@ -47,16 +47,6 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     that only the first call on a computer waits for the compiler. It is kept by the content of all files that
     hold compiled functions: these may call each other, and read each other's constants. Indices are not
     checked.
-
-    Parameters
-    ----------
-    function : callable
-        Of what Numba compiles.
-
-    Returns
-    -------
-    callable
-        The same, compiled.
     """
     try:
         with _code_folder():

@@ -16,19 +16,6 @@ _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 _FOCAL_PX_MIN, _PLACE_PX_MAX = 1e-3, 1e9
 
 
-def _read_only(array: NDArray[np.generic]) -> None:
-    array.flags.writeable = False
-
-
-def _as_distortion(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    distortion = np.array(values, dtype=np.float64).ravel()
-    if distortion.size not in _DISTORTION_LENGTHS:
-        raise ValueError(f"distortion: expected {_DISTORTION_LENGTHS} coefficients, got {distortion.size}")
-    if not np.isfinite(distortion).all():
-        raise ValueError(f"distortion: expected finite coefficients, got {distortion.tolist()}")
-    return distortion
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Intrinsics:
     """A pinhole camera with lens distortion.
@@ -71,8 +58,14 @@ class Intrinsics:
             raise ValueError(f"fx, fy: expected focal lengths in pixels, got {self.fx}, {self.fy}")
         if max(abs(self.cx), abs(self.cy)) > _PLACE_PX_MAX:
             raise ValueError(f"cx, cy: expected a place in the image, got {self.cx}, {self.cy}")
-        distortion = _as_distortion(self.distortion)
-        _read_only(distortion)
+        distortion = np.array(self.distortion, dtype=np.float64).ravel()
+        if distortion.size not in _DISTORTION_LENGTHS:
+            raise ValueError(
+                f"distortion: expected {_DISTORTION_LENGTHS} coefficients, got {distortion.size}"
+            )
+        if not np.isfinite(distortion).all():
+            raise ValueError(f"distortion: expected finite coefficients, got {distortion.tolist()}")
+        distortion.flags.writeable = False
         object.__setattr__(self, "distortion", distortion)
 
     @property
@@ -143,7 +136,7 @@ class Calibration:
         rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) and np.linalg.det(rotation) > 0
         if not rigid or not np.allclose(transform[3], [0, 0, 0, 1]):
             raise ValueError(f"color_from_depth: expected a rigid transform, got {transform.tolist()}")
-        _read_only(transform)
+        transform.flags.writeable = False
         object.__setattr__(self, "color_from_depth", transform)
 
     @classmethod
@@ -154,9 +147,8 @@ class Calibration:
     @property
     def is_registered(self) -> bool:
         """Whether a depth pixel and the color pixel at the same place show the same point."""
-        same = (self.depth.width, self.depth.height) == (self.color.width, self.color.height)
         return bool(
-            same
+            (self.depth.width, self.depth.height) == (self.color.width, self.color.height)
             and np.array_equal(self.depth.matrix, self.color.matrix)
             and np.array_equal(self.depth.distortion, self.color.distortion)
             and np.array_equal(self.color_from_depth, np.eye(4))
@@ -222,9 +214,9 @@ class RGBDFrame:
                     f"labels: expected {self.depth_mm.shape} uint16, "
                     f"got {self.labels.shape} {self.labels.dtype}"
                 )
-            _read_only(self.labels)
-        _read_only(self.depth_mm)
-        _read_only(self.color)
+            self.labels.flags.writeable = False
+        self.depth_mm.flags.writeable = False
+        self.color.flags.writeable = False
 
     @classmethod
     def from_arrays(

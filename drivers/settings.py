@@ -7,6 +7,7 @@ by the fields' types.
 from __future__ import annotations
 
 import math
+import operator
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import Field, dataclass, field, fields, is_dataclass, replace
@@ -17,6 +18,11 @@ from nurbseg.drivers.errors import quoted
 
 #: How a switch is written where flags and TOML have no word of their own for it.
 _SWITCH = {"1": True, "true": True, "0": False, "false": False}
+_BOUNDS = (
+    ("least", "at least", operator.ge),
+    ("most", "at most", operator.le),
+    ("above", "more than", operator.gt),
+)
 
 
 def setting(
@@ -34,23 +40,11 @@ def setting(
 ) -> Any:
     """Describe one field of a configuration.
 
-    Parameters
-    ----------
-    default : object
-        Value where the user sets none.
-    text, unit : str
-        What it means, for a person, and in which unit. A unit in capitals (``FILE``) is a placeholder:
-        it stands for what is to be given, in the help only.
-    least, most, above : float, optional
-        Smallest and largest value allowed; `above` is allowed for neither.
-    choices : tuple of str
-        The words allowed, where there is a list of them.
-    symbol : str
-        The literature's name of it, a second name for the flag.
-    flag : str
-        The flag's name where it is not the field's (``duration`` for ``duration_s``).
-    formerly : str
-        The field's name in the version before, which is still understood.
+    `text` is what it means, for a person. A `unit` in capitals (``FILE``) is a placeholder: it stands for
+    what is to be given, in the help only. The value must be at least `least`, at most `most` and more than
+    `above`, or one of the words in `choices`. `symbol` is the literature's name of it, a second name for the
+    flag; `flag` is the flag's name where it is not the field's (``duration`` for ``duration_s``); `formerly`
+    is the field's name in the version before, which is still understood.
     """
     return field(
         default=default,
@@ -88,12 +82,9 @@ class Settings:
                 )
             if isinstance(value, bool) or not isinstance(value, int | float):
                 continue
-            if bounds["least"] is not None and not value >= bounds["least"]:
-                raise ValueError(f"{each.name}: expected at least {bounds['least']}, got {value}")
-            if bounds["most"] is not None and not value <= bounds["most"]:
-                raise ValueError(f"{each.name}: expected at most {bounds['most']}, got {value}")
-            if bounds["above"] is not None and not value > bounds["above"]:
-                raise ValueError(f"{each.name}: expected more than {bounds['above']}, got {value}")
+            for bound, words, holds in _BOUNDS:
+                if bounds[bound] is not None and not holds(value, bounds[bound]):
+                    raise ValueError(f"{each.name}: expected {words} {bounds[bound]}, got {value}")
             # A whole number may be too large to be a float at all.
             if not abs(value) <= sys.float_info.max:
                 raise ValueError(f"{each.name}: expected a finite number, got {quoted(value)}")

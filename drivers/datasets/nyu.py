@@ -108,17 +108,10 @@ class NyuLabelledSource(SequenceSource):
     """``nyu_depth_v2_labeled.mat``: 1449 frames [1]_, of which one at a time is in memory.
 
     The ground truth of a frame has a region for each pair of class and instance. A calibration in `options`
-    takes the place of the data set's own; intrinsics are for images that have none.
-
-    Raises
-    ------
-    BackendMissingError
-        If h5py is not installed.
-    CalibrationError
-        If the calibration does not fit the images.
-    RecordingFormatError
-        If the file lacks one of the sets ``images``, ``depths``, ``labels`` and ``instances``, or their
-        shapes disagree.
+    takes the place of the data set's own; intrinsics are for images that have none. Raises
+    BackendMissingError if h5py is not installed, CalibrationError if the calibration does not fit the images,
+    and RecordingFormatError if the file lacks one of the sets ``images``, ``depths``, ``labels`` and
+    ``instances``, or their shapes disagree.
 
     References
     ----------

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ from nurbseg.drivers.limits import FRAME_BYTES_MAX, PIXELS_MAX
 _HEADER_BYTES_MAX = 65_536
 _FIELDS_MAX = 256
 _COUNT_MAX = 4096
+#: TYPE and SIZE.
+_NUMBERS = frozenset(("F4", "F8", "I1", "I2", "I4", "I8", "U1", "U2", "U4", "U8"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,10 +51,10 @@ def read_pcd(path: Path) -> OrganisedCloud:
         raise FrameFormatError(f"{path}: POINTS: expected WIDTH x HEIGHT = {width * height}, got {points}")
     if points > PIXELS_MAX:
         raise FrameFormatError(f"{path}: WIDTH, HEIGHT: expected {PIXELS_MAX} points at most, got {points}")
-    dtype = _dtype(path, fields)
+    columns, size, count = _columns(path, fields)
     kind = " ".join(fields["DATA"])
     # Numbers of text become 8 bytes each.
-    point_bytes = max(dtype.itemsize, 8 * _numbers(dtype) if kind == "ascii" else 0)
+    point_bytes = max(size, 8 * count if kind == "ascii" else 0)
     if points * point_bytes > FRAME_BYTES_MAX:
         raise FrameFormatError(
             f"{path}: POINTS, SIZE, COUNT: expected {FRAME_BYTES_MAX} bytes at most, "
@@ -59,18 +62,18 @@ def read_pcd(path: Path) -> OrganisedCloud:
         )
     body = content[start:]
     if kind == "binary":
-        columns = _from_binary(path, body, dtype, points)
+        values = _from_binary(path, body, columns, size, points)
     elif kind == "binary_compressed":
-        columns = _from_compressed(path, body, dtype, points)
+        values = _from_compressed(path, body, columns, size, points)
     elif kind == "ascii":
-        columns = _from_ascii(path, body, dtype, points)
+        values = _from_ascii(path, body, columns, count, points)
     else:
         raise FrameFormatError(
             f"{path}: DATA: expected ascii, binary or binary_compressed, got {quoted(kind)}"
         )
-    xyz = np.stack([columns[name].astype(np.float32) for name in ("x", "y", "z")], axis=-1)
+    xyz = np.stack([values[name].astype(np.float32) for name in ("x", "y", "z")], axis=-1)
     xyz[~np.isfinite(xyz).all(axis=-1)] = np.nan
-    color = next((_rgb(columns[name]) for name in ("rgb", "rgba") if name in columns), None)
+    color = next((_rgb(values[name]) for name in ("rgb", "rgba") if name in values), None)
     shape = (height, width, 3)
     return OrganisedCloud(xyz.reshape(shape), None if color is None else color.reshape(shape))
 
@@ -103,11 +106,21 @@ def _whole(word: str) -> int:
     return int(word) if re.fullmatch(r"[0-9]{1,9}", word) else 0
 
 
-def _numbers(dtype: np.dtype[np.void]) -> int:
-    return sum(dtype[name].shape[0] for name in dtype.names or ())
+class _Column(NamedTuple):
+    """The numbers of a field, of which the first counts, and what comes before them in a point."""
+
+    dtype: np.dtype[Any]
+    numbers: int
+    bytes_before: int
+    numbers_before: int
 
 
-def _dtype(path: Path, fields: dict[str, list[str]]) -> np.dtype[np.void]:
+Columns = dict[str, _Column]
+Values = dict[str, NDArray[Any]]
+
+
+def _columns(path: Path, fields: dict[str, list[str]]) -> tuple[Columns, int, int]:
+    """Return the columns that are named once, and how many bytes and numbers a point has in all."""
     names, sizes, types = fields["FIELDS"], fields["SIZE"], fields["TYPE"]
     counts = fields.get("COUNT", ["1"] * len(names))
     if not len(names) == len(sizes) == len(types) == len(counts):
@@ -117,41 +130,38 @@ def _dtype(path: Path, fields: dict[str, list[str]]) -> np.dtype[np.void]:
     missing = [name for name in ("x", "y", "z") if name not in names]
     if missing:
         raise FrameFormatError(f"{path}: FIELDS: {', '.join(missing)} missing; got {quoted(names)}")
-    parts = []
-    for place, (name, size, kind, count) in enumerate(zip(names, sizes, types, counts, strict=True)):
-        code = {"F": "f", "I": "i", "U": "u"}.get(kind)
-        if code is None or f"{code}{size}" not in ("f4", "f8", *(f"{c}{s}" for c in "iu" for s in "1248")):
-            number = quoted(f"{name}: unknown number {kind} of {size} bytes")[1:-1]
+    columns: Columns = {}
+    size = total = 0
+    for name, width, kind, count in zip(names, sizes, types, counts, strict=True):
+        if kind + width not in _NUMBERS:
+            number = quoted(f"{name}: unknown number {kind} of {width} bytes")[1:-1]
             raise FrameFormatError(f"{path}: TYPE, SIZE: {number}")
         if not 1 <= _whole(count) <= _COUNT_MAX:
             raise FrameFormatError(
                 f"{path}: COUNT: {quoted(name)}: expected 1 to {_COUNT_MAX}, got {quoted(count)}"
             )
         # Padding is called "_", many times over.
-        unique = f"_{place}" if name == "_" or names.count(name) > 1 else name
-        if name in "xyz" and (int(count) != 1 or unique != name):
+        once = names.count(name) == 1
+        if name in ("x", "y", "z") and (int(count) != 1 or not once):
             raise FrameFormatError(f"{path}: FIELDS: {name}: expected once with COUNT 1")
-        parts.append((unique, f"<{code}{size}", (int(count),)))
-    return np.dtype(parts)
+        if once:
+            columns[name] = _Column(np.dtype(f"<{kind.lower()}{width}"), int(count), size, total)
+        size, total = size + int(count) * int(width), total + int(count)
+    return columns, size, total
 
 
-Columns = dict[str, NDArray[np.generic]]
+def _from_binary(path: Path, body: bytes, columns: Columns, size: int, points: int) -> Values:
+    if len(body) < points * size:
+        raise FrameFormatError(f"{path}: DATA: the file is cut off: {len(body)} bytes of {points * size}")
+    return {
+        name: np.ndarray(points, each.dtype, body, each.bytes_before, strides=(size,))
+        for name, each in columns.items()
+    }
 
 
-def _columns(table: NDArray[np.void]) -> Columns:
-    return {name: table[name][:, 0] for name in table.dtype.names or ()}
-
-
-def _from_binary(path: Path, body: bytes, dtype: np.dtype[np.void], points: int) -> Columns:
-    expected = points * dtype.itemsize
-    if len(body) < expected:
-        raise FrameFormatError(f"{path}: DATA: the file is cut off: {len(body)} bytes of {expected}")
-    return _columns(np.frombuffer(body, dtype, points))
-
-
-def _from_compressed(path: Path, body: bytes, dtype: np.dtype[np.void], points: int) -> Columns:
+def _from_compressed(path: Path, body: bytes, columns: Columns, size: int, points: int) -> Values:
     compressed, uncompressed = int.from_bytes(body[:4], "little"), int.from_bytes(body[4:8], "little")
-    expected = points * dtype.itemsize
+    expected = points * size
     if len(body) < 8 + compressed or uncompressed != expected:
         raise FrameFormatError(
             f"{path}: DATA: the file is cut off or damaged: {len(body) - 8} bytes of {compressed}, "
@@ -161,35 +171,27 @@ def _from_compressed(path: Path, body: bytes, dtype: np.dtype[np.void], points: 
         content = decompress_lzf(body[8 : 8 + compressed], uncompressed)
     except ValueError as err:
         raise FrameFormatError(f"{path}: DATA: cannot be decompressed ({err})") from err
-    columns: Columns = {}
-    place = 0
     # One field of all points after the other.
-    for name in dtype.names or ():
-        item = dtype[name]
-        columns[name] = np.frombuffer(content, item.base, points * item.itemsize // item.base.itemsize, place)
-        columns[name] = columns[name].reshape(points, -1)[:, 0]
-        place += points * item.itemsize
-    return columns
+    return {
+        name: np.frombuffer(content, each.dtype, points * each.numbers, points * each.bytes_before)[
+            :: each.numbers
+        ]
+        for name, each in columns.items()
+    }
 
 
-def _from_ascii(path: Path, body: bytes, dtype: np.dtype[np.void], points: int) -> Columns:
-    counts = [dtype[name].shape[0] for name in dtype.names or ()]
-    expected = points * sum(counts)
+def _from_ascii(path: Path, body: bytes, columns: Columns, count: int, points: int) -> Values:
+    expected = points * count
     words = body.split(None, expected)
     if len(words) != expected:
         got = "more" if len(words) > expected else f"{len(words)} numbers"
-        raise FrameFormatError(f"{path}: DATA: expected {points} points of {sum(counts)} numbers, got {got}")
+        raise FrameFormatError(f"{path}: DATA: expected {points} points of {count} numbers, got {got}")
     try:
         table = np.fromiter(map(float, words), np.float64, expected).reshape(points, -1)
     except ValueError as err:
         raise FrameFormatError(f"{path}: DATA: not a number ({quoted(str(err))})") from err
-    columns: Columns = {}
-    place = 0
     with np.errstate(invalid="ignore", over="ignore"):
-        for name, count in zip(dtype.names or (), counts, strict=True):
-            columns[name] = table[:, place].astype(dtype[name].base)
-            place += count
-    return columns
+        return {name: table[:, each.numbers_before].astype(each.dtype) for name, each in columns.items()}
 
 
 def decompress_lzf(content: bytes, size: int) -> bytes:

@@ -60,9 +60,9 @@ class UsbDevice:
 
     The `port` is the socket, as the kernel writes it (``"1-2.3"``); unlike the address, it stays the same
     when a device is plugged in again. `drivers` are the kernel drivers that hold its interfaces.
-    `usb3_controller` is whether its bus belongs to a USB 3 (xHCI) controller. `access` is whether this user can open it:
-    "denied" is no permission, "no-node" that its file under /dev/bus/usb is not here, "silent" that it does
-    not answer, "unknown" that it was not tried.
+    `usb3_controller` is whether its bus belongs to a USB 3 (xHCI) controller. `access` is whether this user
+    can open it: "denied" is no permission, "no-node" that its file under /dev/bus/usb is not here, "silent"
+    that it does not answer, "unknown" that it was not tried.
     """
 
     vendor_id: int

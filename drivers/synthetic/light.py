@@ -31,13 +31,7 @@ _ZERO, _HALF, _ONE, _TWO, _THREE = (np.float32(n) for n in (0, 0.5, 1, 2, 3))
 
 
 class Light:
-    """The scene's textures under the lamp and the sky.
-
-    Parameters
-    ----------
-    scene : RenderedScene
-        What there is to see.
-    """
+    """The scene's textures under the lamp and the sky."""
 
     def __init__(self, scene: RenderedScene) -> None:
         self._scene = scene
@@ -68,22 +62,10 @@ class Light:
     ) -> NDArray[np.uint8]:
         """Return what a camera sees in color, (H, W, 3) uint8 RGB.
 
-        Parameters
-        ----------
-        world_from_camera : (4, 4) float64
-            Where the camera is.
-        tick : float
-            The moment.
-        points : three of (H, W) float32
-            What each pixel shows: x / z, y / z and z in the camera's frame.
-        objects : (H, W) uint8
-            Number of the visible object + 1, 0 where there is none.
-        runs : (R, 3) int64
-            See `nurbseg.drivers.synthetic.rays.runs_of`.
-        normals : (3, H, W) float32
-            In the camera's frame.
-        atlas_px : (2, H, W) float32
-            Column and row in the atlas.
+        The `points`, three of (H, W), are x / z, y / z and z of what each pixel shows, and the `normals`, (3,
+        H, W), are in the camera's frame too. `objects` (H, W) holds the number of the visible object + 1, 0
+        where there is none, in `runs` (`nurbseg.drivers.synthetic.rays.runs_of`). `atlas_px` (2, H, W) holds
+        columns and rows.
         """
         image = np.empty((*objects.shape, 3), dtype=np.uint8)
         cv2.remap(self._atlas, atlas_px[0], atlas_px[1], cv2.INTER_LINEAR, dst=image)

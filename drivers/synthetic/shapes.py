@@ -12,25 +12,10 @@ from nurbseg.drivers.synthetic.rays import hit_each
 
 
 class Shape:
-    """A solid or sheet in its own frame, metres, z upwards.
+    """A solid or sheet in its own frame, metres, z upwards, with a box around it from `low` to `high`.
 
-    Parameters
-    ----------
-    kind : int
-        Which of the forms it is.
-    sizes : tuple of float
-        What the form leaves open, up to four numbers.
-    low, high : (float, float, float)
-        Corners of a box around it.
-    faces : int
-        How many smooth surfaces it has.
-
-    Attributes
-    ----------
-    sizes : (4,) float32
-        The same, for the loops that take many shapes at once.
-    corners_m : (8, 3) float64
-        The box's corners.
+    The `sizes` are what a kind of shape leaves open, up to four numbers, and `faces` is how many smooth
+    surfaces it has. `corners_m` are those of the box, (8, 3).
     """
 
     def __init__(
@@ -49,19 +34,10 @@ class Shape:
     def hit(
         self, origins: NDArray[np.float32], directions: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        """Find where rays first meet the shape.
+        """Find where rays first meet the shape, ahead of their origins, and which face they meet.
 
-        Parameters
-        ----------
-        origins, directions : (N, 3) float32
-            The rays, in the shape's frame; directions of any length.
-
-        Returns
-        -------
-        multiples : (N,) float32
-            Of the directions; inf where a ray misses. Only what lies ahead of the origin counts.
-        faces : (N,) uint8
-            The face that is met.
+        The rays, (N, 3), are in the shape's frame. Returns (N,) multiples of the directions, inf where a ray
+        misses, and (N,) faces.
         """
         multiples, faces = np.empty(len(origins), np.float32), np.empty(len(origins), np.uint8)
         rows = np.ascontiguousarray(origins), np.ascontiguousarray(directions)
