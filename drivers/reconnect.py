@@ -88,11 +88,6 @@ class Reconnecting(FrameSource):
         return self._source is not None
 
     @property
-    def source(self) -> FrameSource | None:
-        """The camera's own source; None while it is away."""
-        return self._source
-
-    @property
     def losses(self) -> Mapping[str, int]:
         """Those of the camera, before and after it was away, and how often that was."""
         lost = Counter(self._lost)

@@ -1,4 +1,4 @@
-"""Parses TOML, YAML and XML that somebody else made, within bounds of size.
+"""Parses TOML, YAML and XML that somebody else made; the caller has limited its size.
 
 Neither recursion nor references can make a small text large: YAML has no aliases here, XML no document type.
 Every fault is a ValueError with a short message; the caller names the file.
@@ -27,7 +27,8 @@ def parse_toml(text: str) -> dict[str, Any]:
     """Return the tables of a TOML text; raises ValueError if it is not TOML, or exceeds the limits."""
     if any(len(line) > _TOML_LINE_MAX for line in text.splitlines()):
         raise ValueError(f"expected lines of {_TOML_LINE_MAX} characters at most")
-    _check_length(text)
+    if len(text) > TEXT_BYTES_MAX:
+        raise ValueError(f"expected {TEXT_BYTES_MAX} characters at most, got {len(text)}")
     try:
         return tomllib.loads(text)
     except RecursionError:
@@ -42,7 +43,6 @@ def parse_yaml(text: str) -> Any:
     Tags are passed over. Scalars that read as numbers are numbers, all others are texts. Raises ValueError if
     it is not YAML, has aliases, or exceeds the limits.
     """
-    _check_length(text)
     loader = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
     values = depth = 0
     try:
@@ -89,18 +89,12 @@ def parse_xml(text: str) -> Element:
 
     Raises ValueError if it is not XML, has a document type, or exceeds the limits.
     """
-    _check_length(text)
     if "<!DOCTYPE" in text:
         raise ValueError("a document type (<!DOCTYPE) is not allowed")
     try:
         return ElementTree.fromstring(text)
     except ElementTree.ParseError as err:
         raise ValueError(_one_line(err)) from err
-
-
-def _check_length(text: str) -> None:
-    if len(text) > TEXT_BYTES_MAX:
-        raise ValueError(f"expected {TEXT_BYTES_MAX} characters at most, got {len(text)}")
 
 
 def _one_line(err: Exception) -> str:

@@ -35,6 +35,8 @@ class CameraModel:
         where = f"{self.path}: {self.field}: expected"
         if self.matrix.shape != (3, 3):
             raise CalibrationError(f"{where} a 3 x 3 camera matrix, got {self.matrix.shape}")
+        if not self.matrix.any():
+            raise CalibrationError(f"{self.path}: {self.field}: the camera is not calibrated (all zeros)")
         if not np.isfinite(self.matrix).all():
             raise CalibrationError(f"{where} finite numbers, got {quoted(self.matrix.tolist())}")
         if not np.allclose(self.matrix[2], [0, 0, 1]):

@@ -35,7 +35,7 @@ _STEREO_NAMES = (
     ("cameraMatrix{}", "distCoeffs{}", "width{}", "height{}", ("1", "2")),
 )
 #: ROS's names of OpenCV's distortion model; others, as "equidistant", are different models.
-DISTORTION_MODELS = ("plumb_bob", "rational_polynomial", "thin_prism_fisheye")
+_DISTORTION_MODELS = ("plumb_bob", "rational_polynomial", "thin_prism_fisheye")
 #: The cameras of one sensor are closer than this; a longer translation is in millimetres.
 _LONGEST_BASELINE_M = 1.0
 
@@ -95,12 +95,7 @@ def _camera(path: Path, table: dict[str, Any], names: tuple[tuple[str, ...], ...
     name, matrix = _matrix(path, table, names[0])
     if matrix.size != 9:
         raise CalibrationError(f"{path}: {name}: expected 9 numbers, got {matrix.size}")
-    if not matrix.any():
-        raise CalibrationError(f"{path}: {name}: the camera is not calibrated (all zeros)")
-    model = table.get("distortion_model") or DISTORTION_MODELS[0]
-    if model not in DISTORTION_MODELS:
-        expected = ", ".join(DISTORTION_MODELS)
-        raise CalibrationError(f"{path}: distortion_model: expected one of {expected}, got {quoted(model)}")
+    check_distortion_model(path, "distortion_model", table.get("distortion_model"))
     distortion = np.zeros(0)
     if any(each in table for each in names[1]):
         distortion = _matrix(path, table, names[1])[1].ravel()
@@ -109,6 +104,13 @@ def _camera(path: Path, table: dict[str, Any], names: tuple[tuple[str, ...], ...
     if width in table or height in table:
         size = image_size(path, (width, height), (table.get(width), table.get(height)))
     return CameraModel(path, name, matrix.reshape(3, 3), distortion, size)
+
+
+def check_distortion_model(path: Path, field: str, model: Any) -> None:
+    """Raise CalibrationError if a lens model is named that is not OpenCV's."""
+    if model and model not in _DISTORTION_MODELS:
+        expected = ", ".join(_DISTORTION_MODELS)
+        raise CalibrationError(f"{path}: {field}: expected one of {expected}, got {quoted(model)}")
 
 
 def _transform(path: Path, table: dict[str, Any]) -> NDArray[np.float64]:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.calibration.cameras import CameraModel
-from nurbseg.drivers.calibration.matrices import DISTORTION_MODELS
+from nurbseg.drivers.calibration.matrices import check_distortion_model
 from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_labels, millimetres
-from nurbseg.drivers.errors import CalibrationError, FrameFormatError, quoted
+from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.drivers.frame import Intrinsics
 from nurbseg.drivers.mcap.definitions import COMPRESSED_IMAGE
 
@@ -137,15 +137,8 @@ def camera_of(message: Any, path: Path, topic: str) -> CameraModel:
 
     Raises CalibrationError if it is not calibrated, or its lens model is another than OpenCV's.
     """
-    model = message.distortion_model
-    if model and model not in DISTORTION_MODELS:
-        raise CalibrationError(
-            f"{path}: {topic}: distortion_model: expected one of {', '.join(DISTORTION_MODELS)}, "
-            f"got {quoted(model)}"
-        )
+    check_distortion_model(path, f"{topic}: distortion_model", message.distortion_model)
     matrix = np.array(message.k, dtype=np.float64).reshape(3, 3)
-    if not matrix.any():
-        raise CalibrationError(f"{path}: {topic}: k: the camera is not calibrated (all zeros)")
     size = (message.width, message.height) if message.width and message.height else None
     return CameraModel(path, f"{topic}: k", matrix, np.array(message.d, dtype=np.float64), size)
 

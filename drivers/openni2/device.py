@@ -16,7 +16,7 @@ from nurbseg.drivers.openni2.configuration import calibrate, configure, set_mode
 from nurbseg.drivers.openni2.oni.recorder import OniRecorder
 from nurbseg.drivers.openni2.opened import describe, open_camera
 from nurbseg.drivers.openni2.options import DeviceOptions
-from nurbseg.drivers.openni2.stream import Image, Stream, frame_images, wait_for_any
+from nurbseg.drivers.openni2.stream import Image, Stream, frame_of, wait_for_any
 from nurbseg.drivers.source import FrameSource
 
 logger = logging.getLogger(__name__)
@@ -211,19 +211,15 @@ class DeviceSource(FrameSource):
         return self._pairing.add(stream.sensor, image)
 
     def _frame(self, depth: Image, color: Image) -> RGBDFrame:
-        depth_mm, rgb = frame_images(
+        frame = frame_of(
+            self._index,
+            depth.timestamp_us,
             depth.pixels,
             color.pixels,
+            self.calibration,
             tenths=self._options.depth_unit == "100um",
             flip_depth=self._applied.flip_depth,
             flip_color=self._applied.flip_color,
-        )
-        frame = RGBDFrame(
-            index=self._index,
-            timestamp_ns=depth.timestamp_us * 1000,
-            depth_mm=depth_mm,
-            color=rgb,
-            calibration=self.calibration,
         )
         self._index += 1
         return frame

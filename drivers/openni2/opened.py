@@ -71,8 +71,6 @@ class OpenedDevice(Closing):
 
     def add_stream(self, sensor: Sensor) -> Stream:
         """Make the stream of a sensor; raises DriverError where the device does not give it."""
-        if not self.has(sensor):
-            raise DriverError(f"{self.uri}: the camera has no {sensor.name.lower()} stream")
         stream = Stream(self.library, self._handle, sensor)
         self.streams += (stream,)
         return stream

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameFormatError
+from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.openni2.capi import (
     BYTES_PER_PIXEL,
     OniFrame,
@@ -211,18 +212,28 @@ def _pixels(copy: bytes, shape: tuple[int, int], width: int, pixel_format: Pixel
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), to_rgb[pixel_format]), np.uint8)
 
 
-def frame_images(
-    depth: NDArray[Any], color: NDArray[Any], *, tenths: bool, flip_depth: bool, flip_color: bool
-) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
-    """Return the images of a frame, of what a device or a recording delivers.
+def frame_of(
+    index: int,
+    timestamp_us: int,
+    depth: NDArray[Any],
+    color: NDArray[Any],
+    calibration: Calibration,
+    *,
+    tenths: bool,
+    flip_depth: bool,
+    flip_color: bool,
+) -> RGBDFrame:
+    """Return the frame of the images that a device or a recording delivers.
 
     Depth in tenths of a millimetre is rounded to whole ones; an image is mirrored where that is asked.
     """
     if tenths:
         depth = ((depth.astype(np.uint32) + 5) // 10).astype(np.uint16)
-    flips = ((depth, flip_depth), (color, flip_color))
-    depth_mm, rgb = (np.ascontiguousarray(image[:, ::-1]) if flip else image for image, flip in flips)
-    return depth_mm, rgb
+    depth, color = (
+        np.ascontiguousarray(image[:, ::-1]) if flip else image
+        for image, flip in ((depth, flip_depth), (color, flip_color))
+    )
+    return RGBDFrame(index, timestamp_us * 1000, depth, color, calibration)
 
 
 def wait_for_any(library: Library, streams: tuple[Stream, ...], timeout_s: float) -> Stream | None:

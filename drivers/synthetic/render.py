@@ -20,14 +20,14 @@ class Rendering:
     """What one camera sees.
 
     `depth_m` (H, W) is along the optical axis, inf where there is nothing; `objects` (H, W) holds the number
-    of the visible object + 1, 0 where there is none, `faces` (H, W) the number of its visible face; `color`
-    (H, W, 3) is RGB, if asked for.
+    of the visible object + 1, 0 where there is none, `faces` (H, W) the number of its visible face.
+    `object_from_camera` (S, 4, 4) are the objects' poses.
     """
 
     depth_m: NDArray[np.float32]
     objects: NDArray[np.uint8]
     faces: NDArray[np.uint8]
-    color: NDArray[np.uint8] | None
+    object_from_camera: NDArray[np.float32]
 
 
 class Renderer:
@@ -51,7 +51,7 @@ class Renderer:
         # Made for cameras that ask for color: it takes a moment.
         return Light(self._scene)
 
-    def render(self, world_from_camera: NDArray[np.float64], tick: float, *, color: bool) -> Rendering:
+    def render(self, world_from_camera: NDArray[np.float64], tick: float) -> Rendering:
         """Return what the camera sees from a place at a moment."""
         shape = self._camera.height, self._camera.width
         depth = np.full(shape, np.inf, dtype=np.float32)
@@ -59,17 +59,21 @@ class Renderer:
         poses = [self._scene.world_from_object(n, tick) for n in range(self._kinds.size)]
         camera_from_object = np.linalg.inv(world_from_camera) @ np.stack(poses)
         windows = np.array([self._window(each) for each in camera_from_object @ self._corners])
-        scene = self._kinds, self._sizes, np.linalg.inv(camera_from_object).astype(np.float32)
-        cast(*scene, windows, *self._rays, depth, objects, faces)
-        if not color:
-            return Rendering(depth, objects, faces, None)
+        object_from_camera = np.linalg.inv(camera_from_object).astype(np.float32)
+        cast(self._kinds, self._sizes, object_from_camera, windows, *self._rays, depth, objects, faces)
+        return Rendering(depth, objects, faces, object_from_camera)
+
+    def color(
+        self, world_from_camera: NDArray[np.float64], tick: float, seen: Rendering
+    ) -> NDArray[np.uint8]:
+        """Return the color image, (H, W, 3) RGB, of what the camera sees."""
+        shape, runs, points = seen.objects.shape, runs_of(seen.objects), (*self._rays, seen.depth_m)
         normals, atlas_px = np.empty((3, *shape), dtype=np.float32), np.empty((2, *shape), dtype=np.float32)
-        points, runs = (*self._rays, depth), runs_of(objects)
-        surfaces_seen(*scene, self._light.atlas_windows, *points, objects, faces, runs, normals, atlas_px)
-        image = self._light.image(world_from_camera, tick, points, objects, runs, normals, atlas_px)
+        scene = self._kinds, self._sizes, seen.object_from_camera, self._light.atlas_windows
+        surfaces_seen(*scene, *points, seen.objects, seen.faces, runs, normals, atlas_px)
+        image = self._light.image(world_from_camera, tick, points, seen.objects, runs, normals, atlas_px)
         # A lens does not draw steps: the slight blur is what antialiasing would give.
-        blurred = np.asarray(cv2.GaussianBlur(image, (3, 3), 0.6), dtype=np.uint8)
-        return Rendering(depth, objects, faces, blurred)
+        return np.asarray(cv2.GaussianBlur(image, (3, 3), 0.6), dtype=np.uint8)
 
     def _window(self, corners: NDArray[np.float64]) -> tuple[int, int, int, int]:
         """Return the rows and columns whose rays can hit the box of (4, 8) corners: firsts and ends."""

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, I8, I64, U8, U16, Bool, compiled, inlined
+from nurbseg.drivers.compiled import F32, I8, I64, U8, U16, Bool, compiled
 from nurbseg.drivers.frame import Intrinsics
 
 #: Step of inverse depth, 1/m: depth comes in steps of about 2.85e-3 z^2 metres.
@@ -162,34 +162,10 @@ def _measure(
                     moved[column] = depth_m[row + down[column], column + right[column]]
         axial_part = axial[row + cuts[0, 0], cuts[0, 1] : cuts[0, 1] + width]
         lost_part = lost[row + cuts[2, 0], cuts[2, 1] : cuts[2, 1] + width]
-        _measure_row(
-            moved,
-            inverse[row],
-            highest[row],
-            lowest[row],
-            dark[row],
-            axial_part,
-            lost_part,
-            grazing,
-            depth_mm[row],
-        )
-
-
-@inlined
-def _measure_row(
-    depth_m: Any,
-    inverse: Any,
-    highest: Any,
-    lowest: Any,
-    dark: Any,
-    axial: Any,
-    lost: Any,
-    grazing: Any,
-    depth_mm: Any,
-) -> None:
-    for n in range(depth_m.size):
-        noisy = quantised(depth_m[n] + axial_noise_m(depth_m[n]) * axial[n])
-        seen = (dark[n] == 0) & ((highest[n] - lowest[n] <= grazing * inverse[n]) | (not lost[n]))
-        # Where there is nothing, noise makes an infinity or no number at all, which is in no range.
-        seen &= (noisy >= _NEAREST) & (noisy <= _FARTHEST)
-        depth_mm[n] = np.uint16(np.rint(noisy * np.float32(1000))) if seen else np.uint16(0)
+        for n in range(width):
+            noisy = quantised(moved[n] + axial_noise_m(moved[n]) * axial_part[n])
+            facing = highest[row, n] - lowest[row, n] <= grazing * inverse[row, n]
+            seen = (dark[row, n] == 0) & (facing | (not lost_part[n]))
+            # Where there is nothing, noise makes an infinity or no number at all, which is in no range.
+            seen &= (noisy >= _NEAREST) & (noisy <= _FARTHEST)
+            depth_mm[row, n] = np.uint16(np.rint(noisy * np.float32(1000))) if seen else np.uint16(0)

@@ -104,7 +104,7 @@ class SyntheticSource(SequenceSource):
     def exact_depth_m(self, index: int) -> NDArray[np.float32]:
         """Return the depth of a frame before any fault, (H, W) float32 metres; inf where there is nothing."""
         tick = self._tick(index)
-        return self._depth.render(self._scene.world_from_depth(tick), tick, color=False).depth_m
+        return self._depth.render(self._scene.world_from_depth(tick), tick).depth_m
 
     def frame(self, index: int) -> RGBDFrame:
         """Return any frame of the sequence, whichever is read next.
@@ -115,13 +115,12 @@ class SyntheticSource(SequenceSource):
             raise ValueError(f"index: expected 0 to {self.options.frames - 1}, got {index}")
         tick = self._tick(index)
         world_from_depth = self._scene.world_from_depth(tick)
-        seen = self._depth.render(world_from_depth, tick, color=self._color is None)
-        color = seen.color
-        if self._color is not None:
+        seen = self._depth.render(world_from_depth, tick)
+        if self._color is None:
+            color = self._depth.color(world_from_depth, tick, seen)
+        else:
             world_from_color = world_from_depth @ np.linalg.inv(self.calibration.color_from_depth)
-            color = self._color.render(world_from_color, tick, color=True).color
-        if color is None:
-            raise RuntimeError("the renderer gave no color image though one was requested")
+            color = self._color.color(world_from_color, tick, self._color.render(world_from_color, tick))
         return RGBDFrame(
             index=index,
             timestamp_ns=round(index * 1e9 / self.options.fps),

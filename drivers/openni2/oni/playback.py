@@ -20,12 +20,11 @@ from nurbseg.drivers.openni2 import nominal
 from nurbseg.drivers.openni2.capi import PixelFormat, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate
 from nurbseg.drivers.openni2.isolated.messages import Failure
-from nurbseg.drivers.openni2.library import find_library
 from nurbseg.drivers.openni2.oni.file import OniFile, StoredFrame, read_structure
 from nurbseg.drivers.openni2.oni.player import Description, PlayedImage
 from nurbseg.drivers.openni2.oni.player_process import OPEN_LIMIT_S, PlayerProcess
 from nurbseg.drivers.openni2.options import DeviceOptions
-from nurbseg.drivers.openni2.stream import frame_images
+from nurbseg.drivers.openni2.stream import frame_of
 from nurbseg.drivers.source import FrameSource
 
 if TYPE_CHECKING:
@@ -61,7 +60,6 @@ class OniSource(FrameSource):
         self._path = path
         self._options = options or DeviceOptions()
         self._cameras = cameras
-        find_library()
         file = read_structure(path)
         if not file.counts_all:
             raise RecordingFormatError(
@@ -172,7 +170,16 @@ class OniSource(FrameSource):
             self._waiting[message.sensor, message.number] = message
             self._forget_before(stored_depth.number, stored_color.number)
         depth, color = (self._waiting.pop(each) for each in wanted)
-        frame = self._frame(stored_depth.timestamp_us, depth, color)
+        frame = frame_of(
+            self._next,
+            stored_depth.timestamp_us,
+            depth.pixels,
+            color.pixels,
+            self.calibration,
+            tenths=self._tenths,
+            flip_depth=self._flip_depth,
+            flip_color=self._flip_color,
+        )
         self._next += 1
         return frame
 
@@ -189,22 +196,6 @@ class OniSource(FrameSource):
         oldest = {Sensor.DEPTH: depth, Sensor.COLOR: color}
         for each in [each for each in self._waiting if each[1] < oldest.get(each[0], 0)]:
             del self._waiting[each]
-
-    def _frame(self, timestamp_us: int, depth: PlayedImage, color: PlayedImage) -> RGBDFrame:
-        depth_mm, rgb = frame_images(
-            depth.pixels,
-            color.pixels,
-            tenths=self._tenths,
-            flip_depth=self._flip_depth,
-            flip_color=self._flip_color,
-        )
-        return RGBDFrame(
-            index=self._next,
-            timestamp_ns=timestamp_us * 1000,
-            depth_mm=depth_mm,
-            color=rgb,
-            calibration=self.calibration,
-        )
 
     def _close(self) -> None:
         self._player.close()

@@ -39,10 +39,9 @@ class Play:
 
 @dataclass(frozen=True, slots=True)
 class StreamDescription:
-    """Size in pixels, frames per second, OpenNI2's pixel format, field of view in radians, and mirroring."""
+    """Size in pixels, OpenNI2's pixel format, field of view in radians, and mirroring."""
 
     size: tuple[int, int]
-    fps: int
     format: PixelFormat
     fov: float | None
     mirrored: bool
@@ -59,14 +58,13 @@ class Description:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlayedImage:
-    """An image: its sensor, number and time in microseconds.
+    """An image: its sensor and number.
 
     The pixels are depth (H, W) uint16 in the recording's unit, or color (H, W, 3) uint8 RGB.
     """
 
     sensor: Sensor
     number: int
-    timestamp_us: int
     pixels: NDArray[Any]
 
 
@@ -82,7 +80,6 @@ def _description(stream: Stream) -> StreamDescription:
     mode = stream.mode
     return StreamDescription(
         (mode.width, mode.height),
-        mode.fps,
         mode.pixel_format,
         stream.find(StreamProperty.HORIZONTAL_FOV, ctypes.c_float),
         bool(stream.find(StreamProperty.MIRRORING, ctypes.c_int)),
@@ -123,7 +120,7 @@ def play(path: str, channel: Channel) -> None:
                 break
             image = ready.take()
             if image is not None:
-                _send(channel, PlayedImage(ready.sensor, image.number, image.timestamp_us, image.pixels))
+                _send(channel, PlayedImage(ready.sensor, image.number, image.pixels))
         _send(channel, End())
 
 
