@@ -1,4 +1,4 @@
-"""Where frames come from: cameras, recordings and a synthetic scene."""
+"""Sources of frames: cameras, recordings and a synthetic scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is closed when its ``with`` block ends."""
+"""A base class for objects that a ``with`` block closes."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Self
 
 
 class Closing(ABC):
-    """Something that is open from its construction to `close`, and may be used in a ``with`` statement."""
+    """An object that is open from its construction until `close`, and can be used in a ``with`` statement."""
 
     @abstractmethod
     def close(self) -> None:
-        """Give back what is held."""
+        """Release what is held."""
 
     def __enter__(self) -> Self:
         return self

@@ -1,4 +1,4 @@
-"""What can go wrong where frames come from."""
+"""The errors of frame sources."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Opens and reads files that somebody else made: regular files only, of bounded size; and creates our own."""
+"""Opens and reads untrusted files, regular ones of limited size only, and creates private ones."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def read_file(
 def create_private(path: Path, buffering: int = -1) -> BinaryIO:
     """Create a file that only this user may read, and open it for writing.
 
-    What cameras see is nobody else's business, whatever the umask is. A device is opened as it is. Raises
+    Recordings are private, whatever the umask is. A device is opened as it is. Raises
     FileExistsError if there is a file of this name already, and OSError if it cannot be created.
     """
     check_absent(path)
@@ -77,9 +77,9 @@ def check_absent(path: Path) -> None:
 
 
 def part_after(path: Path, parts: int) -> Path:
-    """Return the name of the file that goes on after so many parts: ``NAME-2.mcap`` after the first.
+    """Return the name of the next part of a recording: ``NAME-2.mcap`` after the first.
 
-    Names of files that exist are passed over.
+    Names of existing files are skipped.
     """
     numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(parts + 1))
     return next(each for each in numbered if not each.exists())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -93,14 +93,14 @@ class Intrinsics:
     def scaled_to(self, width: int, height: int) -> Intrinsics:
         """Return the same camera for an image of another size, pixel centres being at integers."""
         sx, sy = width / self.width, height / self.height
-        return Intrinsics(
+        return replace(
+            self,
             width=width,
             height=height,
             fx=self.fx * sx,
             fy=self.fy * sy,
             cx=(self.cx + 0.5) * sx - 0.5,
             cy=(self.cy + 0.5) * sy - 0.5,
-            distortion=self.distortion,
         )
 
 

@@ -1,7 +1,7 @@
-"""How large a file of frames and its parts may be; what is larger is refused before memory is taken for it.
+"""Size limits of files and their parts; what is larger is refused before memory is allocated for it.
 
-They are far above what depth cameras make, and low enough for a computer with 4 GB. A file that somebody
-else made can declare any size.
+They are far above what depth cameras produce, and low enough for a computer with 4 GB. A file from elsewhere
+can declare any size.
 """
 
 from __future__ import annotations

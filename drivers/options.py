@@ -1,4 +1,4 @@
-"""What a user may add to a URI or path."""
+"""What a user may specify besides a URI or path."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ASSOCIATION_LIMIT_S = 0.02
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SourceOptions:
-    """What a user may add to a URI or path.
+    """What a user may specify besides a URI or path.
 
     Parameters
     ----------

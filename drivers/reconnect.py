@@ -1,4 +1,4 @@
-"""Takes a lost camera up again when it is back, so that frames go on."""
+"""Reopens a lost camera when it is back, so that frames continue."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ logger = logging.getLogger(__name__)
 
 @runtime_checkable
 class Recordable(Protocol):
-    """A source that brings its own recorder."""
+    """A source with its own recorder."""
 
     def start_recording(self, path: Path, *, lossy: bool = False) -> None:
-        """Record to a file from the next frame on."""
+        """Record to a file, beginning with the next frame."""
 
     def stop_recording(self) -> None:
         """Finish the file."""
 
 
 class Reconnecting(FrameSource):
-    """A live source that outlasts its camera's being unplugged.
+    """A live source that continues after its camera was unplugged and plugged in again.
 
-    While the camera is away `read` raises FrameTimeoutError when its time is over, as for a camera that is
-    slow. When it is back frames go on with the next index, and with times that continue those before by the
-    time that has passed: a camera's clock restarts when it is plugged in.
+    While the camera is disconnected, `read` raises FrameTimeoutError when its time limit is over, as for a
+    slow camera. When it is back, indices continue, and so do timestamps, advanced by the time that has
+    passed: a camera's clock restarts when it is plugged in.
 
-    The open `source` is owned. `reopen` opens the same camera again, every `interval_s` seconds, and raises
-    DriverError for as long as it is away; `abandon` is called on closing, as what `reopen` has under way is
-    not wanted any more.
+    The open `source` is owned. `reopen` is called every `interval_s` seconds to open the same camera again,
+    and raises DriverError while it is disconnected; `abandon` is called on closing, to cancel what `reopen`
+    has begun.
 
     Attributes
     ----------
@@ -89,17 +89,17 @@ class Reconnecting(FrameSource):
 
     @property
     def losses(self) -> Mapping[str, int]:
-        """Those of the camera, before and after it was away, and how often that was."""
+        """Losses of the camera, before and after disconnections, and the number of these."""
         lost = Counter(self._lost)
         if self._source is not None:
             lost.update(self._source.losses)
         return {**lost, "reconnections": self.reconnections}
 
     def start_recording(self, path: Path, *, lossy: bool = False) -> None:
-        """Record with the camera's own recorder; after a loss, go on in a file with the next number.
+        """Record with the camera's own recorder; after a disconnection, continue in the next file.
 
-        That is ``NAME-2.oni`` and so on, where names of files that exist are passed over; the first must not
-        exist. `lossy` says whether color may be packed with loss. Raises DriverError if the camera is away,
+        The first file must not exist; the next is ``NAME-2.oni`` and so on, skipping names of existing files.
+        `lossy` allows lossy compression of color. Raises DriverError if the camera is away,
         has no recorder, or cannot record to the file.
         """
         if not isinstance(self._source, Recordable):
@@ -142,7 +142,7 @@ class Reconnecting(FrameSource):
 
     def _let_go(self) -> None:
         source, self._source = self._source, None
-        # A camera that comes back at once is found at once.
+        # A camera that comes back immediately is found immediately.
         self._next_try_s = self._clock()
         self._ahead_ns = None
         if source is not None:
@@ -173,7 +173,7 @@ class Reconnecting(FrameSource):
 
     def _take_over(self, source: FrameSource) -> None:
         before, self.calibration = self.calibration, source.calibration
-        # In place, for whoever has it already.
+        # In place, since others hold this dictionary.
         self.metadata.update(source.metadata)
         if before.is_registered != source.calibration.is_registered:
             logger.warning(

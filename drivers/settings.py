@@ -1,4 +1,4 @@
-"""Settings that describe themselves: a dataclass field with its meaning, unit, bounds and symbol.
+"""Settings: dataclass fields that are described by a text, unit, bounds and symbol.
 
 The command line, the configuration file and the checks are all made from these descriptions; values are read
 by the fields' types.

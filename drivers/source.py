@@ -1,4 +1,4 @@
-"""What every source of frames has in common, and the pacing of a replay."""
+"""The base class of frame sources, and the pacing of a replay."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class FrameSource(Closing):
         return {}
 
     def skip(self, frames: int) -> int:
-        """Go past the next frames; return how many there were to pass. A damaged frame counts as one."""
+        """Skip the next frames; return how many were skipped. A damaged frame counts as one."""
         for passed in range(frames):
             try:
                 self._pass_frame()
@@ -86,7 +86,7 @@ class FrameSource(Closing):
         return frames
 
     def seek(self, index: int) -> None:
-        """Let the frame of a number be read next, 0 for a recording's first; the last one if it has fewer.
+        """Make the frame with this number the next to be read: 0 for the first; beyond the end, the last.
 
         Raises
         ------
@@ -107,7 +107,7 @@ class FrameSource(Closing):
     def _read(self, timeout_s: float) -> RGBDFrame: ...
 
     def _pass_frame(self) -> None:
-        """Go past one frame, raising what `read` does; for subclasses that need not decode it."""
+        """Skip one frame, raising what `read` does; for subclasses that can do so without decoding it."""
         self.read()
 
     def _seek(self, index: int) -> None:
@@ -125,7 +125,7 @@ class FrameSource(Closing):
 
 
 class Wrapped(FrameSource):
-    """A source that takes the frames of another one, which it closes with itself."""
+    """A source that wraps another one, and closes it with itself."""
 
     def __init__(self, source: FrameSource) -> None:
         super().__init__()
@@ -136,7 +136,7 @@ class Wrapped(FrameSource):
 
     @property
     def losses(self) -> Mapping[str, int]:
-        """Those of the source."""
+        """Losses of the wrapped source."""
         return self._source.losses
 
     def _seek(self, index: int) -> None:
@@ -149,8 +149,8 @@ class Wrapped(FrameSource):
 class Paced(Wrapped):
     """Replays another source at its recorded rate, or a multiple of it.
 
-    A frame is handed out at ``start + (its timestamp - first timestamp) / speed``. These moments are
-    absolute, so that delays do not add up; a reader that is late gets the frames it missed at once. Where
+    A frame is returned at ``start + (its timestamp - first timestamp) / speed``. These moments are
+    absolute, so that delays do not add up; a late reader gets the frames it missed without a wait. Where
     the timestamps jump, by more than `_LONGEST_PAUSE_S` forward or back, the log says so, and the replay
     goes on after that pause, or at once.
 
@@ -201,7 +201,7 @@ class Paced(Wrapped):
         self.restart()
 
     def restart(self) -> None:
-        """Make the next frame due at once, and those after it count from it: after a pause."""
+        """Make the next frame due now, and time those after it from it: after a pause."""
         self._start_s = None
 
     def _read(self, timeout_s: float) -> RGBDFrame:
@@ -243,7 +243,7 @@ class Paced(Wrapped):
         super()._seek(index)
 
     def skip(self, frames: int) -> int:
-        """Go past the next frames without waiting for their moments."""
+        """Skip the next frames without waiting until they are due."""
         if self._waiting is None or frames < 1:
             return self._source.skip(frames)
         self._waiting = None

@@ -1,4 +1,4 @@
-"""Parses TOML, YAML and XML that somebody else made; the caller has limited its size.
+"""Parses untrusted TOML, YAML and XML, whose size the caller has limited.
 
 Neither recursion nor references can make a small text large: YAML has no aliases here, XML no document type.
 Every fault is a ValueError with a short message; the caller names the file.

@@ -1,4 +1,4 @@
-"""Decodes one color, depth or label image, and says what is wrong with one that cannot be used."""
+"""Decodes color, depth and label images, and reports what is wrong with one that cannot be used."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _RAW_DEPTH_MAX_MM = 10_000
 
 
 def check_complete(content: bytes, name: str) -> bytes:
-    """Find out that an encoded image is too large, cut off or damaged, which decoders may pass over.
+    """Check that an encoded image is not too large, cut off or damaged, which decoders may ignore.
 
     Returns what is to be decoded: a PNG without its texts and animation. Raises FrameFormatError if the image
     is of no known form or has too many pixels, a PNG, JPEG, PGM or PPM does not reach its end, or a PNG's

@@ -1,7 +1,6 @@
-"""Reads MATLAB files; a program of its own.
+"""A program that reads MATLAB files; `MatProcess` runs it.
 
-The libraries that read them crash on, or take any amount of memory for, files that are damaged or made for
-that. `MatProcess` runs it.
+On damaged or malicious files, the libraries that read them may crash or take any amount of memory.
 """
 
 from __future__ import annotations

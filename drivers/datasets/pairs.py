@@ -1,4 +1,4 @@
-"""Finds the pairs of color and depth images in a folder by how people name them."""
+"""Finds the pairs of color and depth images in a folder by their usual names."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ class SequenceSource(FrameSource):
     def _read(self, timeout_s: float) -> RGBDFrame:
         if self._next >= self._frames:
             raise EndOfRecordingError(f"{self._path}: end after {self._frames} frames")
-        # Counted first, so that a frame that cannot be loaded is passed by.
+        # Counted first, so that a frame that cannot be loaded is skipped.
         self._next += 1
         try:
             return self._load(self._next - 1)
@@ -78,7 +78,7 @@ class SequenceSource(FrameSource):
             ) from err
 
     def skip(self, frames: int) -> int:
-        """Go past the next frames without loading them; return how many there were to pass."""
+        """Skip the next frames without loading them; return how many were skipped."""
         passed = min(frames, self._frames - self._next)
         self._next += passed
         return passed

@@ -1,4 +1,4 @@
-"""The doctor: why a depth camera does not work, and what to do about it.
+"""The diagnosis: why a depth camera does not work, and what to do about it.
 
 `diagnose` is a pure function of a described system; `describe` describes this computer.
 """
@@ -18,7 +18,7 @@ from nurbseg.drivers.doctor.usb import scan_usb
 from nurbseg.drivers.doctor.usb_findings import (
     bus_findings,
     camera_findings,
-    motor_findings,
+    no_permission,
     not_plugged_in,
     power_findings,
 )
@@ -86,8 +86,9 @@ def _findings(system: System, wanted: str) -> Iterator[Finding]:
         yield from camera_findings(camera, system)
         yield from driver_findings(camera, installation)
     for motor in parts:
-        if motor.model.role == "motor" and usb.bus_folder:
-            yield from motor_findings(motor, system.host)
+        if motor.model.role == "motor" and usb.bus_folder and motor.device.access == "denied":
+            # The camera works all the same.
+            yield replace(no_permission(motor, system.host), severity="warning")
     unpowered = list(power_findings(parts))
     yield from unpowered
     if not cameras and not unpowered and usb.bus_folder and (usb.libusb or usb.sysfs) and not usb.problem:

@@ -1,4 +1,4 @@
-"""The values that a diagnosis is made of: what was found, and the system it was found on."""
+"""The values of a diagnosis: the findings, and the system that was examined."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Part(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that the doctor found: what it is, how that is known and why it matters, and what to do.
+    """One finding: what it is, how that is known and why it matters, and what to do.
 
     The `code` is for programs; docs/cameras.md lists all. An error keeps a camera from working, a warning may
     do so. A step is one command or action.

@@ -11,15 +11,38 @@ from nurbseg.drivers.openni2.library import LIBRARY_FILE, REDIST_VARIABLE
 
 def library_findings(installation: Installation) -> Iterator[Finding]:
     """Report what is wrong with the library, its settings file and its drivers folder."""
+    redist = installation.redist
     if not installation.library:
-        yield _redist_wrong(installation.redist) if installation.redist else _library_missing()
+        if redist:
+            yield Finding(
+                "redist-wrong",
+                "error",
+                f"{REDIST_VARIABLE} names a folder without OpenNI2",
+                f"{REDIST_VARIABLE}={redist} is used instead of the system's library, "
+                f"and there is no {LIBRARY_FILE} in it.",
+                (
+                    f"unset {REDIST_VARIABLE}   (uses the system's library)",
+                    f"or, for a vendor's SDK: ln -s libOpenNI2.so {redist.rstrip('/')}/{LIBRARY_FILE}",
+                ),
+            )
+        else:
+            yield Finding(
+                "library-missing",
+                "error",
+                "The OpenNI2 library is not installed",
+                f"There is no {LIBRARY_FILE} in the system's library folders.",
+                (
+                    "sudo apt install libopenni2-0   (Debian and Ubuntu)",
+                    f"or set {REDIST_VARIABLE} to the folder of a vendor's OpenNI2",
+                ),
+            )
         return
-    if installation.redist:
+    if redist:
         yield Finding(
             "redist-set",
             "note",
             f"{REDIST_VARIABLE} is set",
-            f"OpenNI2 and its drivers come from {installation.redist}; the system's are not used.",
+            f"OpenNI2 and its drivers come from {redist}; the system's are not used.",
         )
     if installation.repository:
         yield Finding(
@@ -47,37 +70,10 @@ def library_findings(installation: Installation) -> Iterator[Finding]:
                 f"sudo nano {installation.ini}   (correct Repository=, or put a ; before it)"
                 if installation.repository
                 else f"put the drivers' files into {installation.drivers_folder}"
-                if installation.redist
+                if redist
                 else "sudo apt install --reinstall libopenni2-0",
             ),
         )
-
-
-def _redist_wrong(redist: str) -> Finding:
-    return Finding(
-        "redist-wrong",
-        "error",
-        f"{REDIST_VARIABLE} names a folder without OpenNI2",
-        f"{REDIST_VARIABLE}={redist} is used instead of the system's library, "
-        f"and there is no {LIBRARY_FILE} in it.",
-        (
-            f"unset {REDIST_VARIABLE}   (uses the system's library)",
-            f"or, for a vendor's SDK: ln -s libOpenNI2.so {redist.rstrip('/')}/{LIBRARY_FILE}",
-        ),
-    )
-
-
-def _library_missing() -> Finding:
-    return Finding(
-        "library-missing",
-        "error",
-        "The OpenNI2 library is not installed",
-        f"There is no {LIBRARY_FILE} in the system's library folders.",
-        (
-            "sudo apt install libopenni2-0   (Debian and Ubuntu)",
-            f"or set {REDIST_VARIABLE} to the folder of a vendor's OpenNI2",
-        ),
-    )
 
 
 def driver_findings(part: Part, installation: Installation) -> Iterator[Finding]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 from nurbseg.drivers.doctor.finding import Finding, Part, System
 from nurbseg.drivers.doctor.host import Host
@@ -83,7 +82,18 @@ def camera_findings(part: Part, system: System) -> Iterator[Finding]:
     """Report what keeps a camera that is plugged in from being opened or from working well."""
     device, family = part.device, part.model.family
     if SPEEDS.index(device.speed) < SPEEDS.index(family.speed_min):
-        yield _low_speed(part)
+        usb3 = family.speed_min == "super"
+        yield Finding(
+            "low-speed",
+            "error",
+            f"{part} runs at {SPEED_TEXT[device.speed]} only",
+            f"It needs {'USB 3' if usb3 else 'USB 2 at full rate'} ({SPEED_TEXT[family.speed_min]}).",
+            (
+                "plug it into a USB 3 port (blue inside) of the computer itself"
+                if usb3
+                else "plug it into a port of the computer itself, without an old hub or a long cable",
+            ),
+        )
     holders = [driver for driver in device.drivers if driver not in _HARMLESS_DRIVERS]
     if "usbfs" in holders or (device.access == "busy" and not holders):
         yield Finding(
@@ -122,26 +132,10 @@ def camera_findings(part: Part, system: System) -> Iterator[Finding]:
         )
 
 
-def _low_speed(part: Part) -> Finding:
-    family: Family = part.model.family
-    usb3 = family.speed_min == "super"
-    return Finding(
-        "low-speed",
-        "error",
-        f"{part} runs at {SPEED_TEXT[part.device.speed]} only",
-        f"It needs {'USB 3' if usb3 else 'USB 2 at full rate'} ({SPEED_TEXT[family.speed_min]}).",
-        (
-            "plug it into a USB 3 port (blue inside) of the computer itself"
-            if usb3
-            else "plug it into a port of the computer itself, without an old hub or a long cable",
-        ),
-    )
-
-
 def _access_findings(part: Part, host: Host) -> Iterator[Finding]:
     device, contained = part.device, host.kind == "container"
     if device.access == "denied":
-        yield _no_permission(part, host)
+        yield no_permission(part, host)
     elif device.access == "no-node":
         yield Finding(
             "no-usb-node",
@@ -163,7 +157,8 @@ def _access_findings(part: Part, host: Host) -> Iterator[Finding]:
         )
 
 
-def _no_permission(part: Part, host: Host) -> Finding:
+def no_permission(part: Part, host: Host) -> Finding:
+    """Report that this user may not open a device, and how that is allowed."""
     rule = f"echo '{udev_rule(part.device)}' | sudo tee -a {RULES_FILE}"
     if host.kind == "container":
         reason = (
@@ -196,12 +191,6 @@ def power_findings(parts: Sequence[Part]) -> Iterator[Finding]:
                 "if it is connected: unplug the Kinect from USB and plug it in again",
             ),
         )
-
-
-def motor_findings(motor: Part, host: Host) -> Iterator[Finding]:
-    """Report that a Kinect's motor may not be opened; its camera works all the same."""
-    if motor.device.access == "denied":
-        yield replace(_no_permission(motor, host), severity="warning")
 
 
 def not_plugged_in(usb: UsbScan, others: Sequence[Part], wanted: Sequence[Family]) -> Finding:

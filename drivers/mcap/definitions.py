@@ -74,7 +74,7 @@ def decode(content: bytes, schema: str, name: str) -> Any:
 
 
 def check_schema(schema: Schema, name: str) -> None:
-    """Find out whether a recording means by a schema, of the name of one of `DEFINITIONS`, what ROS 2 does.
+    """Check that a recording's schema with the name of one of `DEFINITIONS` is that of ROS 2.
 
     Raises RecordingFormatError if a message of it lacks a field or has another; names the field.
     """

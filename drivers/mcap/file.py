@@ -1,4 +1,4 @@
-"""Reads an MCAP file as far as it goes, whole or cut off.
+"""Reads an MCAP file as far as it goes, complete or cut off.
 
 The file is read record by record and needs no index at its end, since a recording whose writer was
 killed has none. Of a chunk that is cut off, the part that is there is decompressed.

@@ -23,7 +23,7 @@ class StampedPair:
 
 
 class StampPairing:
-    """Puts together what belongs together; a stamp that fits exactly is taken at once."""
+    """Pairs messages as they are added; equal stamps are paired immediately."""
 
     def __init__(self, limit_ns: int) -> None:
         self.dropped = 0
@@ -38,7 +38,7 @@ class StampPairing:
         return len(self._depth) + len(self._color) + len(self._labels)
 
     def add(self, kind: Kind, stamp_ns: int, content: bytes) -> None:
-        """Take a message."""
+        """Add a message."""
         waiting = {"depth": self._depth, "color": self._color, "labels": self._labels}[kind]
         waiting.append((stamp_ns, content))
         # Labels may be missing, and their queue forgets the oldest by itself.

@@ -29,7 +29,7 @@ _COLOR_FORMATS = (PixelFormat.RGB888, PixelFormat.YUYV, PixelFormat.YUV422, Pixe
 
 @dataclass(frozen=True, slots=True)
 class AppliedSettings:
-    """What the camera does, after it was asked.
+    """What the camera does after it was configured.
 
     An image is flipped here where the camera does not mirror as asked; `states` is what is on and off, for a
     person and for recordings.

@@ -50,7 +50,7 @@ class DeviceListing:
 
     @classmethod
     def of(cls, listed: OniDeviceInfo) -> DeviceListing:
-        """Copy what the library shows only for a moment."""
+        """Copy what the library lists, which is valid for a moment only."""
         return cls(
             uri=os.fsdecode(listed.uri),
             vendor=listed.vendor.decode(errors="replace"),
@@ -113,7 +113,7 @@ class Library:
             StateCallback(self._on_state_changed),
         )
 
-    # Called from the library's threads: they only pass on an event, and take no lock.
+    # Called on the library's threads: they only pass on an event, and take no lock.
     def _on_disconnected(self, device: Any, _cookie: object) -> None:
         self._notify(device, "disconnected")
 
@@ -181,14 +181,14 @@ class Library:
         self._users += 1
 
     def silence(self) -> None:
-        """Have the library call nothing here any more; safe to repeat."""
+        """Unregister the callbacks; safe to repeat."""
         if self._handle:
-            # Waits for a call that is under way, while which other threads of Python's run.
+            # Waits for a running callback; Python's other threads run meanwhile.
             self.native.oniUnregisterDeviceCallbacks(self._handle)
             self._handle = ctypes.c_void_p()
 
     def end(self) -> None:
-        """Shut it down although it is in use: the program ends."""
+        """Shut it down although it is in use, as the program ends."""
         self.ending = True
         self.silence()
         deadline = time.monotonic() + _END_LIMIT_S
@@ -233,7 +233,7 @@ def acquire() -> Library:
 
 
 def release(library: Library) -> None:
-    """Give the library back; the last user shuts it down."""
+    """Release the library; the last user shuts it down."""
     with _lock:
         library._remove_user()
 

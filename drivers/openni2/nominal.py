@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -47,8 +48,7 @@ def color_from_depth() -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
 
 def fitted(camera: Intrinsics, width: int, height: int) -> Intrinsics:
     """Return a calibrated camera for images of another size, knowing how 5:4 and 4:3 modes overlap."""
-    scaled = camera.scaled_to(width, round(camera.height * width / camera.width))
-    return Intrinsics(width, height, scaled.fx, scaled.fy, scaled.cx, scaled.cy, scaled.distortion)
+    return replace(camera.scaled_to(width, round(camera.height * width / camera.width)), height=height)
 
 
 def mirrored(calibration: Calibration) -> Calibration:
@@ -69,12 +69,4 @@ def _mirrored_camera(camera: Intrinsics) -> Intrinsics:
         distortion[8:10] = -distortion[8:10]  # s1 and s2, the thin prism in x
     if distortion.size == 14:
         distortion[13] = -distortion[13]  # tilt about the y axis
-    return Intrinsics(
-        camera.width,
-        camera.height,
-        camera.fx,
-        camera.fy,
-        camera.width - 1 - camera.cx,
-        camera.cy,
-        distortion,
-    )
+    return replace(camera, cx=camera.width - 1 - camera.cx, distortion=distortion)

@@ -108,7 +108,7 @@ class OpenedDevice(Closing):
         return bool(status == Status.OK and native.oniDeviceGetDepthColorSyncEnabled(self._handle))
 
     def close(self) -> None:
-        """Give everything back, in the order that the library wants; safe to repeat."""
+        """Release everything, in the order that the library needs; safe to repeat."""
         for stream in self.streams:
             stream.stop()
         for stream in self.streams:

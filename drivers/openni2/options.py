@@ -1,4 +1,4 @@
-"""What a user may ask of a camera."""
+"""A camera's settings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which camera is meant: by kind, USB ids, vendor and name, URI, serial number or USB port."""
+"""Selects a camera: by kind, USB ids, vendor and name, URI, serial number or USB port."""
 
 from __future__ import annotations
 

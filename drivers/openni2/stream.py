@@ -132,18 +132,18 @@ class Stream:
         return status
 
     def start(self) -> None:
-        """Have frames delivered."""
+        """Start the delivery of frames."""
         self._library.check(
             self._library.native.oniStreamStart(self.handle),
             f"starting the {self.sensor.name.lower()} stream",
         )
 
     def stop(self) -> None:
-        """Have no more frames delivered."""
+        """Stop the delivery of frames."""
         self._library.native.oniStreamStop(self.handle)
 
     def destroy(self) -> None:
-        """Give the stream back; safe to repeat."""
+        """Destroy the stream; safe to repeat."""
         if self.handle:
             self._library.native.oniStreamDestroy(self.handle)
             self.handle = ctypes.c_void_p()

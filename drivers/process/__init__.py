@@ -1,6 +1,6 @@
-"""Other processes of ours, and the queues between threads.
+"""Child processes, and the queues between threads.
 
-What is slow, may hang or may crash runs in a process of its own:
+Code that is slow, or may hang or crash, runs in a process of its own:
 
 ============================  ==================================  ===================================
 program                       gets                                sends
@@ -11,10 +11,10 @@ program                       gets                                sends
 ``app.view.program``          settings, frames, lines, close      opened, status, failure, closed
 ============================  ==================================  ===================================
 
-`ChildProcess` starts one, `connect_to_parent` is the first thing that it calls, and a `Channel` joins the
-two: a socket for messages, dataclasses that a `Codec` writes as JSON (no pickle: nothing in them is run), and
-memory without a name for their arrays, divided into slots. The log goes through it too, and a heartbeat: a
-program that sends none hangs.
+`ChildProcess` starts one, which first calls `connect_to_parent`, and a `Channel` connects the two: a socket
+for messages, dataclasses that a `Codec` writes as JSON (no pickle: nothing in them is run), and memory
+without a name for their arrays, divided into slots. The log goes through it too, and a heartbeat: a program
+that sends none hangs.
 
 A program ends when the process that started it has finished or died. If it hangs then,
 a thread of its own ends it; foreign programs, which have no such thread, are ended by Linux

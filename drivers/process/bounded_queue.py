@@ -18,11 +18,11 @@ _NOTES_MAX = 1000
 
 
 class BoundedQueue(Generic[Item]):
-    """A queue for items, and for notes (as lines of a log) that take no room and go out first.
+    """A queue for items, and for notes (such as lines of a log) that take no room and are taken first.
 
     The sizes of the items that wait sum up to `filled`, which is no more than `capacity`, over 0; but an item
-    always fits into an empty queue. Each counts one where no `size` is given. What becomes of an item that
-    does not fit is `when_full`; `dropped` counts those that were dropped or refused.
+    always fits into an empty queue. Each counts one where no `size` is given. `when_full` says what
+    happens to an item that does not fit; `dropped` counts those that were dropped or refused.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""One end of a connection between two processes: messages by a socket, arrays by shared memory."""
+"""A connection between two processes: messages through a socket, arrays through shared memory."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ class Channel:
     """Sends and receives messages; one thread receives, any thread sends.
 
     Arrays lie in slots of memory that both processes share. Only one of the two may send any: it takes a free
-    slot for a message, and the other gives it back as soon as it has copied what is in it. So the number of
-    slots bounds what is on its way.
+    slot for a message, and the other gives it back as soon as it has copied what is in it. The number of
+    slots limits how much is in transit.
 
     The connection and `memory`, the descriptor of a file that lies in memory and has no name, are owned. The
     codec is the same at both ends.
@@ -91,19 +91,19 @@ class Channel:
         return False
 
     def log(self, record: logging.LogRecord, text: str) -> None:
-        """Have a record of the log logged by the other process; never waits for long."""
+        """Have a log record written by the other process; never waits for long."""
         with contextlib.suppress(ChannelClosedError):
             self._write(_LOG_RECORD, json.dumps([record.name, record.levelno, text]).encode(), _BEAT_S)
 
     def beat(self) -> None:
-        """Send a heartbeat, once in a while, from the loop that calls this; never waits."""
+        """Send a heartbeat if the last one is old enough; for a loop that calls this often. Never waits."""
         now_s = time.monotonic()
         if now_s - self._beat_s > _BEAT_S:
             self._beat_s = now_s
             self._write(_HEARTBEAT, b"", 0.0)
 
     def is_waiting(self) -> bool:
-        """Whether something can be received without waiting, be it the end."""
+        """Whether a message, or the end, can be received without waiting."""
         return bool(self._buffer) or _is_ready(self._connection, select.POLLIN, 0.0)
 
     def receive(self, timeout_s: float) -> Any | None:
@@ -159,7 +159,7 @@ class Channel:
         return True
 
     def _buffered(self, size: int, deadline_s: float) -> bytearray | None:
-        """Return what came, once it is so much; None if it does not come in time."""
+        """Return what was received, once it has this size; None if that takes too long."""
         while len(self._buffer) < size:
             try:
                 if not _is_ready(self._connection, select.POLLIN, max(0.0, deadline_s - time.monotonic())):
@@ -206,7 +206,7 @@ class Channel:
             return self._codec.decode(text, memoryview(b""))
         with memoryview(self._map(slot_bytes)) as memory, memory[slot * slot_bytes :][:slot_bytes] as body:
             message = self._codec.decode(text, body)
-        # In bunches, since each is a turn at Python's lock.
+        # Several at a time, since each message takes Python's lock once.
         self._taken.append(slot)
         if 8 * len(self._taken) >= self._slots:
             self._return_slots()

@@ -28,8 +28,8 @@ if os.getppid() == int(sys.argv[1]):
 def python_command(module: str, *words: str) -> list[str]:
     """Return the command that runs a module, such as ``nurbseg.app.devices.cli``, as a program of its own.
 
-    With ``-P``: Python would otherwise look for modules in the current folder first, and run what a stranger
-    called ``json.py`` there.
+    With ``-P``, since Python would otherwise look for modules in the current folder first, and run any
+    ``json.py`` found there.
     """
     return [sys.executable, "-P", "-m", module, *words]
 
@@ -37,7 +37,7 @@ def python_command(module: str, *words: str) -> list[str]:
 def dying_with_parent(command: list[str]) -> list[str]:
     """Return a command that does the same, but is killed when the thread that starts it ends.
 
-    It is for programs that cannot take care of that themselves.
+    For programs that do not watch their parent themselves.
     """
     return [sys.executable, "-I", "-S", "-c", _BECOME, str(os.getpid()), *command]
 
@@ -65,8 +65,8 @@ def end_group(process: subprocess.Popen[bytes], limit_s: float) -> int | None:
 class ChildProcess(Closing):
     """Runs a module that begins with `nurbseg.drivers.process.channel.connect_to_parent`.
 
-    `slots` messages with arrays may be on their way. What a `quiet` one writes to standard error is dropped.
-    Raises OSError if it cannot be started.
+    `slots` messages with arrays may be in transit. What a `quiet` program writes to standard error is
+    dropped. Raises OSError if it cannot be started.
     """
 
     def __init__(self, module: str, *, slots: int, quiet: bool = True) -> None:

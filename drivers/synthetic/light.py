@@ -1,4 +1,4 @@
-"""Light in the synthetic scene: what a lamp and the sky make of the textures."""
+"""The light of the synthetic scene: a lamp and the sky on textured surfaces."""
 
 from __future__ import annotations
 
@@ -212,7 +212,7 @@ def _lit_grounds(seed: int) -> dict[int, NDArray[np.uint8]]:
         height, width = each.texture.shape[:2]
         soft = cv2.resize(lit, (width, height), interpolation=cv2.INTER_LINEAR)
         lit = np.asarray(soft, dtype=np.float32)
-        # Under and beside things the sky is shut out too: a broad, weak copy of their shadows.
+        # Objects shut out some of the sky around them too: a broad, weak copy of their shadows.
         open_sky = 0.72 + 0.28 * cv2.GaussianBlur(lit, (0, 0), width / 45)
         light = (
             _SKY_SHARE * open_sky[..., None] * _SKY_COLOR

@@ -1,4 +1,4 @@
-"""The synthetic scene: what stands on the table, how it moves and from where it is seen.
+"""The synthetic scene: the objects on the table, their motion and the camera's path.
 
 World frame: x to the right, y away from the viewer, z up, metres; the table top is z = 0.
 """

@@ -1,4 +1,4 @@
-"""What a structured-light depth camera makes of a perfect depth image.
+"""A model of a structured-light depth camera, applied to a perfect depth image.
 
 The faults of the PrimeSense design: noise that grows with distance, depth in steps of disparity, shadows
 of the projector, ragged and missing edges, surfaces seen too obliquely, and limits of range.

@@ -1,4 +1,4 @@
-"""Painted surfaces for the synthetic scene, all drawn from noise and simple figures."""
+"""Textures of the synthetic scene, drawn from noise and simple shapes."""
 
 from __future__ import annotations
 

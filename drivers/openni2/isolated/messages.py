@@ -1,4 +1,4 @@
-"""What a camera's process and the one that reads from it say to each other."""
+"""The messages between a camera's process and the one that reads from it."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Opened:
 
 @dataclass(frozen=True, slots=True)
 class Begin:
-    """Somebody reads from now on."""
+    """Frames are read from now on."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,8 @@
-"""Reads a camera and hands its frames to another process; a program of its own.
+"""A program that reads a camera and sends its frames to another process.
 
 The other process computes, and Python lets only one of its threads run at a time: a thread that reads a
-camera there comes too late again and again, and OpenNI2 keeps only the newest image. Here nothing else
-runs. A driver that crashes or hangs takes only this process with it, too.
+camera there would often be late, and OpenNI2 keeps only the newest image. Here nothing else runs, and a
+driver that crashes or hangs stops only this process.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def _deliver(source: DeviceSource, channel: Channel) -> NoReturn:
         except FrameTimeoutError:
             continue
         if not begun:
-            # Nobody reads yet: what is old by then is of no use, and not missed.
+            # Nobody reads yet: these frames are not missed.
             before = source.missed, source.half_pairs
             continue
         message = messages.CameraFrame(
@@ -71,7 +71,7 @@ def _deliver(source: DeviceSource, channel: Channel) -> NoReturn:
 
 
 def _messages(channel: Channel) -> Iterator[Any]:
-    """Return what came since the last look."""
+    """Yield the messages that have arrived since the last call."""
     while channel.is_waiting():
         if (message := channel.receive(0.0)) is not None:
             yield message
@@ -95,7 +95,7 @@ def main() -> int:
         os.nice(-10)
     try:
         while (request := channel.receive(_BEGIN_S)) is None:
-            pass  # It is kept ready for when a camera is plugged in again.
+            pass  # Started in advance, for when a camera is plugged in again.
         if not isinstance(request, messages.Open):
             return 1
         logging.basicConfig(level=request.log_level, handlers=[LogForwarder(channel)])

@@ -32,9 +32,9 @@ from nurbseg.drivers.source import FrameSource
 _OPEN_LIMIT_S = 60.0
 #: And must answer, and end when it is to, finishing a recording first.
 _ANSWER_LIMIT_S = 30.0
-#: A process that says nothing for this long hangs, seconds; it says itself when the camera is silent.
+#: A process that is silent for this long hangs, seconds; it reports a silent camera itself.
 _HANG_LIMIT_S = 10.0
-#: Frames that may wait, seconds; and some more, as slots come free in bunches.
+#: Frames that may wait, seconds; and some more, as several slots come free at a time.
 _DEPTH_S, _MORE = 1.0, 4
 
 
@@ -110,7 +110,7 @@ class IsolatedCamera(FrameSource):
             self.calibration = opened.calibration
             self._is_open = True
         if not self._is_open and self._channel.silent_s > _OPEN_LIMIT_S:
-            # A process that looks for its camera says so each time that it does not find it.
+            # A process that looks for its camera sends a heartbeat after each attempt.
             self._failure = self._failure or DeviceLostError("OpenNI2 cannot open a camera; its driver hangs")
         if not self._is_open and self._failure is not None:
             raise self._failure
@@ -132,7 +132,7 @@ class IsolatedCamera(FrameSource):
         self._wait_until_done()
 
     def _ask(self, message: Any) -> None:
-        # Why the process ended is among what it said before.
+        # Its earlier messages say why the process ended.
         with contextlib.suppress(ChannelClosedError):
             self._channel.send(message)
 
@@ -199,7 +199,7 @@ class IsolatedCamera(FrameSource):
 
     def _close(self) -> None:
         self._channel.finish()
-        # It may have to say its last words before it can end.
+        # Its last messages must be received before it can end.
         deadline = time.monotonic() + (_ANSWER_LIMIT_S if self._failure is None else 2.0)
         with contextlib.suppress(ChannelClosedError):
             while (left_s := deadline - time.monotonic()) > 0:
@@ -242,7 +242,7 @@ class Reopening:
         return camera
 
     def close(self) -> None:
-        """Look no longer; safe to repeat."""
+        """Stop looking for the camera; safe to repeat."""
         waiting, self._waiting = self._waiting, None
         ready, self._ready = self._ready, None
         for each in (waiting, ready):

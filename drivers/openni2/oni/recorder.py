@@ -89,7 +89,7 @@ class OniRecorder:
         native.oniRecorderDestroy(ctypes.byref(self._handle))
 
     def see(self, sensor: Sensor, image: Image) -> None:
-        """Take note of an image that the driver delivers, which the recorder writes too."""
+        """Register an image that the driver delivers, which the recorder writes too."""
         self._seen.setdefault(sensor, image)
         if sensor == Sensor.DEPTH:
             self._beyond_limit += int(image.pixels.max()) >= self._depth_limit
