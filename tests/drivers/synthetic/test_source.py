@@ -18,7 +18,7 @@ def points_m(source, index):
 
 
 def exact_labels(source, index):
-    return source._depth.render(source._scene.world_from_depth(index), index, color=False).objects
+    return source._depth.render(source._scene.world_from_depth(index), index).objects
 
 
 def carried(points, transform):

@@ -217,7 +217,7 @@ def test_what_the_synthetic_color_camera_sees_is_what_is_colored(sensor):
         world_from_color = source.poses(20).world_from_depth @ np.linalg.inv(
             frame.calibration.color_from_depth
         )
-        seen = Renderer(source._scene, frame.calibration.color).render(world_from_color, 20, color=False)
+        seen = Renderer(source._scene, frame.calibration.color).render(world_from_color, 20)
     _, places, depth = directly_projected(frame)
     nearest = np.rint(places).astype(int)
     height, width = seen.depth_m.shape
