@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import I32, compiled
+from nurbseg.drivers.compiled import F64, I32, compiled
 from nurbseg.segmentation.config import REFERENCE_WIDTH
 from nurbseg.segmentation.points.normals import plane_normals
 from nurbseg.segmentation.points.rays import Rays
@@ -96,41 +96,17 @@ def border_statistics(
     count = _find_crossings(np.ascontiguousarray(labels), max(1, round(_REACH_PX * unit)), crossings)
     if count == 0:
         return BorderStatistics(np.zeros((0, 2), dtype=np.int64), *np.zeros((5, 0)))
-    before, after, row, column, apart = crossings[:, :count]
-    across, down = np.maximum(apart, 0), np.maximum(-apart, 0)
-    # Both surfaces are looked at inside of the border: (2, N), before it and behind.
-    inset = max(1.0, _INSET_PX * unit)
-    u = np.stack([column - inset * (across > 0), column + (across + inset) * (across > 0)])
-    v = np.stack([row - inset * (down > 0), row + (down + inset) * (down > 0)])
-    label = np.concatenate([before, after])
-    slopes = (evaluate or SurfaceTable(surfaces).slopes)(label, u.ravel(), v.ravel())
-    inverse_depth, slope_u, slope_v, x, y = (
-        each.reshape(u.shape) for each in (*slopes, *rays.at(u.ravel(), v.ravel()))
-    )
-
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        # The tangent planes at the middle of what is between the surfaces.
-        middle_u, middle_v = column + 0.5 * across, row + 0.5 * down
-        planes = inverse_depth + slope_u * (middle_u - u) + slope_v * (middle_v - v)
-        apart = np.abs(planes[0] - planes[1]) / gap_per_m
-        touching = apart < 1.0
-        points = np.stack([x / inverse_depth, y / inverse_depth, 1.0 / inverse_depth], axis=-1)
-        normals = plane_normals(inverse_depth, slope_u, slope_v, x, y, rays.focal_px)
-        chord = points[1] - points[0]
-        turn = -((normals[1] - normals[0]) * chord).sum(axis=1)
-        concavity = turn / np.maximum(np.sqrt(np.square(chord).sum(axis=1)), 1e-9)
-    counted = np.where(touching & np.isfinite(concavity), concavity, 0.0)
-    apart = np.where(apart < _APART_MOST, apart, _APART_MOST)
-
-    one, other = np.minimum(before, after), np.maximum(before, after)
-    pairs, border = np.unique(one * np.int64(label.max() + 1) + other, return_inverse=True)
-    return BorderStatistics(
-        np.stack(np.divmod(pairs, label.max() + 1), axis=1).astype(np.int64),
-        *(
-            np.bincount(border, weights=each).astype(np.float64)
-            for each in (np.ones(count), touching, counted, np.square(counted), apart)
-        ),
-    )
+    # Both surfaces are looked at inside of the border: before it, then behind.
+    label, u, v = np.empty(2 * count, dtype=np.int32), np.empty(2 * count), np.empty(2 * count)
+    _place_inside(crossings, max(1.0, _INSET_PX * unit), label, u, v)
+    slopes = (evaluate or SurfaceTable(surfaces).slopes)(label, u, v)
+    ray = rays.at(u, v)
+    normals = plane_normals(*slopes, *ray, rays.focal_px)
+    size = int(label.max()) + 1
+    sums = np.zeros((size, size, 5))
+    _compare(crossings, u, v, slopes, ray, normals, gap_per_m, sums)
+    first, second = np.nonzero(sums[..., 0])
+    return BorderStatistics(np.stack([first, second], axis=1), *sums[first, second].T.copy())
 
 
 @compiled
@@ -170,3 +146,55 @@ def _pixels_to_next(labels: I32) -> int:
         if labels[apart] > 0:
             return apart if labels[apart] != labels[0] else 0
     return 0
+
+
+@compiled
+def _place_inside(crossings: I32, inset: float, label: I32, u: F64, v: F64) -> None:
+    """Fill in labels, columns and rows inside both sides of each crossing, those before it first."""
+    count = label.size // 2
+    for n in range(count):
+        before, after, row, column, apart = crossings[:, n]
+        label[n], label[n + count] = before, after
+        u[n], v[n], u[n + count], v[n + count] = column, row, column, row
+        if apart > 0:
+            u[n], u[n + count] = column - inset, column + apart + inset
+        else:
+            v[n], v[n + count] = row - inset, row - apart + inset
+
+
+@compiled
+def _compare(
+    crossings: I32,
+    u: F64,
+    v: F64,
+    slopes: tuple[F64, F64, F64],
+    ray: tuple[F64, F64],
+    normals: F64,
+    gap_per_m: float,
+    sums: F64,
+) -> None:
+    """Sum by pair of labels: crossings, touching ones, their concavities, the squares of these, gaps."""
+    (depth, along_u, along_v), (x, y), count = slopes, ray, u.size // 2
+    for n in range(count):
+        before, after, row, column, apart = crossings[:, n]
+        own, m = sums[min(before, after), max(before, after)], n + count
+        # The tangent planes at the middle of what is between the surfaces.
+        middle_u, middle_v = column + 0.5 * max(apart, 0), row + 0.5 * max(-apart, 0)
+        one = depth[n] + along_u[n] * (middle_u - u[n]) + along_v[n] * (middle_v - v[n])
+        other = depth[m] + along_u[m] * (middle_u - u[m]) + along_v[m] * (middle_v - v[m])
+        gaps = abs(one - other) / gap_per_m
+        own[0] += 1.0
+        own[4] += gaps if gaps < _APART_MOST else _APART_MOST
+        if not gaps < 1.0:
+            continue
+        z, z_m = 1.0 / depth[n], 1.0 / depth[m]
+        chord = (x[m] * z_m - x[n] * z, y[m] * z_m - y[n] * z, z_m - z)
+        turn = square = 0.0
+        for axis in range(3):
+            turn -= (normals[m, axis] - normals[n, axis]) * chord[axis]
+            square += chord[axis] * chord[axis]
+        concavity = turn / max(np.sqrt(square), 1e-9)
+        own[1] += 1.0
+        if abs(concavity) < np.inf:
+            own[2] += concavity
+            own[3] += concavity * concavity

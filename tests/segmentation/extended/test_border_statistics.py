@@ -108,3 +108,14 @@ def test_contact_takes_four_places_and_a_share_of_all():
     samples, touching = np.array([[3, 3], [4, 4], [26, 4], [27, 4], [40, 6], [41, 6]], dtype=float).T
     borders = BorderStatistics(np.zeros((6, 2), dtype=np.int64), samples, touching, *np.zeros((3, 6)))
     assert borders.in_contact.tolist() == [False, True, True, False, True, False]
+
+
+def test_what_is_at_infinity_touches_without_a_crease():
+    def evaluate(label, u, v):
+        return np.where(label == 1, 0.0, 0.2 * GAP), np.zeros(label.size), np.zeros(label.size)
+
+    labels = np.repeat([[1, 2]], 3, axis=0).repeat(20, axis=1).astype(np.int32)
+    found = border_statistics(labels, (), pinhole(), gap_per_m=GAP, evaluate=evaluate)
+    assert (found.samples, found.touching) == (3, 3)
+    assert (found.concavity, found.concavity_square) == (0, 0)
+    assert found.apart == pytest.approx(0.6)
