@@ -35,8 +35,7 @@ import registration
 from skimage.segmentation import felzenszwalb
 
 import segmentation  # noqa: TID251
-from nurbseg.app.evaluation.computer import computer
-from nurbseg.app.versions import versions
+from nurbseg.app.computer import computer, versions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.synthetic.source import SyntheticSource
 from nurbseg.segmentation.config import SegmentationConfig

@@ -35,7 +35,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "virtualcam"))
 # The camera that the tests have.
 from virtual_camera import VirtualCameras, build, color_image, depth_image
 
-from nurbseg.app.evaluation.computer import computer
+from nurbseg.app.computer import computer
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.registry import open_source

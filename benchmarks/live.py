@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 import psutil
 
-from nurbseg.app.evaluation.computer import computer
+from nurbseg.app.computer import computer
 
 COMMAND = Path(sys.executable).with_name("nurbseg-live")
 STAGES = ("wait", "register", "segment", "identify", "capture_to_labels", "show")

@@ -28,7 +28,7 @@ import scipy
 import skimage
 from skimage.segmentation import felzenszwalb
 
-from nurbseg.app.evaluation.computer import computer
+from nurbseg.app.computer import computer
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source

@@ -29,7 +29,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from nurbseg.app.evaluation.computer import computer
+from nurbseg.app.computer import computer
 from nurbseg.app.live.opening import demo_uri
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.registry import open_source

@@ -120,8 +120,7 @@ def _write_report(
     path: Path, ended: str, seconds: float, recordings: Sequence[Recording], by: dict[str, Any]
 ) -> None:
     from nurbseg.app.atomic_file import write_json
-    from nurbseg.app.evaluation.computer import computer
-    from nurbseg.app.versions import versions
+    from nurbseg.app.computer import computer, versions
 
     segmented = sum(each.segmented for each in recordings)
     document = {
@@ -138,7 +137,3 @@ def _write_report(
         "versions": versions(),
     }
     write_json(path, document)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from nurbseg.app.command.threads import one_thread_for_products
-from nurbseg.app.evaluation.computer import same_products_everywhere
+from nurbseg.app.computer import same_products_everywhere
 from nurbseg.app.parser import add_calibration_flags, add_setting_flags, command_parser
 
 _COMMANDS = ("run", "tune", "noise", "check")

@@ -14,10 +14,10 @@ from typing import get_args
 
 from nurbseg.app.atomic_file import write_atomically, write_json
 from nurbseg.app.command.config_file import format_config, read_config
+from nurbseg.app.computer import versions_line
 from nurbseg.app.config import AppConfig
 from nurbseg.app.evaluation.arguments import base_config, source_options
 from nurbseg.app.evaluation.check.check import FolderCheck
-from nurbseg.app.evaluation.computer import versions_line
 from nurbseg.app.evaluation.methods.methods import check_method
 from nurbseg.app.evaluation.report.findings import findings, means_of, verdict
 from nurbseg.app.evaluation.report.progress import Progress

@@ -14,14 +14,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.app.computer import computer, versions
 from nurbseg.app.evaluation.answers import Answers
 from nurbseg.app.evaluation.categories import category_of
-from nurbseg.app.evaluation.computer import computer
 from nurbseg.app.evaluation.scoring import score_frame, score_objects
 from nurbseg.app.evaluation.store import StudyStore
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, Variant
 from nurbseg.app.frames import places
-from nurbseg.app.versions import versions
 from nurbseg.app.workers import WorkerLostError, in_order, open_workers
 from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.drivers.frame import RGBDFrame

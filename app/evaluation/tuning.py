@@ -33,15 +33,6 @@ class Tuned:
     gain: Estimate
 
 
-def objective_of(labels: NDArray[np.integer], truth: NDArray[np.integer], valid: NDArray[np.bool_]) -> float:
-    """Return the objective: the ground-truth region covering minus a tenth of the VoI in bits.
-
-    The covering alone hardly depends on how small objects are divided; VoI / 10 has a similar scale.
-    """
-    scores = score_frame(labels, truth, valid)
-    return scores.gtrc - 0.1 * scores.voi
-
-
 def tune(
     study: Study,
     start: SegmentationConfig,
@@ -128,11 +119,16 @@ def _labelled_cloud(ref: FrameRef, study: Study) -> _Labelled | None:
 
 
 def _frame_objective(ref: FrameRef, study: Study, config: SegmentationConfig) -> float:
+    """Return the ground-truth region covering minus a tenth of the VoI in bits; NaN without ground truth.
+
+    The covering alone hardly depends on how small objects are divided; VoI / 10 has a similar scale.
+    """
     labelled = _labelled_cloud(ref, study)
     if labelled is None:
         return float("nan")
     cloud, truth = labelled
-    return objective_of(segment(cloud, config).labels(), truth, cloud.valid)
+    scores = score_frame(segment(cloud, config).labels(), truth, cloud.valid)
+    return scores.gtrc - 0.1 * scores.voi
 
 
 #: T_p of each method: the setting and its bounds.

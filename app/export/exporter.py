@@ -37,10 +37,6 @@ class ExportError(Exception):
     """A result cannot be written; the message says where and why."""
 
 
-class MissingExtraError(ExportError):
-    """An export format needs a library that is not installed; the message says how to install it."""
-
-
 def run_settings(
     config: SegmentationConfig,
     *,
@@ -71,8 +67,8 @@ class Exporter:
     A frame's tree is written last: if it exists, the frame's other files do. `settings` comes from
     `run_settings`; its `surfaces` overrides that of `export`. `written` counts frames.
 
-    Raises MissingExtraError if a format needs a missing library, and ExportError if the folder cannot be
-    created or contains results with other settings.
+    Raises ExportError if a format needs a missing library, or the folder cannot be created or contains
+    results with other settings.
     """
 
     def __init__(
@@ -84,7 +80,7 @@ class Exporter:
         self._metric: Metric = settings["segmentation"]["metric"]
         self._table = ObjectTable(directory / OBJECTS_FILE)
         if self.export.cad is not None and find_spec("rhino3dm") is None:
-            raise MissingExtraError(
+            raise ExportError(
                 f"--export-cad {self.export.cad}: needs rhino3dm, part of the extra 'cad': "
                 "pip install 'nurbseg[cad]' (in the project's folder: pip install '.[cad]')"
             )

@@ -72,7 +72,7 @@ def _segment_document(each: Segment, metric: Metric, frame: int) -> dict[str, An
         "size": int(each.pixels.size),
         "depth": each.depth,
         "cuts_above": each.cuts_above,
-        "measured": _measured_in(each, frame),
+        "measured": None if not each.fit.values else frame if each.measured is None else each.measured,
         "judged": frame if each.judged is None else each.judged,
         "value": _number(each.fit.values.get(metric, math.nan)),
         "floor": _number(each.fit.floor),
@@ -85,13 +85,6 @@ def _segment_document(each: Segment, metric: Metric, frame: int) -> dict[str, An
         "surface": each.fit.surface is not None,
         "reason": each.fit.reason,
     }
-
-
-def _measured_in(each: Segment, frame: int) -> int | None:
-    """Return the frame in which the values were measured; None if there are none."""
-    if not each.fit.values:
-        return None
-    return frame if each.measured is None else each.measured
 
 
 def _trial_document(trial: Trial) -> dict[str, Any]:

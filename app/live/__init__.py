@@ -1,1 +1,1 @@
-"""The live loop: from a source to a frame's result."""
+"""The live loop, from a source to the results of frames."""

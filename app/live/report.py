@@ -1,4 +1,4 @@
-"""The figures of a run: what was read, what became of it, and how long that took."""
+"""The report of a run: numbers of frames, times and memory."""
 
 from __future__ import annotations
 
@@ -16,40 +16,31 @@ from typing import Any
 import numpy as np
 
 from nurbseg.app.atomic_file import write_json
+from nurbseg.app.computer import versions
 from nurbseg.app.config import AppConfig
 from nurbseg.app.export.exporter import ExportError
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.recording.recorder import Recorder
-from nurbseg.app.versions import versions
 from nurbseg.app.view.view import View
 from nurbseg.segmentation.live.editor import UpdateReport
 from nurbseg.segmentation.live.identity import Event
 from nurbseg.segmentation.live.renewal import SPLIT_FRAMES, TRIAL_FRAMES
 
-#: What is counted of updates of the live tree.
+#: Counters of updates of the live tree.
 _REVISED = ("refits", "trials", "splits", "appeared", "merges", "judged")
 
 
 class RunReport:
-    """Gathers a run's figures, and writes them as JSON.
+    """Collects a run's statistics, and writes them as JSON.
 
-    `source` is what frames come from, as a person names it; `metadata` is read when the figures are written.
-    What reads, records and shows the frames is set when it is there.
-
-    Attributes
-    ----------
-    segmented : int
-        Frames segmented so far.
-    late : int
-        Frames of them that were too old to be shown.
-    recorded_only : int
-        Frames taken that were not to be segmented.
-    quit : bool
-        Whether somebody ended the run by a command.
+    `metadata` of the source is read when the report is written. `capture`, `recorder` and `view` are set as
+    soon as they exist.
     """
 
     def __init__(self, config: AppConfig, source: str, metadata: Mapping[str, str]) -> None:
+        #: Frames segmented, those of them too old to be shown, and frames only recorded.
         self.segmented = self.late = self.recorded_only = 0
+        #: Whether a command ended the run.
         self.quit = False
         self.capture: CaptureThread | None = None
         self.recorder: Recorder | None = None
@@ -73,7 +64,7 @@ class RunReport:
         events: Sequence[Event] = (),
         update: UpdateReport | None = None,
     ) -> None:
-        """Count a frame that was segmented, with each stage's time in milliseconds, and what happened."""
+        """Add a segmented frame, with the time of each stage in milliseconds."""
         self._events.update(each.kind for each in events)
         if update is not None:
             if update.reset:
@@ -90,13 +81,13 @@ class RunReport:
 
     @property
     def frames_per_s(self) -> float:
-        """Frames segmented per second, between the first and the last of them; 0 before there are two."""
+        """Frames segmented per second between the first and the last; 0 if there are fewer than two."""
         if self._first_s is None or self.segmented < 2:
             return 0.0
         return (self.segmented - 1) / max(self._last_s - self._first_s, 1e-9)
 
     def summary(self) -> str:
-        """Return in one line what was done, and what became of the other frames."""
+        """Return numbers of frames in one line."""
         if self.recorded_only and not self.segmented:
             return f"{self.recorded_only} frames recorded"
         text = f"{self.segmented} frames segmented, {self.frames_per_s:.2f} frames/s"
@@ -114,7 +105,7 @@ class RunReport:
         return f"{text}; {told}" if told else text
 
     def document(self, ended: str) -> dict[str, Any]:
-        """Return all the figures, with the reason why the run ended."""
+        """Return the report; `ended` is the reason why the run ended."""
         capture = self.capture
         read = 0 if capture is None else capture.read
         overwritten = 0 if capture is None else capture.frames.dropped
@@ -170,10 +161,7 @@ class RunReport:
         }
 
     def write(self, ended: str) -> None:
-        """Write the figures to the configuration's file, if it names one, whole or not at all.
-
-        Raises ExportError if it cannot be written.
-        """
+        """Write the report if the configuration asks for it; raises ExportError if that fails."""
         if self._config.export.report is None:
             return
         path = Path(self._config.export.report)
@@ -192,7 +180,7 @@ def _percentiles(values: array[float]) -> dict[str, float]:
 
 
 def peak_memory_mb() -> float:
-    """Return the largest resident size that this process had, in units of 10^6 bytes."""
-    # Linux counts in KiB; macOS in bytes.
+    """Return the peak resident memory of this process, 10^6 bytes."""
+    # Linux counts KiB, macOS bytes.
     unit = 1 if sys.platform == "darwin" else 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6

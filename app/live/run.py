@@ -1,4 +1,4 @@
-"""One run: opens what it needs, segments frame after frame, and closes everything in the right order."""
+"""One run: opens source and outputs, segments frames, and closes everything in order."""
 
 from __future__ import annotations
 
@@ -41,37 +41,30 @@ from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 
 _log = logging.getLogger(__name__)
 
-#: Frames after which all that a run needs was imported and compiled.
+#: Number of frames after which everything is imported and compiled.
 _SETTLED_FRAMES = 5
 
-#: What a result is passed to, and the name of that stage in the figures.
+#: The name of a stage in the report, and a function that takes a result.
 Consumer = tuple[str, Callable[[FrameResult], None]]
 
 
 class SetupError(Exception):
-    """The run cannot begin: no source, or nowhere to put the results."""
+    """The run cannot start: a source, folder or file cannot be opened."""
 
 
 class NoFramesError(DriverError):
-    """The source ended before it gave a single frame that can be read."""
+    """The source ended without a readable frame."""
 
 
 def run(config: AppConfig, interruption: Interruption, view_process: ChildProcess | None = None) -> RunReport:
-    """Segment a source's frames until it ends.
+    """Segment a source's frames until it ends, or `interruption` ends the run.
 
-    `interruption` ends the run early; everything is closed then as well, and the report written.
-    `view_process` shows and saves, if it was started for this configuration before.
+    In any case everything is closed and the report written. `view_process` comes from `begin_view`, if that
+    was called for this configuration.
 
-    Raises
-    ------
-    SetupError
-        If the source, a folder or a file cannot be opened.
-    DriverError
-        If the source fails on the way, or gives no frame.
-    ExportError, ViewError
-        If a result cannot be written, or a recording is not whole.
-    KeyboardInterrupt
-        If the run was interrupted.
+    Raises SetupError if the source, a folder or a file cannot be opened; DriverError if the source fails
+    later or has no frames; ExportError or ViewError if a result cannot be written or a recording is
+    incomplete; and KeyboardInterrupt if the run was interrupted.
     """
     record_name = config.record.file or DEFAULT_NAME
     if config.record.file is not None:
@@ -89,7 +82,10 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 _check_workers(config, opened)
                 camera = opened.source.calibration.depth
                 config.depth.check_crop(camera.width, camera.height)
-                exporter = _open_export(config, opened)
+                exporter = None
+                if config.export.directory is not None:
+                    settings = _settings(config, config.segmentation, opened)
+                    exporter = Exporter(Path(config.export.directory), settings, config.export)
                 view = report.view = stack.enter_context(_open_view(config, opened, view_process))
                 recorder = report.recorder = Recorder(
                     config.record, opened.camera, name=record_name, lossless=opened.every_frame
@@ -126,7 +122,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
 
 @contextmanager
 def _watched(replay: str | None) -> Iterator[None]:
-    """Say after the block if the file that is replayed is gone: it is read to its end all the same."""
+    """Warn after the block if the replayed file is gone, which does not affect reading."""
     is_file = replay is not None and Path(replay).is_file()
     try:
         yield
@@ -136,7 +132,7 @@ def _watched(replay: str | None) -> Iterator[None]:
 
 
 def _refuse_existing(config: AppConfig) -> None:
-    """Raise if a file exists, before a camera is opened for it and other files are begun."""
+    """Raise SetupError if an output file exists, before a camera is opened and other files are created."""
     replaceable = () if config.export.force else (config.shown.save, config.export.report)
     for file in (config.record.file, *replaceable):
         try:
@@ -149,7 +145,7 @@ def _refuse_existing(config: AppConfig) -> None:
 
 @contextmanager
 def _setup() -> Iterator[None]:
-    """Raise what goes wrong before the first frame as `SetupError`."""
+    """Raise errors of the block as `SetupError`."""
     try:
         yield
     except (DriverError, ExportError, ViewError, OSError, ValueError) as err:
@@ -158,7 +154,7 @@ def _setup() -> Iterator[None]:
 
 @contextmanager
 def _reported(report: RunReport, interruption: Interruption) -> Iterator[None]:
-    """Write the report before the block and after it, with the reason why the run ended."""
+    """Write the report before and after the block, with the reason why the run ended."""
     with _setup():
         report.write("still running")
     try:
@@ -177,7 +173,7 @@ def _reported(report: RunReport, interruption: Interruption) -> Iterator[None]:
 
 
 def _begin_warm_up(config: AppConfig) -> WarmUp | None:
-    """Begin to load what a run needs; None where nothing is segmented, or no frame waits for it in vain."""
+    """Start the warm-up; None if nothing is segmented, or frames wait for the segmentation anyway."""
     source = config.source
     if config.record.only or (source.speed == 0 and source.replayed is not None):
         return None
@@ -185,7 +181,7 @@ def _begin_warm_up(config: AppConfig) -> WarmUp | None:
 
 
 def _target_hz(config: AppConfig, opened: OpenedSource) -> float:
-    """Return the rate to hold; 0 where every frame is wanted, and none is hurried."""
+    """Return the frame rate to maintain; 0 if every frame is segmented."""
     return 0.0 if opened.every_frame else config.live.target_fps
 
 
@@ -198,13 +194,6 @@ def _check_workers(config: AppConfig, opened: OpenedSource) -> None:
         raise ValueError(
             "--workers: a frame that continues the previous one must wait for it; use --temporal off"
         )
-
-
-def _open_export(config: AppConfig, opened: OpenedSource) -> Exporter | None:
-    if config.export.directory is None:
-        return None
-    settings = _settings(config, config.segmentation, opened)
-    return Exporter(Path(config.export.directory), settings, config.export)
 
 
 def _settings(config: AppConfig, segmentation: SegmentationConfig, opened: OpenedSource) -> dict[str, Any]:
@@ -239,7 +228,7 @@ def _segment(
     progress: Progress,
     interruption: Interruption,
 ) -> None:
-    """Take frame after frame, segment it and hand it on, until the source ends."""
+    """Segment frames and pass the results on until the source ends."""
     if (count := process_count(config.source.workers)) > 1:
         all_frames = (each for each in captured_frames(capture, progress, interruption) if each is not None)
         _segment_in_parallel(config, all_frames, count, exporter, view, report, progress)
@@ -270,7 +259,7 @@ def _segment(
             elapsed_ms = {"wait": 1e3 * waited_s, **result.elapsed_ms, "capture_to_labels": latency_ms}
             result = replace(result, elapsed_ms=MappingProxyType(elapsed_ms))
             shown: list[Consumer] = (
-                # Somebody who paused waits for this very frame.
+                # During a pause, the user waits for this frame.
                 [("show", view.show)] if latency_filter.passes(0.0 if controls.paused else latency_ms) else []
             )
             for stage, consume in (*exports, *shown):
@@ -288,7 +277,7 @@ def _segment(
                 result.frame, leaves, elapsed_ms, objects=objects, late=latency_filter.held_back
             )
             if report.segmented == _SETTLED_FRAMES:
-                # That stays for good, and looking for garbage in it takes a tenth of a second each time.
+                # These objects are permanent; collecting garbage among them takes a tenth of a second.
                 gc.freeze()
     report.quit = controls.ended
 
@@ -313,7 +302,7 @@ def _segment_in_parallel(
     report: RunReport,
     progress: Progress,
 ) -> None:
-    """Take every frame, have it segmented by one of some processes and hand it on, until the source ends."""
+    """Segment frames in several processes and pass the results on until the source ends."""
     export = None if exporter is None else exporter.export
     results = segment_in_parallel(frames, config.segmentation, count=count, export=export, whole=view.shows)
     with closing(results):
@@ -332,7 +321,7 @@ def _segment_in_parallel(
 def _only_record(
     capture: CaptureThread, report: RunReport, progress: Progress, interruption: Interruption
 ) -> None:
-    """Take frame after frame, which are recorded already, until the source or the recording ends."""
+    """Take frames, which the capture thread records, until the source or the recording ends."""
     for captured in captured_frames(capture, progress, interruption):
         if captured is not None:
             report.recorded_only += 1

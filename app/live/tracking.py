@@ -1,4 +1,4 @@
-"""Segmentation of frame after frame: each goes on from the one before it."""
+"""Segmentation of single frames, and of sequences in which each frame continues the previous one."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from nurbseg.segmentation.segments import SegmentationTree
 
 
 class Segmenter:
-    """Segments frame after frame.
+    """Segments a sequence of frames.
 
     Parameters
     ----------
     config : SegmentationConfig, optional
-        How to segment.
+        Settings of the segmentation.
     temporal : bool
-        Whether a frame continues the one before: segments keep their identities and, with the default
-        method, the tree of a frame is that of the one before, revised.
+        Whether a frame continues the previous one: segments keep their identities and, with the default
+        method, the tree of the previous frame is updated.
     target_hz : float
-        Frames per second to hold by doing less for each; 0 for doing the usual.
+        Frame rate to maintain by doing less per frame, 1/s; 0 to never do less.
     every_surface : bool
-        Whether every segment that was cut has a surface in every frame, as files want it, or just in turn.
+        Whether every segment that was cut gets a surface in every frame, as in files, or only in turn.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class Segmenter:
         self._object_of_label = np.zeros(1, dtype=np.uint16)
 
     def restart(self, reason: str) -> None:
-        """Segment the next frame from scratch; segments keep their identities where they are the same."""
+        """Segment the next frame from scratch; segments found again keep their identities."""
         if self._live is not None:
             self._live.restart(reason)
 
@@ -68,18 +68,16 @@ class Segmenter:
         frame : RGBDFrame
             Depth and color.
         source_hz : float
-            Rate of the source, beyond which none is held; 0 where it is not known.
+            Frame rate of the source, which limits the target; 0 if unknown.
 
         Returns
         -------
         FrameResult
-            With the stages of `process_frame` and, where frames continue each other, ``identify``.
+            With the stages of `process_frame` and, if frames continue each other, ``identify``.
         """
-        if not self._temporal:
-            return process_frame(frame, self.config)
         if self._live is None:
             result = process_frame(frame, self.config)
-            return self._identified(result, None)
+            return self._identified(result, None) if self._temporal else result
         started_s = time.perf_counter()
         cloud = register(frame)
         registered_s = time.perf_counter()
@@ -97,9 +95,9 @@ class Segmenter:
         return result
 
     def _identified(self, result: FrameResult, before: NDArray[np.uint16] | None) -> FrameResult:
-        """Give the segments of a frame the identities of those that they continue.
+        """Give segments the identities of those that they continue.
 
-        `before` holds the labels of the leaves of the last frame where these are now, if that is known.
+        `before` holds the labels of the previous frame's leaves at their present positions, if known.
         """
         started_s = time.perf_counter()
         tree = result.tree
@@ -129,7 +127,7 @@ def process_frame(frame: RGBDFrame, config: SegmentationConfig | None = None) ->
     frame : RGBDFrame
         Depth and color.
     config : SegmentationConfig, optional
-        How to segment.
+        Settings of the segmentation.
 
     Returns
     -------
@@ -140,15 +138,14 @@ def process_frame(frame: RGBDFrame, config: SegmentationConfig | None = None) ->
     cloud = register(frame)
     registered_s = time.perf_counter()
     tree = segment(cloud, config or SegmentationConfig())
-    segmented_s = time.perf_counter()
     elapsed_ms = {
         "register": 1e3 * (registered_s - started_s),
-        "segment": 1e3 * (segmented_s - registered_s),
+        "segment": 1e3 * (time.perf_counter() - registered_s),
     }
     return FrameResult(frame, cloud, tree, MappingProxyType(elapsed_ms))
 
 
 def _object_of_label(tree: SegmentationTree) -> NDArray[np.uint16]:
-    """Return the number of the object of each leaf, by the leaf's label; 0 where there are no objects."""
+    """Return the number of each leaf's object by the leaf's label; 0 if there are no objects."""
     number = {name: n for n, each in enumerate(tree.objects, start=1) for name in each.leaves}
     return np.array([0, *(number.get(leaf.name, 0) for leaf in tree.leaves())], dtype=np.uint16)

@@ -13,8 +13,8 @@ from functools import partial
 from operator import attrgetter
 from typing import Any
 
+from nurbseg.app.computer import versions
 from nurbseg.app.result import FrameResult
-from nurbseg.app.versions import versions
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame

@@ -40,7 +40,7 @@ def _handle_messages(view: RerunView, channel: Channel) -> float:
             if isinstance(message, ViewFrame):
                 view.show(message)
             elif isinstance(message, Line):
-                view.show_line(message.moment, message.level, message.text)
+                view.show_line(message)
             elif isinstance(message, Close):
                 return message.file_limit_s
         except ViewError as err:

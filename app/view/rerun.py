@@ -9,7 +9,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from nurbseg.app.view.config import ViewConfig, bracketed
-from nurbseg.app.view.drawing.frame import Moment, ViewFrame
+from nurbseg.app.view.drawing.frame import ViewFrame
+from nurbseg.app.view.messages import Line
 from nurbseg.drivers.frame import Calibration
 from nurbseg.segmentation.config import SegmentationConfig
 
@@ -27,7 +28,7 @@ from nurbseg.app.view.drawing.entities import LEGEND, FrameEntities, opening_ent
 from nurbseg.app.view.file import FileSink
 from nurbseg.app.view.live import ViewerSink
 from nurbseg.app.view.serving import WebServer
-from nurbseg.app.view.stream import LogLine, Opening
+from nurbseg.app.view.stream import Opening
 from nurbseg.app.view.viewer import (
     FILE_CLOSE_S,
     ViewError,
@@ -44,14 +45,6 @@ logger = logging.getLogger(__name__)
 
 #: How long the viewer may take for the last frame once the file is complete, seconds.
 _VIEWER_CLOSE_S = 0.3
-
-_LEVELS = {
-    logging.CRITICAL: "CRITICAL",
-    logging.ERROR: "ERROR",
-    logging.WARNING: "WARN",
-    logging.INFO: "INFO",
-    logging.DEBUG: "DEBUG",
-}
 
 
 class RerunView:
@@ -124,9 +117,8 @@ class RerunView:
         if self._server is not None:
             self._server.restart_if_ended()
 
-    def show_line(self, moment: Moment, level: int, text: str) -> None:
-        """Show a log line at a time; never waits."""
-        line = LogLine(moment, _LEVELS.get(level, "INFO"), text)
+    def show_line(self, line: Line) -> None:
+        """Show a log line; never waits."""
         for sink in self._sinks:
             sink.queue.put_note(line)
 

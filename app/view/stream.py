@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -12,9 +13,19 @@ from nurbseg.app.view.drawing.blueprint import blueprint
 from nurbseg.app.view.drawing.entities import LOG, FrameEntities, camera_entities, stage_entities
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame
 from nurbseg.app.view.drawing.tree import Entities
+from nurbseg.app.view.messages import Line
 from nurbseg.drivers.frame import Calibration
 
 APPLICATION = "nurbseg"
+
+#: Rerun's names of logging's levels.
+_LEVELS = {
+    logging.CRITICAL: "CRITICAL",
+    logging.ERROR: "ERROR",
+    logging.WARNING: "WARN",
+    logging.INFO: "INFO",
+    logging.DEBUG: "DEBUG",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,16 +53,7 @@ class Opening:
         log_entities(stream, self.static, static=True)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LogLine:
-    """One line of the program's log, with the time of its frame and Rerun's name of the severity."""
-
-    moment: Moment
-    level: str
-    text: str
-
-
-Item = FrameEntities | LogLine
+Item = FrameEntities | Line
 
 
 def log_entities(stream: rr.RecordingStream, entities: Entities, *, static: bool = False) -> None:
@@ -91,8 +93,8 @@ class Writer:
     def write(self, item: Item) -> None:
         """Log a frame or a line at its time."""
         set_time(self._stream, item.moment)
-        if isinstance(item, LogLine):
-            self._stream.log(LOG, rr.TextLog(item.text, level=item.level))
+        if isinstance(item, Line):
+            self._stream.log(LOG, rr.TextLog(item.text, level=_LEVELS.get(item.level, "INFO")))
             return
         frame = item.frame
         kind = frame.unregistered_color is None, frame.truth is not None, frame.objects is not None

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.app.computer import versions_line
 from nurbseg.app.evaluation.answers import Answers
-from nurbseg.app.evaluation.computer import versions_line
 from nurbseg.app.evaluation.report import pictures, plots
 from nurbseg.app.evaluation.report.findings import findings, means_of, verdict
 from nurbseg.app.evaluation.report.tables import all_tables

@@ -11,7 +11,7 @@ import pytest
 
 from nurbseg.app.atomic_file import write_atomically
 from nurbseg.app.export.config import ExportConfig
-from nurbseg.app.export.exporter import Exporter, ExportError, MissingExtraError, run_settings
+from nurbseg.app.export.exporter import Exporter, ExportError, run_settings
 from nurbseg.app.export.surfaces import surfaces_npz
 from nurbseg.app.export.tree import tree_document
 from nurbseg.app.live.tracking import process_frame
@@ -100,7 +100,7 @@ def test_a_missing_library_is_named_with_the_extra_that_brings_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("nurbseg.app.export.exporter.find_spec", lambda name: None)
-    with pytest.raises(MissingExtraError, match=r"--export-cad 3dm: needs rhino3dm.*nurbseg\[cad\]"):
+    with pytest.raises(ExportError, match=r"--export-cad 3dm: needs rhino3dm.*nurbseg\[cad\]"):
         Exporter(tmp_path / "out", SETTINGS, ExportConfig(cad="3dm"))
     assert not (tmp_path / "out").exists()
 

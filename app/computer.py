@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import MutableMapping
+from collections.abc import Iterable, MutableMapping
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from nurbseg.app.versions import versions
-
 _CPU_INFO = Path("/proc/cpuinfo")
+_PACKAGES = ("nurbseg", "numpy", "scipy", "opencv-python-headless", "rerun-sdk", "mcap")
 #: The kernel of OpenBLAS that every processor with AVX2 and FMA can run.
 _COMMON_KERNEL = "Haswell"
 
@@ -40,6 +41,15 @@ def computer() -> str:
     }
     processor = _cpu_line("model name", _CPU_INFO) or platform.processor() or platform.machine()
     return f"{processor}, {' and '.join(sorted(kernels)) or 'BLAS unknown'}"
+
+
+def versions(packages: Iterable[str] = _PACKAGES) -> dict[str, str]:
+    """Return the versions of Python, the platform and the installed packages."""
+    found = {"python": platform.python_version(), "platform": platform.platform()}
+    for package in packages:
+        with suppress(PackageNotFoundError):
+            found[package] = version(package)
+    return found
 
 
 def versions_line() -> str:
