@@ -110,24 +110,15 @@ def run_study(
     with open_workers(jobs, scheduler) as workers:
         for (ref, _), future in in_order(workers, evaluate, todo):
             try:
-                outcome = future.result()
+                record, files = future.result()
             except WorkerLostError as err:
                 raise WorkerLostError(f"{ref.uri}, frame {ref.index}: {err}") from err
-            known = store.frame(outcome.key) or {}
-            results = {**known.get("results", {}), **outcome.record.get("results", {})}
-            store.keep(outcome.key, {**outcome.record, "results": results}, outcome.files)
+            known = store.frame(ref.key) or {}
+            results = {**known.get("results", {}), **record.get("results", {})}
+            store.keep(ref.key, {**record, "results": results}, files)
             done += 1
             report(done, len(refs))
     return refs
-
-
-@dataclass(frozen=True, slots=True)
-class FrameOutcome:
-    """A worker's results for a frame: JSON values, and files by their path in the store."""
-
-    key: str
-    record: dict[str, Any]
-    files: dict[str, bytes]
 
 
 def read_frame(ref: FrameRef, options: SourceOptions) -> RGBDFrame:
@@ -139,8 +130,8 @@ def read_frame(ref: FrameRef, options: SourceOptions) -> RGBDFrame:
 
 def evaluate_frame(
     task: tuple[FrameRef, Sequence[Variant]], *, options: SourceOptions, seed: int, pieces: int = 1
-) -> FrameOutcome:
-    """Segment one frame with several variants and score each.
+) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """Segment one frame with several variants and score each; return scores, and files by path in the store.
 
     Work that variants share (reading, registration, and cuts and fits of one method) is done once. A frame
     that is damaged or has no pixel with both depth and ground truth is recorded as skipped.
@@ -150,7 +141,7 @@ def evaluate_frame(
     try:
         frame = read_frame(ref, options)
     except FrameFormatError as err:
-        return FrameOutcome(ref.key, {"key": ref.key, "skipped": str(err)}, {})
+        return {"key": ref.key, "skipped": str(err)}, {}
     cloud = register(frame)
     about = {
         "key": ref.key,
@@ -161,9 +152,9 @@ def evaluate_frame(
         "computer": computer(),
     }
     if frame.labels is None:
-        return FrameOutcome(ref.key, {**about, "skipped": "no ground truth"}, {})
+        return {**about, "skipped": "no ground truth"}, {}
     if not (cloud.valid & (frame.labels > 0)).any():
-        return FrameOutcome(ref.key, {**about, "skipped": "no pixel has both depth and ground truth"}, {})
+        return {**about, "skipped": "no pixel has both depth and ground truth"}, {}
     results: dict[str, Any] = {}
     files: dict[str, bytes] = {}
     answers = Answers(cloud, frame.name, ref.index, seed)
@@ -178,7 +169,7 @@ def evaluate_frame(
         files[label_path(ref.key, variant)] = label_png(labels)
         if tree is not None:
             files[tree_path(ref.key, variant)] = outline(tree, variant)
-    return FrameOutcome(ref.key, {**about, "results": results}, files)
+    return {**about, "results": results}, files
 
 
 def times_per_frame(study: Study, frames: int) -> Mapping[str, float]:

@@ -62,7 +62,7 @@ def _run(channel: Channel) -> int:
     logging.getLogger().addHandler(LogForwarder(channel))
     logging.getLogger("nurbseg").setLevel(message.log_level)
     try:
-        view = RerunView(message.config, message.segmentation, message.properties, message.name)
+        view = RerunView(message)
     except ViewError as err:
         channel.send(Failed(str(err)))
         return 1

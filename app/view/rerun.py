@@ -5,14 +5,13 @@ from __future__ import annotations
 import logging
 import os
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
-from nurbseg.app.view.config import ViewConfig, bracketed
+from nurbseg.app.view.config import bracketed
 from nurbseg.app.view.drawing.frame import ViewFrame
-from nurbseg.app.view.messages import Line
+from nurbseg.app.view.messages import Line, Open
 from nurbseg.drivers.frame import Calibration
-from nurbseg.segmentation.config import SegmentationConfig
 
 # Rerun reports a lost viewer on stderr once for each entity, and a file without an index; we log the former
 # once, and the latter is intended.
@@ -24,7 +23,7 @@ os.environ.setdefault(
 import rerun as rr
 
 from nurbseg.app.view.drawing.blueprint import legend
-from nurbseg.app.view.drawing.entities import LEGEND, FrameEntities, opening_entities
+from nurbseg.app.view.drawing.entities import LEGEND, FrameEntities, markdown, opening_entities
 from nurbseg.app.view.file import FileSink
 from nurbseg.app.view.live import ViewerSink
 from nurbseg.app.view.serving import WebServer
@@ -50,18 +49,11 @@ _VIEWER_CLOSE_S = 0.3
 class RerunView:
     """Shows and saves frames; each sink has its own thread and its own stream of the same recording.
 
-    Runs in the process `nurbseg.app.view.program`. Parameters and errors are those of `IsolatedView`;
-    `properties` are stored with the recording, by subject.
+    Runs in the process `nurbseg.app.view.program`. Errors are those of `IsolatedView`.
     """
 
-    def __init__(
-        self,
-        config: ViewConfig,
-        segmentation: SegmentationConfig,
-        properties: Mapping[str, Mapping[str, str]],
-        name: str,
-    ) -> None:
-        self._config = config
+    def __init__(self, wanted: Open) -> None:
+        self._config = config = wanted.config
         self._calibration: Calibration | None = None
         self._closed = False
         self._server: WebServer | None = None
@@ -70,14 +62,14 @@ class RerunView:
         self.how_to_look = ""
         opening = Opening(
             recording_id=str(uuid.uuid4()),
-            name=name,
+            name=wanted.name,
             properties={
                 subject: rr.AnyValues(drop_untyped_nones=True, **values)
-                for subject, values in properties.items()
+                for subject, values in wanted.properties.items()
             },
             static=(
                 *opening_entities(),
-                (LEGEND, rr.TextDocument(legend(config, segmentation), media_type=rr.MediaType.MARKDOWN)),
+                (LEGEND, markdown(legend(config, wanted.segmentation))),
             ),
         )
         try:

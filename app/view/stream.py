@@ -11,7 +11,7 @@ import rerun as rr
 
 from nurbseg.app.view.drawing.blueprint import blueprint
 from nurbseg.app.view.drawing.entities import LOG, FrameEntities, camera_entities, stage_entities
-from nurbseg.app.view.drawing.frame import Moment, ViewFrame
+from nurbseg.app.view.drawing.frame import Moment
 from nurbseg.app.view.drawing.tree import Entities
 from nurbseg.app.view.messages import Line
 from nurbseg.drivers.frame import Calibration
@@ -73,12 +73,6 @@ def set_time(stream: rr.RecordingStream, moment: Moment) -> None:
         stream.set_time("device_time", duration=np.timedelta64(moment.device_ns, "ns"))
 
 
-def _distance_m(frame: ViewFrame) -> float:
-    """Return the distance of a frame's scene, metres."""
-    depth_mm = frame.depth_mm[frame.depth_mm > 0]
-    return float(np.median(depth_mm)) / 1000.0 if depth_mm.size else 1.0
-
-
 class Writer:
     """Writes items to one stream, and the layout and the cameras whenever they change."""
 
@@ -104,18 +98,8 @@ class Writer:
             # A viewer follows the highest frame number, which is no longer the newest frame.
             self._timeline = "log_time"
         if kind != self._kind or went_back:
-            self._kind = registered, ground_truth, objects = kind
-            self._stream.send_blueprint(
-                blueprint(
-                    registered=registered,
-                    ground_truth=ground_truth,
-                    objects=objects,
-                    layout=item.view.layout,
-                    distance_m=_distance_m(frame),
-                    residual_max_m=item.view.residual_max_m,
-                    timeline=self._timeline,
-                )
-            )
+            self._kind = kind
+            self._stream.send_blueprint(blueprint(frame, item.view, self._timeline))
         if item.calibration is not self._calibration:
             self._calibration = item.calibration
             log_entities(self._stream, camera_entities(item.calibration), static=True)

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import VisualizerComponentMapping
 
-from nurbseg.app.view.config import Layout, ViewConfig
+from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing import entities as entity
 from nurbseg.app.view.drawing import tree as tree_drawing
+from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.app.view.drawing.palette import STOP_COLORS
 from nurbseg.segmentation.config import SegmentationConfig
 
@@ -33,25 +35,17 @@ _STOP_TEXTS = {
 }
 
 
-def blueprint(
-    *,
-    registered: bool = True,
-    ground_truth: bool = False,
-    objects: bool = False,
-    layout: Layout = "full",
-    distance_m: float = 1.0,
-    residual_max_m: float = 0.02,
-    timeline: str = "frame",
-) -> rrb.Blueprint:
-    """Return the layout: 3D and images above; tree, tables and plots below.
+def blueprint(frame: ViewFrame, view: ViewConfig, timeline: str = "frame") -> rrb.Blueprint:
+    """Return the layout for frames of this kind: 3D and images above; tree, tables and plots below.
 
-    If depth and color are not `registered`, the color camera's own image is shown, too. "compact" shows less
+    If depth and color are not registered, the color camera's own image is shown, too. "compact" shows less
     at once, with the rest in tabs. The eye's position depends on the scene's distance; the viewer follows
     `timeline` to its end.
     """
-    surfaces, points, residuals = _spaces("object" if objects else "segment", distance_m, residual_max_m)
+    objects = frame.objects is not None
+    surfaces, points, residuals = _spaces(frame, view)
     color: rrb.View | rrb.Tabs = _picture("Color", entity.COLOR)
-    if not registered:
+    if frame.unregistered_color is not None:
         own = rrb.Spatial2DView(
             name="Color camera", origin=entity.COLOR_CAMERA, contents=[entity.UNREGISTERED_COLOR]
         )
@@ -61,7 +55,7 @@ def blueprint(
         found, parts = _on_color("Objects on color", entity.OBJECTS), _picture("Surfaces", entity.SHADED)
     else:
         found, parts = _on_color("Segments on color", entity.LABELS), _picture("Segments", entity.LABELS)
-    rest = [_picture("Ground truth", entity.GROUND_TRUTH), parts] if ground_truth else [parts]
+    rest = [_picture("Ground truth", entity.GROUND_TRUTH), parts] if frame.truth is not None else [parts]
     tree = _graph("Tree", tree_drawing.TREE)
     trees = rrb.Tabs(_graph("Tree by object", tree_drawing.OBJECT_TREE), tree) if objects else tree
     texts = (
@@ -74,7 +68,7 @@ def blueprint(
     counts = _plot("Segments, events", entity.SEGMENT_COUNT)
     mean = _plot("Mean metric", f"{entity.METRIC}/mean", legend=False)
     worst = _plot("Worst metric", f"{entity.METRIC}/worst", legend=False)
-    if layout == "compact":
+    if view.layout == "compact":
         above = rrb.Horizontal(
             rrb.Tabs(surfaces, points, residuals), rrb.Tabs(color, depth), rrb.Tabs(found, *rest)
         )
@@ -92,10 +86,11 @@ def blueprint(
     )
 
 
-def _spaces(
-    colored_by: str, distance_m: float, residual_max_m: float
-) -> tuple[rrb.View, rrb.View, rrb.Container]:
+def _spaces(frame: ViewFrame, view: ViewConfig) -> tuple[rrb.View, rrb.View, rrb.Container]:
     """Return the 3D views of surfaces, points and residuals."""
+    colored_by = "segment" if frame.objects is None else "object"
+    depth_mm = frame.depth_mm[frame.depth_mm > 0]
+    distance_m = float(np.median(depth_mm)) / 1000.0 if depth_mm.size else 1.0
     by_residual = rr.Mesh3D.from_fields().visualizer(
         mappings=[
             VisualizerComponentMapping(
@@ -123,7 +118,8 @@ def _spaces(
         )
         for name, path, overrides in shown
     )
-    scale = rrb.Spatial2DView(name=f"0 to {1e3 * residual_max_m:g} mm and more", origin=entity.RESIDUAL_SCALE)
+    largest_mm = 1e3 * view.residual_max_m
+    scale = rrb.Spatial2DView(name=f"0 to {largest_mm:g} mm and more", origin=entity.RESIDUAL_SCALE)
     return surfaces, points, rrb.Vertical(residuals, scale, row_shares=[8, 1], name="Residuals")
 
 

@@ -24,14 +24,14 @@ def drawn(
     metric: Metric,
     *,
     moment: Moment,
-    elapsed_ms: Mapping[str, float],
-    rate_hz: float,
-    known: Calibration | None,
+    elapsed_ms: Mapping[str, float] | None = None,
+    rate_hz: float = 0.0,
+    known: Calibration | None = None,
 ) -> ViewFrame:
     """Return what views show of a frame, in the detail that `view` asks for.
 
-    `elapsed_ms` holds the stages so far, as the run may go on adding to those of `result`. The calibration
-    is left out if it is `known` from the previous frame.
+    `elapsed_ms` holds the stages so far, if the run goes on adding to those of `result`. The calibration is
+    left out if it is `known` from the previous frame.
     """
     frame, tree = result.frame, result.tree
     # Meshes need the tree's own labels; the ones shown persist from frame to frame.
@@ -59,7 +59,7 @@ def drawn(
         mesh=replace(mesh, labels=result.surface_of_leaf[mesh.labels]),
         tree=_nodes(result, metric),
         merges=tuple(_merges(result)),
-        elapsed_ms=dict(elapsed_ms),
+        elapsed_ms=dict(elapsed_ms or result.elapsed_ms),
         rate_hz=rate_hz,
         events=tuple(map(event_text, result.events)),
         grid_step=None if result.update is None else result.update.step,

@@ -79,8 +79,8 @@ class FrameEntities:
                     *_images(self.frame, self.view),
                     *_space(self.frame, self.view),
                     *tree_entities(self.frame),
-                    (OBJECT_TABLE, _markdown(object_table(self.frame))),
-                    (TREE_TABLE, _markdown(tree_table(self.frame))),
+                    (OBJECT_TABLE, markdown(object_table(self.frame))),
+                    (TREE_TABLE, markdown(tree_table(self.frame))),
                     *_scalars(self.frame),
                     *_log_lines(self.frame),
                 ]
@@ -141,7 +141,8 @@ def _colored(classes: Iterable[tuple[int, str, tuple[int, int, int]]]) -> rr.Ann
     )
 
 
-def _markdown(text: str) -> rr.TextDocument:
+def markdown(text: str) -> rr.TextDocument:
+    """Return a text in Markdown."""
     return rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
 
 

@@ -29,6 +29,7 @@ from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.entities import FrameEntities
 from nurbseg.app.view.drawing.frame import Moment
 from nurbseg.app.view.drawing.palette import DIVISION_COLORS, STOP_COLORS
+from nurbseg.app.view.messages import Open
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.rerun import RerunView
 from nurbseg.app.view.stream import Item, Writer
@@ -167,10 +168,14 @@ def views_of(part: rrb.Container | rrb.View) -> Iterator[rrb.View]:
 
 
 @pytest.mark.parametrize("layout", ["full", "compact"])
-def test_each_view_holds_data_and_all_that_is_drawn_is_seen(saved: SavedView, layout: Layout) -> None:
+def test_each_view_holds_data_and_all_that_is_drawn_is_seen(
+    saved: SavedView, results: list[FrameResult], layout: Layout
+) -> None:
+    frame = drawn(results[0], ViewConfig(), "mse", moment=Moment(0, None, False))
+    assert frame.truth is not None and frame.objects is not None
     logged = {*saved.by_frame, *saved.static}
     seen: set[str] = set()
-    for view in views_of(blueprint(ground_truth=True, objects=True, layout=layout).root_container):
+    for view in views_of(blueprint(frame, ViewConfig(layout=layout)).root_container):
         for query in [view.contents] if isinstance(view.contents, str) else view.contents:
             path = query.replace("$origin", view.origin).removesuffix("/**")
             found = {each for each in logged if each == path or each.startswith(f"{path}/")}
@@ -442,7 +447,7 @@ def test_a_file_that_grows_slowly_is_waited_for(
     tmp_path: Path, results: list[FrameResult], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "slow.rrd"
-    view = RerunView(ViewConfig(mode="none", save=str(path)), CONFIG, {}, "slow")
+    view = RerunView(Open(ViewConfig(mode="none", save=str(path)), CONFIG, {}, "slow", logging.INFO))
     written = Writer.write
 
     def slowly(writer: Writer, item: Item) -> None:
