@@ -1,4 +1,4 @@
-"""SIGINT (Ctrl-C) and SIGTERM, which end a run cleanly."""
+"""Ctrl-C, SIGTERM and a closed terminal (SIGHUP), which end a run cleanly."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, Self
 
 
 class Interruption:
-    """Turns the first SIGINT or SIGTERM into a `KeyboardInterrupt` on the main thread.
+    """Turns the first SIGINT, SIGTERM or SIGHUP into a `KeyboardInterrupt` on the main thread.
 
     Call `check` where the run can end, because the exception can get lost in a callback of a library. After
     `hold`, signals raise nothing, so that files are closed undisturbed.
@@ -23,8 +23,10 @@ class Interruption:
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Self:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            self._before[number] = signal.signal(number, self._on_signal)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            # A run started with nohup outlives its terminal.
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+                self._before[number] = signal.signal(number, self._on_signal)
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -103,11 +103,12 @@ def test_ctrl_c_again_and_again_disturbs_no_file(start_live: START, tmp_path: Pa
     assert_files_are_whole(tmp_path)
 
 
-def test_a_polite_kill_ends_cleanly_too(start_live: START, tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP], ids=["killed", "terminal-closed"])
+def test_a_polite_kill_ends_cleanly_too(number: signal.Signals, start_live: START, tmp_path: Path) -> None:
     run = start_live("--replay", SCENE, "--loop", "--speed", "0", "--view", "none", *FILES)
     run.wait_for("frame 0")
-    code, took_s = run.end_with(signal.SIGTERM)
-    assert (code, took_s < LIMIT_S) == (143, True), took_s
+    code, took_s = run.end_with(number)
+    assert (code, took_s < LIMIT_S) == (128 + number, True), took_s
     assert_files_are_whole(tmp_path)
 
 
@@ -122,6 +123,17 @@ def test_a_signal_raises_once_and_is_remembered() -> None:
         with pytest.raises(KeyboardInterrupt):
             interruption.check()
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_run_that_ignores_its_terminal_goes_on_without_it() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
+    try:
+        with Interruption() as interruption:
+            signal.raise_signal(signal.SIGHUP)
+            interruption.check()
+            assert interruption.signal_number is None
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_while_held_a_signal_raises_nothing_and_is_found_later() -> None:
