@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.calibration.lens import lens_terms, undistort
+from nurbseg.drivers.datasets.images import millimetres
 
 #: Coefficients that OpenCV's distortion model accepts (k1, k2, p1, p2[, k3[, k4, k5, k6[, ...]]]).
 _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
@@ -251,17 +252,15 @@ class RGBDFrame:
             If a shape, dtype or value is wrong, or the images differ in size.
         """
         depth, color = np.asarray(depth), np.asarray(color)
-        if np.issubdtype(depth.dtype, np.floating):
-            with np.errstate(invalid="ignore"):
-                depth_mm = np.rint(np.nan_to_num(depth * 1e3, nan=0.0, posinf=0.0))
-                depth = np.where((depth_mm > 0) & (depth_mm <= 65535), depth_mm, 0).astype(np.uint16)
-        elif depth.dtype != np.uint16:
-            raise ValueError(f"depth: expected uint16 (millimetres) or float (metres), got {depth.dtype}")
         if depth.ndim != 2 or depth.shape != color.shape[:2]:
             raise ValueError(
                 f"depth, color: expected (H, W) and (H, W, 3) of the same size, got {depth.shape} and "
                 f"{color.shape}; those of two cameras need RGBDFrame(..., calibration=Calibration(...))"
             )
+        if np.issubdtype(depth.dtype, np.floating):
+            depth = millimetres(depth, units_per_metre=1.0)
+        elif depth.dtype != np.uint16:
+            raise ValueError(f"depth: expected uint16 (millimetres) or float (metres), got {depth.dtype}")
         camera = Intrinsics(depth.shape[1], depth.shape[0], fx, fy, cx, cy)
         return cls(
             index, timestamp_ns, np.array(depth), np.array(color), Calibration.registered(camera), name=name

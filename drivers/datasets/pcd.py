@@ -51,18 +51,18 @@ def fit_camera(points_m: NDArray[np.float32], name: str) -> Intrinsics:
             "give --intrinsics fx,fy,cx,cy"
         )
     p = points_m[valid].astype(np.float64)
-    found = {}
-    for axis, (pixel, slope) in enumerate(((u, p[:, 0] / p[:, 2]), (v, p[:, 1] / p[:, 2]))):
+    found = []
+    for axis, pixel, slope in (("x", u, p[:, 0] / p[:, 2]), ("y", v, p[:, 1] / p[:, 2])):
         A = np.stack([slope, np.ones_like(slope)], axis=1)
         solution = np.linalg.lstsq(A, pixel, rcond=None)[0]
         residual = float(np.sqrt(np.mean((A @ solution - pixel) ** 2)))
         if residual > _RESIDUAL_MAX_PX:
             raise CalibrationError(
-                f"{name}: {'xy'[axis]}: the points do not lie on a pinhole camera's rays "
+                f"{name}: {axis}: the points do not lie on a pinhole camera's rays "
                 f"({residual:.1f} pixels off); give --intrinsics fx,fy,cx,cy"
             )
-        found[axis] = solution
-    (fx, cx), (fy, cy) = found[0], found[1]
+        found.append(solution)
+    (fx, cx), (fy, cy) = found
     try:
         return Intrinsics(width=width, height=height, fx=float(fx), fy=float(fy), cx=float(cx), cy=float(cy))
     except ValueError as err:

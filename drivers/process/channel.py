@@ -90,11 +90,6 @@ class Channel:
         self._release(slot)
         return False
 
-    def log(self, record: logging.LogRecord, text: str) -> None:
-        """Have a log record written by the other process; never waits for long."""
-        with contextlib.suppress(ChannelClosedError):
-            self._write(_LOG_RECORD, json.dumps([record.name, record.levelno, text]).encode(), _BEAT_S)
-
     def beat(self) -> None:
         """Send a heartbeat if the last one is old enough; for a loop that calls this often. Never waits."""
         now_s = time.monotonic()
@@ -239,8 +234,10 @@ class LogForwarder(logging.Handler):
         self.setFormatter(logging.Formatter())
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Forward a record."""
-        self._channel.log(record, self.format(record))
+        """Forward a record; never waits for long."""
+        text = json.dumps([record.name, record.levelno, self.format(record)]).encode()
+        with contextlib.suppress(ChannelClosedError):
+            self._channel._write(_LOG_RECORD, text, _BEAT_S)
 
 
 def connect_to_parent(codec: Codec, *, limit_s: float) -> Channel:

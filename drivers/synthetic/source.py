@@ -10,6 +10,7 @@ from urllib.parse import parse_qsl
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.datasets.images import millimetres
 from nurbseg.drivers.datasets.sequence import SequenceSource
 from nurbseg.drivers.errors import RecordingFormatError
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
@@ -26,8 +27,6 @@ _COLOR_FOCAL_PX, _DEPTH_FOCAL_PX = 525.0, 572.0
 _OFFSET_M, _TURN = (-0.025, 0.0006, -0.0012), (0.004, -0.006, 0.003)
 _COLOR_DISTORTION = (0.11, -0.24, 0.0008, -0.0011, 0.06)
 _DEPTH_DISTORTION = (-0.06, 0.14, -0.0007, 0.0009, -0.05)
-#: Millimetres in 16 bits reach no farther.
-_DEPTH_MAX_M = 65.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,8 +139,7 @@ class SyntheticSource(SequenceSource):
     def _measured(self, depth_m: NDArray[np.float32], index: int) -> NDArray[np.uint16]:
         if self._sensor is not None:
             return self._sensor.measure(depth_m, index)
-        known = depth_m < _DEPTH_MAX_M
-        return np.asarray(np.where(known, np.rint(depth_m * known * 1000), 0), dtype=np.uint16)
+        return millimetres(depth_m, units_per_metre=1.0)
 
     def _labels(self, seen: Rendering) -> NDArray[np.uint16]:
         if self.options.labels == "objects":

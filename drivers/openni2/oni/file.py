@@ -136,12 +136,12 @@ def _records(file: BinaryIO) -> Iterator[tuple[int, int, bytes, int, int]]:
         position = end
 
 
-def _name(path: Path, fields: bytes) -> tuple[bytes, bytes]:
+def _name(path: Path, fields: bytes) -> tuple[str, bytes]:
     """Return the name at the start of a record's fields, and what follows it."""
     length = int.from_bytes(fields[:4], "little")
     if len(fields) < 4 + length or length == 0 or fields[3 + length] != 0:
         raise RecordingFormatError(f"{path}: a name in a record is longer than the record")
-    return fields[4 : 3 + length], fields[4 + length :]
+    return fields[4 : 3 + length].decode(errors="replace"), fields[4 + length :]
 
 
 def _add_stream(
@@ -149,16 +149,14 @@ def _add_stream(
 ) -> None:
     name, rest = _name(path, fields)
     if len(rest) < 8:
-        raise RecordingFormatError(
-            f"{path}: {name.decode(errors='replace')}: the stream's record is too short"
-        )
+        raise RecordingFormatError(f"{path}: {name}: the stream's record is too short")
     if len(rest) >= _SEEK_TABLE_AT + 8:
         (seek_table,) = struct.unpack_from("<Q", rest, _SEEK_TABLE_AT)
         if seek_table >= file_size:
             # OpenNI2 does not open such a file, and gives no reason.
             raise RecordingFormatError(
-                f"{path}: cut short: {file_size} bytes, but the {name.decode(errors='replace')} stream's "
-                f"seek table is at {seek_table}; copy the whole file"
+                f"{path}: cut short: {file_size} bytes, but the {name} stream's seek table is at "
+                f"{seek_table}; copy the whole file"
             )
     kind = int.from_bytes(rest[:4], "little")
     if kind in _SENSORS and node not in streams:
@@ -169,37 +167,31 @@ def _take_property(path: Path, stream: StoredStream, fields: bytes) -> None:
     name, rest = _name(path, fields)
     value = rest[4:]
     if int.from_bytes(rest[:4], "little") != len(value):
-        raise RecordingFormatError(
-            f"{path}: {name.decode(errors='replace')}: its size contradicts the record's"
-        )
-    if name == b"xnMapOutputMode" and len(value) == 12:
+        raise RecordingFormatError(f"{path}: {name}: its size contradicts the record's")
+    if name == "xnMapOutputMode" and len(value) == 12:
         width, height, fps = struct.unpack("<III", value)
         if not (0 < width <= _LARGEST_SIDE and 0 < height <= _LARGEST_SIDE):
             raise RecordingFormatError(f"{path}: xnMapOutputMode: {width}x{height} is no image size")
         stream.size, stream.fps = (width, height), max(fps, 1)
-    elif name == b"oniPixelFormat" and len(value) == 8:
+    elif name == "oniPixelFormat" and len(value) == 8:
         stream.pixel_format = int.from_bytes(value, "little")
 
 
 def _add_frame(path: Path, stream: StoredStream, fields: bytes, payload_size: int) -> None:
+    sensor = stream.sensor.name.lower()
     if len(fields) < 12:
-        raise RecordingFormatError(f"{path}: {stream.sensor.name.lower()}: a frame's record is too short")
+        raise RecordingFormatError(f"{path}: {sensor}: a frame's record is too short")
     timestamp_us, number = struct.unpack_from("<QI", fields)
     width, height = stream.size
     if width == 0:
         raise RecordingFormatError(f"{path}: xnMapOutputMode: missing before the first frame")
     # The format is a number that may be none of `PixelFormat`, which are whole numbers too.
     expected = width * height * BYTES_PER_PIXEL.get(stream.pixel_format, 0)  # type: ignore[call-overload]
+    name = f"{path}: {sensor} frame {number}"
     if stream.codec == _UNCOMPRESSED and expected and payload_size != expected:
-        raise RecordingFormatError(
-            f"{path}: {stream.sensor.name.lower()} frame {number}: {payload_size} bytes, "
-            f"{expected} expected of {width}x{height}"
-        )
+        raise RecordingFormatError(f"{name}: {payload_size} bytes, {expected} expected of {width}x{height}")
     if stream.frames and number <= stream.frames[-1].number:
-        raise RecordingFormatError(
-            f"{path}: {stream.sensor.name.lower()} frame {number}: comes after "
-            f"frame {stream.frames[-1].number}"
-        )
+        raise RecordingFormatError(f"{name}: comes after frame {stream.frames[-1].number}")
     stream.frames.append(StoredFrame(number, timestamp_us))
 
 
