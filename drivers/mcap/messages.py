@@ -19,24 +19,18 @@ from nurbseg.drivers.mcap.definitions import COMPRESSED_IMAGE
 DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
 COLOR_ENCODINGS = ("rgb8", "bgr8", "rgba8", "bgra8", "mono8", "8UC3")
 LABEL_ENCODINGS = ("mono16", "16UC1", "mono8", "8UC1")
-_PIXELS: dict[str, tuple[type[np.generic], int]] = {
-    "16UC1": (np.uint16, 1),
-    "mono16": (np.uint16, 1),
-    "32FC1": (np.float32, 1),
-    "mono8": (np.uint8, 1),
-    "8UC1": (np.uint8, 1),
-    "rgb8": (np.uint8, 3),
-    "bgr8": (np.uint8, 3),
-    "8UC3": (np.uint8, 3),
-    "rgba8": (np.uint8, 4),
-    "bgra8": (np.uint8, 4),
-}
-_TO_RGB = {
-    "bgr8": cv2.COLOR_BGR2RGB,
-    "8UC3": cv2.COLOR_BGR2RGB,
-    "rgba8": cv2.COLOR_RGBA2RGB,
-    "bgra8": cv2.COLOR_BGRA2RGB,
-    "mono8": cv2.COLOR_GRAY2RGB,
+#: Type and channels of a pixel, and OpenCV's conversion to RGB, by encoding.
+_PIXELS: dict[str, tuple[type[np.generic], int, int | None]] = {
+    "16UC1": (np.uint16, 1, None),
+    "mono16": (np.uint16, 1, None),
+    "32FC1": (np.float32, 1, None),
+    "mono8": (np.uint8, 1, cv2.COLOR_GRAY2RGB),
+    "8UC1": (np.uint8, 1, None),
+    "rgb8": (np.uint8, 3, None),
+    "bgr8": (np.uint8, 3, cv2.COLOR_BGR2RGB),
+    "8UC3": (np.uint8, 3, cv2.COLOR_BGR2RGB),
+    "rgba8": (np.uint8, 4, cv2.COLOR_RGBA2RGB),
+    "bgra8": (np.uint8, 4, cv2.COLOR_BGRA2RGB),
 }
 #: image_transport puts the parameters of its depth quantisation before the PNG.
 _COMPRESSED_DEPTH_HEADER = 12
@@ -166,7 +160,7 @@ def color_of(message: Any, schema: str, name: str) -> NDArray[np.uint8]:
     if schema == COMPRESSED_IMAGE:
         return decode_color(bytes(message.data), name)
     pixels = _pixels(message, COLOR_ENCODINGS, name)
-    code = _TO_RGB.get(message.encoding)
+    *_, code = _PIXELS[message.encoding]
     color: NDArray[np.uint8] = (
         np.array(pixels) if code is None else cv2.cvtColor(pixels, code).astype(np.uint8)
     )
@@ -185,7 +179,7 @@ def _pixels(message: Any, encodings: tuple[str, ...], name: str) -> NDArray[Any]
         raise FrameFormatError(
             f"{name}: encoding: expected one of {', '.join(encodings)}, got {message.encoding!r}"
         )
-    kind, channels = _PIXELS[message.encoding]
+    kind, channels, _ = _PIXELS[message.encoding]
     dtype = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
     row_bytes = message.width * channels * dtype.itemsize
     if not message.width or not message.height or message.step < row_bytes:

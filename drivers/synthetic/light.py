@@ -103,17 +103,16 @@ def _light(
         if shown == 0:
             pixels[:, 0], pixels[:, 1], pixels[:, 2] = _BACKGROUND
         elif is_lit[np.int64(shown) - 1]:
-            _shadow_row(*shape, vectors[0], vectors[2], ball_radius, pixels)
+            _shadow_row(shape, vectors[0], vectors[2], ball_radius, pixels)
         else:
             shine = np.float32(190) * shininess[np.int64(shown) - 1]
-            _light_row(*shape, vectors[0], vectors[1], camera_height, shine, pixels)
+            _light_row(shape, vectors[0], vectors[1], camera_height, shine, pixels)
 
 
 @inlined
-def _shadow_row(
-    x: Any, y: Any, z: Any, nx: Any, ny: Any, nz: Any, lamp: Any, ball: Any, radius: Any, pixels: Any
-) -> None:
+def _shadow_row(shape: Any, lamp: Any, ball: Any, radius: Any, pixels: Any) -> None:
     """Take from a ground what light the ball shuts out."""
+    x, y, z, nx, ny, nz = shape
     reach = _SHADOW_REACH * radius
     for n in range(z.size):
         bx, by, bz = ball[0] - z[n] * x[n], ball[1] - z[n] * y[n], ball[2] - z[n]
@@ -128,19 +127,8 @@ def _shadow_row(
 
 
 @inlined
-def _light_row(
-    x: Any,
-    y: Any,
-    z: Any,
-    nx: Any,
-    ny: Any,
-    nz: Any,
-    lamp: Any,
-    up: Any,
-    camera_height: Any,
-    shine: Any,
-    pixels: Any,
-) -> None:
+def _light_row(shape: Any, lamp: Any, up: Any, camera_height: Any, shine: Any, pixels: Any) -> None:
+    x, y, z, nx, ny, nz = shape
     for n in range(z.size):
         px, py, pz = z[n] * x[n], z[n] * y[n], z[n]
         normal = nx[n], ny[n], nz[n]
