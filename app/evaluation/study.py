@@ -20,6 +20,7 @@ from nurbseg.app.evaluation.categories import category_of
 from nurbseg.app.evaluation.scoring import score_frame, score_objects
 from nurbseg.app.evaluation.store import StudyStore
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, Variant
+from nurbseg.app.export.exporter import png
 from nurbseg.app.frames import places
 from nurbseg.app.workers import WorkerLostError, in_order, open_workers
 from nurbseg.drivers.errors import FrameFormatError
@@ -214,8 +215,7 @@ def label_png(labels: NDArray[np.integer]) -> bytes:
     """Encode labels as a PNG of 16 bits; labels that need more are renumbered."""
     if labels.max(initial=0) > np.iinfo(np.uint16).max or labels.min(initial=0) < 0:
         labels = np.unique(labels, return_inverse=True)[1].reshape(labels.shape)
-    encoded = cv2.imencode(".png", labels.astype(np.uint16))[1]
-    return bytes(encoded)
+    return png(labels.astype(np.uint16))
 
 
 def outline(tree: SegmentationTree, variant: Variant) -> bytes:

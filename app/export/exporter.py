@@ -125,10 +125,10 @@ class Exporter:
 def frame_files(result: FrameResult, metric: Metric, export: ExportConfig) -> dict[str, bytes]:
     """Return the files of a frame by name, the tree last; `metric` decided the splits."""
     tree = result.tree
-    files = {"labels.png": _png(result.labels())}
+    files = {"labels.png": png(result.labels())}
     if tree.objects:
-        files["surfaces.png"] = _png(result.labels("surfaces"))
-        files["objects.png"] = _png(result.labels("objects"))
+        files["surfaces.png"] = png(result.labels("surfaces"))
+        files["objects.png"] = png(result.labels("objects"))
     if export.preview:
         files["preview.png"] = _preview(result)
     if export.surfaces:
@@ -195,8 +195,9 @@ def _preview(result: FrameResult) -> bytes:
     colors = np.vstack([np.zeros((1, 3), dtype=np.uint8), label_colors()])
     painted = colors[np.where(labels > 0, (labels - 1) % LABEL_COLORS + 1, 0)]
     gray = cv2.cvtColor(cv2.cvtColor(result.cloud.color, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
-    return _png(cv2.cvtColor(cv2.addWeighted(painted, 0.65, gray, 0.35, 0.0), cv2.COLOR_RGB2BGR))
+    return png(cv2.cvtColor(cv2.addWeighted(painted, 0.65, gray, 0.35, 0.0), cv2.COLOR_RGB2BGR))
 
 
-def _png(image: NDArray[Any]) -> bytes:
+def png(image: NDArray[Any]) -> bytes:
+    """Encode an image, BGR if it is in color."""
     return cv2.imencode(".png", image)[1].tobytes()

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 
@@ -87,12 +89,10 @@ def _named_uri(config: SourceConfig) -> str:
 
 def demo_uri() -> str:
     """Return the demo recording, or the synthetic source if it is not installed."""
-    try:
+    with suppress(ModuleNotFoundError):
         recording = files("nurbseg.recordings") / "demo.mcap"
-    except ModuleNotFoundError:
-        recording = Path("demo.mcap")
-    if recording.is_file():
-        return str(recording)
+        if recording.is_file():
+            return str(recording)
     _log.warning("the demo recording is not installed; rendering the synthetic scene")
     return SYNTHETIC
 
@@ -102,26 +102,17 @@ def _prepared(uri: str, app_config: AppConfig, options: SourceOptions) -> Opened
     config = app_config.source
     source = camera = _opened_at_start(uri, config, options)
     looped = None
-    try:
-        every_frame = not source.live and config.speed == 0
-        if source.live:
-            _warn_of_ignored(config, _REPLAY_SETTINGS, "replays only, ignored for a camera")
-        else:
-            source = looped = Looped(
-                source, lambda: _opened_at_start(uri, config, options), repeats=config.loop
-            )
-        if config.frames is not None or config.duration_s is not None:
-            source = Limited(
-                source,
-                frames=config.frames,
-                duration_s=config.duration_s,
-                delay_s=app_config.record.delay_s,
-            )
-        if not source.live and config.speed > 0:
-            source = Paced(source, config.speed)
-    except BaseException:
-        source.close()
-        raise
+    every_frame = not source.live and config.speed == 0
+    if source.live:
+        _warn_of_ignored(config, _REPLAY_SETTINGS, "replays only, ignored for a camera")
+    else:
+        reopen = partial(_opened_at_start, uri, config, options)
+        source = looped = Looped(source, reopen, repeats=config.loop)
+    if config.frames is not None or config.duration_s is not None:
+        delay_s = app_config.record.delay_s
+        source = Limited(source, frames=config.frames, duration_s=config.duration_s, delay_s=delay_s)
+    if not source.live and config.speed > 0:
+        source = Paced(source, config.speed)
     return OpenedSource(source, uri, camera, every_frame, looped)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import resource
-import sys
 import time
 from array import array
 from collections import Counter
@@ -181,6 +180,4 @@ def _percentiles(values: array[float]) -> dict[str, float]:
 
 def peak_memory_mb() -> float:
     """Return the peak resident memory of this process, 10^6 bytes."""
-    # Linux counts KiB, macOS bytes.
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6

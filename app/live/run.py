@@ -18,7 +18,7 @@ from nurbseg.app.live.capture import Captured, CaptureThread
 from nurbseg.app.live.control.console import open_status_line
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.live.control.feed import captured_frames, controlled_frames, wait_for_quit
-from nurbseg.app.live.control.snapshot import try_snapshot
+from nurbseg.app.live.control.snapshot import write_snapshot
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.latency_filter import LatencyFilter
 from nurbseg.app.live.opening import OpenedSource, open_chosen
@@ -268,7 +268,7 @@ def _segment(
                 elapsed_ms[stage] = 1e3 * (time.perf_counter() - started_s)
             if controls.snapshot:
                 controls.snapshot = False
-                try_snapshot(result, _settings(config, controls.config, opened), Path.cwd())
+                write_snapshot(result, _settings(config, controls.config, opened), Path.cwd())
             report.late = latency_filter.held_back
             report.add(elapsed_ms, result.events, result.update)
             tree = result.tree

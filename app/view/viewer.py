@@ -8,7 +8,6 @@ import logging
 import os
 import socket
 import subprocess
-import sys
 from ipaddress import ip_address
 from pathlib import Path
 
@@ -27,20 +26,15 @@ class ViewError(Exception):
     """Something cannot be shown or saved; the message says what and why."""
 
 
-def has_display() -> bool:
-    """Whether a window can be opened."""
-    if sys.platform != "linux":
-        return True
-    return any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
-
-
 def chosen_mode(config: ViewConfig, *, somebody_waits: bool = False) -> ViewMode:
     """Return where to show; "auto" depends on the display and on whether a user waits at a terminal."""
     if config.mode != "auto":
         return config.mode
     if config.connect is not None:
         return "connect"
-    return "spawn" if has_display() else "serve" if somebody_waits else "none"
+    if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        return "spawn"
+    return "serve" if somebody_waits else "none"
 
 
 def viewer_executable() -> Path:

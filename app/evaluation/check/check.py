@@ -97,7 +97,7 @@ class FolderCheck:
 
     def _check_against(self, frame: ExportedFrame, recorded: RGBDFrame | None) -> Iterator[Finding]:
         if recorded is None:
-            yield frame.wrong("", "frame", "one of the recording", frame.number)
+            yield frame.wrong("", "frame", "one of the recording", frame.tree.frame)
             return
         for field, expected, found in (
             ("name", recorded.name, frame.tree.name),
@@ -120,5 +120,5 @@ def _recorded(source: FrameSource, frame: ExportedFrame) -> RGBDFrame | None:
             continue
         except EndOfRecordingError:
             return None
-        if recorded.index >= frame.number:
-            return recorded if recorded.index == frame.number else None
+        if recorded.index >= frame.tree.frame:
+            return recorded if recorded.index == frame.tree.frame else None

@@ -176,18 +176,13 @@ class ExportedFrame:
     measured: Mapping[str, NDArray[np.int64]]
 
     @property
-    def number(self) -> int:
-        """Number of the frame in its source."""
-        return self.tree.frame
-
-    @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
         return self.tree.height, self.tree.width
 
     def wrong(self, segment: str, field: str, expected: object, found: object) -> Finding:
         """Return a finding in the file of the tree."""
-        return Finding(self.tree_file, segment, field, str(expected), str(found))
+        return Finding(f"{self.stem}_tree.json", segment, field, str(expected), str(found))
 
     @cached_property
     def segments(self) -> Mapping[str, ExportedSegment]:
@@ -222,11 +217,6 @@ class ExportedFrame:
             else config.extended.piece_pixels_min
         )
         return pixels_min * self.shape[0] * self.shape[1] / (640 * 480) / self.step**2
-
-    @property
-    def tree_file(self) -> str:
-        """Name of the file that holds the tree."""
-        return f"{self.stem}_tree.json"
 
     @property
     def surfaces_file(self) -> str:

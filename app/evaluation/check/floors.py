@@ -32,7 +32,7 @@ def check_floors(frame: ExportedFrame, cloud: PointMap) -> Iterator[Finding]:
     per_point: dict[str, float] = {}
     for name, each in frame.segments.items():
         pixels = frame.measured.get(name, np.zeros(0, dtype=np.int64))
-        if each.measured != frame.number or (each.surface and not have_points(pixels, cloud)):
+        if each.measured != frame.tree.frame or (each.surface and not have_points(pixels, cloud)):
             continue
         least = most = 0.0
         if floored and each.surface:

@@ -23,14 +23,14 @@ class History:
                 ("value", each.measured, self._values, (each.value, each.points)),
                 ("trial", each.judged, self._trials, each.trial),
             ):
-                if number == frame.number or found in known.get(number, ()):
+                if number == frame.tree.frame or found in known.get(number, ()):
                     continue
-                if number > frame.number or number in known:
+                if number > frame.tree.frame or number in known:
                     yield frame.wrong(name, field, f"one of frame {number}, as the file says", found)
                 else:
                     self.unchecked += 1
         own = frame.segments.values()
-        self._values[frame.number] = {
-            (each.value, each.points) for each in own if each.measured == frame.number
+        self._values[frame.tree.frame] = {
+            (each.value, each.points) for each in own if each.measured == frame.tree.frame
         }
-        self._trials[frame.number] = {each.trial for each in own if each.judged == frame.number}
+        self._trials[frame.tree.frame] = {each.trial for each in own if each.judged == frame.tree.frame}

@@ -46,7 +46,7 @@ def check_splits(frame: ExportedFrame) -> Iterator[Finding]:
             yield frame.wrong(name, "value", each.values.get(frame.tree.metric), each.value)
         # In a live tree, a segment that was not cut has no points of its own.
         own = each.division == "cut" or frame.settings.independent
-        if own and each.measured == frame.number and each.points != frame.points_below(name):
+        if own and each.measured == frame.tree.frame and each.points != frame.points_below(name):
             expected = f"{frame.points_below(name)}, the sum of its leaves"
             yield frame.wrong(name, "points", expected, each.points)
         if each.division in ("gap", "appeared"):

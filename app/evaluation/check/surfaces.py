@@ -26,7 +26,7 @@ def check_measured(frame: ExportedFrame) -> Iterator[Finding]:
         if pixels.size != each.points:
             yield Finding(file, name, "measured", f"{each.points} pixels", str(pixels.size))
         # Values from another frame have its pixels; a segment that a live tree did not cut has none.
-        own = each.measured == frame.number and (pixels.size or each.points)
+        own = each.measured == frame.tree.frame and (pixels.size or each.points)
         if each.children and own and not np.array_equal(pixels, _measured_below(frame, name)):
             yield Finding(file, name, "measured", "the pixels of its leaves", "others")
     if not np.array_equal(_measured_below(frame, "P"), np.flatnonzero(on_grid)):
