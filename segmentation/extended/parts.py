@@ -56,14 +56,12 @@ def fit_segment(features: GridFeatures, grid_pixels: NDArray[np.intp], config: S
             grid_pixels, Fit(None, np.zeros(0), {}, "0 points, 1 needed", grid_pixels), StopReason.NO_POINTS
         )
     window, mask = features.grid.points.window_mask(grid_pixels)
-    fit, _ = fit_window(features.grid, window, mask, config)
+    floor = noise_floor(features.grid, window, mask, config) if config.extended.noise_floor > 0 else 0.0
+    fit, _ = fit_window(features.grid, window, mask, config, floor=floor)
     if fit.surface is None:
         return Part(grid_pixels, fit, None)
     if config.metric in CURVATURE_METRICS:
         fit = replace(fit, values=all_metrics(fit, features.grid.points.image_shape[1], config))
-    if config.extended.noise_floor == 0:
-        return Part(grid_pixels, fit, None)
-    fit = replace(fit, floor=noise_floor(features.grid, window, mask, config))
     return Part(grid_pixels, fit, StopReason.NOISE if at_noise_floor(fit, config) else None)
 
 

@@ -34,9 +34,13 @@ def _find_boxes(labels: U16, boxes: I64) -> None:
     height, width = labels.shape
     boxes[:, 0], boxes[:, 1], boxes[:, 2:] = height, width, 0
     for row in range(height):
-        for column in range(width):
-            box = boxes[labels[row, column]]
+        line, column = labels[row], 0
+        while column < width:
+            label, begin = line[column], column
+            while column < width and line[column] == label:
+                column += 1
+            box = boxes[label]
             box[0] = min(box[0], row)
-            box[1] = min(box[1], column)
+            box[1] = min(box[1], begin)
             box[2] = row + 1
-            box[3] = max(box[3], column + 1)
+            box[3] = max(box[3], column)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,10 +60,11 @@ def updated(before: Appearance | None, now: Appearance) -> Appearance:
     if before is None:
         return now
     motion_m = (now.center_m - before.center_m) / (before.unseen + 1)
-    now = replace(now, motion_m=before.motion_m + _NEW_SHARE * (motion_m - before.motion_m))
+    motion_m = before.motion_m + _NEW_SHARE * (motion_m - before.motion_m)
     if now.pixels >= _SIZE_KEPT * before.pixels:
-        return now
-    return replace(now, color_lab=before.color_lab, pixels=round(_SIZE_KEPT * before.pixels))
+        return Appearance(now.center_m, now.color_lab, now.pixels, 0, motion_m)
+    pixels = round(_SIZE_KEPT * before.pixels)
+    return Appearance(now.center_m, before.color_lab, pixels, 0, motion_m)
 
 
 def appearances_of(

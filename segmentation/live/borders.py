@@ -79,15 +79,17 @@ def _spread(before: U16, on_grid: I32, inverse_depth: F32, step: int, labels: U1
     """Give the pixels of a grid pixel its label where it is another one than before."""
     height, width = before.shape
     # What the pixels of a row of grid pixels take, -1 where they keep what they have.
-    taken = np.empty(width, dtype=np.int32)
+    taken, on_row = np.empty(width, dtype=np.int32), np.arange(width) // step
     for r in range(height):
+        known, depths, spread = before[r], inverse_depth[r], labels[r]
         if r % step == 0:
+            decided = on_grid[r // step]
             for c in range(width):
-                decided = on_grid[r // step, c // step]
-                taken[c] = -1 if decided == before[r, c // step * step] else decided
+                n = on_row[c]
+                taken[c] = -1 if decided[n] == known[n * step] else decided[n]
         for c in range(width):
-            label = before[r, c] if taken[c] < 0 else taken[c]
-            labels[r, c] = label if inverse_depth[r, c] > 0 else 0
+            label = known[c] if taken[c] < 0 else taken[c]
+            spread[c] = label if depths[c] > 0 else 0
 
 
 @compiled

@@ -98,15 +98,18 @@ def _relabel(
     """Look up labels from now on; pixels that have the label of their grid pixel change with it."""
     height, width = labels.shape
     known, number = np.empty(width, dtype=np.int32), np.empty(width, dtype=np.int32)
+    on_row = np.arange(width) // step
     for r in range(height):
+        own, depths, now = labels[r], inverse_depth[r], relabelled[r]
         if r % step == 0:
+            row_before, row_now = before[r // step], on_grid[r // step]
             for c in range(width):
-                known[c], number[c] = before[r // step, c // step], on_grid[r // step, c // step]
+                known[c], number[c] = row_before[on_row[c]], row_now[on_row[c]]
         for c in range(width):
             # Neighbours across a border keep what they have; what had no label takes this one.
-            label = np.int32(labels[r, c])
-            now = final[number[c] if label == known[c] else label]
-            relabelled[r, c] = now if inverse_depth[r, c] > 0 else 0
+            label = np.int32(own[c])
+            found = final[number[c] if label == known[c] else label]
+            now[c] = found if depths[c] > 0 else 0
 
 
 class TreeEditor:

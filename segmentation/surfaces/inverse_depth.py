@@ -39,7 +39,12 @@ _STIFFER = (1e2, 1e4)
 
 
 def fit_window(
-    grid: DepthGrid, window: Window, mask: NDArray[np.bool_], config: SegmentationConfig
+    grid: DepthGrid,
+    window: Window,
+    mask: NDArray[np.bool_],
+    config: SegmentationConfig,
+    *,
+    floor: float = 0.0,
 ) -> tuple[Fit, NDArray[np.float64]]:
     """Fit a surface to the marked pixels of a window of the grid.
 
@@ -53,6 +58,8 @@ def fit_window(
         Pixels of the window to fit, at least one, each of which has a point.
     config : SegmentationConfig
         Says how far knots are apart and how smooth the surface is.
+    floor : float
+        That of the fit.
 
     Returns
     -------
@@ -83,7 +90,7 @@ def fit_window(
     )
     metrics = residual_metrics(residuals_m, config)
     rms_per_m = math.sqrt(square / max(pixels.size, 1))
-    return Fit(surface, residuals_m, metrics, "", pixels, rms_per_m=rms_per_m), residuals_per_m
+    return Fit(surface, residuals_m, metrics, "", pixels, floor, rms_per_m), residuals_per_m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,8 +207,7 @@ def rational_surface(
         Whose point at (u, v) is ray(u, v) / d(u, v), exactly.
     """
     points_m = np.empty((*control_per_m.shape, 3))
-    for axis, along in enumerate((*ray_control_values(rays, knots_u, knots_v), 1.0)):
-        np.divide(along, control_per_m, out=points_m[..., axis])
+    _divide(ray_control_values(rays, knots_u, knots_v), control_per_m, points_m)
     return NurbsSurface(
         degree=(CUBIC, CUBIC),
         knots_u=knots_u,
@@ -210,6 +216,16 @@ def rational_surface(
         weights=control_per_m,
         window=window,
     )
+
+
+@compiled
+def _divide(rays: F64, control_per_m: F64, points_m: F64) -> None:
+    """Fill in control points on their rays, of x / z, y / z and inverse depths."""
+    for row in range(control_per_m.shape[0]):
+        for column in range(control_per_m.shape[1]):
+            for axis in range(2):
+                points_m[row, column, axis] = rays[axis, row, column] / control_per_m[row, column]
+            points_m[row, column, 2] = 1.0 / control_per_m[row, column]
 
 
 def ray_control_values(

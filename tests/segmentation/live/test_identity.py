@@ -1,9 +1,12 @@
 """Identities live as long as what they name."""
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from nurbseg.segmentation.live.appearance import Appearance, updated
 from nurbseg.segmentation.live.identity import Event, Identities, track_identities
 from nurbseg.segmentation.points.registration import PointMap
 
@@ -174,3 +177,18 @@ def test_identities_go_along_with_what_is_known_of_the_motion() -> None:
     followed = track_identities(first, labels, cloud, before=labels)
     assert followed.of_label == first.of_label
     assert followed.events == ()
+
+
+def test_a_segment_that_is_hiding_keeps_the_color_and_shrinks_slowly():
+    before = Appearance(np.array([0.0, 0.0, 1.0]), np.array([50.0, 1.0, 2.0]), 1000, 1, np.full(3, 0.02))
+    now = Appearance(np.array([0.1, 0.0, 1.0]), np.array([40.0, 3.0, 4.0]), 400)
+    after = updated(before, now)
+    assert np.array_equal(after.center_m, now.center_m)
+    assert np.array_equal(after.color_lab, before.color_lab)
+    # Half of the motion is that of the last frame, or of one of two frames.
+    assert np.allclose(after.motion_m, [0.035, 0.01, 0.01])
+    assert (after.pixels, after.unseen) == (970, 0)
+    seen_whole = updated(before, replace(now, pixels=980))
+    assert np.array_equal(seen_whole.color_lab, now.color_lab)
+    assert (seen_whole.pixels, seen_whole.unseen) == (980, 0)
+    assert np.array_equal(seen_whole.motion_m, after.motion_m)
