@@ -153,6 +153,7 @@ def measure_objects(
         pixels = order[ends[label] - counts[label] : ends[label]]
         own = [leaf for leaf, of in zip(leaves, object_of_leaf[1:], strict=True) if of == label]
         residuals = [leaf.fit.residuals_m for leaf in own if leaf.fit.surface is not None]
+        residuals_m = np.concatenate([np.zeros(0), *residuals])
         measured.append(
             MeasuredObject(
                 label=label,
@@ -162,7 +163,7 @@ def measure_objects(
                 colors=colors[pixels],
                 box=OrientedBox.around(points[pixels]),
                 mean_normal=_mean_normal(own, tree.shape[1]),
-                rms_m=_rms(residuals),
+                rms_m=float(np.sqrt(np.mean(residuals_m**2))) if residuals_m.size else None,
                 tree=tree,
             )
         )
@@ -180,10 +181,3 @@ def _mean_normal(leaves: Sequence[Segment], width: int) -> NDArray[np.float64] |
         total -= np.nansum(found, axis=0) * (leaf.pixels.size / u.size)
     length = np.linalg.norm(total)
     return total / length if length > 0 else None
-
-
-def _rms(residuals_m: Sequence[NDArray[np.float64]]) -> float | None:
-    count = sum(each.size for each in residuals_m)
-    if not count:
-        return None
-    return float(np.sqrt(sum(float(np.dot(each, each)) for each in residuals_m) / count))

@@ -54,7 +54,7 @@ def _read_section(path: Path, name: str, section: type[Any], table: dict[str, An
     except ValueError as err:
         raise ConfigError(f"{path}: {name}.{err}") from err
     for key, now in moved.items():
-        news = f"is now {name}.{now}" if now else "is no setting any more, and says what is done anyway"
+        news = f"is now {name}.{now}" if now else "is no longer a setting and has no effect"
         _log.warning("%s: %s.%s %s", path, name, key, news)
     kinds, inner = value_kinds(section), subsections(section)
     values = {}

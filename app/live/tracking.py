@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -18,7 +20,7 @@ from nurbseg.segmentation.live.identity import Identities, track_identities
 from nurbseg.segmentation.live.tree import LiveTree, lives
 from nurbseg.segmentation.live.updater import Budget
 from nurbseg.segmentation.methods import segment
-from nurbseg.segmentation.points.registration import register
+from nurbseg.segmentation.points.registration import PointMap, register
 from nurbseg.segmentation.segments import SegmentationTree
 
 
@@ -78,18 +80,14 @@ class Segmenter:
         if self._live is None:
             result = process_frame(frame, self.config)
             return self._identified(result, None) if self._temporal else result
-        started_s = time.perf_counter()
-        cloud = register(frame)
-        registered_s = time.perf_counter()
+        live = self._live
         budget = Budget() if self._rate_controller is None else self._rate_controller.budget
-        tree = self._live.segment(cloud, budget, frame=frame.index, every_surface=self._every_surface)
-        elapsed_ms = {
-            "register": 1e3 * (registered_s - started_s),
-            "segment": 1e3 * (time.perf_counter() - registered_s),
-        }
-        result = FrameResult(frame, cloud, tree, elapsed_ms, update=self._live.report)
-        cold = bool(self._live.report.reset)
-        result = self._identified(result, None if cold else self._live.labels_before)
+        segment_live = partial(
+            live.segment, budget=budget, frame=frame.index, every_surface=self._every_surface
+        )
+        result = replace(_segmented(frame, segment_live), update=live.report)
+        cold = bool(live.report.reset)
+        result = self._identified(result, None if cold else live.labels_before)
         if self._rate_controller is not None:
             self._rate_controller.took(sum(result.elapsed_ms.values()), source_hz=source_hz, cold=cold)
         return result
@@ -103,7 +101,7 @@ class Segmenter:
         tree = result.tree
         labels = tree.labels("surfaces")
         self._surfaces = track_identities(self._surfaces, labels, result.cloud, before=before)
-        object_of_label = _object_of_label(tree)
+        object_of_label = result.object_of_leaf if tree.objects else np.zeros_like(result.surface_of_leaf)
         if tree.objects:
             objects = None if before is None else apply_lookup_table(self._object_of_label, before)
             self._objects = track_identities(
@@ -134,18 +132,16 @@ def process_frame(frame: RGBDFrame, config: SegmentationConfig | None = None) ->
     FrameResult
         With the stages ``register`` and ``segment``.
     """
+    return _segmented(frame, partial(segment, config=config or SegmentationConfig()))
+
+
+def _segmented(frame: RGBDFrame, segment: Callable[[PointMap], SegmentationTree]) -> FrameResult:
     started_s = time.perf_counter()
     cloud = register(frame)
     registered_s = time.perf_counter()
-    tree = segment(cloud, config or SegmentationConfig())
+    tree = segment(cloud)
     elapsed_ms = {
         "register": 1e3 * (registered_s - started_s),
         "segment": 1e3 * (time.perf_counter() - registered_s),
     }
     return FrameResult(frame, cloud, tree, MappingProxyType(elapsed_ms))
-
-
-def _object_of_label(tree: SegmentationTree) -> NDArray[np.uint16]:
-    """Return the number of each leaf's object by the leaf's label; 0 if there are no objects."""
-    number = {name: n for n, each in enumerate(tree.objects, start=1) for name in each.leaves}
-    return np.array([0, *(number.get(leaf.name, 0) for leaf in tree.leaves())], dtype=np.uint16)
