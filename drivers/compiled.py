@@ -52,7 +52,7 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
         with _code_folder():
             return _compiled(function, cache=True)
     except RuntimeError:
-        # Nowhere to keep it: each process compiles for itself.
+        # It cannot be kept: each process compiles for itself.
         return _compiled(function, cache=False)
 
 
@@ -98,7 +98,7 @@ def _code_folder() -> Iterator[None]:
 
 @cache
 def _folder(wanted: str) -> Path | str:
-    """Return the folder of this version's code, made if need be; `wanted` where none can be written."""
+    """Return the folder of this version's code, created if necessary; `wanted` if none can be written."""
     name = f"loops-{content_digest(_PACKAGES)}"
     cache_home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     beside = Path(__file__).parent / "__pycache__"

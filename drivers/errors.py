@@ -10,11 +10,11 @@ class DriverError(Exception):
 
 
 class BackendMissingError(DriverError, ImportError):
-    """A native library is not installed; the message says which package brings it."""
+    """A native library is not installed; the message says which package provides it."""
 
 
 class DeviceNotFoundError(DriverError):
-    """No camera or file matches what was asked for; the only error that permits a fallback."""
+    """No camera or file matches the request; the only error that permits a fallback."""
 
 
 class DeviceLostError(DriverError):

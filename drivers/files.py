@@ -25,9 +25,8 @@ def open_regular(
 ) -> BinaryIO:
     """Open a regular file for reading; a pipe or device is refused without waiting for it.
 
-    A link counts as what it leads to. An error of the given type calls the file what `what` says. Raises
-    RecordingFormatError or what `error` is, if there is no such file, it cannot be opened or is not a regular
-    one.
+    Links are followed. Errors are of the given type and call the file `what`. Raises RecordingFormatError or
+    what `error` is, if there is no such file, it cannot be opened or is not a regular one.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)

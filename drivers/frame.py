@@ -75,7 +75,7 @@ class Intrinsics:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def rays(self) -> NDArray[np.float32]:
-        """Return where each pixel looks: a (H, W, 2) float32 of x / z and y / z, lens distortion removed.
+        """Return the ray of each pixel, (H, W, 2) float32 of x / z and y / z, lens distortion removed.
 
         NaN where the distortion cannot be undone, as at the far corners of a strongly distorting lens.
         """

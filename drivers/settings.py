@@ -151,7 +151,9 @@ def in_sections(config_type: type[Any], values: Mapping[str, Any]) -> tuple[dict
     value of a removed setting is no longer possible, or a setting is given twice.
     """
     removed = getattr(config_type, "REMOVED", {})
-    paths = {name: path for path, each in setting_paths(config_type) for name in _names(each)}
+    paths: dict[str, str] = {}
+    for path, each in setting_paths(config_type):
+        paths |= dict.fromkeys((each.name, each.metadata["formerly"] or each.name), path)
     inner, moved = subsections(config_type), {}
     placed: dict[str, Any] = {
         name: dict(value) if name in inner and isinstance(value, Mapping) else value
@@ -173,10 +175,6 @@ def in_sections(config_type: type[Any], values: Mapping[str, Any]) -> tuple[dict
         target[last] = placed.pop(name)
         moved[name] = paths[name]
     return placed, moved
-
-
-def _names(each: Field[Any]) -> list[str]:
-    return [name for name in (each.name, each.metadata["formerly"]) if name]
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,7 +63,7 @@ def parse_yaml(text: str) -> Any:
 
 
 def _with_numbers(value: Any) -> Any:
-    """Return what holds texts alone with the numbers that these stand for."""
+    """Return a value with its texts replaced by the numbers that they stand for."""
     if isinstance(value, dict):
         return {key: _with_numbers(each) for key, each in value.items()}
     if isinstance(value, list):

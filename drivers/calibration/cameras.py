@@ -1,4 +1,4 @@
-"""What a calibration file says of the two cameras, before the images' sizes are known."""
+"""The two cameras of a calibration file, before the images' sizes are known."""
 
 from __future__ import annotations
 
@@ -90,9 +90,9 @@ class CameraFile:
 
     @classmethod
     def of_intrinsics(cls, values: tuple[float, float, float, float]) -> CameraFile:
-        """Return the one camera of registered images whose fx, fy, cx, cy (pixels) the user gives."""
+        """Return the camera of registered images from the user's fx, fy, cx, cy (pixels)."""
         fx, fy, cx, cy = values
-        # Named after the flag, since that is what there is to correct.
+        # Named after the flag, which is what the user can correct.
         path = Path("--intrinsics")
         camera = CameraModel(path, "fx,fy,cx,cy", np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64))
         return cls(path=path, depth=camera, color=camera)
@@ -142,7 +142,7 @@ def number(path: Path, field: str, value: Any) -> float:
 
 
 def image_size(path: Path, fields: tuple[str, str], values: tuple[Any, Any]) -> tuple[int, int]:
-    """Return the width and height that a calibration file says.
+    """Return the width and height in a calibration file.
 
     Raises CalibrationError if they are not whole numbers of pixels, or too many.
     """

@@ -1,7 +1,7 @@
 """Reads and writes files that hold a sensor's calibration.
 
-Read are our TOML, OpenCV's XML or YAML, a ROS ``camera_info`` YAML, and a 3 x 3 matrix as text, which data
-sets bring; written is TOML. The form is recognised by the content.
+It reads our TOML, OpenCV's XML or YAML, ROS's ``camera_info`` YAML, and a 3 x 3 matrix as text, which some
+data sets have; the form is recognised by the content. It writes TOML.
 """
 
 from __future__ import annotations

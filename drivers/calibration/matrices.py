@@ -130,7 +130,7 @@ def _transform(path: Path, table: dict[str, Any]) -> NDArray[np.float64]:
 
 
 def _matrix(path: Path, table: dict[str, Any], names: tuple[str, ...]) -> tuple[str, NDArray[np.float64]]:
-    """Return the name that is there, and its numbers: a list's, (N,), or those of rows, cols and data."""
+    """Return the first of these names in the table, and its numbers: a list, (N,), or rows, cols and data."""
     name = next((each for each in names if each in table), None)
     if name is None:
         raise CalibrationError(f"{path}: {names[0]}: missing; expected a matrix {' or '.join(names)}")

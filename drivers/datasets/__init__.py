@@ -1,1 +1,1 @@
-"""Folders and files of other people's data sets."""
+"""Folders and files in the formats of public data sets."""

@@ -41,7 +41,7 @@ _SCENE = re.compile(r"scene[ _-]?\d+", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FolderCamera:
-    """The calibration, of open sizes perhaps, and depth scale that a folder's images are read with.
+    """The calibration, perhaps without image sizes, and the depth scale of a folder's images.
 
     `origin` is where the calibration came from, for a person.
     """
@@ -54,7 +54,7 @@ class FolderCamera:
 def folder_camera(
     folder: Path, options: SourceOptions, default_units_per_metre: float = _DEFAULT_UNITS_PER_METRE
 ) -> FolderCamera:
-    """Return how to read a folder's images: the user's word, else a calibration file in it.
+    """Return how to read a folder's images: as the user says, else by a calibration file in it.
 
     The files looked for are, in this order, ``camera.toml``, OpenCV's ``calib*.xml|yml|yaml``, ROS's
     ``camera_info.yaml``, ``intrinsics.txt`` and ``camera-intrinsics.txt``. Raises CalibrationError if there
@@ -135,11 +135,10 @@ def open_folder(folder: Path, options: SourceOptions) -> PairSource:
     """Open a folder of image pairs, to be replayed in the natural order of their names.
 
     Depth is in millimetres unless the folder or the user says otherwise. A calibration of one camera
-    (intrinsics.txt and the like) stands for both images, which are taken to be registered. Images of other
-    sizes than calibrated are right where they have the same shape: the intrinsics are scaled. Time is taken
-    from names like ``frame_20121214T142255.814212``, else frames are 1/30 s apart. Raises
-    RecordingFormatError if there is no pair, or none that can be used; CalibrationError if there is no
-    calibration, or an unusable one.
+    (intrinsics.txt and the like) stands for both images, which are taken to be registered. For images of
+    another size but the same aspect ratio, the intrinsics are scaled. Time is taken from names like
+    ``frame_20121214T142255.814212``, else frames are 1/30 s apart. Raises RecordingFormatError if there is no
+    pair, or none that can be used; CalibrationError if there is no calibration, or an unusable one.
     """
     pairs, single = find_pairs(folder)
     if not pairs:
@@ -166,7 +165,7 @@ def open_patterns(rest: str, options: SourceOptions) -> PairSource:
 
 
 def scene_folders(folder: Path) -> list[Path]:
-    """Return the scenes of a data set in natural order; none where the folder is something else."""
+    """Return the scenes of a data set in natural order; none if the folder is something else."""
     found = [path for path in folder.iterdir() if path.is_dir() and _SCENE.fullmatch(path.name)]
     return sorted(found, key=lambda path: natural_key(path.name))
 

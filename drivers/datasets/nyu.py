@@ -44,7 +44,7 @@ _END_S = 5.0
 
 
 class MatProcess:
-    """Reads MATLAB files; started on use, and again after a file that ended it."""
+    """The process that reads MATLAB files; started on first use, and again after a file that crashed it."""
 
     def __init__(self) -> None:
         self._running: tuple[ChildProcess, Channel] | None = None

@@ -14,7 +14,7 @@ from nurbseg.drivers.errors import RecordingFormatError
 _log = logging.getLogger(__name__)
 
 _ROLES = {"color": "color", "rgb": "color", "depth": "depth", "label": "labels", "labels": "labels"}
-#: Words that count where no better one names an image of the same frame.
+#: Words that count only if no better one names an image of the same frame.
 _WEAK_ROLES = {"d": "depth", "image": "color", "images": "color"}
 _ALL_ROLES = _ROLES | _WEAK_ROLES
 _WORDS = "|".join(sorted(_ALL_ROLES, key=len, reverse=True))
@@ -87,12 +87,12 @@ def key_and_word(stem: str) -> tuple[str, str] | None:
 
 
 def match_patterns(color: str, depth: str) -> tuple[list[ImagePair], int]:
-    """Pair the files that match two patterns of the shell, by what stands in the place of the wildcards.
+    """Pair the files that match two shell patterns, by the text that matches the wildcards.
 
     Returns the pairs in natural order, each named as its color image, and the number of images that lack
-    their partner. Where no two names have the same in the place of the wildcards, and there are as many color
-    images as depth images, they are paired in natural order. Raises RecordingFormatError if a pattern matches
-    nothing, two files of one are alike, or the files cannot be paired.
+    their partner. If no two names have the same text there, but there are as many color as depth images, they
+    are paired in natural order. Raises RecordingFormatError if a pattern matches nothing, two files of one
+    are alike, or the files cannot be paired.
     """
     colors, depths = _by_wildcards(color), _by_wildcards(depth)
     keys = sorted(colors.keys() & depths.keys())
@@ -110,7 +110,7 @@ def match_patterns(color: str, depth: str) -> tuple[list[ImagePair], int]:
 
 
 def _by_wildcards(pattern: str) -> dict[tuple[tuple[int, str], ...], Path]:
-    """Return the files that match a pattern by what stands in the place of its wildcards."""
+    """Return the files that match a pattern, by the text that matches its wildcards."""
     found: dict[tuple[tuple[int, str], ...], Path] = {}
     fixed = re.split(r"[*?]|\[[^]]*\]", pattern)
     for name in sorted(glob.glob(pattern, recursive=True)):  # noqa: PTH207 (patterns may be absolute)

@@ -15,7 +15,7 @@ from nurbseg.drivers.errors import (
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.source import FrameSource
 
-#: Between frames of recordings that keep no time.
+#: Time between frames of recordings without timestamps.
 FRAME_INTERVAL_NS = 33_333_333
 
 

@@ -23,7 +23,7 @@ _UNITS_PER_METRE = 5000.0
 #: Digits of a stamp: seconds since 1970 with nanoseconds have 20.
 _STAMP_CHARACTERS_MAX = 40
 _NAME_CHARACTERS_MAX = 1024
-#: Partners looked at for an image: more are within the limit only where a list is not one of a camera.
+#: Partners considered for an image: only a list that is not a camera's has more within the limit.
 _NEAR_MAX = 64
 COLOR_LIST, DEPTH_LIST = "rgb.txt", "depth.txt"
 
@@ -92,7 +92,7 @@ class TumSource(PairSource):
         super().__init__(folder, shots, "TUM RGB-D", dropped=single + no_colors + no_depths)
 
     def _pair(self, index: int) -> ImagePair:
-        """Return the files of a frame, which are in the recording's folder whatever links lead to them."""
+        """Return the files of a frame, which must be in the recording's folder, links resolved."""
         pair = super()._pair(index)
         for path in (pair.color, pair.depth):
             try:
@@ -126,7 +126,7 @@ def _read_list(path: Path) -> tuple[list[tuple[int, str]], int]:
             bad += 1
             wrong = wrong or f"{path}: line {place}: expected 'seconds file', got {quoted(line)}"
             continue
-        # Two images of one moment are one too many.
+        # Of two images with the same time, one is dropped.
         bad += moment_ns in images
         images[moment_ns] = name
     if wrong and not images:

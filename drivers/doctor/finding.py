@@ -40,10 +40,10 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """What OpenNI2 itself returned when its cameras were listed: those that it opened, and why not.
+    """The cameras that OpenNI2 itself lists.
 
-    Of each that it lists but could not open, `refused` has its words; `error` is why they could not be
-    listed.
+    It opened the `cameras`, and gave a reason for each that it `refused`; `error` is why it could not list
+    any.
     """
 
     cameras: tuple[str, ...] = ()

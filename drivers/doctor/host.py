@@ -1,4 +1,4 @@
-"""What a computer's files show of the use of depth cameras: container, udev rules, OpenNI2's installation."""
+"""The host's state, as its files show it: container, udev rules, OpenNI2's installation."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Installation:
     override: str = ""
 
     def has_driver(self, file_stem: str) -> bool:
-        """Whether a driver whose file's name starts so, in lower case, will be loaded."""
+        """Whether a driver will be loaded whose file name begins with this, in lower case."""
         return any(each.lower().startswith(file_stem) for each in self.drivers)
 
 
@@ -72,7 +72,7 @@ def read_host(root: Path, environ: Mapping[str, str]) -> Host:
 
 
 def find_installation(root: Path, environ: Mapping[str, str]) -> Installation:
-    """Return where OpenNI2 is, by the order in which it is looked for, and what it will load."""
+    """Return where OpenNI2 is found first, and what it will load."""
     redist = environ.get(REDIST_VARIABLE, "")
     folders = [Path(redist)] if redist else [root / each for each in _library_folders(environ)]
     library = next((folder / LIBRARY_FILE for folder in folders if (folder / LIBRARY_FILE).is_file()), None)

@@ -77,7 +77,7 @@ class KinectMotor(Closing):
         self._device = motors[number]
 
     def tilt(self, angle_deg: float) -> None:
-        """Turn the head to an angle above the horizon, in steps of half a degree; returns before it is there.
+        """Turn the head to an angle above the horizon, in steps of half a degree, without waiting for it.
 
         Raises ValueError if the angle is out of range, and DriverError if the motor does not take the
         command.
@@ -128,7 +128,7 @@ class KinectMotor(Closing):
             raise DriverError(f"{doing}: {err}") from err
 
     def close(self) -> None:
-        """Let other programs have the motor; safe to call twice."""
+        """Release the motor for other programs; safe to call twice."""
         import usb.util
 
         usb.util.dispose_resources(self._device)

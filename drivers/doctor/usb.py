@@ -1,8 +1,8 @@
 """What is plugged in: USB devices as the kernel lists them and as pyusb can open them.
 
 The kernel's list (sysfs) gives names, serial numbers, speeds and kernel drivers without permission and
-without USB traffic; pyusb shows whether this user may open a device. Either may be absent, as in a
-container or where libusb is not installed, and the other then serves alone.
+without USB traffic; pyusb shows whether this user may open a device. Either may be absent, as in a container
+or where libusb is not installed, and the other is then used alone.
 """
 
 from __future__ import annotations
@@ -246,7 +246,7 @@ def _with_node_access(device: UsbDevice, root: Path) -> UsbDevice:
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a file of the system's; empty where it cannot be read."""
+    """Return the text of a system file; empty if it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace")
     except OSError:

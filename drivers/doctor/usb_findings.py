@@ -28,7 +28,7 @@ def udev_rule(device: UsbDevice) -> str:
 
 
 def bus_findings(system: System, cameras: Sequence[Part]) -> Iterator[Finding]:
-    """Report what keeps all of USB from being seen."""
+    """Report why no USB device can be seen."""
     usb = system.usb
     if not usb.libusb:
         yield Finding(
@@ -158,7 +158,7 @@ def _access_findings(part: Part, host: Host) -> Iterator[Finding]:
 
 
 def no_permission(part: Part, host: Host) -> Finding:
-    """Report that this user may not open a device, and how that is allowed."""
+    """Report that this user may not open a device, and how to allow it."""
     rule = f"echo '{udev_rule(part.device)}' | sudo tee -a {RULES_FILE}"
     if host.kind == "container":
         reason = (

@@ -241,7 +241,7 @@ def _chunk_content(content: bytes, name: str) -> bytes:
 
 
 def _decompressed(content: bytes, compression: str, size: int, name: str, *, cut_off: bool) -> bytes:
-    """Return at most one byte more than `size`, whatever the content would become."""
+    """Return the decompressed content, at most one byte more than `size`."""
     if compression == "":
         return content
     if compression == "lz4":

@@ -1,4 +1,4 @@
-"""The ROS 2 messages of a recording: what they say as arrays and calibrations, and how they are made."""
+"""Converts the ROS 2 messages of a recording to arrays and calibrations, and back."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def transforms_of(message: Any) -> list[Transform]:
         quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
         matrix = np.eye(4)
         matrix[:3, 3] = [place.x, place.y, place.z]
-        # What is neither a place nor near a unit quaternion says nothing; it may also overflow.
+        # Translations and quaternions out of range are ignored; they might also overflow.
         if not np.abs(matrix[:3, 3]).max() < _FAR_M or not 1e-3 < np.abs(quaternion).max() < 1e3:
             continue
         matrix[:3, :3] = Rotation.from_quat(quaternion).as_matrix()

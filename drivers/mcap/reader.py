@@ -204,7 +204,7 @@ class RecordingReader(FrameSource):
         self._pairing.add(kind, stamp_ns, content)
 
     def _is_decodable(self, schema: Schema) -> bool:
-        """Whether messages of a schema can be decoded; says once why not."""
+        """Whether messages of a schema can be decoded; logs once why not."""
         if schema.id not in self._complaints:
             self._complaints[schema.id] = ""
             try:

@@ -154,7 +154,7 @@ def _same_camera(one: CameraModel, other: CameraModel) -> bool:
 
 
 def _transform(target: str, source: str, transforms: list[ros.Transform]) -> NDArray[np.float64] | None:
-    """Return target_from_source by way of a tree of transforms."""
+    """Return target_from_source, chained from a tree of transforms."""
     steps: dict[str, list[tuple[str, NDArray[np.float64]]]] = {}
     for parent, child, matrix in transforms:
         steps.setdefault(child, []).append((parent, matrix))

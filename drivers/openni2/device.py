@@ -25,14 +25,14 @@ logger = logging.getLogger(__name__)
 _SLICE_S = 0.1
 #: A camera may take this long to deliver its first frames, seconds.
 _START_LIMIT_S = 5.0
-#: Pairs passed over after the settings were made: images taken before them are still on their way.
+#: Pairs dropped after the settings were applied: they were still taken with the previous ones.
 _SETTLING_PAIRS = 2
 
 
 class Pairing:
     """Pairs depth and color images by the device's time.
 
-    Keeps what waits for its other half; `half_pairs` counts what was given up because that never came.
+    Images wait for their other half; `half_pairs` counts those whose other half never came.
     """
 
     def __init__(self, limit_us: int) -> None:
@@ -41,11 +41,11 @@ class Pairing:
         self.half_pairs = 0
 
     def clear(self) -> None:
-        """Forget what waits: its other half will not come."""
+        """Discard the waiting images, whose other half will not come."""
         self._waiting.clear()
 
     def add(self, sensor: Sensor, image: Image) -> tuple[Image, Image] | None:
-        """Take an image in; return the pair of depth and color that it completes, if it does."""
+        """Add an image; return the pair of depth and color that it completes, if any."""
         self.half_pairs += sensor in self._waiting
         self._waiting[sensor] = image
         if len(self._waiting) < 2:
@@ -159,7 +159,7 @@ class DeviceSource(FrameSource):
             )
 
     def _on_event(self, event: str) -> None:
-        # On a thread of the library's.
+        # On one of the library's threads.
         if event in ("disconnected", f"state {DeviceState.ERROR.value}"):
             self._gone.set()
 
@@ -174,7 +174,7 @@ class DeviceSource(FrameSource):
             stream = wait_for_any(library, self._streams, 0.0) or wait_for_any(
                 library, self._streams, min(left_s, _SLICE_S)
             )
-            # A stale image may follow the camera's going.
+            # A stale image may follow the disconnection.
             image = None if stream is None or self._gone.is_set() else stream.take()
             pair = None if stream is None or image is None else self._add(stream, image)
             if pair is None:

@@ -26,7 +26,7 @@ from nurbseg.drivers.openni2.capi import (
 
 #: Name of the library file; the one without the number comes only with the development package.
 LIBRARY_FILE = "libOpenNI2.so.0"
-#: Environment variable that names the folder to take the library from, drivers and all.
+#: Environment variable that names the folder of the library and its drivers.
 REDIST_VARIABLE = "OPENNI2_REDIST"
 
 #: A wait for an image ends sooner than this, seconds.
@@ -47,17 +47,6 @@ class DeviceListing:
     name: str
     usb_vendor: int
     usb_product: int
-
-    @classmethod
-    def of(cls, listed: OniDeviceInfo) -> DeviceListing:
-        """Copy what the library lists, which is valid for a moment only."""
-        return cls(
-            uri=os.fsdecode(listed.uri),
-            vendor=listed.vendor.decode(errors="replace"),
-            name=listed.name.decode(errors="replace"),
-            usb_vendor=listed.usb_vendor_id,
-            usb_product=listed.usb_product_id,
-        )
 
 
 def find_library() -> str:
@@ -127,16 +116,16 @@ class Library:
                 listener(event)
 
     def listen(self, uri: str, listener: Callable[[str], None]) -> object:
-        """Have `listener` called with "disconnected" or "state N"; return what `unlisten` wants.
+        """Have `listener` called with "disconnected" or "state N"; return the token for `unlisten`.
 
-        It runs on a thread of the library's, so it must be quick and wait for nothing.
+        It runs on one of the library's threads, so it must be quick and must not wait.
         """
         token = object()
         self._listeners[token] = (uri, listener)
         return token
 
     def unlisten(self, token: object) -> None:
-        """Call that listener no more; safe to repeat."""
+        """Remove a listener; safe to repeat."""
         self._listeners.pop(token, None)
 
     def check(self, status: int, doing: str, error: type[DriverError] = DriverError) -> None:
@@ -158,7 +147,16 @@ class Library:
         listed, count = ctypes.POINTER(OniDeviceInfo)(), ctypes.c_int()
         self.check(self.native.oniGetDeviceList(ctypes.byref(listed), ctypes.byref(count)), "listing devices")
         try:
-            return [DeviceListing.of(listed[i]) for i in range(count.value)]
+            return [
+                DeviceListing(
+                    uri=os.fsdecode(each.uri),
+                    vendor=each.vendor.decode(errors="replace"),
+                    name=each.name.decode(errors="replace"),
+                    usb_vendor=each.usb_vendor_id,
+                    usb_product=each.usb_product_id,
+                )
+                for each in listed[: count.value]
+            ]
         finally:
             self.native.oniReleaseDeviceList(listed)
 
@@ -213,7 +211,7 @@ _loaded: dict[str, Library] = {}
 @atexit.register
 def _end_all() -> None:
     # A source that was left open must not have its callbacks run after the interpreter has ended, nor be
-    # waiting in the library while the program's end takes the library apart.
+    # waiting in the library while that is unloaded at exit.
     for library in _loaded.values():
         library.end()
 

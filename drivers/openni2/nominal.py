@@ -1,4 +1,4 @@
-"""Calibrations made from what a camera reports, and from PrimeSense's nominal values where it is silent."""
+"""Calibrations made from what a camera reports, and otherwise from PrimeSense's nominal values."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def color_from_depth() -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
 
 
 def fitted(camera: Intrinsics, width: int, height: int) -> Intrinsics:
-    """Return a calibrated camera for images of another size, knowing how 5:4 and 4:3 modes overlap."""
+    """Return a calibrated camera for images of another size, given how 5:4 and 4:3 modes overlap."""
     return replace(camera.scaled_to(width, round(camera.height * width / camera.width)), height=height)
 
 

@@ -89,12 +89,12 @@ class OpenedDevice(Closing):
 
     @property
     def can_register(self) -> bool:
-        """Whether the device can, as it reports, bring depth onto the color image."""
+        """Whether the device reports that it can register depth to color."""
         native = self.library.native
         return bool(native.oniDeviceIsImageRegistrationModeSupported(self._handle, _DEPTH_TO_COLOR))
 
     def register(self, wanted: bool) -> bool:
-        """Ask the device to bring depth onto the color image, or not to; return whether it does now."""
+        """Ask the device to register depth to color, or not to; return whether it does now."""
         if self.can_register:
             mode = ctypes.c_int(_DEPTH_TO_COLOR if wanted else 0)
             self.try_to_set(DeviceProperty.IMAGE_REGISTRATION, mode)
@@ -118,7 +118,7 @@ class OpenedDevice(Closing):
 
 
 def serial_of(listing: DeviceListing) -> str:
-    """Return a listed device's serial number, for which it is opened; empty where it reports none."""
+    """Return a listed device's serial number, after opening it; empty where it reports none."""
     try:
         with OpenedDevice(listing.uri) as device:
             return device.serial
@@ -130,7 +130,7 @@ def serial_of(listing: DeviceListing) -> str:
 def open_camera(
     wanted: str, serial: str = "", on_event: Callable[[str], None] | None = None
 ) -> tuple[OpenedDevice, DeviceListing]:
-    """Open the camera that is meant, as `nurbseg.drivers.openni2.selection.choose` reads it.
+    """Open the requested camera, as `nurbseg.drivers.openni2.selection.choose` interprets it.
 
     Of several, the first that opens: another program may have the others. Raises BackendMissingError if
     OpenNI2 is not installed; DeviceNotFoundError if there is no such camera, or none of them can be opened.

@@ -19,9 +19,8 @@ _MODE_TEXT = re.compile(r"(?P<width>\d+)x(?P<height>\d+)(@(?P<fps>\d+))?")
 def parse_mode(text: str) -> tuple[int, int, int]:
     """Return width and height in pixels and frames per second of ``"640x480@30"`` or a name.
 
-    The names are ``vga`` (640x480@30), ``qvga`` (320x240@60) and ``sxga`` (1280x1024@30), with a rate of
-    one's own after them where wanted: ``qvga30``. Without a rate, WxH means 30. Raises ValueError if `text`
-    is neither.
+    The names are ``vga`` (640x480@30), ``qvga`` (320x240@60) and ``sxga`` (1280x1024@30), optionally followed
+    by another rate: ``qvga30``. Without a rate, WxH means 30. Raises ValueError if `text` is neither.
     """
     found = _MODE_TEXT.fullmatch(text.lower())
     if found:
@@ -38,9 +37,9 @@ class DeviceOptions(Settings):
     """Settings of a camera; each is set after the streams start, and read back.
 
     Frames hold whole millimetres in either unit of depth: with 100um they are rounded here instead of by the
-    camera. Where the camera cannot bring depth onto the color image, frames carry the calibration with which
-    software does it. Depth and color come at the same moment only where both streams have the same rate.
-    Raises ValueError if a value is out of its bounds, or a mode cannot be read.
+    camera. If the camera cannot register depth to color, frames carry the calibration with which software
+    does it. Depth and color come at the same moment only where both streams have the same rate. Raises
+    ValueError if a value is out of its bounds, or a mode cannot be read.
     """
 
     serial: str = setting("", "serial number of the camera, if there are several")

@@ -59,10 +59,10 @@ def choose(
     serial: str,
     serial_of: Callable[[DeviceListing], str],
 ) -> list[DeviceListing]:
-    """Return the cameras that may be meant, at least one, of which the first that opens is to be taken.
+    """Return the matching cameras, at least one; the caller takes the first that opens.
 
     `wanted` is "any" or nothing, a kind ("xtion", "kinect", ...: `usb_ids.WANTED`), a URI, a serial number,
-    or "port:" and a USB port; `serial` counts besides, where it is not empty. A camera must be opened for
+    or "port:" and a USB port; `serial`, if not empty, must match too. A camera must be opened for
     `serial_of`. Raises DeviceNotFoundError if there is none; lists those that there are.
     """
     cameras = [listing for listing in listings if is_camera(listing)]

@@ -156,7 +156,7 @@ class Stream:
         FrameFormatError if it is not what its mode says.
         """
         frame = ctypes.POINTER(OniFrame)()
-        # This cannot wait: an image is there, and nobody else takes it.
+        # This does not block: an image is waiting, and nobody else takes it.
         status = self._library.quick.oniStreamReadFrame(self.handle, ctypes.byref(frame))
         if status != Status.OK:
             self._library.check(status, f"reading the {self.sensor.name.lower()} stream", DeviceLostError)
@@ -189,7 +189,7 @@ def _mode(mode: OniVideoMode) -> VideoMode:
     try:
         pixel_format = PixelFormat(mode.pixel_format)
     except ValueError:
-        pixel_format = PixelFormat.GRAY16  # a format that nothing here asks for
+        pixel_format = PixelFormat.GRAY16  # a format that is never requested
     return VideoMode(mode.width, mode.height, mode.fps, pixel_format)
 
 

@@ -21,7 +21,7 @@ from nurbseg.drivers.process.messages import Codec, aligned
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-#: What comes, bytes of JSON that follow, slot of the arrays, and bytes in each slot.
+#: Kind of message, bytes of JSON that follow, slot of the arrays, and bytes in each slot.
 _HEADER = struct.Struct("<BIIQ")
 _MESSAGE, _FREE_SLOTS, _LOG_RECORD, _HEARTBEAT = range(4)
 _NO_SLOT = 0xFFFFFFFF

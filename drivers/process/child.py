@@ -1,4 +1,4 @@
-"""Starts programs, connects to those of ours, and ends them."""
+"""Starts other programs, connects to our own, and ends them."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class ChildProcess(Closing):
                     stdout=subprocess.DEVNULL,
                     stderr=subprocess.DEVNULL if quiet else None,
                     pass_fds=[theirs.fileno(), self._memory],
-                    # Ctrl-C is for this process, which ends the other in its own time.
+                    # Ctrl-C must reach this process only, which then ends the other.
                     start_new_session=True,
                 )
             held.pop_all()

@@ -1,4 +1,4 @@
-"""Where one ray meets one shape of the synthetic scene, and what the shape is like there.
+"""The intersection of a ray with a shape of the synthetic scene, and the surface there.
 
 A shape is a kind and up to four sizes, in its own frame.
 """
@@ -14,7 +14,7 @@ from nurbseg.drivers.compiled import inlined
 
 RECTANGLE, BOX, ELLIPSOID, CYLINDER, BOWL, CUSHION = range(6)
 KINDS = (RECTANGLE, BOX, ELLIPSOID, CYLINDER, BOWL, CUSHION)
-#: Numbers in the precision of the rays: a plain one would draw all that it meets into double precision.
+#: Single-precision numbers: a Python number would turn results into double precision.
 _ZERO, _HALF, _ONE, _TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
 _NEVER, _NEAREST, _TINY = np.float32(np.inf), np.float32(1e-4), np.float32(1e-9)
 _PER_TURN = np.float32(1 / (2 * np.pi))

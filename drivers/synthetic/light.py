@@ -26,7 +26,7 @@ _SHADOW_SIZE = (112, 176)
 _SHADOW_REACH = np.float32(7)
 #: Where there is nothing to see.
 _BACKGROUND = (52, 54, 58)
-#: Numbers in the precision of the images: a plain one would draw all that it meets into double precision.
+#: Single-precision numbers: a Python number would turn results into double precision.
 _ZERO, _HALF, _ONE, _TWO, _THREE = (np.float32(n) for n in (0, 0.5, 1, 2, 3))
 
 
@@ -111,7 +111,7 @@ def _light(
 
 @inlined
 def _shadow_row(shape: Any, lamp: Any, ball: Any, radius: Any, pixels: Any) -> None:
-    """Take from a ground what light the ball shuts out."""
+    """Darken a ground where the ball's shadow falls."""
     x, y, z, nx, ny, nz = shape
     reach = _SHADOW_REACH * radius
     for n in range(z.size):
@@ -148,9 +148,10 @@ def _light_row(shape: Any, lamp: Any, up: Any, camera_height: Any, shine: Any, p
 
 @inlined
 def _ball_shadow(square: Any, above: Any, along: Any, radius: Any) -> Any:
-    """Return what share of its light the ball leaves to a point of a ground.
+    """Return the share of its light that the ball's shadow leaves to a point of a ground.
 
-    The ball's center is as far as the root of `square`, so high over the ground and so far towards the lamp.
+    The ball's center is at the squared distance `square`, this far above the ground and along the direction
+    to the lamp.
     """
     # How far the line to the lamp passes by its center, in radii.
     beside = math.sqrt(max(square - along * along, _ZERO)) / radius

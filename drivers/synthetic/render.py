@@ -43,7 +43,7 @@ class Renderer:
         # The span that the rays of each column and row cover: where a thing's bounds can show.
         self._columns = np.nanmin(rays[..., 0], axis=0), np.nanmax(rays[..., 0], axis=0)
         self._rows = np.nanmin(rays[..., 1], axis=1), np.nanmax(rays[..., 1], axis=1)
-        # A pixel whose distortion cannot be undone looks far aside, at nothing.
+        # The ray of a pixel whose distortion cannot be undone points far aside, at nothing.
         self._rays = (np.nan_to_num(rays[..., 0], nan=1e6), np.nan_to_num(rays[..., 1], nan=1e6))
 
     @cached_property

@@ -55,7 +55,7 @@ class RenderedPoses:
 class RenderedScene:
     """A table before a wall, with boxes, tins, a bowl, fruit, a cushion and a ball that rolls.
 
-    The seed draws textures and positions; what there is stays the same. `hidden_ticks` is 0 to let the ball
+    The seed determines textures and positions; the objects stay the same. `hidden_ticks` is 0 to let the ball
     roll in front, else for how many ticks it shall be wholly behind the carton, at most, halfway through the
     period.
     """
@@ -136,7 +136,7 @@ class RenderedScene:
 
 
 def _triangle_wave(way: Any) -> Any:
-    """Return the position on a line after so long a way to and fro between its ends."""
+    """Return the position on a line after moving back and forth between its ends by this distance."""
     travelled = (way + _REACH_M) % (4 * _REACH_M)
     return np.minimum(travelled, 4 * _REACH_M - travelled) - _REACH_M
 

@@ -30,7 +30,7 @@ _EDGE_LOSS = 0.25
 _GRAZING = 0.035
 #: Rows and columns by which the bank of noise is larger than the image.
 _BANK_MARGIN = 61
-#: Numbers in the precision of the images: a plain one would draw all that it meets into double precision.
+#: Single-precision numbers: a Python number would turn results into double precision.
 _ZERO, _HALF, _ONE, _STEP = (np.float32(n) for n in (0, 0.5, 1, DISPARITY_STEP_PER_M))
 _EDGE = np.float32(_EDGE_PER_M)
 _NEAREST, _FARTHEST = (np.float32(each) for each in RANGE_M)

@@ -70,7 +70,7 @@ class Failure:
         return cls(type(error).__name__, str(error), fatal)
 
     def error(self) -> DriverError:
-        """Return the error again."""
+        """Return the error that this message describes."""
         kind = getattr(errors, self.kind, DriverError)
         known = isinstance(kind, type) and issubclass(kind, DriverError)
         return kind(self.text) if known else DriverError(self.text)

@@ -55,9 +55,9 @@ class IsolatedCamera(FrameSource):
     delivered, but that were too late or too many, and `half_pairs` images whose other half never came within
     `pairing_limit_s`.
 
-    `wanted` is read by `nurbseg.drivers.openni2.selection.choose`. With `patience_s`, the process looks for a
-    camera that is not there at this interval, seconds, and the source is usable once `is_open` says so.
-    `process` is from `begin_process` with the same options, and ended with this source.
+    `wanted` is interpreted by `nurbseg.drivers.openni2.selection.choose`. With `patience_s`, the process
+    looks for a camera that is not there at this interval, seconds, and the source is usable once `is_open`
+    says so. `process` is from `begin_process` with the same options, and ended with this source.
 
     Raises BackendMissingError if OpenNI2 is not installed, DeviceNotFoundError if there is no such camera or
     it cannot be opened, CalibrationError if the options name a calibration file that is damaged, and
@@ -101,7 +101,7 @@ class IsolatedCamera(FrameSource):
             raise
 
     def is_open(self, timeout_s: float = 0.0) -> bool:
-        """Whether the camera is open; waits at most so long for news.
+        """Whether the camera is open; waits at most this long for an answer.
 
         Raises DriverError as on opening.
         """

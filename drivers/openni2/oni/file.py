@@ -19,8 +19,7 @@ from nurbseg.drivers.files import ONI_MAGIC
 from nurbseg.drivers.openni2.capi import BYTES_PER_PIXEL, Sensor
 
 _HEADER = struct.Struct("<4sBBHIQI")  # magic, version, largest time, largest node number
-_LARGEST_NODE = struct.Struct("<I")
-_LARGEST_NODE_AT = _HEADER.size - _LARGEST_NODE.size
+_LARGEST_NODE_BYTES = 4
 _RECORD = struct.Struct("<IIIIIQ")  # magic, type, node, size with fields, size of payload, undo position
 _MAGIC = 0x0052494E  # "NIR"
 _NODE_ADDED = (0x02, 0x0C, 0x0D)
@@ -203,24 +202,24 @@ def has_begun(path: Path, streams: int) -> bool:
 
 
 def correct_header(path: Path) -> bool:
-    """Let the header of a recording count all of its streams; return whether it did not.
+    """Correct the header of a recording if it does not count all streams; return whether it was wrong.
 
-    OpenNI2's recorder now and then counts one stream too few until it writes the file's end. Its player
-    refuses such a file, so a recording that was cut short could not be played. Raises OSError if the file
-    cannot be read or written.
+    OpenNI2's recorder sometimes counts one stream too few until it writes the file's end. Its player refuses
+    such a file, so a recording that was cut short could not be played. Raises OSError if the file cannot be
+    read or written.
     """
     with path.open("r+b") as file:
         *_, counted = _HEADER.unpack(file.read(_HEADER.size))
         found = max((node for kind, node, *_ in _records(file) if kind in _NODE_ADDED), default=0)
         if counted >= found:
             return False
-        file.seek(_LARGEST_NODE_AT)
-        file.write(_LARGEST_NODE.pack(found))
+        file.seek(_HEADER.size - _LARGEST_NODE_BYTES)
+        file.write(found.to_bytes(_LARGEST_NODE_BYTES, "little"))
     return True
 
 
 def write_end(path: Path) -> bool:
-    """Let a recording that was cut short end after its last whole record; return whether it had no end.
+    """Write an end after the last whole record of a recording that was cut short; return whether it had none.
 
     Raises OSError if the file cannot be read or written.
     """
@@ -250,7 +249,7 @@ def _read_note(file: BinaryIO, end: int) -> dict[str, Any]:
 
 
 def finish(path: Path, note: dict[str, Any]) -> None:
-    """Cut the empty tail that the recorder leaves after the end record, and put a note there.
+    """Replace the empty tail that the recorder leaves after the end record by a note.
 
     Raises RecordingFormatError if the recorder did not write its end record.
     """

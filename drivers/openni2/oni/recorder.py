@@ -23,11 +23,11 @@ from nurbseg.drivers.openni2.stream import Image
 
 logger = logging.getLogger(__name__)
 
-#: The recorder starts on its own thread; longer than this, and it never will, seconds.
+#: Time within which the recorder's own thread must have started, seconds.
 _START_LIMIT_S = 5.0
 #: The player starts within this time, seconds.
 _PLAY_LIMIT_S = 15.0
-#: The first image that is seen here is among so many at the file's beginning.
+#: The first image seen here is among this many at the file's beginning.
 _FIRST_IMAGES = 12
 
 
@@ -50,7 +50,7 @@ class OniRecorder:
         self._handle = ctypes.c_void_p()
         library = device.library
         largest = device.streams[0].find(StreamProperty.MAX_VALUE, ctypes.c_int)
-        #: Depth from here on comes out wrong; no limit where the device reports none.
+        #: Depth of this value or more is stored wrong; no limit where the device reports none.
         self._depth_limit: int = largest or 1 << 16
         self._beyond_limit = 0
         try:
@@ -134,7 +134,7 @@ class OniRecorder:
         structure = read_structure(self.path)
         begun_us: dict[Sensor, int] = {}
         for kind, stream in ((Sensor.DEPTH, structure.depth), (Sensor.COLOR, structure.color)):
-            # Lossy color is not quite the same, so the likest is taken.
+            # Lossy color is not quite the same, so the most similar image is taken.
             position = int(np.argmin(differences[kind])) if differences[kind] else 0
             begun_us[kind] = self._seen[kind].timestamp_us - stream.frames[position].timestamp_us
         return begun_us[Sensor.COLOR] - begun_us[Sensor.DEPTH]
