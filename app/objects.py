@@ -59,7 +59,10 @@ class OrientedBox:
         axes = np.array([along, np.cross(axes[2], along), axes[2]])
         places = axes @ points
         low, high = places.min(axis=1), places.max(axis=1)
-        return cls(mean + (low + high) / 2.0 @ axes, axes, high - low)
+        center, size = mean + (low + high) / 2.0 @ axes, high - low
+        if size[0] < size[1]:  # of all points, which can differ from the sample
+            axes, size = np.array([axes[1], -axes[0], axes[2]]), size[[1, 0, 2]]
+        return cls(center, axes, size)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

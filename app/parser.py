@@ -19,6 +19,7 @@ class _Parser(argparse.ArgumentParser):
             near = difflib.get_close_matches(word.partition("=")[0], known, n=2) if word[:2] == "--" else []
             message += f"; {word} is near {' and '.join(near)}" if near else ""
         if found and any(Path(word).is_file() for word in words.split()):
+            message += "; a recording is given as --replay PATH" if "--replay" in known else ""
             message += "; put patterns in quotes, or the shell expands them to file names"
         super().error(message)
 

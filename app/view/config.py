@@ -72,7 +72,7 @@ class ViewConfig(Settings):
             raise ValueError(f"memory_limit: expected a size such as 2GB or 25%, got {self.memory_limit!r}")
         if self.connect is not None:
             if self.mode not in ("auto", "connect"):
-                raise ValueError(f"connect: needs mode connect or auto, got {self.mode}")
+                raise ValueError(f"connect: needs --view connect or auto, got {self.mode}")
             viewer_address(self.connect)
 
     @property

@@ -86,3 +86,13 @@ def test_objects_keep_their_labels_from_frame_to_frame() -> None:
     labels = [{each.label: each.pixels.size for each in result.objects} for result in (first, second)]
     assert labels[0] == labels[1]
     assert np.array_equal(np.unique(second.labels("objects")), sorted(labels[1]))
+
+
+def test_the_first_side_of_a_box_is_the_longer_one_of_all_its_points() -> None:
+    # The box is turned by every second point here, and the others make the shorter side the longer one.
+    points = np.random.default_rng(0).uniform((-0.5, -0.45, 0.0), (0.5, 0.45, 0.01), (7999, 3))
+    points[1], points[3] = (0.0, -0.7, 0.0), (0.0, 0.7, 0.0)
+    box = OrientedBox.around(points)
+    assert 1.3 < box.size_m[0] < 1.5 and 0.9 < box.size_m[1] < 1.2
+    assert np.isclose(np.linalg.det(box.axes), 1.0)
+    assert (np.abs((points - box.center_m) @ box.axes.T) <= box.size_m / 2 + 1e-9).all()

@@ -92,6 +92,16 @@ def test_a_pattern_that_the_shell_has_replaced_is_told_of(
     assert "put patterns in quotes" in capsys.readouterr().err
 
 
+def test_a_recording_without_a_flag_is_answered_with_the_flag(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "run.mcap"
+    path.touch()
+    with pytest.raises(SystemExit):
+        parse_arguments([str(path)])
+    assert "a recording is given as --replay PATH" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [

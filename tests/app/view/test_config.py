@@ -36,7 +36,7 @@ def test_the_address_is_completed_to_reruns_form() -> None:
     ("settings", "message"),
     [
         ({"mode": "window"}, "mode: expected one of auto, spawn, connect, serve, none, got 'window'"),
-        ({"mode": "none", "connect": "host"}, "connect: needs mode connect or auto, got none"),
+        ({"mode": "none", "connect": "host"}, "connect: needs --view connect or auto, got none"),
         ({"bind": "everywhere"}, "bind: expected an IP address such as 127.0.0.1, got 'everywhere'"),
         ({"port": 70_000}, "port: expected at most 65535, got 70000"),
         ({"memory_limit": "much"}, "memory_limit: expected a size such as 2GB or 25%, got 'much'"),
