@@ -92,21 +92,26 @@ class PixelGrid:
 @compiled
 def _window_mask(grid_pixels: Intp, width: int) -> tuple[int, int, int, int, Bool]:
     """Tight window of at least one grid pixel, one past the last, and which of its pixels they are."""
-    # Successive grid pixels are mostly of one row: so few need a division.
-    row = top = bottom = grid_pixels[0] // width
-    left = right = grid_pixels[0] - row * width
-    for pixel in grid_pixels:
-        if not row * width <= pixel < (row + 1) * width:
-            row = pixel // width
-            top, bottom = min(top, row), max(bottom, row)
-        column = pixel - row * width
-        left, right = min(left, column), max(right, column)
-    mask = np.zeros((bottom + 1 - top, right + 1 - left), dtype=np.bool_)
-    for pixel in grid_pixels:
-        if not row * width <= pixel < (row + 1) * width:
-            row = pixel // width
-        mask[row - top, pixel - row * width - left] = True
-    return top, left, bottom + 1, right + 1, mask
+    # Runs of successive grid pixels in a row: row, first column and one past the last.
+    runs, count, n = np.empty((grid_pixels.size, 3), dtype=np.intp), 0, 0
+    top, left, bottom, right = grid_pixels[0] // width, width, 0, 0
+    while n < grid_pixels.size:
+        first, begin = grid_pixels[n], n
+        row = first // width
+        end = min(n + (row + 1) * width - first, grid_pixels.size)
+        n += 1
+        while n < end and grid_pixels[n] == first + n - begin:
+            n += 1
+        column = first - row * width
+        runs[count] = row, column, column + n - begin
+        count += 1
+        top, bottom = min(top, row), max(bottom, row + 1)
+        left, right = min(left, column), max(right, column + n - begin)
+    mask = np.zeros((bottom - top, right - left), dtype=np.bool_)
+    for k in range(count):
+        row, begin, end = runs[k]
+        mask[row - top, begin - left : end - left] = True
+    return top, left, bottom, right, mask
 
 
 @compiled

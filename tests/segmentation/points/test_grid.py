@@ -1,9 +1,9 @@
-"""The step of the grid on which splits are decided."""
+"""The step of the grid on which splits are decided, and windows of some of its pixels."""
 
 import numpy as np
 import pytest
 
-from nurbseg.segmentation.points.grid import grid_step
+from nurbseg.segmentation.points.grid import PixelGrid, grid_step
 
 
 @pytest.mark.parametrize(
@@ -21,3 +21,17 @@ def test_a_grid_holds_a_point_where_the_image_does():
     assert grid_step(valid, 3) == grid_step(valid, 0) == 1
     valid[2, 4] = True
     assert (grid_step(valid, 3), grid_step(valid, 0)) == (1, 2)
+
+
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.98, 1.0])
+def test_the_window_of_some_grid_pixels_is_tight_and_marks_them(share):
+    rng = np.random.default_rng(int(100 * share))
+    grid = PixelGrid(1, (13, 17), np.zeros((3, 13, 17), dtype=np.float32), np.ones((13, 17), dtype=bool))
+    for _ in range(20):
+        there = rng.random((13, 17)) < share
+        there[rng.integers(13), rng.integers(17)] = True
+        rows, columns = np.nonzero(there)
+        window, mask = grid.window_mask(np.flatnonzero(there))
+        assert window == (rows.min(), columns.min(), rows.max() + 1, columns.max() + 1)
+        top, left, bottom, right = window
+        assert np.array_equal(mask, there[top:bottom, left:right])
