@@ -57,7 +57,7 @@ def fit_segment(features: GridFeatures, grid_pixels: NDArray[np.intp], config: S
         )
     window, mask = features.grid.points.window_mask(grid_pixels)
     floor = noise_floor(features.grid, window, mask, config) if config.extended.noise_floor > 0 else 0.0
-    fit, _ = fit_window(features.grid, window, mask, config, floor=floor)
+    fit = fit_window(features.grid, window, mask, config, floor=floor)
     if fit.surface is None:
         return Part(grid_pixels, fit, None)
     if config.metric in CURVATURE_METRICS:

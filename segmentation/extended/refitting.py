@@ -78,7 +78,7 @@ def refit_surfaces(
         if changes[label] <= _MOVED_SHARE * fit.residuals_m.size or box[2] == 0:
             continue
         top, left, bottom, right = box
-        again, _ = fit_window(grid, box, moved[top:bottom, left:right] == label, config)
+        again = fit_window(grid, box, moved[top:bottom, left:right] == label, config)
         if again.surface is not None:
             surfaces[label - 1], rms_per_m[label - 1] = again.surface, again.rms_per_m
     return RefitSurfaces(moved, surfaces, rms_per_m)

@@ -45,7 +45,7 @@ def fit_window(
     config: SegmentationConfig,
     *,
     floor: float = 0.0,
-) -> tuple[Fit, NDArray[np.float64]]:
+) -> Fit:
     """Fit a surface to the marked pixels of a window of the grid.
 
     Parameters
@@ -63,10 +63,8 @@ def fit_window(
 
     Returns
     -------
-    fit : Fit
+    Fit
         The surface, residuals in space and metrics, parameters being pixels of the full image.
-    residuals_per_m : (N,) float64
-        Residuals of inverse depth at the marked grid pixels, in row order, 1/m.
 
     References
     ----------
@@ -78,9 +76,8 @@ def fit_window(
     try:
         spline = _fitted_spline(grid, window, mask, config)
     except LinAlgError as error:
-        none = Fit(None, np.zeros(0), {}, f"no least-squares solution: {error}", pixels)
-        return none, np.full(pixels.size, np.inf)
-    residuals_per_m, residuals_m, square = spline.residuals(grid, window, mask, config)
+        return Fit(None, np.zeros(0), {}, f"no least-squares solution: {error}", pixels)
+    residuals_m, square = spline.residuals(grid, window, mask, config)
     surface = rational_surface(
         spline.control_per_m,
         spline.knots_u * grid.step,
@@ -90,7 +87,7 @@ def fit_window(
     )
     metrics = residual_metrics(residuals_m, config)
     rms_per_m = math.sqrt(square / max(pixels.size, 1))
-    return Fit(surface, residuals_m, metrics, "", pixels, floor, rms_per_m), residuals_per_m
+    return Fit(surface, residuals_m, metrics, "", pixels, floor, rms_per_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,10 +102,10 @@ class _Spline:
 
     def residuals(
         self, grid: DepthGrid, window: Window, mask: NDArray[np.bool_], config: SegmentationConfig
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-        """Return the residuals of inverse depth, 1/m, and in space, metres, at the marked grid pixels.
+    ) -> tuple[NDArray[np.float64], float]:
+        """Return the distances at the marked grid pixels, metres.
 
-        Also the sum of the squares of the former, each limited, 1/m^2.
+        Also the sum of the squared residuals of inverse depth, each limited, 1/m^2.
         """
         images = (grid.inverse_depth, grid.distances_m)
         most = SQUARE_MOST * config.extended.inverse_depth_noise**2
@@ -149,14 +146,14 @@ def _residuals(
     rows: SpanBasis,
     columns: SpanBasis,
     square_most: float,
-) -> tuple[F64, F64, float]:
+) -> tuple[F64, float]:
     """Compare a spline at the marked grid pixels with images of inverse depth and of distances."""
     (inverse_depth, distances_m), (top, left), (height, width) = images, corner, mask.shape
     count = 0
     for y in range(height):
         for x in range(width):
             count += mask[y, x]
-    residuals_per_m, residuals_m = np.empty(count), np.empty(count)
+    residuals_m = np.empty(count)
     along = np.empty(control.shape[1])
     n, squares = 0, 0.0
     for y in range(height):
@@ -172,13 +169,12 @@ def _residuals(
                 for j in range(4):
                     fitted += columns.values[x, j] * along[start + j]
                 residual = fitted - inverse_depth[top + y, left + x]
-                residuals_per_m[n] = residual
                 squares += min(residual * residual, square_most)
                 # The point and its surface point lie on one ray: their distance is in proportion to the
                 # point's own.
                 residuals_m[n] = abs(residual) * distances_m[top + y, left + x] / fitted
                 n += 1
-    return residuals_per_m, residuals_m, squares
+    return residuals_m, squares
 
 
 def rational_surface(

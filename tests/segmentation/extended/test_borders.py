@@ -18,7 +18,7 @@ def fitted(cloud, truth):
     for label in range(1, truth.max() + 1):
         top, left, bottom, right = window = grid.points.locate(np.flatnonzero(truth == label))[2]
         mask = (truth == label)[top:bottom, left:right]
-        surfaces.append(fit_window(grid, window, mask, CONFIG)[0].surface)
+        surfaces.append(fit_window(grid, window, mask, CONFIG).surface)
     return surfaces
 
 

@@ -27,7 +27,7 @@ def fitted(cloud, labels, step=1):
         places = np.flatnonzero((on_grid == label) & grid.valid)
         top, left, bottom, right = window = grid.points.locate(places)[2]
         mask = (on_grid == label)[top:bottom, left:right]
-        surfaces.append(fit_window(grid, window, mask, CONFIG)[0].surface)
+        surfaces.append(fit_window(grid, window, mask, CONFIG).surface)
     return grid, surfaces
 
 

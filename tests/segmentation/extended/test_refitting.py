@@ -33,7 +33,7 @@ def fits_of(grid, labels):
     fits = []
     for label in range(1, labels.max() + 1):
         top, left, bottom, right = window = grid.points.locate(np.flatnonzero(labels == label))[2]
-        fits.append(fit_window(grid, window, (labels == label)[top:bottom, left:right], CONFIG)[0])
+        fits.append(fit_window(grid, window, (labels == label)[top:bottom, left:right], CONFIG))
     return fits
 
 

@@ -38,7 +38,7 @@ def wavy() -> np.ndarray:
 def fitted(inverse_depth: np.ndarray) -> NurbsSurface:
     """The surface of a whole frame."""
     grid = depth_grid(cloud_of(inverse_depth), STEP)
-    fit, _ = fit_window(grid, (0, 0, *grid.valid.shape), grid.valid, CONFIG)
+    fit = fit_window(grid, (0, 0, *grid.valid.shape), grid.valid, CONFIG)
     assert fit.surface is not None
     return fit.surface
 

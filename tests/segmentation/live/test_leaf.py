@@ -54,7 +54,7 @@ def leaves_of(grid: DepthGrid, labels: np.ndarray) -> list[LiveLeaf]:
         mask[:, 15:20] &= label < 3
         columns = np.flatnonzero(mask.any(axis=0))
         window = (0, int(columns[0]), 30, int(columns[-1]) + 1)
-        fit, _ = fit_window(grid, window, mask[:, window[1] : window[3]], CONFIG)
+        fit = fit_window(grid, window, mask[:, window[1] : window[3]], CONFIG)
         leaves.append(LiveLeaf(Node(str(label), np.flatnonzero(mask), fit), label))
     return leaves
 

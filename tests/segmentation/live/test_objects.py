@@ -29,7 +29,7 @@ def box(cloud_of, box_on_table):
         places = np.flatnonzero(on_grid == label)
         top, left, bottom, right = window = grid.points.locate(places)[2]
         mask = (on_grid == label)[top:bottom, left:right]
-        surfaces.append(fit_window(grid, window, mask, CONFIG)[0].surface)
+        surfaces.append(fit_window(grid, window, mask, CONFIG).surface)
     nothing = np.zeros(0, dtype=np.intp)
     leaves = [
         LiveLeaf(Node(name, nothing, Fit(surface, np.zeros(0), {}, "", nothing)), number)

@@ -23,8 +23,7 @@ def plane(slope_u: float = 0.004, slope_v: float = -0.003) -> np.ndarray:
 
 def test_a_plane_is_held_exactly(cloud_of):
     cloud = cloud_of(plane())
-    fit, residuals = fit_window(depth_grid(cloud, 1), WHOLE, cloud.valid, CONFIG)
-    assert np.abs(residuals).max() < 1e-6
+    fit = fit_window(depth_grid(cloud, 1), WHOLE, cloud.valid, CONFIG)
     assert fit.residuals_m.max() < 1e-6
     points = evaluate_lattice(fit.surface, np.arange(80.0), np.arange(60.0))
     assert_allclose(points, cloud.points_m, atol=2e-6)
@@ -35,7 +34,7 @@ def test_a_plane_goes_on_beyond_its_segment(cloud_of):
     mask = np.zeros(SIZE, dtype=bool)
     mask[20:40, 30:45] = True
     window = (20, 30, 40, 45)
-    fit, _ = fit_window(depth_grid(cloud, 1), window, mask[20:40, 30:45], CONFIG)
+    fit = fit_window(depth_grid(cloud, 1), window, mask[20:40, 30:45], CONFIG)
     points = evaluate_lattice(fit.surface, np.arange(27.0, 48), np.arange(17.0, 43))
     assert_allclose(points, cloud.points_m[17:43, 27:48], atol=1e-4)
 
@@ -78,12 +77,12 @@ def test_residuals_are_distances_to_the_surface_that_is_returned(cloud_of, step)
     cloud = cloud_of(depth)
     config = SegmentationConfig(decimation=step)
     grid = depth_grid(cloud, step)
-    fit, residuals = fit_window(grid, (0, 0, *grid.valid.shape), grid.valid, config)
+    fit = fit_window(grid, (0, 0, *grid.valid.shape), grid.valid, config)
     rows, columns = np.divmod(fit.pixels, SIZE[1])
     points = cloud.points_m[rows, columns]
     on_surface = evaluate(fit.surface, columns.astype(float), rows.astype(float))
     assert_allclose(fit.residuals_m, np.linalg.norm(points - on_surface, axis=1), atol=2e-6)
-    assert_allclose(residuals, 1 / on_surface[:, 2] - 1 / points[:, 2], atol=2e-6)
+    residuals = 1 / on_surface[:, 2] - 1 / points[:, 2]
     assert fit.values["mse"] == pytest.approx(np.mean(fit.residuals_m**2))
     # Some residuals are beyond four times the noise, others are not.
     limited = np.minimum(np.abs(residuals), 4 * config.extended.inverse_depth_noise)
@@ -96,7 +95,7 @@ def test_a_surface_never_passes_through_infinity_where_nothing_holds_it(cloud_of
     inverse_depth = np.where(columns < 12, 1.6 - 0.13 * columns, 0.05)
     cloud = cloud_of(1 / inverse_depth)
     mask = (columns < 12) | ((rows < 3) & (columns > 70))
-    fit, _ = fit_window(depth_grid(cloud, 1), WHOLE, mask, CONFIG)
+    fit = fit_window(depth_grid(cloud, 1), WHOLE, mask, CONFIG)
     assert (fit.surface.weights > 0).all()
     assert np.isfinite(evaluate_lattice(fit.surface, np.arange(80.0), np.arange(60.0))).all()
 
@@ -105,10 +104,9 @@ def test_points_that_are_nowhere_leave_no_surface_but_a_reason(cloud_of):
     cloud = cloud_of(plane())
     grid = depth_grid(cloud, 1)
     broken = type(grid)(grid.points, np.full(SIZE, np.nan, np.float32), grid.rays)
-    fit, residuals = fit_window(broken, WHOLE, cloud.valid, CONFIG)
+    fit = fit_window(broken, WHOLE, cloud.valid, CONFIG)
     assert fit.surface is None
     assert "least-squares" in fit.reason
-    assert np.isinf(residuals).all()
 
 
 def test_control_values_make_splines_that_are_the_rays(cloud_of):

@@ -118,7 +118,7 @@ def test_the_floor_of_curvature_is_that_of_surfaces_fitted_to_noise(
     for _ in range(40):
         cloud = cloud_of(1 / (1 / depth_m + config.extended.inverse_depth_noise * rng.normal(size=size)))
         # A step of 1 in an image half as wide as others: knots are as many grid pixels apart.
-        fit, _ = fit_window(depth_grid(cloud, 1), window, mask, config)
+        fit = fit_window(depth_grid(cloud, 1), window, mask, config)
         curvatures.append(principal_curvatures(fit.surface, columns.astype(float), rows.astype(float)))
     k1, k2 = np.concatenate(curvatures, axis=1)
     expected = curvature_metrics(k1, k2, config)
