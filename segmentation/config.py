@@ -203,7 +203,12 @@ class SegmentationConfig(Settings):
     geometry_weight: float = setting(
         1.0, "lambda: weight of position against color (eq. 3)", least=0.0, symbol="lambda"
     )
-    samples: int = setting(100, "points whose affinities are computed exactly (Nystrom)", least=2, most=2000)
+    samples: int = setting(
+        100, "points drawn at random whose affinities are computed exactly (Nystrom)", least=2, most=2000
+    )
+    landmarks: int = setting(
+        60, "samples that are used: those that explain the affinities of the others best", least=2, most=2000
+    )
     cut_points: int = setting(
         6000, "points of a segment used to compute its cut; the others are classified by extension", least=100
     )

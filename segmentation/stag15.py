@@ -62,6 +62,7 @@ def cut_in_two(
     cut = normalized_cut(
         vectors[node.grid_pixels],
         samples=config.samples,
+        landmarks=config.landmarks,
         rng=np.random.default_rng([config.seed, int(f"1{node.name}", 2)]),
         affinity_scale=config.affinity_scale,
         splitting_point=config.splitting_point,

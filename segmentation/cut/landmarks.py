@@ -12,9 +12,9 @@ _UNEXPLAINED = 1e-4
 
 
 def independent_samples(
-    samples: NDArray[np.float32], scale: float
+    samples: NDArray[np.float32], scale: float, most: int
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Leave out samples whose affinities the others explain.
+    """Choose the samples that explain the affinities of all best, one after the other.
 
     Parameters
     ----------
@@ -22,17 +22,24 @@ def independent_samples(
         Points whose affinities are Gaussian in their distance.
     scale : float
         Sigma of the Gaussian, in the unit of the points.
+    most : int
+        How many are chosen, at most; fewer where these explain the others.
 
     Returns
     -------
     chosen : (M,) intp
-        Numbers of those that are kept, the one that the others before it explain least first.
+        Numbers of those chosen, each the one that those before it explain least.
     inverse : (M, M) float64
         Inverse of the lower Cholesky factor of their affinities, in this order.
+
+    References
+    ----------
+    .. [1] S. Fine and K. Scheinberg, "Efficient SVM training using low-rank kernel representations", Journal
+       of Machine Learning Research 2, 2001 (incomplete Cholesky factorization with pivots).
     """
     exponents = _square_distances(samples)
     exponents *= -0.5 / scale**2
-    return _pivoted_inverse(np.exp(exponents, out=exponents))
+    return _pivoted_inverse(np.exp(exponents, out=exponents), most)
 
 
 @compiled
@@ -50,14 +57,14 @@ def _square_distances(points: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 @compiled
-def _pivoted_inverse(A: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Factorize as L L^T, with pivots, what is not explained yet; return the pivots and the inverse of L."""
+def _pivoted_inverse(A: NDArray[np.float64], most: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Factorize A as L L^T with at most so many pivots, the least explained first; return them and L^-1."""
     count = A.shape[0]
     pivots, unexplained = np.empty(count, dtype=np.intp), np.ones(count)
     # Row k holds column k of L, for all samples in their own order.
     columns = np.empty((count, count))
     rank = 0
-    while rank < count:
+    while rank < min(count, most):
         pivot = np.argmax(unexplained)
         if unexplained[pivot] <= _UNEXPLAINED:
             break

@@ -75,6 +75,7 @@ def normalized_cut(
     *,
     samples: int,
     rng: np.random.Generator,
+    landmarks: int | None = None,
     affinity_scale: float = 1.0,
     splitting_point: SplittingPoint = "zero",
     points: int | None = None,
@@ -86,9 +87,12 @@ def normalized_cut(
     vectors : (N, D) float32
         Feature vectors, dimensionless (eq. 3).
     samples : int
-        Number of points whose affinities are computed exactly; at most N are used.
+        Number of points drawn at random whose affinities are computed exactly; at most N are used.
     rng : numpy.random.Generator
         Draws the sample; the same state gives the same cut.
+    landmarks : int or None
+        Number of samples, at most, that the approximation is made of: those that explain the affinities of
+        the others best. None for all.
     affinity_scale : float
         Sigma of the Gaussian affinity, in the unit of the vectors.
     splitting_point : {"zero", "kmeans", "ncut"}
@@ -118,6 +122,7 @@ def normalized_cut(
             count=1,
             samples=samples,
             rng=rng,
+            landmarks=landmarks,
             affinity_scale=affinity_scale,
             splitting_point=splitting_point,
             points=points,
@@ -131,6 +136,7 @@ def normalized_cuts(
     count: int,
     samples: int,
     rng: np.random.Generator,
+    landmarks: int | None = None,
     affinity_scale: float = 1.0,
     splitting_point: SplittingPoint = "zero",
     points: int | None = None,
@@ -141,7 +147,7 @@ def normalized_cuts(
 
     Parameters
     ----------
-    vectors, samples, rng, affinity_scale, splitting_point, points
+    vectors, samples, rng, landmarks, affinity_scale, splitting_point, points
         As for `normalized_cut`.
     count : int
         Number of cuts, at most; the first is that of `normalized_cut`.
@@ -167,8 +173,8 @@ def normalized_cuts(
     size = n if points is None else min(n, max(points, samples))
     chosen: NDArray[np.intp] = rng.choice(n, size=(size,), replace=False)
     sample = chosen[:samples]
-    landmarks = vectors[sample]
-    if not np.any(landmarks != landmarks[0]) and not np.any(vectors != landmarks[0]):
+    drawn = vectors[sample]
+    if not np.any(drawn != drawn[0]) and not np.any(vectors != drawn[0]):
         yield _no_cut(vectors, affinity_scale, "all points are equal")
         return
     if size == n:
@@ -178,9 +184,9 @@ def normalized_cuts(
 
     # W = K A^-1 K^T. Samples that the others already explain make A singular and are left out; with
     # A = L L^T of the rest, W = Q Q^T where Q = K L^-T, which is not needed itself.
-    independent, inverse = independent_samples(landmarks, affinity_scale)
-    landmarks = landmarks[independent]
-    K = affinity(vectors, landmarks, affinity_scale, chosen)
+    independent, inverse = independent_samples(drawn, affinity_scale, landmarks or samples)
+    kept = drawn[independent]
+    K = affinity(vectors, kept, affinity_scale, chosen)
     total = inverse @ (np.ones(size, dtype=np.float32) @ K).astype(np.float64)
     b = total @ inverse
 
@@ -208,7 +214,7 @@ def normalized_cuts(
             a -= _threshold(splitting_point, sums * by_root, K, inverse, by_root) * b
             sums = K @ a.astype(np.float32)
         side = np.empty(n, dtype=np.bool_)
-        cut = Cut(side, landmarks, a.astype(np.float32), affinity_scale)
+        cut = Cut(side, kept, a.astype(np.float32), affinity_scale)
         side[chosen] = sums > 0
         if size < n:
             others = np.delete(np.arange(n), chosen)

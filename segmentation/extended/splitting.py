@@ -154,6 +154,7 @@ def best_split(
         normalized(features.raw, scale, drawn),
         count=config.extended.cuts,
         samples=config.samples,
+        landmarks=config.landmarks,
         rng=rng,
         affinity_scale=config.affinity_scale,
         splitting_point=config.splitting_point,

@@ -146,6 +146,14 @@ both_methods = pytest.mark.parametrize("base", [PAPER, EXTENDED], ids=["stag15",
 
 
 @both_methods
+def test_cuts_have_as_many_landmarks_as_are_set(clutter: PointMap, base: SegmentationConfig) -> None:
+    for landmarks in (20, 30):
+        tree = segment(clutter, replace(base, landmarks=landmarks, splits_max=1))
+        cuts = [each.cut for each in tree.segments if each.cut is not None]
+        assert [cut.landmarks.shape[0] for cut in cuts] == [landmarks]
+
+
+@both_methods
 def test_thresholds_limits_and_order_are_those_of_the_paper(
     clutter: PointMap, base: SegmentationConfig
 ) -> None:

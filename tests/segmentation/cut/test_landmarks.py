@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.testing import assert_allclose
+from scipy.linalg.lapack import dpstrf
 
 from nurbseg.segmentation.cut.landmarks import independent_samples
 
@@ -10,7 +11,7 @@ def test_the_inverse_factor_makes_affinities_of_what_is_kept_orthonormal():
     rng = np.random.default_rng(0)
     points = rng.normal(size=(60, 5)).astype(np.float32)
     points[40:] = points[rng.integers(0, 40, 20)] + 1e-4 * rng.normal(size=(20, 5)).astype(np.float32)
-    chosen, inverse = independent_samples(points, 0.7)
+    chosen, inverse = independent_samples(points, 0.7, 60)
     assert len(set(chosen.tolist())) == chosen.size <= 40
     x = points.astype(float)
     A = np.exp(-np.square(x[:, np.newaxis] - x).sum(axis=2) / (2 * 0.7**2))
@@ -20,3 +21,16 @@ def test_the_inverse_factor_makes_affinities_of_what_is_kept_orthonormal():
     # What is left out is explained.
     explained = A[:, chosen] @ inverse.T
     assert (1.0 - np.square(explained).sum(axis=1) <= 1e-4 + 1e-12).all()
+
+
+def test_fewer_landmarks_are_the_first_pivots_of_a_cholesky_factorization():
+    points = np.random.default_rng(1).normal(size=(50, 6)).astype(np.float32)
+    x = points.astype(float)
+    A = np.exp(-np.square(x[:, np.newaxis] - x).sum(axis=2) / (2 * 0.9**2))
+    # The diagonal is 1 everywhere: LAPACK, like the code, begins with the first.
+    factor, pivots, rank, _ = dpstrf(A, lower=1)
+    assert rank == 50
+    for most in (1, 12, 50):
+        chosen, inverse = independent_samples(points, 0.9, most)
+        assert chosen.tolist() == (pivots[:most] - 1).tolist()
+        assert_allclose(inverse @ np.tril(factor)[:most, :most], np.eye(most), atol=1e-9)

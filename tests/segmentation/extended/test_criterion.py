@@ -82,9 +82,9 @@ def test_a_noisy_plane_stays_whole_since_its_ratio_is_one(cloud_of, seed):
     cloud = cloud_of(roof(0.0, seed=seed))
     tree = segment(cloud, CONFIG)
     assert [leaf.stop for leaf in tree.leaves()] == [StopReason.NOISE]
-    # What the shortcut foretells, tried.
+    # What the shortcut foretells, tried; with fewer landmarks a cut through noise is more ragged.
     features, root = root_of(cloud, CONFIG)
-    assert best_split(features, root, CONFIG)[1] is None
+    assert best_split(features, root, replace(CONFIG, landmarks=CONFIG.samples))[1] is None
     assert root.stop is StopReason.CRITERION
     assert root.trial is not None
     # The parts' floors are the whole's, and more along the cut, where both have a rim.

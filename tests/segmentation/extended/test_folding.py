@@ -154,7 +154,7 @@ def test_leaves_meet_along_places_with_the_cosines_of_their_normals(cloud_of):
 
 
 def test_a_table_that_the_first_cuts_tear_is_one_surface():
-    with open_source("synthetic:?labels=surfaces&seed=2") as source:
+    with open_source("synthetic:?labels=surfaces&seed=0") as source:
         frame = source.read()
     cloud, torn = register(frame), updated(SegmentationConfig(), extended={"fold_surfaces": False})
     tables = [
