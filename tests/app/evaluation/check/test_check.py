@@ -230,7 +230,7 @@ OTHER_SETTINGS = {
         ("depth_max", 4, "stop"),
         ("splits_max", 1, "splits"),
         ("splits_max", 6, "stop"),
-        ("segment_pixels_min", 3000, "trial parts"),
+        ("segment_pixels_min", 20000, "trial parts"),
         ("metric", "mae", "metric"),
         ("decimation", 1, "points"),
         ("decimation", 4, "points"),
