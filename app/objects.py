@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.app.boxes import OrientedBox
 from nurbseg.app.view.drawing.frame import SurfaceMesh
 from nurbseg.app.view.drawing.surface_mesh import surface_mesh
 from nurbseg.segmentation.blas import one_blas_thread
@@ -17,52 +17,8 @@ from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Segment, SegmentationTree
 from nurbseg.segmentation.surfaces.surface import normals
 
-#: Number of an object's points that determine the rotation of its box, which contains all of them.
-_TURNED_POINTS = 4000
 #: Number of normals of a surface that are averaged.
 _NORMALS = 100
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class OrientedBox:
-    """A box that contains all points of an object.
-
-    Its last axis is the direction in which they vary least; perpendicular to it, the box is the rectangle of
-    least area around a sample of them.
-
-    Parameters
-    ----------
-    center_m : (3,) float64
-        Metres, in the depth camera's frame.
-    axes : (3, 3) float64
-        Unit vectors along its edges in rows, right-handed.
-    size_m : (3,) float64
-        Lengths of the edges along `axes`, metres; the first is no shorter than the second.
-    """
-
-    center_m: NDArray[np.float64]
-    axes: NDArray[np.float64]
-    size_m: NDArray[np.float64]
-
-    @classmethod
-    def around(cls, points_m: NDArray[np.floating]) -> OrientedBox:
-        """Return the box of points, (N, 3) metres, at least one."""
-        points = np.ascontiguousarray(np.asarray(points_m).T, dtype=np.float64)
-        mean = points.mean(axis=1)
-        points -= mean[:, np.newaxis]
-        # Eigenvectors in columns, by ascending variance.
-        axes = np.linalg.eigh(points @ points.T)[1].T[::-1]
-        some = points[:, :: -(-points.shape[1] // _TURNED_POINTS)]
-        (_, (width, height), degrees) = cv2.minAreaRect((axes[:2] @ some).T.astype(np.float32))
-        turn = np.radians(degrees if width >= height else degrees + 90.0)
-        along = np.cos(turn) * axes[0] + np.sin(turn) * axes[1]
-        axes = np.array([along, np.cross(axes[2], along), axes[2]])
-        places = axes @ points
-        low, high = places.min(axis=1), places.max(axis=1)
-        center, size = mean + (low + high) / 2.0 @ axes, high - low
-        if size[0] < size[1]:  # of all points, which can differ from the sample
-            axes, size = np.array([axes[1], -axes[0], axes[2]]), size[[1, 0, 2]]
-        return cls(center, axes, size)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

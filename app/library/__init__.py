@@ -17,10 +17,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from nurbseg.app.boxes import OrientedBox as OrientedBox
     from nurbseg.app.live.tracking import Segmenter as Segmenter
     from nurbseg.app.live.tracking import process_frame as segment
     from nurbseg.app.objects import MeasuredObject as MeasuredObject
-    from nurbseg.app.objects import OrientedBox as OrientedBox
     from nurbseg.app.result import FrameResult as FrameResult
     from nurbseg.drivers.frame import Calibration as Calibration
     from nurbseg.drivers.frame import Intrinsics as Intrinsics
@@ -39,7 +39,7 @@ _HOME = {
     "Intrinsics": "drivers.frame:Intrinsics",
     "MeasuredObject": "app.objects:MeasuredObject",
     "NurbsSurface": "segmentation.surfaces.surface:NurbsSurface",
-    "OrientedBox": "app.objects:OrientedBox",
+    "OrientedBox": "app.boxes:OrientedBox",
     "RGBDFrame": "drivers.frame:RGBDFrame",
     "SegmentationConfig": "segmentation.config:SegmentationConfig",
     "SegmentationTree": "segmentation.segments:SegmentationTree",

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.app.boxes import OrientedBox
 from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame
 from nurbseg.app.view.drawing.palette import color_name
 from nurbseg.segmentation.config import Metric
@@ -31,7 +32,7 @@ _LEAST_POINTS = 10
 def object_table(frame: ViewFrame) -> str:
     """Return the objects of a frame, or its segments where there are no objects, the largest first.
 
-    Distance (of the mean) and size (along the principal axes) are those of the points shown. Below the table
+    Distance (of the mean) and size (of an oriented box) are those of the points shown. Below the table
     are the reasons why surfaces were merged.
     """
     kind = "segments" if frame.objects is None else "objects"
@@ -46,8 +47,7 @@ def object_table(frame: ViewFrame) -> str:
     errors_m = _root_mean_squares(frame, object_of_surface, count)
     order = np.argsort(frame.point_labels, kind="stable")
     ends = np.cumsum(np.bincount(frame.point_labels, minlength=count))
-    # Coordinates in rows, along which NumPy is several times faster.
-    points_m = np.split(np.ascontiguousarray(frame.points_m[order].T), ends[:-1], axis=1)
+    points_m = np.split(frame.points_m[order], ends[:-1])
     listed = np.flatnonzero(surfaces)
     lines = [
         f"**{_name(frame)}**: {listed.size} {kind}\n",
@@ -85,15 +85,11 @@ def _root_mean_squares(
 
 
 def _place(points_m: NDArray[np.float32]) -> tuple[str, str]:
-    """Return the distance and size of points, (3, N) metres; empty if they are too few."""
-    if points_m.shape[1] < _LEAST_POINTS:
+    """Return the distance and size of points, (N, 3) metres; empty if they are too few."""
+    if len(points_m) < _LEAST_POINTS:
         return "", ""
-    mean = points_m.mean(axis=1)
-    centered = points_m - mean[:, np.newaxis]
-    # Ascending eigenvalues, in columns: the longest axis comes last.
-    axes = np.linalg.eigh(centered @ centered.T)[1][:, ::-1]
-    sizes = np.ptp(axes.T @ centered, axis=1).tolist()
-    return f"{np.linalg.norm(mean):.2f}", " x ".join(f"{each:.2f}" for each in sizes)
+    sizes = OrientedBox.around(points_m).size_m.tolist()
+    return f"{np.linalg.norm(points_m.mean(axis=0)):.2f}", " x ".join(f"{each:.2f}" for each in sizes)
 
 
 def tree_table(frame: ViewFrame) -> str:

@@ -48,8 +48,10 @@ def test_the_document_agrees_with_the_label_image_and_the_points(result: FrameRe
         assert np.allclose(each["color"], result.cloud.color[mask].mean(axis=0), atol=0.01)
         box, axes = each["box"], np.array(each["box"]["axes"])
         assert np.allclose(axes @ axes.T, np.eye(3), atol=1e-5)
-        reach = np.abs((points - box["center_m"]) @ axes.T).max(axis=0)
-        assert np.allclose(2 * reach, box["size_m"], atol=1e-4)
+        local = np.abs((points - box["center_m"]) @ axes.T)
+        inside = (local <= 0.5 * np.array(box["size_m"]) + 0.002).all(axis=1)
+        assert inside.mean() > 0.9
+        assert np.allclose(2 * local[inside].max(axis=0), box["size_m"], atol=5e-3)
         # Where the camera looks, normals look back.
         assert np.dot(each["normal"], each["centroid_m"]) < 0
         assert np.linalg.norm(each["normal"]) == pytest.approx(1.0, abs=1e-5)

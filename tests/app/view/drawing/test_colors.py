@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from nurbseg.app.boxes import OrientedBox
 from nurbseg.app.live.opening import demo_uri
 from nurbseg.app.live.tracking import process_frame
 from nurbseg.app.result import FrameResult
@@ -152,18 +153,16 @@ def frame(result: FrameResult) -> ViewFrame:
     return drawn(result, ViewConfig(), "mse", moment=moment, elapsed_ms={}, rate_hz=0.0, known=None)
 
 
-def test_sizes_are_extents_along_the_principal_axes_the_longest_spread_first(frame: ViewFrame) -> None:
+def test_sizes_are_those_of_boxes_around_the_points_shown(frame: ViewFrame) -> None:
     told = 0
     for line in object_table(frame).splitlines()[4:]:
         if not line.startswith("| "):
             break
         cells = [cell.strip() for cell in line.split("|")[1:-1]]
-        points = frame.points_m[frame.point_labels == int(cells[0])].astype(np.float64)
         if not cells[4]:
             continue
-        axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
-        expected = np.ptp(points @ axes.T, axis=0)
-        assert [float(each) for each in cells[4].split(" x ")] == pytest.approx(expected, abs=0.011)
+        expected = OrientedBox.around(frame.points_m[frame.point_labels == int(cells[0])]).size_m
+        assert [float(each) for each in cells[4].split(" x ")] == pytest.approx(expected, abs=0.006)
         told += 1
     assert told > 5
 
