@@ -52,7 +52,8 @@ class CaptureThread:
     It borrows the source: leave the ``with`` block before closing it. Damaged frames are logged, counted and
     skipped; `frames.take` raises any other error of the source, after the frames before it. If `lossless`,
     the source waits for the consumer; otherwise newer frames replace older ones. Every frame first goes to
-    `recording` (only there, while the recording is behind) and then through `preparation`.
+    `recording` (only there, while the recording is behind) and then through `preparation`. The first frame
+    without any depth is logged.
     """
 
     def __init__(
@@ -75,6 +76,7 @@ class CaptureThread:
         #: Number of seeks requested, and carried out.
         self.jumps = self._jumps = 0
         self._paused = False
+        self._told_empty = False
         self._steps = 0
         self._requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._periods_s: deque[float] = deque(maxlen=_PERIODS)
@@ -184,6 +186,7 @@ class CaptureThread:
                         continue
                 if self._preparation is not None:
                     captured = replace(captured, frame=self._preparation.prepared(frame))
+                self._tell_if_empty(captured.frame)
                 if not self.frames.put(captured):
                     return
             self.frames.close()
@@ -204,6 +207,15 @@ class CaptureThread:
         self._periods_s.append((captured.arrived_s - before.arrived_s) / frames)
         if len(self._periods_s) == _PERIODS:
             self.source_hz = 1.0 / max(statistics.median(self._periods_s), 1e-9)
+
+    def _tell_if_empty(self, frame: RGBDFrame) -> None:
+        if not self._told_empty and not frame.depth_mm.any():
+            self._told_empty = True
+            _log.warning(
+                "frame %d: no pixel has depth; check --depth-scale, --range-min, --range-max and --crop, or "
+                "what the camera sees",
+                frame.index,
+            )
 
     def _pass_over(self, err: FrameFormatError) -> None:
         self.damaged += 1

@@ -85,6 +85,19 @@ def test_a_crop_beside_the_depth_image_is_refused(live: Live) -> None:
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.parametrize(
+    "words", [("--range-min", "60"), ("--workers", "2", "--temporal", "off", "--range-min", "60")]
+)
+def test_frames_whose_depth_is_all_lost_are_told_once(live: Live, words: tuple[str, ...]) -> None:
+    done = live("--replay", SMALL.format(3), *FAST, *words)
+    assert done.returncode == 0, done.stderr
+    [line] = [line for line in done.stderr.splitlines() if "no pixel has depth" in line]
+    assert line.startswith("nurbseg-live: warning: frame 0: ")
+    for flag in ("--depth-scale", "--range-min", "--range-max", "--crop"):
+        assert flag in line
+    assert "no pixel has depth" not in live("--replay", SMALL.format(1), *FAST).stderr
+
+
 def test_version(live_process: Live) -> None:
     try:
         version = importlib.metadata.version("nurbseg")
