@@ -61,6 +61,15 @@ def run_settings(
     }
 
 
+def check_libraries(export: ExportConfig) -> None:
+    """Raise ExportError if a format needs a missing library."""
+    if export.cad is not None and find_spec("rhino3dm") is None:
+        raise ExportError(
+            f"--export-cad {export.cad}: needs rhino3dm, part of the extra 'cad': "
+            "pip install 'nurbseg[cad]' (in the project's folder: pip install '.[cad]')"
+        )
+
+
 class Exporter:
     """Writes results to a folder, which is created if needed; see docs/files.md.
 
@@ -79,11 +88,7 @@ class Exporter:
         self.export = replace(export or ExportConfig(), surfaces=settings["surfaces"])
         self._metric: Metric = settings["segmentation"]["metric"]
         self._table = ObjectTable(directory / OBJECTS_FILE)
-        if self.export.cad is not None and find_spec("rhino3dm") is None:
-            raise ExportError(
-                f"--export-cad {self.export.cad}: needs rhino3dm, part of the extra 'cad': "
-                "pip install 'nurbseg[cad]' (in the project's folder: pip install '.[cad]')"
-            )
+        check_libraries(self.export)
         try:
             directory.mkdir(parents=True, exist_ok=True)
         except OSError as err:

@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import Any
 
 from nurbseg.app.config import AppConfig
-from nurbseg.app.export.exporter import Exporter, ExportError, run_settings
+from nurbseg.app.export.exporter import Exporter, ExportError, check_libraries, run_settings
 from nurbseg.app.live.capture import Captured, CaptureThread
 from nurbseg.app.live.control.console import open_status_line
 from nurbseg.app.live.control.controls import Controls
@@ -70,6 +70,8 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
     if config.record.file is not None:
         config = replace(config, record=replace(config.record, file=dated(config.record.file)))
     _refuse_existing(config)
+    with _setup():
+        check_libraries(config.export)
     with ExitStack() as stack:
         warm_up = _begin_warm_up(config)
         with _setup():

@@ -313,6 +313,18 @@ def test_the_report_of_a_run_that_cannot_begin_says_why(live: Live, tmp_path: Pa
     assert ended.startswith(f"ViewError: {tmp_path}: cannot be created: ")
 
 
+def test_a_run_that_lacks_a_library_leaves_nothing(
+    live: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nurbseg.app.export.exporter.find_spec", lambda name: None)
+    words = ("--export", "out", "--export-cad", "3dm", "--report", "r.json", "--save", "a.rrd")
+    for _ in range(2):
+        done = live("--replay", SMALL.format(1), *FAST, *words)
+        assert done.returncode == 2, done.stderr
+        assert "needs rhino3dm" in done.stderr
+        assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("taken", ["a.rrd", "a.mcap"])
 def test_no_file_is_overwritten_and_none_is_begun_where_one_exists(
     live: Live, tmp_path: Path, taken: str
