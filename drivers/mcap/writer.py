@@ -12,7 +12,7 @@ from mcap_ros2.writer import Writer as Ros2Writer
 from numpy.typing import NDArray
 
 from nurbseg.drivers.closing import Closing
-from nurbseg.drivers.errors import DriverError, FrameFormatError
+from nurbseg.drivers.errors import DriverError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.files import create_private
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.mcap import definitions
@@ -185,7 +185,7 @@ def rewrite(path: Path, output: BinaryIO) -> int:
     """Copy the messages of a recording, as they are, and its metadata; return how many chunks were damaged.
 
     It may be whole or not, whoever wrote it. Attachments do not come with it. Raises RecordingFormatError if
-    it is not an MCAP file, and OSError if the new one cannot be written.
+    it is not an MCAP file or no message can be read, and OSError if the new one cannot be written.
     """
     damaged = 0
     source = McapFile(path)
@@ -209,6 +209,8 @@ def rewrite(path: Path, output: BinaryIO) -> int:
             writer.add_message(
                 numbers[channel.id], item.log_time_ns, item.content, item.publish_time_ns, item.sequence
             )
+        if not numbers:
+            raise RecordingFormatError(f"{path}: the recording has no message that can be read")
         writer.finish()  # type: ignore[no-untyped-call]
     finally:
         source.close()

@@ -85,6 +85,16 @@ def test_a_recording_that_was_cut_short_is_repaired_with_an_index(cut, whole, ca
         assert {record.name for record in reader.iter_metadata()} == {"nurbseg", "device"}
 
 
+@pytest.mark.parametrize("size", [8, 100])
+def test_a_recording_that_was_cut_before_its_first_message_is_not_repaired(whole, size, capsys):
+    content = whole.read_bytes()[:size]
+    whole.write_bytes(content)
+    for words in ((), ("--out", str(whole), "--force")):
+        assert main(["repair", str(whole), *words]) == 2
+        assert f"error: {whole}: the recording has no message" in capsys.readouterr().err
+    assert [(path, path.read_bytes()) for path in whole.parent.iterdir()] == [(whole, content)]
+
+
 def test_a_damaged_chunk_costs_its_frames_and_no_more(whole, capsys):
     content = bytearray(whole.read_bytes())
     content[len(content) // 2 :][:50] = b""
