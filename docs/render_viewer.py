@@ -110,6 +110,8 @@ def main() -> int:
     parser.add_argument("--fps", type=float, default=6.0, help="frames a second of an animation (default: 6)")
     parser.add_argument("--width", type=int, default=960, help="width of an animation, pixels (default: 960)")
     options = parser.parse_args()
+    if not options.recording.is_file():
+        parser.exit(2, f"{parser.prog}: error: {options.recording}: no such file\n")
     with opened(options.recording, options.wait, options.size) as viewer:
         if options.frames is None:
             complaints = draw(viewer, options.picture, frame=options.frame, view=options.view)

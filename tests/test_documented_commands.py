@@ -158,3 +158,11 @@ def test_the_pages_have_commands_of_every_program() -> None:
         "nurbseg-live",
         "nurbseg-record",
     }
+
+
+def test_no_picture_is_drawn_of_a_recording_that_is_not_there(tmp_path: Path) -> None:
+    picture = tmp_path / "a.png"
+    words = [sys.executable, str(ROOT / "docs/render_viewer.py"), "missing.rrd", str(picture)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (2, "render_viewer.py: error: missing.rrd: no such file\n")
+    assert not picture.exists()
