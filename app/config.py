@@ -34,7 +34,7 @@ class SourceConfig(Settings):
     replay: str | None = setting(None, "recording or folder of images to replay", unit="PATH")
     color_images: str | None = setting(
         None,
-        "color images to replay, with any names: a pattern in quotes; needs depth_images",
+        "color images to replay, with any names: a pattern in quotes; needs --depth",
         unit="GLOB",
         flag="color",
     )

@@ -88,8 +88,9 @@ class RunReport:
     def summary(self) -> str:
         """Return numbers of frames in one line."""
         if self.recorded_only and not self.segmented:
-            return f"{self.recorded_only} frames recorded"
-        text = f"{self.segmented} frames segmented, {self.frames_per_s:.2f} frames/s"
+            return f"{self.recorded_only} frame{'s' * (self.recorded_only != 1)} recorded"
+        text = f"{self.segmented} frame{'s' * (self.segmented != 1)} segmented"
+        text += f", {self.frames_per_s:.2f} frames/s" if self.segmented > 1 else ""
         capture = self.capture
         if capture is None:
             return text

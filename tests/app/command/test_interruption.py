@@ -43,7 +43,8 @@ def test_ctrl_c_between_frames(pace: tuple[str, ...], start_live: START, tmp_pat
     frames = json.loads((tmp_path / "report.json").read_text())["frames"]
     run.wait_for("interrupted: ")
     last = run.said[-1]
-    assert f"interrupted: {frames['segmented']} frames segmented" in last
+    count = frames["segmented"]
+    assert f"interrupted: {count} frame{'s' * (count != 1)} segmented" in last
     lost = [int(each) for each in re.findall(r"(\d+) overwritten", last)]
     assert sum(lost) == frames["dropped"]["overwritten_by_a_newer_frame"]
 

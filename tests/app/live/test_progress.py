@@ -62,6 +62,12 @@ def test_frames_that_are_only_recorded_are_no_silence(caplog: pytest.LogCaptureF
     ]
 
 
+def test_one_segment_is_singular(caplog: pytest.LogCaptureFixture, small_result: FrameResult) -> None:
+    with caplog.at_level(logging.INFO, "nurbseg"):
+        Progress(cast(Any, SimpleNamespace(withheld=0))).segmented(small_result.frame, 1, {})
+    assert caplog.messages == ["frame 0 (synthetic-000000): 1 segment in 0 ms"]
+
+
 class Line:
     """A status line that keeps what it shows."""
 

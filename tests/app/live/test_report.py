@@ -30,11 +30,13 @@ def test_every_frame_is_accounted_for() -> None:
     assert frames["damaged_frames"] == ["b: bad"]
     report.late, report.view = 2, MagicMock(dropped=5)
     assert report.summary() == (
-        "1 frames segmented, 0.00 frames/s; 3 overwritten by newer ones, 1 damaged, 2 too late to be shown, "
+        "1 frame segmented; 3 overwritten by newer ones, 1 damaged, 2 too late to be shown, "
         "5 dropped by the slow viewer"
     )
     report.segmented, report.recorded_only = 0, 4
     assert report.summary() == "4 frames recorded"
+    report.recorded_only = 1
+    assert report.summary() == "1 frame recorded"
 
 
 def test_latencies_are_told_as_percentiles() -> None:
@@ -74,3 +76,4 @@ def test_a_rate_needs_two_frames(frames: int) -> None:
     for _ in range(frames):
         report.add({"segment": 1.0})
     assert report.frames_per_s == 0.0
+    assert "frames/s" not in report.summary()
