@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import sys
 from pathlib import Path
 from typing import NoReturn
 
@@ -24,6 +25,19 @@ class _Parser(argparse.ArgumentParser):
         super().error(message)
 
 
+class _Version(argparse.Action):
+    """Prints the version, which takes time to look up."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            sys.stdout.write(f"{parser.prog} {version('nurbseg')}\n")
+        except PackageNotFoundError:
+            parser.exit(1, f"{parser.prog}: run from a folder, not installed as a package\n")
+        parser.exit()
+
+
 def _all_flags(parser: argparse.ArgumentParser) -> set[str]:
     """Return the flags of a parser and of its commands."""
     found = set()
@@ -38,8 +52,8 @@ def _all_flags(parser: argparse.ArgumentParser) -> set[str]:
 def command_parser(
     prog: str, description: str, epilog: str, usage: str | None = None
 ) -> argparse.ArgumentParser:
-    """Return a parser that keeps line breaks of its texts, and does not accept abbreviated flags."""
-    return _Parser(
+    """Return a parser that keeps line breaks of its texts, refuses abbreviated flags, and has --version."""
+    parser = _Parser(
         prog=prog,
         usage=usage,
         description=description,
@@ -47,6 +61,8 @@ def command_parser(
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    return parser
 
 
 def add_setting_flags(parser: argparse.ArgumentParser) -> None:

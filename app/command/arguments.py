@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import Field, dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from nurbseg.app.command.config_file import ConfigError, describe, read_config
 from nurbseg.app.config import SOURCE_KINDS, AppConfig, flags, sections
@@ -49,19 +48,6 @@ class Arguments:
     verbosity: int
 
 
-class _Version(argparse.Action):
-    """Prints the version, which takes time to look up."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
-        from importlib.metadata import PackageNotFoundError, version
-
-        try:
-            sys.stdout.write(f"nurbseg-live {version('nurbseg')}\n")
-        except PackageNotFoundError:
-            parser.exit(1, "nurbseg-live: run from a folder, not installed as a package\n")
-        parser.exit()
-
-
 def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
     """Parse the process's arguments, or others.
 
@@ -90,7 +76,6 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
 def _parser() -> argparse.ArgumentParser:
     usage = "%(prog)s [--device NAME | --replay PATH | --synthetic] [options]"
     parser = command_parser("nurbseg-live", _DESCRIPTION, _EPILOG, usage)
-    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     parser.add_argument("--config", type=Path, metavar="FILE", help="read settings from a TOML file")
     parser.add_argument(
         "--print-config",

@@ -1,10 +1,15 @@
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from nurbseg.app.batch.cli import main as batch_main
 from nurbseg.app.command.arguments import flags, parse_arguments
 from nurbseg.app.config import AppConfig, sections
+from nurbseg.app.devices.cli import main as devices_main
+from nurbseg.app.evaluation.cli import main as eval_main
+from nurbseg.app.recording.cli import main as record_main
 from nurbseg.drivers.settings import described_fields
 
 
@@ -136,3 +141,26 @@ def test_wrong_arguments_are_refused_with_their_names(
 @pytest.mark.parametrize(("words", "verbosity"), [([], 0), (["--quiet"], -1), (["--verbose"], 1)])
 def test_loudness(words: list[str], verbosity: int) -> None:
     assert parse_arguments(words).verbosity == verbosity
+
+
+@pytest.mark.parametrize(
+    ("name", "main"),
+    [
+        ("batch", batch_main),
+        ("devices", devices_main),
+        ("eval", eval_main),
+        ("live", parse_arguments),
+        ("record", record_main),
+    ],
+)
+def test_every_command_tells_the_version(
+    name: str,
+    main: Callable[[list[str]], object],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("importlib.metadata.version", {"nurbseg": "1.2.3"}.__getitem__)
+    with pytest.raises(SystemExit) as ended:
+        main(["--version"])
+    assert not ended.value.code
+    assert capsys.readouterr().out == f"nurbseg-{name} 1.2.3\n"
