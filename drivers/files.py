@@ -1,4 +1,4 @@
-"""Opens and reads untrusted files, regular ones of limited size only, and creates private ones."""
+"""Opens and reads untrusted files, regular ones of limited size only; creates private ones and folders."""
 
 from __future__ import annotations
 
@@ -73,6 +73,16 @@ def check_absent(path: Path) -> None:
     """Raise FileExistsError, whose `strerror` says what to do, if there is a file of this name."""
     if path.is_file() or path.is_symlink():
         raise FileExistsError(errno.EEXIST, "already exists; name another file or remove it", str(path))
+
+
+def create_folder(path: Path) -> None:
+    """Create a folder and its parents, unless it exists; raises ValueError if that is impossible."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as err:
+        raise ValueError(f"{path}: is a file; a folder is needed") from err
+    except OSError as err:
+        raise ValueError(f"{path}: cannot be created: {err.strerror}") from err
 
 
 def part_after(path: Path, parts: int) -> Path:

@@ -130,10 +130,10 @@ def run_batch(
 
 
 def _begun(batch: Batch, recording: Recording) -> Exporter:
-    """Read the progress of a recording, and open its export."""
+    """Read the progress of a recording, and open its export; nothing is created if it cannot be read."""
     folder = Path(recording.directory)
     settings = run_settings(batch.config, source=recording.uri, surfaces=batch.export.surfaces)
-    exporter = Exporter(folder, settings, replace(batch.export, force=True))
+    export = replace(batch.export, force=True)
     path = folder / PROGRESS_FILE
     try:
         before = json.loads(path.read_text(encoding="utf-8"))
@@ -144,6 +144,7 @@ def _begun(batch: Batch, recording: Recording) -> Exporter:
     except (KeyError, TypeError, ValueError) as err:
         raise ExportError(f"{path}: cannot be read ({err!r}); delete {folder} to start over") from err
     if frames is not None and recording.done == frames:
+        exporter = Exporter(folder, settings, export)
         recording.frames = frames
         return exporter
     found = len(places(recording.uri, batch.options))
@@ -152,9 +153,10 @@ def _begun(batch: Batch, recording: Recording) -> Exporter:
         raise ExportError(
             f"{recording.uri}: has {found} frames, but had {frames} when this batch started; delete {folder}"
         )
-    recording.frames = found
     if not found:
         raise ExportError(f"{recording.uri}: contains no frames")
+    exporter = Exporter(folder, settings, export)
+    recording.frames = found
     return exporter
 
 

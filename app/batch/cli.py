@@ -24,7 +24,8 @@ REPORT_FILE = "report.json"
 
 _DESCRIPTION = """\
 Segment every frame of many recordings independently, and write the files of nurbseg-live --export into one
-folder per recording, with its name."""
+folder per recording: --export DIR and recordings/a.mcap give DIR/recordings/a.mcap, and /data/a.mcap gives
+DIR/data/a.mcap."""
 
 _EPILOG = """\
 exit codes: 0 all done, 1 some recordings failed (they are listed at the end), 2 usage, 130 interrupted;
@@ -75,12 +76,13 @@ def _run(given: argparse.Namespace) -> int:
     from nurbseg.app.evaluation.arguments import base_config, source_options
     from nurbseg.app.live.parallel import process_count
     from nurbseg.app.workers import open_workers
+    from nurbseg.drivers.files import create_folder
 
     forms = {key.removeprefix("export."): value for key, value in vars(given).items() if "export." in key}
     batch = Batch(given.export, base_config(given), source_options(given), ExportConfig(**forms))
     recordings = recordings_of(given.recordings, given.export)
     count = process_count("auto" if given.workers == "auto" else _number(given.workers))
-    given.export.mkdir(parents=True, exist_ok=True)
+    create_folder(given.export)
     began_s = time.monotonic()
     ended = "interrupted"
     try:
@@ -94,7 +96,7 @@ def _run(given: argparse.Namespace) -> int:
     if failed:
         print(f"nurbseg-batch: {len(failed)} of {len(recordings)} recordings failed:", file=sys.stderr)
         for each in failed:
-            print(f"  {each.uri}: {each.failure}", file=sys.stderr)
+            print(f"  {_failure(each)}", file=sys.stderr)
     return 1 if failed else 0
 
 
@@ -105,15 +107,21 @@ def _number(text: str) -> int:
 
 
 def _refused(message: str) -> int:
-    print(f"nurbseg-batch: {message}", file=sys.stderr)
+    print(f"nurbseg-batch: error: {message}", file=sys.stderr)
     return 2
 
 
 def _tell(recording: Recording) -> None:
     counted = f"{recording.segmented} of {recording.frames} frames segmented now"
     damaged = f", {len(recording.damaged)} damaged" if recording.damaged else ""
-    said = recording.failure or f"{counted}{damaged}: {recording.directory}"
-    print(f"nurbseg-batch: {recording.uri}: {said}", file=sys.stderr, flush=True)
+    done = f"{recording.uri}: {counted}{damaged}: {recording.directory}"
+    said = f"error: {_failure(recording)}" if recording.failure else done
+    print(f"nurbseg-batch: {said}", file=sys.stderr, flush=True)
+
+
+def _failure(recording: Recording) -> str:
+    """Return a recording's failure, which names it once."""
+    return f"{recording.uri}: {recording.failure.removeprefix(f'{recording.uri}: ')}"
 
 
 def _write_report(

@@ -120,7 +120,7 @@ def main(words: Sequence[str] | None = None) -> int:
     """Run the command in this process, by default ``run``; return its exit code."""
     one_thread_for_products()
     words = list(sys.argv[1:] if words is None else words)
-    if words and words[0] not in (*_COMMANDS, "-h", "--help"):
+    if words and words[0] not in (*_COMMANDS, "-h", "--help", "--version"):
         words.insert(0, "run")
     parser = _parser()
     given = parser.parse_args(words)
@@ -139,14 +139,14 @@ def main(words: Sequence[str] | None = None) -> int:
         else:
             commands.noise(study)
     except (ValueError, DeviceNotFoundError, BackendMissingError) as err:
-        print(f"nurbseg-eval: {err}", file=sys.stderr)
+        print(f"nurbseg-eval: error: {err}", file=sys.stderr)
         return 2
     except (DriverError, OSError, RuntimeError) as err:
-        print(f"nurbseg-eval: {err}", file=sys.stderr)
+        print(f"nurbseg-eval: error: {err}", file=sys.stderr)
         return 1
     except ModuleNotFoundError as err:
         print(
-            f"nurbseg-eval: {err.name} is not installed; evaluation needs the extra 'eval': "
+            f"nurbseg-eval: error: {err.name} is not installed; evaluation needs the extra 'eval': "
             "pip install '.[eval]' in the project's folder",
             file=sys.stderr,
         )

@@ -9,6 +9,7 @@ from typing import Any
 
 from nurbseg.app.atomic_file import write_atomically, write_json
 from nurbseg.app.export.exporter import differences
+from nurbseg.drivers.files import create_folder
 
 _FORMAT = 1
 
@@ -16,12 +17,12 @@ _FORMAT = 1
 class StudyStore:
     """A folder with a study's description and a file for each finished frame.
 
-    Raises ValueError if the folder contains another study, or files of another kind.
+    Raises ValueError if the folder cannot be created, or contains another study or files of another kind.
     """
 
     def __init__(self, folder: Path, description: Mapping[str, Any]) -> None:
         self.folder = folder
-        folder.mkdir(parents=True, exist_ok=True)
+        create_folder(folder)
         for part in ("frames", "labels", "trees"):
             (folder / part).mkdir(exist_ok=True)
         wanted = json.loads(json.dumps({"format": _FORMAT, **description}))

@@ -24,6 +24,7 @@ from nurbseg.app.export.surfaces import surfaces_npz
 from nurbseg.app.export.tree import tree_document, tree_graph
 from nurbseg.app.result import FrameResult
 from nurbseg.app.view.drawing.palette import LABEL_COLORS, label_colors
+from nurbseg.drivers.files import create_folder
 from nurbseg.segmentation.config import DepthConfig, Metric, SegmentationConfig
 
 #: The file with the settings of all frames of an export.
@@ -90,9 +91,9 @@ class Exporter:
         self._table = ObjectTable(directory / OBJECTS_FILE)
         check_libraries(self.export)
         try:
-            directory.mkdir(parents=True, exist_ok=True)
-        except OSError as err:
-            raise ExportError(f"{directory}: cannot be created: {err.strerror}") from err
+            create_folder(directory)
+        except ValueError as err:
+            raise ExportError(str(err)) from err
         _refuse_other_results(directory, settings)
         try:
             write_json(directory / SETTINGS_FILE, settings)

@@ -98,6 +98,8 @@ def test_broken_recordings_do_not_stop_the_others_and_are_listed_at_the_end(
         "empty",
         "nowhere",
     ]
+    assert listed.count("nowhere") == 1
+    assert sorted(path.name for path in (at_home / "out").iterdir()) == ["good", "report.json"]
     assert "no such file or folder" in listed
     told = report(at_home / "out")
     assert (told["ended"], told["complete"], told["failed"]) == ("done", 1, 3)
@@ -149,6 +151,12 @@ def test_wrong_arguments_end_with_2_and_name_themselves(
     monkeypatch.setattr("nurbseg.app.workers._SCHEDULER_TIMEOUT_S", 0.2)
     assert main([*words, "--export", "out"]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_a_file_in_place_of_the_folder_is_refused(at_home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("out").touch()
+    assert main(["a", "--export", "out"]) == 2
+    assert capsys.readouterr().err == "nurbseg-batch: error: out: is a file; a folder is needed\n"
 
 
 @pytest.mark.filterwarnings("default")

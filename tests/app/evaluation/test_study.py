@@ -224,7 +224,7 @@ def test_wrong_arguments_end_with_2_and_name_themselves(
     frames: Path, tmp_path: Path, words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["run", str(frames), "--out", str(tmp_path / "out"), *words]) == 2
-    assert capsys.readouterr().err.startswith("nurbseg-eval: ")
+    assert capsys.readouterr().err.startswith("nurbseg-eval: error: ")
 
 
 def test_nothing_is_written_before_data_and_options_are_checked(
@@ -245,3 +245,12 @@ def test_nothing_is_written_before_data_and_options_are_checked(
     # The refusal names the option that differs.
     assert main([*words, str(out), "--intrinsics", "61,60,31.5,23.5"]) == 2
     assert re.search(r"intrinsics is \[60.* there and \[61.* now", capsys.readouterr().err)
+
+
+def test_a_file_in_place_of_the_folder_is_refused(
+    lasting_frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    assert main(["run", str(lasting_frames), "--out", str(file), "--no-report"]) == 2
+    assert capsys.readouterr().err == f"nurbseg-eval: error: {file}: is a file; a folder is needed\n"
