@@ -42,7 +42,8 @@ def test_it_can_be_installed_in_an_empty_environment(kind: str, source: Path, tm
     archive = build(kind, source, tmp_path / "dist")
     if kind == "sdist":
         unpacked = tmp_path / "unpacked"
-        shutil.unpack_archive(archive, unpacked)
+        unpacked.mkdir()
+        subprocess.run(["tar", "-xzf", str(archive), "-C", str(unpacked)], check=True)
         archive = build("wheel", next(unpacked.iterdir()), tmp_path / "dist")
     venv.create(tmp_path / "env", with_pip=True)
     python = tmp_path / "env" / "bin" / "python"
