@@ -76,7 +76,7 @@ class CaptureThread:
         #: Number of seeks requested, and carried out.
         self.jumps = self._jumps = 0
         self._paused = False
-        self._told_empty = False
+        self._warned_empty = False
         self._steps = 0
         self._requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._periods_s: deque[float] = deque(maxlen=_PERIODS)
@@ -186,7 +186,7 @@ class CaptureThread:
                         continue
                 if self._preparation is not None:
                     captured = replace(captured, frame=self._preparation.prepared(frame))
-                self._tell_if_empty(captured.frame)
+                self._warn_if_empty(captured.frame)
                 if not self.frames.put(captured):
                     return
             self.frames.close()
@@ -200,7 +200,7 @@ class CaptureThread:
                 self.recording.finish()
 
     def _take_period(self, before: Captured | None, captured: Captured) -> None:
-        """Add the period between two frames to the statistics, considering frames lost in between."""
+        """Add the period between two frames to the statistics, allowing for frames lost in between."""
         if before is None or captured.jumps != before.jumps or captured.frame.index <= before.frame.index:
             return
         frames = captured.frame.index - before.frame.index
@@ -208,9 +208,9 @@ class CaptureThread:
         if len(self._periods_s) == _PERIODS:
             self.source_hz = 1.0 / max(statistics.median(self._periods_s), 1e-9)
 
-    def _tell_if_empty(self, frame: RGBDFrame) -> None:
-        if not self._told_empty and not frame.depth_mm.any():
-            self._told_empty = True
+    def _warn_if_empty(self, frame: RGBDFrame) -> None:
+        if not self._warned_empty and not frame.depth_mm.any():
+            self._warned_empty = True
             _log.warning(
                 "frame %d: no pixel has depth; check --depth-scale, --range-min, --range-max and --crop, or "
                 "what the camera sees",

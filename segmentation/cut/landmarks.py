@@ -1,4 +1,4 @@
-"""The samples of the Nystrom method: which are independent, and what makes them orthonormal."""
+"""The landmarks of the Nystrom method: which samples they are, and what makes them orthonormal."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from nurbseg.drivers.compiled import compiled
 _UNEXPLAINED = 1e-4
 
 
-def independent_samples(
+def choose_landmarks(
     samples: NDArray[np.float32], scale: float, most: int
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Choose the samples that explain the affinities of all best, one after the other.
+    """Choose the samples that explain the affinities of all best, one after the other [1]_.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ from scipy.linalg.lapack import dsyevr
 from nurbseg.drivers.compiled import F32, F64, Intp, compiled
 from nurbseg.segmentation.config import SplittingPoint
 from nurbseg.segmentation.cut.affinity import affinity
-from nurbseg.segmentation.cut.landmarks import independent_samples
+from nurbseg.segmentation.cut.landmarks import choose_landmarks
 
 #: A second eigenvalue at rounding level belongs to points that nothing tells apart.
 _LEAST_EIGENVALUE = 1e-6
@@ -182,10 +182,10 @@ def normalized_cuts(
     else:
         sample = np.arange(min(samples, size))
 
-    # W = K A^-1 K^T. Samples that the others already explain make A singular and are left out; with
-    # A = L L^T of the rest, W = Q Q^T where Q = K L^-T, which is not needed itself.
-    independent, inverse = independent_samples(drawn, affinity_scale, landmarks or samples)
-    kept = drawn[independent]
+    # W = K A^-1 K^T. Samples that the others explain would make A singular; they are no landmarks. With
+    # A = L L^T, W = Q Q^T where Q = K L^-T, which is not needed itself.
+    numbers, inverse = choose_landmarks(drawn, affinity_scale, landmarks or samples)
+    kept = drawn[numbers]
     K = affinity(vectors, kept, affinity_scale, chosen)
     total = inverse @ (np.ones(size, dtype=np.float32) @ K).astype(np.float64)
     b = total @ inverse
