@@ -94,9 +94,10 @@ def test_the_first_side_of_a_box_is_the_longer_one() -> None:
     points = np.random.default_rng(0).uniform((-0.5, -0.45, 0.0), (0.5, 0.45, 0.01), (3999, 3))
     points[:2000, 1] = np.where(points[:2000, 1] > 0, 0.45, -0.45)
     assert points[:, 1].var() > points[:, 0].var()
-    box = OrientedBox.around(points)
-    assert np.allclose(box.size_m, [1.0, 0.9, 0.01], rtol=0.04)
-    assert np.isclose(np.linalg.det(box.axes), 1.0)
+    for degrees in range(0, 180, 20):
+        box = OrientedBox.around(Rotation.from_euler("z", degrees, degrees=True).apply(points))
+        assert np.allclose(box.size_m, [1.0, 0.9, 0.01], rtol=0.04)
+        assert np.isclose(np.linalg.det(box.axes), 1.0)
 
 
 def test_stray_points_do_not_make_a_box_longer() -> None:
