@@ -156,10 +156,10 @@ class Recorder:
 
     @contextmanager
     def logged(self) -> Iterator[None]:
-        """Call `log_all` after the block, also if Ctrl-C ended it."""
+        """Call `log_all` after the block, also if Ctrl-C or an error ended it."""
         try:
             yield
-        except KeyboardInterrupt:
+        except BaseException:
             try:
                 self.log_all()
             except RecordError as err:

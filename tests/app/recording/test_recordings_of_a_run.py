@@ -210,3 +210,21 @@ def test_a_recording_whose_end_nobody_reads_any_more_is_closed_with_the_run(fold
         recorder.end()
         assert not begun.finished
     assert begun.finished
+
+
+def test_a_recording_is_logged_if_an_error_ends_the_run(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Libraries may turn Ctrl-C into an error of their own."""
+    caplog.set_level(logging.INFO)
+    steps = Steps(RecordConfig(file="a.mcap"), "a.mcap", None)
+    with (
+        pytest.raises(SystemError, match="in a library"),
+        steps.recorder.logged(),
+        steps.source,
+        steps.recorder,
+        steps.capture,
+    ):
+        steps.read(2)
+        raise SystemError("in a library")
+    assert f"recorded {len(indexes(folder / 'a.mcap'))} frames" in caplog.text
