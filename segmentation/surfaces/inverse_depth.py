@@ -9,13 +9,11 @@ sensor that triangulates measures d, with noise of one size at every depth.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, Bool, compiled
+from nurbseg.drivers.compiled import F32, F64, Bool, compiled, inlined_once
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.depth_grid import DepthGrid
 from nurbseg.segmentation.points.grid import Window
@@ -23,7 +21,7 @@ from nurbseg.segmentation.points.rays import Rays
 from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, basis_matrix
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.knot_lattice import lattice_basis
-from nurbseg.segmentation.surfaces.leastsquares import fit_splines
+from nurbseg.segmentation.surfaces.leastsquares import solve_splines
 from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST, residual_metrics
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
@@ -73,43 +71,38 @@ def fit_window(
     """
     mask = np.ascontiguousarray(mask)
     pixels = grid.points.pixels_of_window(window, mask)
-    try:
-        spline = _fitted_spline(grid, window, mask, config)
-    except LinAlgError as error:
-        return Fit(None, np.zeros(0), {}, f"no least-squares solution: {error}", pixels)
-    residuals_m, square = spline.residuals(grid, window, mask, config)
+    top, left, bottom, right = window
+    spacing, smoothness = knots_on(grid, config)
+    square_most = SQUARE_MOST * config.extended.inverse_depth_noise**2
+    wide = int(np.ceil(_MARGIN_PX * grid.unit_px / grid.step))
+    for margin, stiffer in ((wide, 1.0), (1, 1.0), *((1, each) for each in _STIFFER)):
+        rows, knots_v = lattice_basis(top, bottom, margin, spacing)
+        columns, knots_u = lattice_basis(left, right, margin, spacing)
+        solved, positive, control_per_m, residuals_m, square = fit_inverse_depth(
+            grid.inverse_depth[np.newaxis],
+            grid.distances_m,
+            mask,
+            (top, left),
+            rows,
+            columns,
+            stiffer * smoothness,
+            square_most,
+        )
+        if not solved:
+            reason = "no least-squares solution: the normal equations have no finite solution"
+            return Fit(None, np.zeros(0), {}, reason, pixels)
+        if positive:
+            break
     surface = rational_surface(
-        spline.control_per_m,
-        spline.knots_u * grid.step,
-        spline.knots_v * grid.step,
+        control_per_m,
+        knots_u * grid.step,
+        knots_v * grid.step,
         grid.rays,
         grid.points.full_window(window),
     )
     metrics = residual_metrics(residuals_m, config)
     rms_per_m = math.sqrt(square / max(pixels.size, 1))
     return Fit(surface, residuals_m, metrics, "", pixels, floor, rms_per_m)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Spline:
-    """Positive control values of inverse depth, and the functions at the rows and columns of a window."""
-
-    control_per_m: NDArray[np.float64]
-    rows: SpanBasis
-    columns: SpanBasis
-    knots_v: NDArray[np.float64]
-    knots_u: NDArray[np.float64]
-
-    def residuals(
-        self, grid: DepthGrid, window: Window, mask: NDArray[np.bool_], config: SegmentationConfig
-    ) -> tuple[NDArray[np.float64], float]:
-        """Return the distances at the marked grid pixels, metres.
-
-        Also the sum of the squared residuals of inverse depth, each limited, 1/m^2.
-        """
-        images = (grid.inverse_depth, grid.distances_m)
-        most = SQUARE_MOST * config.extended.inverse_depth_noise**2
-        return _residuals(images, mask, window[:2], self.control_per_m, self.rows, self.columns, most)
 
 
 def knots_on(grid: DepthGrid, config: SegmentationConfig) -> tuple[float, float]:
@@ -120,26 +113,42 @@ def knots_on(grid: DepthGrid, config: SegmentationConfig) -> tuple[float, float]
     )
 
 
-def _fitted_spline(
-    grid: DepthGrid, window: Window, mask: NDArray[np.bool_], config: SegmentationConfig
-) -> _Spline:
-    """Fit positive control values to the marked grid pixels of a window."""
-    top, left, bottom, right = window
-    spacing, smoothness = knots_on(grid, config)
-    wide = int(np.ceil(_MARGIN_PX * grid.unit_px / grid.step))
-    for margin, stiffer in ((wide, 1.0), (1, 1.0), *((1, each) for each in _STIFFER)):
-        rows, knots_v = lattice_basis(top, bottom, margin, spacing)
-        columns, knots_u = lattice_basis(left, right, margin, spacing)
-        images, stiffness = grid.inverse_depth[np.newaxis], stiffer * smoothness
-        (control,), held = fit_splines(images, mask, (top, left), rows, columns, stiffness)
-        if control.min() > LEAST_PER_M or (control[held > _HELD] > LEAST_PER_M).all():
-            break
-    return _Spline(np.maximum(control, LEAST_PER_M), rows, columns, knots_v, knots_u)
-
-
 @compiled
+def fit_inverse_depth(
+    images: F32,
+    distances_m: F32,
+    mask: Bool,
+    corner: tuple[int, int],
+    rows: SpanBasis,
+    columns: SpanBasis,
+    smoothness: float,
+    square_most: float,
+) -> tuple[bool, bool, F64, F64, float]:
+    """Fit a spline to the inverse depth of the marked grid pixels, and raise control values to the least.
+
+    Returns whether there is a solution; whether it is positive where points hold it; the control values; the
+    distances at the marked grid pixels, metres; and the sum of the squared residuals of inverse depth, each
+    limited, 1/m^2.
+    """
+    solved, controls, held = solve_splines(images, mask, corner, rows, columns, smoothness)
+    control = controls[0]
+    if not solved:
+        return False, False, control, np.empty(0), 0.0
+    positive = True
+    for a in range(rows.size):
+        for b in range(columns.size):
+            positive &= control[a, b] > LEAST_PER_M or held[a, b] <= _HELD
+            control[a, b] = max(control[a, b], LEAST_PER_M)
+    residuals_m, squares = _residuals(
+        images[0], distances_m, mask, corner, control, rows, columns, square_most
+    )
+    return True, positive, control, residuals_m, squares
+
+
+@inlined_once
 def _residuals(
-    images: tuple[F32, F32],
+    inverse_depth: F32,
+    distances_m: F32,
     mask: Bool,
     corner: tuple[int, int],
     control: F64,
@@ -148,7 +157,7 @@ def _residuals(
     square_most: float,
 ) -> tuple[F64, float]:
     """Compare a spline at the marked grid pixels with images of inverse depth and of distances."""
-    (inverse_depth, distances_m), (top, left), (height, width) = images, corner, mask.shape
+    (top, left), (height, width) = corner, mask.shape
     count = 0
     for y in range(height):
         for x in range(width):

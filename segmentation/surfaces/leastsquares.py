@@ -91,17 +91,19 @@ def fit_splines(
     numpy.linalg.LinAlgError
         If there is no finite solution.
     """
-    solved, control, held = _fit(values, np.ascontiguousarray(mask), corner, rows, columns, smoothness)
+    solved, control, held = solve_splines(
+        values, np.ascontiguousarray(mask), corner, rows, columns, smoothness
+    )
     if not solved:
         raise LinAlgError("the normal equations have no finite solution")
     return control, held
 
 
 @compiled
-def _fit(
+def solve_splines(
     images: F32, mask: Bool, corner: tuple[int, int], rows: SpanBasis, columns: SpanBasis, smoothness: float
 ) -> tuple[bool, F64, F64]:
-    """Set up and solve the normal equations: whether there is a solution, it, and what holds it."""
+    """Do what `fit_splines` does; also return whether there is a finite solution."""
     count, nv, nu = images.shape[0], rows.size, columns.size
     # Numbering control points along the direction that has fewer gives the narrower band.
     step_v, step_u = (nu, 1) if nu <= nv else (1, nv)
