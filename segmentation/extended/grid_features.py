@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.compiled import F32, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import Normalization, lab, normalization, raw_vectors
 from nurbseg.segmentation.labels.regions import PixelAdjacency, pixel_adjacency
@@ -44,10 +45,24 @@ def grid_features(cloud: PointMap, config: SegmentationConfig) -> GridFeatures:
     grid = depth_grid(cloud, grid_step(cloud.valid, config.decimation))
     color = lab(cloud.color[:: grid.step, :: grid.step].reshape(-1, 3))
     normals = _normals(grid, 0, 0, *grid.points.shape, config)
-    points_m = grid.points.coordinates_m.reshape(3, -1).T
-    raw = np.concatenate([color, points_m, normals.reshape(-1, 3)], axis=1)
+    raw = _side_by_side(color, grid.points.coordinates_m, normals)
     adjacency = pixel_adjacency(grid.inverse_depth, grid.valid, config.extended.inverse_depth_gap)
     return GridFeatures(grid, adjacency, raw)
+
+
+@compiled
+def _side_by_side(color: F32, coordinates_m: F32, normals: F32) -> F32:
+    """Put color, position and normal of each grid pixel into one row."""
+    height, width, _ = normals.shape
+    raw = np.empty((height * width, 9), dtype=np.float32)
+    for y in range(height):
+        for x in range(width):
+            row = raw[y * width + x]
+            for k in range(3):
+                row[k] = color[y * width + x, k]
+                row[3 + k] = coordinates_m[k, y, x]
+                row[6 + k] = normals[y, x, k]
+    return raw
 
 
 def _half_window(grid: DepthGrid, config: SegmentationConfig) -> int:
