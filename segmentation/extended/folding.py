@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
+from operator import attrgetter
 
 import numpy as np
 
+from nurbseg.drivers.compiled import F32, F64, I64, Bool, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.parts import Part, fit_segment, fit_together, judge_split
@@ -33,6 +35,9 @@ _TAKEN_OVER = (
     "judged",
     "age",
 )
+
+#: The values of all fields of a node.
+_state = attrgetter(*Node.__slots__)
 
 _Pair = tuple[int, int]
 
@@ -106,23 +111,33 @@ def _borders(leaves: Mapping[int, Node], features: GridFeatures) -> dict[_Pair, 
     labels = np.zeros(features.grid.valid.shape, dtype=np.int64)
     for number, leaf in leaves.items():
         labels.reshape(-1)[leaf.grid_pixels] = number
-    normals = features.raw[:, 6:].reshape(*labels.shape, 3)
     size = len(leaves) + 1
-    sums = np.zeros((2, size * size))
-    for adjacent, before, after in (
-        (features.adjacency.right[:, :-1], np.s_[:, :-1], np.s_[:, 1:]),
-        (features.adjacency.down[:-1], np.s_[:-1], np.s_[1:]),
-    ):
-        border = adjacent & (labels[before] != labels[after])
-        one, other = labels[before][border], labels[after][border]
-        pairs = np.minimum(one, other) * size + np.maximum(one, other)
-        cosines = (normals[before][border] * normals[after][border]).sum(axis=1)
-        sums[0] += np.bincount(pairs, minlength=size * size)
-        sums[1] += np.bincount(pairs, weights=cosines, minlength=size * size)
+    counts, cosines = np.zeros(size * size, dtype=np.int64), np.zeros(size * size)
+    _add_borders(
+        labels, features.adjacency.right, features.adjacency.down, features.raw, size, counts, cosines
+    )
     return {
-        divmod(pair, size): (int(sums[0, pair]), float(sums[1, pair]))
-        for pair in np.flatnonzero(sums[0]).tolist()
+        divmod(pair, size): (int(counts[pair]), float(cosines[pair]))
+        for pair in np.flatnonzero(counts).tolist()
     }
+
+
+@compiled
+def _add_borders(
+    labels: I64, right: Bool, down: Bool, raw: F32, size: int, counts: I64, cosines: F64
+) -> None:
+    """Add every two adjacent grid pixels of different labels to what their pair of labels has."""
+    height, width = labels.shape
+    for y in range(height):
+        for x in range(width):
+            for row, column, adjacent in ((y, x + 1, right[y, x]), (y + 1, x, down[y, x])):
+                if not adjacent or row == height or column == width or labels[row, column] == labels[y, x]:
+                    continue
+                one, other = labels[y, x], labels[row, column]
+                pair = min(one, other) * size + max(one, other)
+                counts[pair] += 1
+                for k in range(6, 9):
+                    cosines[pair] += raw[y * width + x, k] * raw[row * width + column, k]
 
 
 def _judged(parts: list[Node], features: GridFeatures, config: SegmentationConfig) -> tuple[Part, Trial]:
@@ -142,7 +157,7 @@ def _fold(
     config: SegmentationConfig,
 ) -> bool:
     """Give a leaf what another one has; False, and nothing changed, if a split above is kept no longer."""
-    before = [(node, replace(node)) for node in depth_first(root)]
+    before = [(node, _state(node)) for node in depth_first(root)]
     above, above_gone = _path(root, leaves[kept]), _path(root, leaves[gone])
     shared = sum(node is other for node, other in zip(above, above_gone, strict=False))
     moved = leaves[gone].grid_pixels
@@ -164,24 +179,24 @@ def _fold(
     if place is above[shared - 1]:
         changed.add(id(place))
     judged_again = changed | {id(node) for node in above[:shared]}
-    sound = True
-    for node in depth_first(root):
+    # Parts come before what they are parts of.
+    for node in reversed(depth_first(root)):
+        sound = True
         if not node.children:
-            sound &= node.stop is not StopReason.DEPTH or node.cuts_above >= config.depth_max
+            sound = node.stop is not StopReason.DEPTH or node.cuts_above >= config.depth_max
         elif node.division is Division.GAP and id(node) in changed:
             node.fit = replace(node.fit, pixels=features.grid.points.pixels(node.grid_pixels))
-        elif node.division is Division.CUT and id(node) in changed:
-            node.fit = fit_segment(features, node.grid_pixels, config).fit
-    for node in depth_first(root):
-        if node.division is Division.CUT and id(node) in judged_again:
+        elif node.division is Division.CUT and id(node) in judged_again:
+            if id(node) in changed:
+                node.fit = fit_segment(features, node.grid_pixels, config).fit
             weighed = [(part.value(config), part.grid_pixels.size) for part in _parts(node)]
             node.trial = judge_split((node.value(config), node.grid_pixels.size), weighed, config)
-            sound &= node.trial.kept
-    if not sound:
-        for node, was in before:
-            for each in fields(Node):
-                setattr(node, each.name, getattr(was, each.name))
-        return False
+            sound = node.trial.kept
+        if not sound:
+            for changed_node, state in before:
+                for name, value in zip(Node.__slots__, state, strict=True):
+                    setattr(changed_node, name, value)
+            return False
     leaves.update(at)
     del leaves[gone]
     return True
