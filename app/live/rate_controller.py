@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import statistics
 from collections import deque
+from dataclasses import replace
 
 from nurbseg.segmentation.live.updater import Budget
 
@@ -13,6 +14,9 @@ _log = logging.getLogger(__name__)
 #: Pixels by which the grid's step may exceed the usual one; more saves nothing. The budget for updates of the
 #: tree stays: postponed updates add up to a frame that is segmented from scratch, which costs more.
 _COARSER = (0, 1, 2)
+#: Share of the frame period that a frame has waited for the one before if it is late, what is updated in it,
+#: and how many frames in a row may be so brief; each one in time allows another.
+_LATE, _BRIEF, _BRIEF_MOST = 0.15, Budget(refits=2, trials=0, merges=0), 6
 #: Share of the frame period above which the grid becomes coarser, and below which it may become finer.
 _FULL, _SPARE = 0.9, 0.8
 #: Share of the frame period above which even the first, slow frames make the grid coarser.
@@ -35,15 +39,21 @@ class RateController:
         self._target_hz = target_hz
         self._took_ms: deque[float] = deque(maxlen=_FRAMES)
         self._since = 0
+        self._brief = 0
         # Time per frame before the last change, and by level the factor of the next finer grid.
         self._before_ms = 0.0
         self._was_finer: bool | None = None
         self._finer_costs = [1.0] * len(_COARSER)
 
-    @property
-    def budget(self) -> Budget:
-        """The budget of the next frame."""
-        return Budget(coarser=_COARSER[self.level])
+    def budget(self, waited_ms: float = 0.0) -> Budget:
+        """Return the budget of the next frame, which has waited so long for the one before it.
+
+        Updates of a late frame are put off for a few frames, so that the delay does not last.
+        """
+        late = waited_ms > _LATE * 1e3 / self._target_hz
+        brief = late and self._brief < _BRIEF_MOST
+        self._brief = self._brief + 1 if brief else max(0, self._brief - (not late))
+        return replace(_BRIEF if brief else Budget(), coarser=_COARSER[self.level])
 
     def took(self, frame_ms: float, *, source_hz: float = 0.0, cold: bool = False) -> None:
         """Consider the time from taking a frame to its labels.

@@ -255,10 +255,10 @@ def _segment(
             if controls.config is not segmenter.config:
                 segmenter = _segmenter(config, controls.config, opened, every_surface=bool(exports))
                 view.metric = controls.config.metric
-            waited_s = time.monotonic() - captured.arrived_s
-            result = segmenter.process(captured.frame, source_hz=capture.source_hz)
+            waited_ms = 1e3 * (time.monotonic() - captured.arrived_s)
+            result = segmenter.process(captured.frame, source_hz=capture.source_hz, waited_ms=waited_ms)
             latency_ms = 1e3 * (time.monotonic() - captured.arrived_s)
-            elapsed_ms = {"wait": 1e3 * waited_s, **result.elapsed_ms, "capture_to_labels": latency_ms}
+            elapsed_ms = {"wait": waited_ms, **result.elapsed_ms, "capture_to_labels": latency_ms}
             result = replace(result, elapsed_ms=MappingProxyType(elapsed_ms))
             shown: list[Consumer] = (
                 # During a pause, the user waits for this frame.

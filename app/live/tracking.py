@@ -62,7 +62,7 @@ class Segmenter:
         if self._live is not None:
             self._live.restart(reason)
 
-    def process(self, frame: RGBDFrame, *, source_hz: float = 0.0) -> FrameResult:
+    def process(self, frame: RGBDFrame, *, source_hz: float = 0.0, waited_ms: float = 0.0) -> FrameResult:
         """Register and segment a frame.
 
         Parameters
@@ -71,6 +71,8 @@ class Segmenter:
             Depth and color.
         source_hz : float
             Frame rate of the source, which limits the target; 0 if unknown.
+        waited_ms : float
+            Time that the frame has waited since its arrival; a late frame is updated less.
 
         Returns
         -------
@@ -81,7 +83,7 @@ class Segmenter:
             result = process_frame(frame, self.config)
             return self._identified(result, None) if self._temporal else result
         live = self._live
-        budget = Budget() if self._rate_controller is None else self._rate_controller.budget
+        budget = Budget() if self._rate_controller is None else self._rate_controller.budget(waited_ms)
         segment_live = partial(
             live.segment, budget=budget, frame=frame.index, every_surface=self._every_surface
         )

@@ -117,15 +117,15 @@ def most_alike(appearance: Appearance, lost: Mapping[int, Appearance]) -> int | 
     """Return the lost identity that a segment resembles most, if it resembles one."""
     best: tuple[float, int] | None = None
     for identity, other in lost.items():
+        ratio = appearance.pixels / max(1, other.pixels)
+        color = math.dist(appearance.color_lab, other.color_lab) / _RETURN_LAB
+        if not 1.0 / _RETURN_SMALLER <= ratio <= _RETURN_LARGER or color > math.sqrt(2.0):
+            continue
         reach = _RETURN_M + _RETURN_SHARE * math.hypot(*other.center_m)
         # What is hidden may change its motion.
         reach *= 1.0 + 0.2 * other.unseen
         distance = other.distance_m(appearance.center_m) / reach
-        color = math.dist(appearance.color_lab, other.color_lab) / _RETURN_LAB
-        ratio = appearance.pixels / max(1, other.pixels)
         difference = math.hypot(distance, color)
-        if not 1.0 / _RETURN_SMALLER <= ratio <= _RETURN_LARGER or difference > math.sqrt(2.0):
-            continue
-        if best is None or difference < best[0]:
+        if difference <= math.sqrt(2.0) and (best is None or difference < best[0]):
             best = difference, identity
     return None if best is None else best[1]

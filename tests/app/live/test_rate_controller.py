@@ -17,7 +17,7 @@ def test_nothing_is_given_up_while_the_rate_holds(caplog: pytest.LogCaptureFixtu
     for _ in range(200):
         controller.took(25.0)
     assert controller.level == 0
-    assert controller.budget == Budget()
+    assert controller.budget() == Budget()
     assert not caplog.messages
 
 
@@ -27,7 +27,7 @@ def test_less_is_done_step_by_step_until_the_rate_holds(caplog: pytest.LogCaptur
     budgets = []
     for _ in range(200):
         # Half of the time goes with the places of the grid.
-        budget = controller.budget
+        budget = controller.budget()
         budgets.append(budget)
         controller.took(20.0 + 25.0 * (2 / (2 + budget.coarser)) ** 2)
     steps = [2 + budget.coarser for budget in budgets]
@@ -67,7 +67,7 @@ def test_a_computer_that_is_slow_for_a_while_does_less_for_as_long() -> None:
     levels = []
     for frame in range(1200):
         factor = 1.5 if 200 <= frame < 600 else 1.0
-        controller.took(factor * (14.0 + 12.0 * (2 / (2 + controller.budget.coarser)) ** 2))
+        controller.took(factor * (14.0 + 12.0 * (2 / (2 + controller.budget().coarser)) ** 2))
         levels.append(controller.level)
     assert set(levels[:200]) == {0}
     assert min(levels[230:600]) > 0
