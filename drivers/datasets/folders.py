@@ -6,6 +6,7 @@ import os
 import re
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl
@@ -17,7 +18,7 @@ from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, ImagePair, find_pairs
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
 from nurbseg.drivers.errors import CalibrationError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.files import read_file
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.limits import FRAME_BYTES_MAX, STAMP_END_NS
 
 if TYPE_CHECKING:
@@ -105,9 +106,7 @@ class PairSource(SequenceSource):
         depth_mm = decode_depth(_content(pair.depth), str(pair.depth), units_per_metre=units_per_metre)
         height, width = depth_mm.shape
         try:
-            calibration = shot.camera.camera.calibration(
-                depth_size=(width, height), color_size=(color.shape[1], color.shape[0])
-            )
+            calibration = _calibration(shot.camera.camera, (width, height), (color.shape[1], color.shape[0]))
         except CalibrationError as err:
             raise FrameFormatError(
                 f"{pair.color} ({_size(color.shape)}) and {pair.depth.name} ({_size(depth_mm.shape)}): {err}"
@@ -198,6 +197,12 @@ def _shots(pairs: list[ImagePair], camera: FolderCamera) -> list[Shot]:
     if any(moment is None for moment in moments):
         moments = [index * FRAME_INTERVAL_NS for index in range(len(pairs))]
     return [Shot(pair, camera, moment or 0) for pair, moment in zip(pairs, moments, strict=True)]
+
+
+@lru_cache(maxsize=4)
+def _calibration(camera: CameraFile, depth_size: tuple[int, int], color_size: tuple[int, int]) -> Calibration:
+    """Return the calibration for images of these sizes, the same one for all frames that share it."""
+    return camera.calibration(depth_size=depth_size, color_size=color_size)
 
 
 def _content(path: Path) -> bytes:

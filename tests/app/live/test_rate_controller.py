@@ -40,6 +40,21 @@ def test_less_is_done_step_by_step_until_the_rate_holds(caplog: pytest.LogCaptur
     assert len(caplog.messages) == controller.level
 
 
+def test_updates_of_late_frames_are_put_off_for_a_few_frames_only() -> None:
+    controller = RateController(30.0)
+    assert controller.budget(1.0) == Budget()
+    late = [controller.budget(20.0) for _ in range(20)]
+    brief = [each != Budget() for each in late]
+    assert brief == sorted(brief, reverse=True)
+    assert 3 <= sum(brief) <= 10
+    assert late[0].refits < Budget().refits
+    assert late[0].trials == late[0].merges == 0
+    # Two frames in time allow two more brief ones.
+    assert [controller.budget(waited) != Budget() for waited in (0, 0, 20, 20, 20)] == [False] * 2 + [
+        True
+    ] * 2 + [False]
+
+
 def test_a_single_slow_frame_changes_nothing() -> None:
     controller = RateController(30.0)
     for frame in range(100):

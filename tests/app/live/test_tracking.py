@@ -61,6 +61,16 @@ def test_after_a_restart_what_is_still_there_keeps_its_label() -> None:
     assert np.mean(first.labels()[both] == second.labels()[both]) > 0.5
 
 
+def test_a_late_frame_is_updated_less() -> None:
+    segmenter, refits = Segmenter(SegmentationConfig(), target_hz=30.0), []
+    with open_source("synthetic:?frames=12") as source:
+        for frame in source:
+            result = segmenter.process(frame, waited_ms=25.0 if frame.index > 8 else 0.0)
+            assert result.update is not None
+            refits.append(result.update.refits)
+    assert max(refits[-3:]) < min(refits[-5:-3])
+
+
 def test_without_it_labels_are_places_in_the_tree() -> None:
     with open_source("synthetic:?width=160&height=120&frames=1") as source:
         result = Segmenter(SegmentationConfig(), temporal=False).process(source.read())

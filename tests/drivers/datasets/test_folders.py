@@ -54,6 +54,13 @@ def test_pairs_are_found_by_the_names_people_give_them(
         np.testing.assert_array_equal(read.color, frame.color)
 
 
+def test_frames_of_one_camera_share_their_calibration(tmp_path: Path) -> None:
+    write_pairs(tmp_path, scenes(2))
+    with open_source(tmp_path, SourceOptions()) as source:
+        first, second = source
+    assert first.calibration is second.calibration
+
+
 def test_a_word_of_little_meaning_counts_only_where_there_is_no_better_one(tmp_path: Path) -> None:
     write_image(tmp_path / "a_color.png", scene(0).color)
     write_image(tmp_path / "a_image.png", scene(1).color)
