@@ -20,7 +20,7 @@ ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 BIN = Path(sys.executable).parent
 _SHELL = re.compile(r"```sh\n(.*?)```", re.DOTALL)
-_CAMERA = "synthetic:?width=320&height=240&frames=2"
+_CAMERA = "synthetic:?width=160&height=120&frames=2"
 
 Words = list[str]
 
@@ -34,7 +34,7 @@ def without(*words: str) -> Callable[[Words], Words]:
 
 
 #: What is run, by how it begins: how it is made short, and the exit codes that it may have.
-#: What shows is not shown, replays end after two frames, and searches after two trials.
+#: What shows is not shown, replays end after two frames, searches after two trials, and studies split little.
 RUN: list[tuple[str, Callable[[Words], Words], tuple[int, ...]]] = [
     (r"nurbseg-devices", added(), (0, 1)),
     (r"nurbseg-live --replay .* --view none", added(), (0,)),
@@ -43,7 +43,7 @@ RUN: list[tuple[str, Callable[[Words], Words], tuple[int, ...]]] = [
     (r"nurbseg-live --print-config", added(), (0,)),
     (r"nurbseg-live$", added("--view", "none", "--speed", "0", "--frames", "2"), (0,)),
     (r"nurbseg-batch", added(), (0,)),
-    (r"nurbseg-eval run my_", added("--time-frames", "0"), (0,)),
+    (r"nurbseg-eval run my_", added("--time-frames", "0", "--set", "splits_max=2"), (0,)),
     (r"nurbseg-eval tune", lambda words: [*words[: words.index("--budget") + 1], "2", "--folds", "2"], (0,)),
     (r"nurbseg-eval (noise|check)", added(), (0,)),
     (r"nurbseg-record check", without("clip.oni"), (0,)),

@@ -66,10 +66,10 @@ def live_without_a_miss(camera, tmp_path, *words):
     Other programs on the computer may take the processor away for longer than frames wait. Then the
     report must say so, and the run is made again, with a slower camera.
     """
-    for slowdown in slowdowns():
+    for attempt, slowdown in enumerate(slowdowns()):
         camera.set(slowdown=slowdown)
-        report = tmp_path / f"R{slowdown}.json"
-        record = ["--record", str(tmp_path / f"X{slowdown}.mcap")] if "--record-color" in words else []
+        report = tmp_path / f"R{attempt}.json"
+        record = ["--record", str(tmp_path / f"X{attempt}.mcap")] if "--record-color" in words else []
         asked = ["--device", "openni2:any", "--frames", "300", "--report", str(report)]
         done = subprocess.run(
             [*LIVE, *asked, *record, *words],
