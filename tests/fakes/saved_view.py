@@ -4,18 +4,40 @@ from __future__ import annotations
 
 import warnings
 from collections import defaultdict
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
 from rerun.chunk import RrdReader
+
+
+class ValuesByFrame(Mapping[int, Any]):
+    """The values of a component, as Python's lists and numbers once asked for: images have very many."""
+
+    def __init__(self) -> None:
+        self._values: dict[int, pa.Scalar[Any]] = {}
+
+    def add(self, frames: list[int], column: pa.Array[Any]) -> None:
+        """Add those values of a column that there are."""
+        self._values |= {frame: value for frame, value in zip(frames, column, strict=True) if value.is_valid}
+
+    def __getitem__(self, frame: int) -> Any:
+        return self._values[frame].as_py()
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
 
 
 @dataclass
 class SavedView:
     """What a recording holds: for each entity and component the values by frame, and the static ones."""
 
-    by_frame: dict[str, dict[str, dict[int, Any]]] = field(default_factory=lambda: defaultdict(dict))
+    by_frame: dict[str, dict[str, ValuesByFrame]] = field(default_factory=lambda: defaultdict(dict))
     static: dict[str, dict[str, Any]] = field(default_factory=lambda: defaultdict(dict))
     texts: list[tuple[str, str]] = field(default_factory=list)
 
@@ -36,20 +58,17 @@ def read_saved_view(path: Path, *, indexed: bool = True) -> SavedView:
         entity = str(chunk.entity_path).lstrip("/")
         is_property = entity.startswith("__properties/")
         names = [name for name in batch.schema.names if ":" in name or is_property]
-        rows = {name: batch.column(name).to_pylist() for name in names}
         if chunk.is_static:
             for name in names:
-                saved.static[entity][name] = rows[name][-1]
+                saved.static[entity][name] = batch.column(name)[-1].as_py()
             continue
-        frames = batch.column("frame").to_pylist() if "frame" in batch.schema.names else []
-        if "TextLog:text" in rows:
-            for text, level in zip(rows["TextLog:text"], rows["TextLog:level"], strict=True):
-                saved.texts.append((level[0], text[0]))
-        for name in names:
-            values = saved.by_frame[entity].setdefault(name, {})
-            for frame, value in zip(frames, rows[name], strict=False):
-                if value is not None:
-                    values[frame] = value
+        if "TextLog:text" in names:
+            columns = (batch.column(name).to_pylist() for name in ("TextLog:level", "TextLog:text"))
+            saved.texts += [(level[0], text[0]) for level, text in zip(*columns, strict=True)]
+        if "frame" in batch.schema.names:
+            frames = batch.column("frame").to_pylist()
+            for name in names:
+                saved.by_frame[entity].setdefault(name, ValuesByFrame()).add(frames, batch.column(name))
     return saved
 
 
