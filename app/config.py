@@ -7,6 +7,7 @@ a new field; a new section is a new dataclass and a new field of `AppConfig`.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import Field, dataclass, field
 from typing import Any, Literal
 from urllib.parse import urlencode
@@ -140,3 +141,14 @@ def flags(each: Field[Any]) -> list[str]:
     if each.metadata["symbol"]:
         names.append(each.metadata["symbol"])
     return [f"--{name}" for name in names]
+
+
+def unread_settings(paths: Collection[str], methods: Collection[str]) -> str:
+    """Say which settings of the segmentation none of the methods reads, or return ""."""
+    said = []
+    for section, readers in (("stag15", ("stag15", "pz14")), ("extended", ("nurbseg",))):
+        names = [path.rpartition(".")[2] for path in paths if path.startswith(f"{section}.")]
+        if names and not set(readers) & set(methods):
+            chosen = ", ".join(methods)
+            said.append(f"{', '.join(names)}: no effect with {chosen}, only with the method {readers[0]}")
+    return "; ".join(said)

@@ -113,6 +113,15 @@ def setting_paths(config_type: type[Any]) -> Iterator[tuple[str, Field[Any]]]:
             yield f"{name}.{path}", each
 
 
+def changed_paths(config: Any) -> list[str]:
+    """Return the paths of the settings of a configuration that are not at their defaults."""
+    return [
+        path
+        for path, each in setting_paths(type(config))
+        if operator.attrgetter(path)(config) != each.default
+    ]
+
+
 def updated(config: Any, /, **changes: Any) -> Any:
     """Return a configuration with other values, those of a section as a mapping.
 

@@ -73,13 +73,14 @@ def main(words: Sequence[str] | None = None) -> int:
 
 def _run(given: argparse.Namespace) -> int:
     from nurbseg.app.batch.batch import Batch, recordings_of, run_batch
-    from nurbseg.app.evaluation.arguments import base_config, source_options
+    from nurbseg.app.evaluation.arguments import base_config, source_options, warn_of_unread
     from nurbseg.app.live.parallel import process_count
     from nurbseg.app.workers import open_workers
     from nurbseg.drivers.files import create_folder
 
     forms = {key.removeprefix("export."): value for key, value in vars(given).items() if "export." in key}
     batch = Batch(given.export, base_config(given), source_options(given), ExportConfig(**forms))
+    warn_of_unread(batch.config, [batch.config.method])
     recordings = recordings_of(given.recordings, given.export)
     count = process_count("auto" if given.workers == "auto" else _number(given.workers))
     create_folder(given.export)

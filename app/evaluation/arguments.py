@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import logging
+from collections.abc import Collection
 from typing import Any
 
 from nurbseg.app.command.config_file import read_config
+from nurbseg.app.config import AppConfig, unread_settings
 from nurbseg.app.evaluation.variants import path_named, setting_value
 from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.settings import nested, updated
+from nurbseg.drivers.settings import changed_paths, nested, updated
 from nurbseg.segmentation.config import SegmentationConfig
+
+_log = logging.getLogger("nurbseg.config")
+
+#: Settings of a configuration file that change the results of nurbseg-live, but are not applied here.
+_LIVE_ONLY = ("depth.", "source.intrinsics", "source.depth_scale", "source.association", "camera.calibration")
 
 
 def source_options(given: argparse.Namespace) -> SourceOptions:
@@ -25,8 +33,11 @@ def source_options(given: argparse.Namespace) -> SourceOptions:
 
 
 def base_config(given: argparse.Namespace) -> SegmentationConfig:
-    """Return the settings of the segmentation."""
-    config = SegmentationConfig() if given.config is None else read_config(given.config).segmentation
+    """Return the settings of the segmentation; warn of others in the file that would change the results."""
+    file = AppConfig() if given.config is None else read_config(given.config)
+    if ignored := [path for path in changed_paths(file) if path.startswith(_LIVE_ONLY)]:
+        _log.warning("%s: %s: only nurbseg-live applies this", given.config, ", ".join(ignored))
+    config = file.segmentation
     chosen: dict[str, Any] = {} if given.seed is None else {"seed": given.seed}
     for text in given.settings:
         name, equals, value = text.partition("=")
@@ -35,3 +46,9 @@ def base_config(given: argparse.Namespace) -> SegmentationConfig:
         chosen[path_named(name)] = setting_value(name, value)
     result: SegmentationConfig = updated(config, **nested(chosen))
     return result
+
+
+def warn_of_unread(config: SegmentationConfig, methods: Collection[str], grid: Collection[str] = ()) -> None:
+    """Warn of settings that were changed, or are varied, although none of the methods reads them."""
+    if said := unread_settings([*changed_paths(config), *grid], methods):
+        _log.warning("%s", said)

@@ -16,7 +16,7 @@ from nurbseg.app.atomic_file import write_atomically, write_json
 from nurbseg.app.command.config_file import format_config, read_config
 from nurbseg.app.computer import versions_line
 from nurbseg.app.config import AppConfig
-from nurbseg.app.evaluation.arguments import base_config, source_options
+from nurbseg.app.evaluation.arguments import base_config, source_options, warn_of_unread
 from nurbseg.app.evaluation.check.check import FolderCheck
 from nurbseg.app.evaluation.methods.methods import check_method
 from nurbseg.app.evaluation.report.findings import findings, means_of, verdict
@@ -65,14 +65,16 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
         thresholds = [float(each) for each in _words(given.thresholds)]
     except ValueError:
         raise ValueError(f"--thresholds {given.thresholds}: expected numbers, separated by commas") from None
+    base, grid = base_config(given), grid_of(given.grid)
+    warn_of_unread(base, methods, grid)
     study = replace(
         study,
         variants=variants_of(
             methods,
             metrics=get_args(Metric) if given.metrics == "all" else _words(given.metrics),
             thresholds=thresholds,
-            grid=grid_of(given.grid),
-            base=base_config(given),
+            grid=grid,
+            base=base,
         ),
     )
     _check_before(study, report=not given.no_report)
@@ -132,6 +134,7 @@ def search(given: argparse.Namespace, study: Study) -> None:
     config = base_config(given)
     if given.method is not None:
         config = replace(config, method=given.method)
+    warn_of_unread(config, [config.method])
     if not given.out.parent.is_dir():
         raise ValueError(f"--out {given.out}: no such folder")
     progress = Progress("settings")

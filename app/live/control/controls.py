@@ -140,6 +140,8 @@ class Controls:
         return f"speed {speed:.3g}"
 
     def _set_level(self, word: str) -> str:
+        if self.config.method == "stag15":
+            raise ValueError("the method stag15 has surfaces only; change the method first")
         level = _chosen(word, self.config.extended.level, get_args(Level))
         self._change(extended=replace(self.config.extended, level=level))
         return f"level {level}"

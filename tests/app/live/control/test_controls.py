@@ -75,6 +75,13 @@ def test_a_setting_is_that_of_the_next_frame(
     assert caplog.messages == [f"{name.removesuffix('_max')} {expected}"]
 
 
+def test_the_paper_s_method_has_no_levels(controls: Controls, caplog: pytest.LogCaptureFixture) -> None:
+    controls.apply("method stag15")
+    controls.apply("level things")
+    assert controls.config.extended.level == "objects"
+    assert "level: the method stag15 has surfaces only" in caplog.text
+
+
 def test_the_key_for_the_ratio_comes_round(controls: Controls) -> None:
     ratios = []
     for _ in range(14):
