@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
@@ -16,8 +16,10 @@ _ALL = 10**9
 _READ_TIMEOUT_S = 60.0
 
 
-def places(uri: str, options: SourceOptions, start: int = 0, most: int | None = None) -> range:
-    """Return the positions of a recording's frames, without decoding them.
+def survey(
+    uri: str, options: SourceOptions, start: int = 0, most: int | None = None
+) -> tuple[range, Calibration]:
+    """Return the positions of a recording's frames, without decoding them, and its cameras.
 
     Raises DriverError if it cannot be opened, and ValueError if it is a camera.
     """
@@ -25,7 +27,7 @@ def places(uri: str, options: SourceOptions, start: int = 0, most: int | None = 
         if source.live:
             raise ValueError(f"{uri}: a camera cannot be rewound; record it first")
         first = source.skip(start)
-        return range(first, first + source.skip(_ALL if most is None else most))
+        return range(first, first + source.skip(_ALL if most is None else most)), source.calibration
 
 
 class Reader:

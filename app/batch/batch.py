@@ -8,11 +8,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from nurbseg.app.atomic_file import write_json
 from nurbseg.app.export.config import ExportConfig
-from nurbseg.app.export.exporter import Exporter, ExportError, run_settings
-from nurbseg.app.frames import Reader, places
+from nurbseg.app.export.exporter import Exporter, ExportError, refuse_other_results, run_settings
+from nurbseg.app.frames import Reader, survey
 from nurbseg.app.live.parallel import segment_alone
 from nurbseg.app.workers import Workers, in_order
 from nurbseg.drivers.errors import DriverError, FrameFormatError, RecordingFormatError
@@ -40,6 +41,8 @@ class Recording:
     done: int = 0
     #: What is wrong with damaged frames, by their position.
     damaged: dict[str, str] = field(default_factory=dict)
+    #: Number of frames none of whose pixels has depth.
+    without_depth: int = 0
     #: Frames segmented in this run, and the size of their files.
     segmented: int = 0
     bytes: int = 0
@@ -71,8 +74,8 @@ class _Task:
     run: range
 
 
-#: The files of a frame by name, or what is wrong with it.
-_Outcome = dict[str, bytes] | str
+#: The files of a frame by name and whether it has depth, or what is wrong with it.
+_Outcome = tuple[dict[str, bytes], bool] | str
 
 
 def recordings_of(uris: Sequence[str], directory: Path) -> list[Recording]:
@@ -98,12 +101,13 @@ def run_batch(
     Only this process writes results, in the order of frames; they do not depend on the number of workers. If
     a recording fails, the run continues with the others. `report` is called with each when it has ended.
     """
+    settings: dict[str, dict[str, Any]] = {}
     exporters: dict[str, Exporter] = {}
 
     def tasks() -> Iterator[_Task]:
         for number, each in enumerate(recordings):
             try:
-                exporters[each.uri] = _begun(batch, each)
+                settings[each.uri] = _begun(batch, each)
             except (DriverError, ExportError, OSError, ValueError) as err:
                 each.failure = str(err)
             if each.ended:
@@ -119,7 +123,12 @@ def run_batch(
             if recording.failure:
                 continue
             try:
-                _keep(recording, future.result(), exporters[task.uri])
+                outcomes = future.result()
+                if task.uri not in exporters:
+                    # Only now, as there would be an empty folder if no frame could be read.
+                    forms = replace(batch.export, force=True)
+                    exporters[task.uri] = Exporter(Path(recording.directory), settings[task.uri], forms)
+                _keep(recording, outcomes, exporters[task.uri])
             except Exception as err:
                 run = f"frames {task.run.start} to {task.run.stop - 1}"
                 recording.failure = f"{task.uri}, {run}: {type(err).__name__}: {err}"
@@ -129,25 +138,33 @@ def run_batch(
         _reader().close()
 
 
-def _begun(batch: Batch, recording: Recording) -> Exporter:
-    """Read the progress of a recording, and open its export; nothing is created if it cannot be read."""
+def _begun(batch: Batch, recording: Recording) -> dict[str, Any]:
+    """Read the progress of a recording, and return the settings of its export."""
     folder = Path(recording.directory)
-    settings = run_settings(batch.config, source=recording.uri, surfaces=batch.export.surfaces)
-    export = replace(batch.export, force=True)
     path = folder / PROGRESS_FILE
     try:
         before = json.loads(path.read_text(encoding="utf-8"))
         frames, recording.done = int(before["frames"]), int(before["done"])
         recording.damaged = dict(before["damaged"])
+        # Earlier versions did not count them.
+        recording.without_depth = int(before.get("without_depth", 0))
     except FileNotFoundError:
         frames = None
     except (KeyError, TypeError, ValueError) as err:
         raise ExportError(f"{path}: cannot be read ({err!r}); delete {folder} to start over") from err
-    if frames is not None and recording.done == frames:
-        exporter = Exporter(folder, settings, export)
-        recording.frames = frames
-        return exporter
-    found = len(places(recording.uri, batch.options))
+    calibration = None
+    try:
+        positions, calibration = survey(recording.uri, batch.options)
+        found = len(positions)
+    except DriverError:
+        # The recording of a complete export may be gone.
+        if frames is None or recording.done < frames:
+            raise
+        found = frames
+    settings = run_settings(
+        batch.config, source=recording.uri, surfaces=batch.export.surfaces, calibration=calibration
+    )
+    refuse_other_results(folder, settings)
     if frames not in (None, found):
         recording.done = 0
         raise ExportError(
@@ -155,9 +172,8 @@ def _begun(batch: Batch, recording: Recording) -> Exporter:
         )
     if not found:
         raise ExportError(f"{recording.uri}: contains no frames")
-    exporter = Exporter(folder, settings, export)
     recording.frames = found
-    return exporter
+    return settings
 
 
 def _keep(recording: Recording, outcomes: Sequence[_Outcome], exporter: Exporter) -> None:
@@ -166,11 +182,14 @@ def _keep(recording: Recording, outcomes: Sequence[_Outcome], exporter: Exporter
         if isinstance(outcome, str):
             recording.damaged[str(recording.done)] = outcome
         else:
-            exporter.write_files(outcome)
+            files, has_depth = outcome
+            exporter.write_files(files)
             recording.segmented += 1
-            recording.bytes += sum(map(len, outcome.values()))
+            recording.without_depth += not has_depth
+            recording.bytes += sum(map(len, files.values()))
         recording.done += 1
-    progress = {"frames": recording.frames, "done": recording.done, "damaged": recording.damaged}
+    names = ("frames", "done", "damaged", "without_depth")
+    progress = {name: getattr(recording, name) for name in names}
     path = exporter.directory / PROGRESS_FILE
     try:
         write_json(path, progress)
@@ -181,7 +200,7 @@ def _keep(recording: Recording, outcomes: Sequence[_Outcome], exporter: Exporter
 def segment_run(
     task: _Task, *, config: SegmentationConfig, options: SourceOptions, export: ExportConfig
 ) -> list[_Outcome]:
-    """Segment successive frames of a recording independently; return the files of each.
+    """Segment successive frames of a recording independently; return what became of each.
 
     Raises DriverError if the recording cannot be read, or ends early.
     """
@@ -190,7 +209,8 @@ def segment_run(
         if isinstance(frame, FrameFormatError):
             outcomes.append(str(frame))
         else:
-            outcomes.append(dict(segment_alone(frame, config, export=export).files))
+            files = segment_alone(frame, config, export=export).files
+            outcomes.append((dict(files), bool(frame.depth_mm.any())))
     if len(outcomes) < len(task.run):
         raise RecordingFormatError(f"{task.uri}: ends after {task.run.start + len(outcomes)} frames")
     return outcomes

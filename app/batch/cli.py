@@ -115,6 +115,8 @@ def _refused(message: str) -> int:
 def _tell(recording: Recording) -> None:
     counted = f"{recording.segmented} of {recording.frames} frames segmented now"
     damaged = f", {len(recording.damaged)} damaged" if recording.damaged else ""
+    if recording.without_depth:
+        damaged += f", {recording.without_depth} without depth (check --depth-scale)"
     done = f"{recording.uri}: {counted}{damaged}: {recording.directory}"
     said = f"error: {_failure(recording)}" if recording.failure else done
     print(f"nurbseg-batch: {said}", file=sys.stderr, flush=True)

@@ -21,7 +21,7 @@ from nurbseg.app.evaluation.scoring import score_frame, score_objects
 from nurbseg.app.evaluation.store import StudyStore
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, Variant
 from nurbseg.app.export.exporter import png
-from nurbseg.app.frames import places
+from nurbseg.app.frames import survey
 from nurbseg.app.workers import WorkerLostError, in_order, open_workers
 from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.drivers.frame import RGBDFrame
@@ -76,7 +76,7 @@ def frame_refs(study: Study) -> list[FrameRef]:
     """List the frames of a study without decoding them."""
     refs = []
     for place, uri in enumerate(study.sources):
-        found = places(uri, study.options, study.start, study.frames)
+        found, _ = survey(uri, study.options, study.start, study.frames)
         refs += [FrameRef(uri, i, f"{place:02d}-{i:06d}") for i in found]
     return refs
 

@@ -24,7 +24,9 @@ from nurbseg.app.export.surfaces import surfaces_npz
 from nurbseg.app.export.tree import tree_document, tree_graph
 from nurbseg.app.result import FrameResult
 from nurbseg.app.view.drawing.palette import LABEL_COLORS, label_colors
+from nurbseg.drivers.calibration.cameras import calibration_table
 from nurbseg.drivers.files import create_folder
+from nurbseg.drivers.frame import Calibration
 from nurbseg.segmentation.config import DepthConfig, Metric, SegmentationConfig
 
 #: The file with the settings of all frames of an export.
@@ -46,11 +48,13 @@ def run_settings(
     target_fps: float = 0.0,
     surfaces: bool = False,
     depth: DepthConfig | None = None,
+    calibration: Calibration | None = None,
 ) -> dict[str, Any]:
     """Return the content of ``settings.json``.
 
     `temporal` says whether a frame continues the previous one; `target_fps` is the rate that is maintained by
-    a coarser grid, 1/s, or 0 if the grid is always that of `config`; `depth` is the preprocessing of depth.
+    a coarser grid, 1/s, or 0 if the grid is always that of `config`; `depth` is the preprocessing of depth;
+    `calibration` holds the cameras, if known.
     """
     return {
         "source": source,
@@ -58,6 +62,7 @@ def run_settings(
         "target_fps": target_fps,
         "surfaces": surfaces,
         "depth": asdict(depth or DepthConfig()),
+        "camera": None if calibration is None else calibration_table(calibration),
         "segmentation": asdict(config),
     }
 
@@ -94,7 +99,7 @@ class Exporter:
             create_folder(directory)
         except ValueError as err:
             raise ExportError(str(err)) from err
-        _refuse_other_results(directory, settings)
+        refuse_other_results(directory, settings)
         try:
             write_json(directory / SETTINGS_FILE, settings)
         except OSError as err:
@@ -156,8 +161,8 @@ def frame_files(result: FrameResult, metric: Metric, export: ExportConfig) -> di
     return {f"{stem}_{name}": content for name, content in files.items()}
 
 
-def _refuse_other_results(directory: Path, settings: Mapping[str, Any]) -> None:
-    """Raise ExportError if a folder contains results with other settings."""
+def refuse_other_results(directory: Path, settings: Mapping[str, Any]) -> None:
+    """Raise ExportError if a folder contains results with other settings; unknown cameras are not others."""
     advice = "export to another folder, or delete this one"
     path = directory / SETTINGS_FILE
     try:
@@ -168,27 +173,27 @@ def _refuse_other_results(directory: Path, settings: Mapping[str, Any]) -> None:
         return
     except (OSError, ValueError) as err:
         raise ExportError(f"{path}: cannot be read: {err}; {advice}") from err
-    if before != settings:
-        differing = ", ".join(differences(before, settings))
+    if settings["camera"] is None and isinstance(before, dict):
+        before["camera"] = None
+    now = json.loads(json.dumps(settings))
+    if before != now:
+        differing = ", ".join(differences(before, now))
         raise ExportError(f"{path}: belongs to another run: {differing}; {advice}")
 
 
-def differences(before: Any, now: Mapping[str, Any]) -> list[str]:
+def differences(before: Any, now: Mapping[str, Any], section: str = "") -> list[str]:
     """Describe how the settings in a file differ from those of this run; `before` may be any JSON."""
-    was, own = _flat(before), _flat(now)
-    return [
-        f"{key} is {was.get(key)} there and {own.get(key)} now"
-        for key in {**was, **own}
-        if was.get(key) != own.get(key)
-    ]
-
-
-def _flat(settings: Any) -> dict[str, Any]:
-    """Return settings without sections."""
-    flat: dict[str, Any] = {}
-    for key, value in settings.items() if isinstance(settings, Mapping) else ():
-        flat |= value if isinstance(value, Mapping) else {key: value}
-    return flat
+    if not isinstance(before, Mapping):
+        return [f"{section or 'the file'} has no settings there"]
+    found = []
+    for key in {**before, **now}:
+        path = f"{section}.{key}".lstrip(".")
+        was, own = before.get(key), now.get(key)
+        if isinstance(own, Mapping):
+            found += differences(was, own, path)
+        elif was != own:
+            found.append(f"{path} is {was} there and {own} now")
+    return found
 
 
 def _json(document: Mapping[str, Any]) -> bytes:

@@ -171,6 +171,11 @@ class RunReport:
         except OSError as err:
             raise ExportError(f"{path}: cannot be written: {err.strerror}") from err
 
+    def remove(self) -> None:
+        """Remove the file that was written."""
+        if self._config.export.report is not None:
+            Path(self._config.export.report).unlink(missing_ok=True)
+
 
 def _percentiles(values: array[float]) -> dict[str, float]:
     levels = (50, 95, 99.9)

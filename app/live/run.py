@@ -59,8 +59,8 @@ class NoFramesError(DriverError):
 def run(config: AppConfig, interruption: Interruption, view_process: ChildProcess | None = None) -> RunReport:
     """Segment a source's frames until it ends, or `interruption` ends the run.
 
-    In any case everything is closed and the report written. `view_process` comes from `begin_view`, if that
-    was called for this configuration.
+    In any case everything is closed and, once the run has started, the report written. `view_process` comes
+    from `begin_view`, if that was called for this configuration.
 
     Raises SetupError if the source, a folder or a file cannot be opened; DriverError if the source fails
     later or has no frames; ExportError or ViewError if a result cannot be written or a recording is
@@ -88,10 +88,15 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 if config.export.directory is not None:
                     settings = _settings(config, config.segmentation, opened)
                     exporter = Exporter(Path(config.export.directory), settings, config.export)
-                view = report.view = stack.enter_context(_open_view(config, opened, view_process))
                 recorder = report.recorder = Recorder(
                     config.record, opened.camera, name=record_name, lossless=opened.every_frame
                 )
+                try:
+                    view = report.view = stack.enter_context(_open_view(config, opened, view_process))
+                except BaseException:
+                    # Without frames, its file is not kept.
+                    with recorder:
+                        raise
             if view.how_to_look:
                 _log.info("to look: %s", view.how_to_look)
             prepare = DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
@@ -156,14 +161,19 @@ def _setup() -> Iterator[None]:
 
 @contextmanager
 def _reported(report: RunReport, interruption: Interruption) -> Iterator[None]:
-    """Write the report before and after the block, with the reason why the run ended."""
+    """Write the report before and after the block, with the reason why the run ended.
+
+    None is left of a run that could not start, so that the same command can be repeated.
+    """
     with _setup():
         report.write("still running")
     try:
         yield
+    except SetupError:
+        report.remove()
+        raise
     except BaseException as err:
-        cause = err.__cause__ if isinstance(err, SetupError) else err
-        ended = "interrupted" if interruption.signal_number else f"{type(cause).__name__}: {cause}"
+        ended = "interrupted" if interruption.signal_number else f"{type(err).__name__}: {err}"
         if report.segmented + report.recorded_only:
             _log.info("%s%s", "interrupted: " if interruption.signal_number else "", report.summary())
         try:
@@ -206,6 +216,7 @@ def _settings(config: AppConfig, segmentation: SegmentationConfig, opened: Opene
         target_fps=_target_hz(config, opened),
         surfaces=config.export.surfaces,
         depth=config.depth,
+        calibration=opened.source.calibration,
     )
 
 

@@ -3,7 +3,7 @@ from collections.abc import Iterator
 import pytest
 
 from nurbseg.app import frames
-from nurbseg.app.frames import Reader, places
+from nurbseg.app.frames import Reader, survey
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 
@@ -32,9 +32,14 @@ def reader() -> Iterator[Reader]:
 
 
 def test_places_are_those_of_all_frames_or_some() -> None:
-    assert places(SCENE.format(0), OPTIONS) == range(12)
-    assert places(SCENE.format(0), OPTIONS, 3, 5) == range(3, 8)
-    assert places(SCENE.format(0), OPTIONS, 10, 5) == range(10, 12)
+    assert survey(SCENE.format(0), OPTIONS)[0] == range(12)
+    assert survey(SCENE.format(0), OPTIONS, 3, 5)[0] == range(3, 8)
+    assert survey(SCENE.format(0), OPTIONS, 10, 5)[0] == range(10, 12)
+
+
+def test_the_survey_gives_the_cameras_of_the_recording() -> None:
+    with open_source(SCENE.format(0), OPTIONS) as source:
+        assert survey(SCENE.format(0), OPTIONS)[1].depth.fx == source.read().calibration.depth.fx
 
 
 def test_frames_at_later_places_are_read_without_opening_again(reader: Reader, opened: list[str]) -> None:

@@ -307,11 +307,25 @@ def test_what_cannot_begin_ends_with_2_and_a_plain_message(
     assert "Traceback" not in done.stderr
 
 
-def test_the_report_of_a_run_that_cannot_begin_says_why(live: Live, tmp_path: Path) -> None:
-    done = live("--replay", SMALL.format(1), *FAST, "--save", str(tmp_path), "--report", "report.json")
-    assert done.returncode == 2, done.stderr
-    ended = json.loads((tmp_path / "report.json").read_text())["ended"]
-    assert ended.startswith(f"ViewError: {tmp_path}: cannot be created: ")
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--save", ".", "--record", "a.mcap"),
+        ("--save", "a.rrd", "--record", "/proc/none/a.mcap"),
+        ("--save", "a.rrd", "--crop", "96,0,10,10"),
+        ("--save", "a.rrd", "--workers", "2", "--temporal", "on"),
+    ],
+)
+def test_a_run_that_cannot_begin_leaves_nothing_and_can_be_repeated(
+    live: Live, tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    said = set()
+    for _ in range(2):
+        done = live("--replay", SMALL.format(1), *FAST, *words, "--report", "report.json")
+        assert done.returncode == 2, done.stderr
+        said.add(done.stderr)
+        assert not list(tmp_path.iterdir())
+    assert len(said) == 1
 
 
 def test_a_run_that_lacks_a_library_leaves_nothing(

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
+import numpy as np
+
 from nurbseg.app.evaluation.check.exported import ExportedFrame, Finding
 from nurbseg.app.evaluation.check.floors import check_floors
 from nurbseg.app.evaluation.check.history import History
@@ -16,14 +18,19 @@ from nurbseg.app.evaluation.check.stops import check_live_stops, check_stops
 from nurbseg.app.evaluation.check.structure import check_names, check_partition
 from nurbseg.app.evaluation.check.surfaces import check_measured, check_surfaces
 from nurbseg.app.evaluation.check.values import check_values
+from nurbseg.app.export.exporter import SETTINGS_FILE, differences
+from nurbseg.drivers.calibration.cameras import calibration_table
 from nurbseg.drivers.datasets.sequence import natural_key
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 from nurbseg.segmentation.points.registration import register
+
+#: By how much a rotation may differ from a rigid one, which is what recordings keep of it.
+_RIGID = 1e-3
 
 
 class FolderCheck:
@@ -69,6 +76,10 @@ class FolderCheck:
             source = None
             if self._recording is not None:
                 source = stack.enter_context(open_source(self._recording, self._options))
+                if unlike := self._unlike(source.calibration):
+                    yield Finding(SETTINGS_FILE, "", "camera", "that of the recording as given here", unlike)
+                    # With other points, no value would be as exported.
+                    source = None
             for stem in self._stems:
                 try:
                     frame = read_frame(self._folder, stem, self._settings)
@@ -78,6 +89,15 @@ class FolderCheck:
                 self.frames += 1
                 self.segments += len(frame.segments)
                 yield from self._check(frame, source)
+
+    def _unlike(self, calibration: Calibration) -> str:
+        """Say in what the cameras of the export differ from those of the recording, or return ""."""
+        if self._settings.camera is None:
+            return ""
+        exported, recorded = calibration_table(self._settings.camera), calibration_table(calibration)
+        if np.allclose(exported["color_from_depth"], recorded["color_from_depth"], atol=_RIGID):
+            recorded["color_from_depth"] = exported["color_from_depth"]
+        return ", ".join(differences(exported, recorded))
 
     def _check(self, frame: ExportedFrame, source: FrameSource | None) -> Iterator[Finding]:
         names = list(check_names(frame))

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.frame import Calibration
 from nurbseg.segmentation.config import DepthConfig, SegmentationConfig
 
 #: Maximum step of a grid that a rate controller made coarser.
@@ -42,6 +43,8 @@ class RunSettings:
     surfaces: bool
     config: SegmentationConfig
     depth: DepthConfig
+    #: The cameras, which earlier versions left out.
+    camera: Calibration | None = None
 
     @property
     def independent(self) -> bool:

@@ -22,6 +22,8 @@ from nurbseg.app.evaluation.check.exported import (
     RunSettings,
 )
 from nurbseg.app.export.exporter import SETTINGS_FILE
+from nurbseg.drivers.calibration.file import cameras_of_table
+from nurbseg.drivers.errors import CalibrationError
 from nurbseg.drivers.settings import in_sections, updated
 from nurbseg.segmentation.config import DepthConfig, SegmentationConfig
 
@@ -43,6 +45,7 @@ def read_settings(folder: Path) -> RunSettings:
     path = folder / SETTINGS_FILE
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
+        camera = values.get("camera")
         segmentation, _ = in_sections(SegmentationConfig, values["segmentation"])
         return RunSettings(
             str(values["source"]),
@@ -52,6 +55,7 @@ def read_settings(folder: Path) -> RunSettings:
             updated(SegmentationConfig(), **segmentation),
             # Exports of an earlier version have none.
             updated(DepthConfig(), **in_sections(DepthConfig, values.get("depth", {}))[0]),
+            None if camera is None else cameras_of_table(path, camera).calibration(),
         )
     except FileNotFoundError:
         raise ValueError(f"{path}: does not exist; nurbseg-live --export writes it") from None
@@ -59,6 +63,8 @@ def read_settings(folder: Path) -> RunSettings:
         raise ValueError(f"{path}: cannot be read: {err.strerror}") from err
     except KeyError as err:
         raise ValueError(f"{path}: {err.args[0]} is missing; export again with this version") from err
+    except CalibrationError as err:
+        raise ValueError(f"{err}; export again with this version") from err
     except (AttributeError, TypeError, ValueError) as err:
         raise ValueError(f"{path}: {err}; export again with this version") from err
 

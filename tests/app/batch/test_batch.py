@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -132,6 +133,30 @@ def test_other_settings_are_refused(at_home: Path, write_pairs: Pairs) -> None:
     assert "metric is mse there and mae now" in report(at_home / "out")["recordings"][0]["failure"]
 
 
+def test_other_cameras_are_refused_while_the_recording_is_there(at_home: Path, write_pairs: Pairs) -> None:
+    write_pairs(1, name="one")
+    assert main(["one", "--export", "out", "--workers", "1"]) == 0
+    other = ["one", "--export", "out", "--workers", "1", "--intrinsics", "77,77,20,20"]
+    assert main(other) == 1
+    failure = report(at_home / "out")["recordings"][0]["failure"]
+    assert re.search(r"camera\.depth\.fx is [\d.]+ there and 77\.0 now", failure)
+    shutil.rmtree("one")
+    assert main(other) == 0
+
+
+def test_frames_without_depth_are_counted(
+    at_home: Path, write_pairs: Pairs, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_pairs(3, name="one")
+    for number in (0, 2):
+        path = f"one/f{number}_depth.png"
+        cv2.imwrite(path, np.zeros_like(cv2.imread(path, cv2.IMREAD_UNCHANGED)))
+    for _ in range(2):
+        assert main(["one", "--export", "out", "--workers", "1"]) == 0
+        assert "2 without depth (check --depth-scale): out/one" in capsys.readouterr().err
+    assert report(at_home / "out")["recordings"][0]["without_depth"] == 2
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -226,7 +251,7 @@ class FailingWorkers:
         if task.run.start == self._failing:
             future.set_exception(WorkerLostError("gone"))
         else:
-            future.set_result([{f"{place:06d}_tree.json": b"{}"} for place in task.run])
+            future.set_result([({f"{place:06d}_tree.json": b"{}"}, True) for place in task.run])
         return future
 
     def ahead(self) -> int:
@@ -243,3 +268,10 @@ def test_a_recording_that_fails_midway_is_whole_up_to_there(tmp_path: Path) -> N
     assert (failed.done, whole.done, whole.failure) == (16, 10, "")
     assert sorted(results(Path(failed.directory))) == [f"{place:06d}_tree.json" for place in range(16)]
     assert told == ["synthetic:?frames=60", "synthetic:?frames=10"]
+
+
+def test_a_recording_that_fails_at_its_first_frame_leaves_no_folder(tmp_path: Path) -> None:
+    recordings = recordings_of(["synthetic:?frames=20"], tmp_path)
+    run_batch(Batch(tmp_path, SegmentationConfig()), recordings, FailingWorkers(0))
+    assert "frames 0 to 15: WorkerLostError: gone" in recordings[0].failure
+    assert list(tmp_path.iterdir()) == []

@@ -16,7 +16,8 @@ from nurbseg.app.export.surfaces import surfaces_npz
 from nurbseg.app.export.tree import tree_document
 from nurbseg.app.live.tracking import process_frame
 from nurbseg.app.result import FrameResult
-from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
+from nurbseg.drivers.frame import Calibration
+from nurbseg.segmentation.config import DepthConfig, ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.segments import SegmentationTree, Trial
 from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate
 
@@ -222,11 +223,31 @@ def test_the_settings_are_written_beside_the_frames(small_result: FrameResult, t
     assert json.loads((tmp_path / "000000_tree.json").read_text())["metric"] == "vgc"
 
 
+def test_a_folder_takes_further_results_of_the_same_settings(
+    small_result: FrameResult, tmp_path: Path
+) -> None:
+    settings = run_settings(
+        SegmentationConfig(),
+        depth=DepthConfig(crop=(1, 2, 30, 40)),
+        calibration=small_result.frame.calibration,
+    )
+    for _ in range(2):
+        Exporter(tmp_path, settings, ExportConfig(force=True)).write(small_result)
+
+
+def test_results_of_other_cameras_are_not_mixed(small_result: FrameResult, tmp_path: Path) -> None:
+    calibration = small_result.frame.calibration
+    Exporter(tmp_path, run_settings(SegmentationConfig(), calibration=calibration))
+    other = Calibration.registered(replace(calibration.depth, fx=77.0))
+    with pytest.raises(ExportError, match=r"camera\.depth\.fx is [\d.]+ there and 77\.0 now"):
+        Exporter(tmp_path, run_settings(SegmentationConfig(), calibration=other))
+
+
 def test_results_of_other_settings_are_not_mixed(small_result: FrameResult, tmp_path: Path) -> None:
     exported(small_result, tmp_path)
     other = run_settings(SegmentationConfig(method="stag15", ratio_max=0.5))
     with pytest.raises(
-        ExportError, match=r"settings\.json: .* ratio_max is 1\.0 there and 0\.5 now; export to"
+        ExportError, match=r"settings\.json: .* segmentation\.ratio_max is 1\.0 there and 0\.5 now; export to"
     ):
         Exporter(tmp_path, other)
     (tmp_path / "settings.json").write_text("{")

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
+from small_scene import small_frame
 
 from nurbseg.app.evaluation.check.check import FolderCheck
 from nurbseg.app.evaluation.check.reading import read_settings
@@ -17,6 +18,8 @@ from nurbseg.app.evaluation.cli import main
 from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, run_settings
 from nurbseg.app.live.tracking import Segmenter, process_frame
+from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.drivers.mcap.writer import RecordingWriter
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
@@ -64,16 +67,40 @@ def test_nothing_is_found_in_files_that_are_named_as_in_their_source(tmp_path):
 
 
 @pytest.mark.parametrize("method", ["stag15", "nurbseg"])
-def test_nothing_is_found_in_a_real_frame(real_data, tmp_path, method):
+def test_nothing_is_found_in_a_real_frame_by_its_own_camera(real_data, tmp_path, capsys, method):
     recording = os.fspath(real_data("mosd_learn"))
     camera = (525.0, 525.0, 319.5, 239.5)
     config = SegmentationConfig(method=method)
     with open_source(recording, SourceOptions(intrinsics=camera)) as source:
-        Exporter(tmp_path, run_settings(config, surfaces=True)).write(process_frame(source.read(), config))
+        settings = run_settings(config, surfaces=True, calibration=source.calibration)
+        Exporter(tmp_path, settings).write(process_frame(source.read(), config))
     words = ["check", os.fspath(tmp_path), "--frames", recording]
     assert main([*words, "--intrinsics", ",".join(map(str, camera))]) == 0
-    # Seen by another camera, these are other points.
+    capsys.readouterr()
     assert main([*words, "--intrinsics", "600,600,319.5,239.5"]) == 1
+    [finding] = capsys.readouterr().out.splitlines()
+    assert finding.startswith("settings.json: camera: expected that of the recording")
+    assert "depth.fx is 525.0 there and 600.0 now, depth.fy is 525.0 there and 600.0 now, color.fx" in finding
+    # An earlier version did not name the camera: seen by another one, these are other points.
+    (tmp_path / "settings.json").write_text(json.dumps(settings | {"camera": None}))
+    assert main([*words, "--intrinsics", "600,600,319.5,239.5"]) == 1
+    assert "_tree.json" in capsys.readouterr().out
+
+
+def test_a_camera_that_was_recorded_is_the_same_but_for_rounding(tmp_path):
+    turned = cv2.Rodrigues(np.array([0.01, -0.02, 0.03]))[0].round(4)
+    transform = np.vstack([np.column_stack([turned, [-0.025, 0.0, 0.001]]), [0, 0, 0, 1]])
+    depth = Intrinsics(160, 120, 131.1, 131.2, 79.3, 59.7, [0.01, -0.001, 0.0, 0.0])
+    frame = small_frame(calibration=Calibration(depth, replace(depth, fx=120.1, distortion=[]), transform))
+    recording = tmp_path / "one.mcap"
+    with RecordingWriter(recording, frame.calibration, color_format="png") as writer:
+        writer.write(frame)
+    with open_source(str(recording)) as source:
+        recorded = source.read()
+    config = SegmentationConfig(splits_max=2)
+    settings = run_settings(config, surfaces=True, calibration=frame.calibration)
+    Exporter(tmp_path / "out", settings).write(process_frame(recorded, config))
+    assert [str(each) for each in FolderCheck(tmp_path / "out", str(recording)).findings()] == []
 
 
 def change(what, factor=1, add=0):
