@@ -71,7 +71,10 @@ def lab(color: NDArray[np.uint8]) -> NDArray[np.float32]:
         L in 0 to 100, a and b in about -127 to 127, for the white point D65; to 0.01 of each color's place.
     """
     # OpenCV is off by more, and spends a tenth of a second on its tables in every process.
-    return _lab(np.ascontiguousarray(color), _LINEAR, _XYZ, _LAB_FUNCTION)
+    color = np.ascontiguousarray(color).view()
+    # Compiled for one type, whoever calls.
+    color.flags.writeable = False
+    return _lab(color, _LINEAR, _XYZ, _LAB_FUNCTION)
 
 
 @compiled

@@ -103,7 +103,8 @@ def _window_mask(grid_pixels: Intp, width: int) -> tuple[int, int, int, int, Boo
         while n < end and grid_pixels[n] == first + n - begin:
             n += 1
         column = first - row * width
-        runs[count] = row, column, column + n - begin
+        # Not the row at once: the message for another length would be compiled, too, for half a second.
+        runs[count, 0], runs[count, 1], runs[count, 2] = row, column, column + n - begin
         count += 1
         top, bottom = min(top, row), max(bottom, row + 1)
         left, right = min(left, column), max(right, column + n - begin)
