@@ -76,4 +76,4 @@ def _without_strays(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
     places = _principal_axes(centered) @ centered
     ordered = np.partition(places, (strays, count - 1 - strays), axis=1)
     low, high = ordered[:, strays, np.newaxis], ordered[:, count - 1 - strays, np.newaxis]
-    return points_m[:, ((places >= low) & (places <= high)).all(axis=0)]
+    return points_m.compress(((places >= low) & (places <= high)).all(axis=0), axis=1)

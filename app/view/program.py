@@ -23,6 +23,8 @@ _LOOK_S = 0.1
 _BEGIN_S = 3600.0
 #: Time limit for ending after the other process has ended, seconds.
 _END_S = 2.0 * FILE_PATIENCE_S
+#: By how much this process is less urgent than the segmentation, which otherwise waits for it on two cores.
+_LESS_URGENT = 4
 #: Parameter of glibc's `mallopt`: maximum number of heaps.
 _M_ARENA_MAX = -8
 
@@ -89,6 +91,7 @@ def main() -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         # The other process ends this one. Not SIG_IGN, which a viewer started here would inherit.
         signal.signal(number, lambda *_: None)
+    os.nice(_LESS_URGENT)
     _share_one_heap()
     try:
         return _run(connect_to_parent(CODEC, limit_s=_END_S))

@@ -76,6 +76,12 @@ def test_a_first_frame_that_is_slow_to_draw_is_saved(
     assert read_saved_view(path).frames("tree") == [0]
 
 
+def test_the_program_does_not_hold_up_the_segmentation(tmp_path: Path) -> None:
+    view, program = opened(tmp_path / "a.rrd")
+    with view:
+        assert os.getpriority(os.PRIO_PROCESS, program.pid) > os.getpriority(os.PRIO_PROCESS, 0)
+
+
 def test_signals_for_the_program_do_not_end_the_process_before_it(
     tmp_path: Path, result: FrameResult
 ) -> None:
