@@ -1,4 +1,4 @@
-"""Matrix products on one thread: the same rounding on every computer's number of threads, and no waiting."""
+"""BLAS limited to one thread, so that results do not depend on the number of threads."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from threadpoolctl import ThreadpoolController
 
 @cache
 def _libraries() -> ThreadpoolController:
-    # NumPy and SciPy each bring a library of their own; SciPy's is loaded by this import.
+    # NumPy and SciPy each bring their own library; this import loads SciPy's.
     import scipy.linalg.lapack  # noqa: F401
 
     return ThreadpoolController().select(user_api="blas")
@@ -21,9 +21,9 @@ def _libraries() -> ThreadpoolController:
 def one_blas_thread() -> Iterator[None]:
     """Let BLAS use one thread in this process while the block runs.
 
-    Several threads split a product at places that depend on their number, and round differently there: enough
-    to send a point to the other side of a cut, and a tree another way. They also gain nothing here: the
-    matrices are small, and on a busy computer waiting for each other takes many times the work.
+    How a product is divided among threads changes its rounding, which can move a point to the other side of a
+    cut, and so change the tree. More threads would not be faster: the matrices are small, and on a busy
+    computer threads wait for each other far longer than they compute.
     """
     with _libraries().limit(limits=1):
         yield

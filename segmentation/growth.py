@@ -1,4 +1,4 @@
-"""How a tree of segments grows, by either method: the worst open segment is split first."""
+"""The growth of a tree of segments, by either method: the worst segment is split first."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Clock = Callable[[], float]
 
 
 def time_limit(config: SegmentationConfig, clock: Clock) -> Callable[[], bool]:
-    """Return a function that says whether the time that growing may take, from now on, is over."""
+    """Return a function that says whether the time budget, which starts now, is used up."""
     if config.budget_ms == 0:
         return lambda: False
     end_s = clock() + 1e-3 * config.budget_ms
@@ -33,8 +33,8 @@ def grow(
     Parameters
     ----------
     root : Node
-        The whole frame, fitted. It gets its descendants; where a frame falls into components it has some
-        already. Every leaf gets the reason why it is one.
+        The whole frame, fitted, with children if the frame has several components. Descendants are added to
+        it, and every leaf gets its stop reason.
     split : callable
         Splits a segment and returns True, or sets its `stop` and returns False.
     points_min : float
@@ -42,7 +42,7 @@ def grow(
     config : SegmentationConfig
         The metric, T_d and T_s.
     time_is_over : callable
-        Asked before each cut; from when it returns True on, what would be cut is a leaf.
+        Called before each cut; once it returns True, nothing more is cut.
     """
     waiting: list[tuple[float, str, Node]] = []
     splits, grown = 0, [root]
@@ -63,7 +63,7 @@ def grow(
 def stop_without_cut(
     node: Node, splits: int, points_min: float, config: SegmentationConfig
 ) -> StopReason | None:
-    """Return why a segment is not even cut (eq. 6), None where it is.
+    """Return why no cut of a segment is tried (eq. 6), None if one is.
 
     Parameters
     ----------
@@ -84,6 +84,6 @@ def stop_without_cut(
         return StopReason.SPLITS
     if node.fit.surface is None:
         return StopReason.NO_FIT
-    # What is 0 cannot improve (eq. 5), but the paper keeps the first split if there is any error at all.
+    # A metric of 0 cannot improve (eq. 5), but the paper keeps the first split if there is any error at all.
     first = config.method == "stag15" and node.name == "" and node.fit.values["mse"] > 0
     return None if first or node.value(config) > 0 else StopReason.CRITERION

@@ -1,4 +1,4 @@
-"""The methods, by the setting that chooses between them."""
+"""Segmentation by the method that is set."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ def segment(
     cloud : PointMap
         Points and their colors.
     config : SegmentationConfig
-        Thresholds and choices; the same seed gives the same tree, unless a budget of time ends it.
+        Settings; the same seed gives the same tree, unless a time budget ends it.
     clock : callable
-        Returns the time, seconds; the budget is measured by it.
+        Returns the time, seconds, by which a time budget is measured.
 
     Returns
     -------
     SegmentationTree
-        Every segment with its surface, metrics, ratio and, for a leaf, the reason why it is one. A frame
-        with too few points is one leaf.
+        Every segment with its surface, metrics, ratio and, for a leaf, its stop reason. A frame with too few
+        points is one leaf.
     """
     if config.method == "stag15":
         return segment_stag15(cloud, config, clock=clock)

@@ -1,4 +1,4 @@
-"""Segments and their tree: values that name each other, and what they grow from."""
+"""Segments and their tree, and the nodes that they are made of."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ class Trial:
     Parameters
     ----------
     metric : str
-        Which of the nine decided.
+        The deciding one of the nine.
     value, points : float, int
         Metric of the segment, no less than its floor, and the number of points that it was measured on.
     parts : tuple of (float, int)
-        The same for each of its parts: two in the paper; in the default method as many as the two sides of
-        the cut have connected pieces; where the live tree judges a split again, the leaves below it.
+        The same for each part: two in the paper; in the default method the connected components of both
+        sides of the cut; where the live tree judges a split again, the leaves below it.
     kept : bool
         Whether the split was kept.
     """
@@ -58,17 +58,17 @@ class Segment:
     name : str
         Path from the root: "" for the root, "010" for the paper's P010.
     parent : str or None
-        Name of the segment that was split into this one and another; None for the root.
+        Its name; None for the root.
     children : (str, str) or ()
         Names of the parts; none for a leaf.
     pixels : (N,) intp
         Flat indices into the image: leaf by leaf, in the order of leaves, and ascending within each.
     fit : Fit
-        The surface that explains it, fitted on the grid on which splits are decided.
+        Its surface, fitted on the grid on which splits are decided.
     division : Division or None
-        How it falls into its children; None for a leaf.
+        How it is divided into its children; None for a leaf.
     trial : Trial or None
-        The split that was kept or, of a leaf, the best that was rejected; None where none came to be judged.
+        The split that was kept or, of a leaf, the best that was rejected; None if none was judged.
     stop : StopReason or None
         Why it is a leaf; None where it is not.
     cut : Cut or None
@@ -125,12 +125,12 @@ class SegmentationTree:
     shape : (int, int)
         Rows and columns of the image.
     objects : tuple of SceneObject
-        Leaves that are one object, at the level "things" one thing, largest first, each leaf in one of
-        them; none where nothing was merged.
+        Objects, or things at the level "things", largest first; each leaf is in one of them. Empty if
+        nothing was merged.
     contacts : tuple of Contact
-        Every two leaves that meet, with what became of them and why.
+        Every pair of leaves that meet: whether they were merged, and why.
     level : {"surfaces", "objects", "things"}
-        What `labels` tells apart.
+        Level of `labels`.
     image : (H, W) uint16, optional
         The label of every pixel, if it is known already.
     joins : tuple of Join
@@ -155,7 +155,7 @@ class SegmentationTree:
         return self.segments[0]
 
     def leaves(self) -> tuple[Segment, ...]:
-        """Return the final segments; the label of each is its place here plus one."""
+        """Return the final segments; the label of each is its index here plus one."""
         return tuple(each for each in self.segments if each.is_leaf)
 
     def labels(self, level: Level | None = None) -> NDArray[np.uint16]:
@@ -164,14 +164,13 @@ class SegmentationTree:
         Parameters
         ----------
         level : {"surfaces", "objects", "things"}, optional
-            What a label stands for; the tree's own level without it. In a tree of things
-            objects are things.
+            What a label stands for; by default the tree's own level. In a tree of things objects are things.
 
         Returns
         -------
         (H, W) uint16
-            0 where there is no depth. A surface's label is its place among the leaves plus one, an object's
-            its place in `objects` plus one; without objects each surface is one.
+            0 where there is no depth. A surface's label is one plus its index among the leaves, an object's
+            one plus its index in `objects`; without objects each surface is one.
         """
         if (level or self.level) != "surfaces" and self.objects:
             number = {name: n for n, each in enumerate(self.objects, start=1) for name in each.leaves}
@@ -214,12 +213,12 @@ class Node:
     age: int = 0
 
     def value(self, config: SegmentationConfig) -> float:
-        """Return what the metric that decides counts for, 0 where it was not measured."""
+        """Return the deciding metric, at least its floor; 0 if it was not measured."""
         return metric_value(self.fit.values, config.metric, self.fit.floor)
 
 
 def history(each: Node | Segment) -> dict[str, Any]:
-    """Return how a node or its segment was divided, tried and stopped, by field: what both have alike."""
+    """Return the fields that nodes and segments share."""
     names = ("division", "trial", "stop", "cut", "cuts_above", "measured", "judged")
     return {name: getattr(each, name) for name in names}
 

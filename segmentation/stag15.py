@@ -1,8 +1,8 @@
 """The paper's method: a tree of normalized cuts, decided by surface fits (section 3).
 
-To be read beside the paper. Vectors (eq. 1-3) are made in `cut/features.py`, the cut in `cut/ncut.py`,
-surfaces (eq. 4) in `surfaces/fit.py`, the metrics and their ratios (eq. 7-22) in `surfaces/metrics.py`
-and `surfaces/curvature.py`; what ends the tree (eq. 6) is in `growth.py`.
+Vectors (eq. 1-3) are in `cut/features.py`, the cut in `cut/ncut.py`, surfaces (eq. 4) in `surfaces/fit.py`,
+the metrics and their ratios (eq. 7-22) in `surfaces/metrics.py` and `surfaces/curvature.py`, the stop
+criteria (eq. 6) in `growth.py`.
 """
 
 from __future__ import annotations
@@ -46,16 +46,16 @@ def cut_in_two(
     grid : PixelGrid
         The points.
     node : Node
-        The segment; its name and the seed are all that its random sample depends on.
+        The segment; its random sample depends on its name and the seed only.
     vectors : (h * w, 6) float32
         Vector of each grid pixel (eq. 3).
     config : SegmentationConfig
-        How it is cut, and T_p.
+        Settings of the cut, and T_p.
 
     Returns
     -------
     cut : Cut
-        With a reason where there is none.
+        Without parts, but with a reason, if there is none.
     side : (N,) bool
         Which of the two parts each of the segment's grid pixels belongs to.
     """
@@ -74,7 +74,7 @@ def cut_in_two(
 
 
 def fit_segment(grid: PixelGrid, grid_pixels: NDArray[np.intp], config: SegmentationConfig) -> Fit:
-    """Fit a surface to a segment (section 3.2), with the metric that decides among its values (section 4).
+    """Fit a surface to a segment (section 3.2), and compute the metric that decides (section 4).
 
     Parameters
     ----------
@@ -100,14 +100,14 @@ def segment_stag15(
     fit: Fitter = fit_segment,
     clock: Clock = time.perf_counter,
 ) -> SegmentationTree:
-    """Segment a frame as the paper does, whatever the method set.
+    """Segment a frame by the paper's method; `config.method` is ignored.
 
     Parameters
     ----------
     cloud, config, clock
-        As for `nurbseg.segmentation.methods.segment`, which says what is returned, too.
+        As for `nurbseg.segmentation.methods.segment`, which also describes the result.
     cut, fit : callable
-        The two steps that take time; others may remember what they made of this very frame.
+        The two expensive steps, replaceable by versions that cache the results of a frame.
 
     References
     ----------
@@ -120,7 +120,7 @@ def segment_stag15(
     grid = decimated_grid(cloud, step)
     grid_pixels = np.flatnonzero(grid.valid)
 
-    # Color and position of every point, made comparable (section 3.1).
+    # Normalized color and position of every point (section 3.1).
     raw = raw_vectors(cloud, grid.pixels(grid_pixels))  # eq. 1, 2
     scale = normalization(raw, config.geometry_weight)  # the sigmas and lambda of eq. 3
     vectors = np.zeros((grid.valid.size, raw.shape[1]), dtype=np.float32)
@@ -136,7 +136,6 @@ def segment_stag15(
         time_is_over,
     )
 
-    # A label for every pixel between the grid pixels.
     nodes = depth_first(root)
     leaves = [node for node in nodes if not node.children]
     labels = upsample_labels(
@@ -184,14 +183,13 @@ def _split(
 
 
 def _points_min(grid: PixelGrid, config: SegmentationConfig) -> float:
-    """Return T_p in points of the grid."""
+    """Return T_p in grid pixels."""
     return config.stag15.segment_pixels_min * grid.pixel_share
 
 
 def _cleaned(
     grid: PixelGrid, grid_pixels: NDArray[np.intp], side: NDArray[np.bool_], points_min: float
 ) -> NDArray[np.bool_]:
-    """Give small components of either side to the other, on the window of the segment."""
     _, mask = grid.window_mask(grid_pixels)
     image = np.zeros_like(mask)
     image[mask] = side
@@ -200,7 +198,7 @@ def _cleaned(
 
 
 def _kept_splits(nodes: list[Node], leaves: list[Node]) -> list[Split]:
-    """Describe each kept split by the ranges of leaves below its parts; leaves are in depth-first order."""
+    """Describe each kept split by the ranges of leaves below its parts, in depth-first order."""
     names = [leaf.name for leaf in leaves]
     splits = []
     for node in nodes:

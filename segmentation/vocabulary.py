@@ -1,4 +1,4 @@
-"""What a tree calls its segments, why they stopped and how they were divided; light to import."""
+"""Stop reasons, divisions and names of segments, without heavy imports."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from enum import StrEnum
 class StopReason(StrEnum):
     """Why a segment was not split further; the first four are the colors of the paper's figure 3.
 
-    ``noise`` is the default method's own, and foretells ``criterion``: the metric is so near to what noise
-    leaves of it that no split can have a ratio below T, and none was tried. ``untried`` is the live tree's
-    own: the segment is new, or its last trial so old that it counts no more. ``budget``: the time for the
-    frame was over when its turn came.
+    ``noise`` (default method): the metric is so near its floor that no split can have a ratio below T; none
+    was tried. ``untried`` (live tree): the segment is new, or its last trial is out of date. ``budget``: the
+    time for the frame was used up before its turn.
     """
 
     CRITERION = "criterion"
@@ -28,10 +27,10 @@ class StopReason(StrEnum):
 
 
 class Division(StrEnum):
-    """How a segment falls into its parts.
+    """How a segment is divided into its children.
 
-    ``cut``: by a normalized cut that the ratio kept. ``gap``: its pixels are not connected, nothing was cut.
-    ``appeared``: part 1 came into view beside or before part 0, nothing was cut.
+    ``cut``: by a normalized cut that was kept. ``gap``: its pixels are not connected. ``appeared``: part 1
+    came into view beside or in front of part 0.
     """
 
     CUT = "cut"
@@ -39,7 +38,7 @@ class Division(StrEnum):
     APPEARED = "appeared"
 
 
-#: Reasons that a trial, or the lack of one, came to; the others follow from the values themselves.
+#: Reasons that result from trying a cut; the others follow from the segment's own values.
 TRIED = (StopReason.CRITERION, StopReason.CHILD_TOO_SMALL, StopReason.NO_CUT)
 
 

@@ -1,4 +1,4 @@
-"""The tight window of each label of an image."""
+"""Bounding boxes of the labels of an image."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def bounding_boxes(labels: NDArray[np.uint16], count: int) -> list[Window]:
     Returns
     -------
     list of (int, int, int, int)
-        By label; (H, W, 0, 0) for one that is nowhere.
+        By label; (H, W, 0, 0) for one without pixels.
     """
     boxes = np.empty((count, 4), dtype=np.int64)
     _find_boxes(np.ascontiguousarray(labels), boxes)

@@ -1,4 +1,4 @@
-"""Labels in place of labels: tables applied to images."""
+"""Lookup tables for labels."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ def apply_lookup_table(table: NDArray[np.uint16], labels: NDArray[np.uint16]) ->
     Parameters
     ----------
     table : (N,) uint16
-        What to put in place of the labels 0, 1, ...
+        New labels for 0, 1, ...
     labels : (H, W) uint16
         The image.
 
     Returns
     -------
     (H, W) uint16
-        0 for labels that the table does not hold.
+        0 for labels beyond the table.
     """
     found = np.empty(labels.shape, dtype=np.uint16)
     _look_up(table, read_only(labels), found.reshape(-1))
@@ -29,14 +29,14 @@ def apply_lookup_table(table: NDArray[np.uint16], labels: NDArray[np.uint16]) ->
 
 
 def labels_present(labels: NDArray[np.uint16]) -> NDArray[np.intp]:
-    """Return the labels that an image holds, (N,) intp in ascending order, 0 among them if it is there."""
-    is_there = np.zeros(1 << 16, dtype=np.bool_)
-    _mark(read_only(labels), is_there)
-    return np.flatnonzero(is_there)
+    """Return the labels that occur in an image, 0 included, (N,) intp in ascending order."""
+    present = np.zeros(1 << 16, dtype=np.bool_)
+    _mark(read_only(labels), present)
+    return np.flatnonzero(present)
 
 
 def read_only(image: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Return an image as one read-only row, which compiled loops take for one type whoever calls them."""
+    """Return an image as a flat read-only array, so that compiled loops see only one type."""
     row = np.ascontiguousarray(image).reshape(-1).view()
     row.flags.writeable = False
     return row
@@ -44,18 +44,16 @@ def read_only(image: NDArray[np.uint16]) -> NDArray[np.uint16]:
 
 @compiled
 def _look_up(table: U16, labels: U16, found: U16) -> None:
-    """Take the table's entry of each label."""
     for n in range(labels.size):
         label = labels[n]
         found[n] = table[label] if label < table.size else 0
 
 
 @compiled
-def _mark(labels: U16, is_there: Bool) -> None:
-    """Mark the labels that are there, each run of equal ones at its first."""
+def _mark(labels: U16, present: Bool) -> None:
     before = -1
     for n in range(labels.size):
         label = labels[n]
         if label != before:
-            is_there[label] = True
+            present[label] = True
             before = label

@@ -1,4 +1,4 @@
-"""Connected components of segments where neighbours across a gap in depth are not connected."""
+"""Connected components of labels; a gap in depth separates neighbours."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from nurbseg.segmentation.labels.spreading import spread_in_place
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PixelAdjacency:
-    """Which neighbours on a pixel grid have points with no gap in depth between them.
+    """Which neighbours on a pixel grid have no gap in depth between them.
 
     Parameters
     ----------
@@ -46,10 +46,7 @@ class Components:
     sizes: NDArray[np.intp]
 
     def large(self, grid_pixels_min: float, keep: int) -> NDArray[np.bool_]:
-        """Say which components have enough grid pixels, or are the largest of a label from 1 to `keep`.
-
-        Returns (count + 1,) bool, False for number 0.
-        """
+        """Return which components have enough grid pixels or are the largest of a label up to `keep`."""
         kept = self.sizes >= grid_pixels_min
         # In ascending order of size, so that the largest component of each label is written last.
         order = np.argsort(self.sizes, kind="stable")
@@ -115,7 +112,7 @@ def connected_components(labels: NDArray[np.int32], adjacency: PixelAdjacency) -
     labels : (h, w) int32
         0 belongs to no component.
     adjacency : PixelAdjacency
-        Of the same places.
+        Of the same grid.
 
     Returns
     -------
@@ -153,10 +150,10 @@ def _root(parents: I32, number: int) -> int:
 def _connect(
     grid_pixels: Intp, labels: I32, right: Bool, down: Bool, numbers: I32, labels_of: I32, sizes: Intp
 ) -> int:
-    """Give each grid pixel the number of its component; return how many there are.
+    """Find components, and return how many there are.
 
-    A grid pixel takes the number of a neighbour before it, and two that meet become one: the larger has
-    the smaller for its parent.
+    Union-find: a grid pixel takes the number of an earlier neighbour; where two components meet, the
+    smaller number becomes the parent of the larger one.
     """
     width = right.shape[1]
     number_of, linked_right, linked_down = numbers.reshape(-1), right.reshape(-1), down.reshape(-1)
@@ -194,7 +191,7 @@ def _connect(
         size += 1
     sizes[number] += size
     sizes[0] = 0
-    # Parents come first, so that theirs are final numbers by then.
+    # A parent has a smaller number, so it is final already.
     last = 0
     for number in range(1, count + 1):
         if parents[number] == number:
@@ -218,7 +215,7 @@ def large_components(
     gap_per_m: float,
     grid_pixels_min: float,
 ) -> tuple[list[NDArray[np.intp]], list[int]]:
-    """Find the connected components that are large enough, and give them what the small ones hold.
+    """Find the connected components that are large enough, and spread them over the small ones.
 
     Parameters
     ----------
@@ -229,16 +226,16 @@ def large_components(
     adjacency, inverse_depth : PixelAdjacency, (h, w) float32
         Of the whole grid.
     gap_per_m : float
-        Gap in depth, 1/m.
+        Smallest gap, 1/m.
     grid_pixels_min : float
         Smallest number of grid pixels of a component.
 
     Returns
     -------
     components : list of (n,) intp
-        Grid pixels of each component kept, ascending; none where no component is large enough.
+        Grid pixels of each component kept, ascending; empty if none is large enough.
     labels_of : list of int
-        Label that each component had.
+        Label of each component.
     """
     # Only the rows that hold grid pixels are looked at.
     width = adjacency.right.shape[1]
@@ -251,9 +248,9 @@ def large_components(
     if kept.size + 1 < found.sizes.size:
         number = np.zeros(found.sizes.size, dtype=np.int32)
         number[kept] = np.arange(1, kept.size + 1)
-        homeless = np.empty_like(at)
-        count = _keep(at, number, found.numbers, homeless)
-        spread_in_place(found.numbers, homeless[:count], inverse_depth[rows], gap_per_m)
+        unassigned = np.empty_like(at)
+        count = _renumber(at, number, found.numbers, unassigned)
+        spread_in_place(found.numbers, unassigned[:count], inverse_depth[rows], gap_per_m)
     if kept.size == 1:
         return [grid_pixels], found.labels_of[kept].tolist()
     grouped, ends = np.empty_like(grid_pixels), np.zeros(kept.size + 2, dtype=np.intp)
@@ -263,27 +260,26 @@ def large_components(
 
 
 @compiled
-def _keep(grid_pixels: Intp, number: I32, numbers: I32, homeless: Intp) -> int:
-    """Give grid pixels the new number of their component; list those without one, and return how many."""
+def _renumber(grid_pixels: Intp, number: I32, numbers: I32, unassigned: Intp) -> int:
+    """Renumber components; list grid pixels whose component is dropped, and return how many there are."""
     number_of = numbers.reshape(-1)
     count = 0
     for pixel in grid_pixels:
         number_of[pixel] = number[number_of[pixel]]
         if number_of[pixel] == 0:
-            homeless[count] = pixel
+            unassigned[count] = pixel
             count += 1
     return count
 
 
 @compiled
 def _group(grid_pixels: Intp, at: Intp, numbers: I32, grouped: Intp, ends: Intp) -> None:
-    """Sort grid pixels by the number at each, from 1 on; `ends`, 0 at first, tells where each number ends."""
+    """Sort grid pixels by the number at each, from 1 on; `ends`, zeros, becomes where each number ends."""
     number_of = numbers.reshape(-1)
     for n in range(grid_pixels.size):
         ends[number_of[at[n]] + 1] += 1
     for n in range(1, ends.size):
         ends[n] += ends[n - 1]
-    # What is the end of the number before grows to that of its own.
     for n in range(grid_pixels.size):
         number = number_of[at[n]]
         grouped[ends[number]] = grid_pixels[n]

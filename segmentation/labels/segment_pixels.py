@@ -1,4 +1,4 @@
-"""Pixels in the order of labels, and segments with the pixels that are theirs."""
+"""Pixels sorted by label, and finished segments with their pixels."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def by_label(labels: NDArray[np.integer], count: int) -> tuple[NDArray[np.intp],
     Returns
     -------
     order : (N,) intp
-        The grid pixels of label 0, of label 1, and so on, ascending within each.
+        The pixels of label 0, of label 1, and so on, ascending within each.
     bounds : (count + 1,) int64
         Where those of each label begin in `order`, and its length.
     """
@@ -38,7 +38,7 @@ def by_label(labels: NDArray[np.integer], count: int) -> tuple[NDArray[np.intp],
 
 @compiled
 def _sort_by_label(labels: U16, order: Intp, bounds: I64) -> None:
-    """Count labels, and put each pixel where those of its label are, run by run of equal labels."""
+    """Sort by counting, run by run of equal labels."""
     starts, runs = np.empty(labels.size + 1, dtype=np.int64), 0
     for pixel in range(labels.size):
         if pixel == 0 or labels[pixel] != labels[pixel - 1]:
@@ -61,14 +61,14 @@ def _sort_by_label(labels: U16, order: Intp, bounds: I64) -> None:
 def finished_segments(
     nodes: list[Node], leaves: list[Node], labels: NDArray[np.uint16]
 ) -> tuple[Segment, ...]:
-    """Give every node the pixels of the leaves below it, and its surface a window that holds them.
+    """Make segments of nodes: with all pixels below, inside the windows of their surfaces.
 
     Parameters
     ----------
     nodes, leaves : list of Node
         Depth first.
     labels : (H, W) uint16
-        Place of each pixel's leaf plus one; 0 where there is no point.
+        Index of each pixel's leaf plus one; 0 where there is no point.
 
     Returns
     -------
@@ -78,7 +78,7 @@ def finished_segments(
     order, bounds = by_label(labels.reshape(-1), len(leaves) + 1)
     label = {leaf.name: number for number, leaf in enumerate(leaves, start=1)}
     boxes = bounding_boxes(labels, len(leaves) + 1)
-    # Leaves come depth first, so those below a node stand side by side in the order of labels.
+    # Leaves are depth first, so that those below a node are contiguous.
     reach: dict[str, tuple[int, int]] = {}
     box: dict[str, Window] = {}
     for node in reversed(nodes):
@@ -96,7 +96,7 @@ def finished_segments(
             parent=node.name[:-1] if node.name else None,
             children=tuple(child.name for child in node.children),  # type: ignore[arg-type]
             pixels=order[slice(*reach[node.name])],
-            fit=_reaching(node.fit, box[node.name]),
+            fit=_widened(node.fit, box[node.name]),
             **history(node),
         )
         for node in nodes
@@ -104,13 +104,13 @@ def finished_segments(
 
 
 def _union(first: Window, second: Window) -> Window:
-    """Return the box around two boxes; one without pixels is all limits, and changes nothing."""
+    """Return the bounding box of two boxes; an empty one changes nothing."""
     (top, left, bottom, right), (other_top, other_left, other_bottom, other_right) = first, second
     return min(top, other_top), min(left, other_left), max(bottom, other_bottom), max(right, other_right)
 
 
-def _reaching(fit: Fit, box: Window) -> Fit:
-    """Return a fit whose surface's window holds a box of pixels: borders move after surfaces are fitted."""
+def _widened(fit: Fit, box: Window) -> Fit:
+    """Extend the window of a fit's surface to a box of pixels: borders move after surfaces are fitted."""
     if fit.surface is None or box[2] == 0:
         return fit
     window = _union(fit.surface.window, box)

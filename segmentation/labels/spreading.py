@@ -1,4 +1,4 @@
-"""Labels that spread over unlabelled pixels, from the rim inwards."""
+"""Labels spread to unlabelled pixels from their neighbours."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, I32, Intp, compiled
 
-#: Marks of grid pixels to label, in an image of labels: those that wait, and those that are next.
+#: Marks of grid pixels to label, in an image of labels: those waiting, and those next.
 _OPEN, _NEXT = -1, -2
-#: Rows and columns to the neighbours; of equally near ones the first gives its label.
+#: Offsets of the neighbours; of equally near ones the first gives its label.
 _NEIGHBORS = ((0, 1), (1, 0), (0, -1), (-1, 0))
 
 
@@ -19,19 +19,19 @@ def spread_labels(
     inverse_depth: NDArray[np.float32],
     gap_per_m: float,
 ) -> NDArray[np.int32]:
-    """Give unlabelled pixels the label of the neighbour nearest in inverse depth, from the rim inwards.
+    """Give unlabelled pixels the label of the neighbour nearest in inverse depth, from the border inwards.
 
     Parameters
     ----------
     labels : (h, w) int32
         0 is no label.
     wanted : (h, w) bool
-        Grid pixels to label, unlabelled so far. Those that no chain of them connects to a label take that of
-        the nearest labelled grid pixel.
+        Grid pixels to label, unlabelled so far. Those not connected to a label take that of the nearest
+        labelled grid pixel.
     inverse_depth : (h, w) float32
         One over depth, 1/m.
     gap_per_m : float
-        Labels go across a gap in depth only where nothing else is left to do, 1/m.
+        Smallest gap, 1/m; labels cross gaps only where there is no other way.
 
     Returns
     -------
@@ -51,7 +51,7 @@ def spread_in_place(
     inverse_depth: NDArray[np.float32],
     gap_per_m: float,
 ) -> None:
-    """Give unlabelled pixels labels, writing to the image itself.
+    """Do what `spread_labels` does, in place.
 
     Parameters
     ----------
@@ -70,10 +70,9 @@ def spread_in_place(
 
 @compiled
 def _spread(labels: I32, inverse_depth: F32, grid_pixels: Intp, gap_per_m: np.float32) -> int:
-    """Label open pixels in rounds; return how many stay open, which are then the first of `grid_pixels`."""
+    """Label open pixels in rounds; move those that stay open to the front, and return how many they are."""
     height, width = labels.shape
     flat = labels.reshape(-1)
-    # Only what is next to a label of the round before can take one now, unless gaps have ceased to count.
     front, reached = grid_pixels.copy(), np.empty_like(grid_pixels)
     taken = np.empty(grid_pixels.size, dtype=np.int32)
     waiting, fronts = grid_pixels.size, grid_pixels.size

@@ -1,4 +1,4 @@
-"""Labels for every pixel of the image from those on a coarser grid: by the cuts of a tree, or by depth."""
+"""Labels of every pixel from those on a coarser grid: by the cuts of a tree, or by depth."""
 
 from __future__ import annotations
 
@@ -45,10 +45,9 @@ def upsample_labels(
 ) -> NDArray[np.uint16]:
     """Give every pixel that has a point to a leaf.
 
-    A grid pixel keeps its leaf, and a pixel between grid pixels that all belong to one leaf belongs there
-    too. Where the four grid pixels around a pixel disagree, the pixel's own vector decides, at the split that
-    parted the leaves in question: the extension of that cut says which part it belongs to. The clean-up of
-    small pieces is kept, since only leaves around the pixel are in question.
+    A pixel whose four surrounding grid pixels belong to one leaf takes that leaf. Elsewhere the cuts that
+    separate these leaves classify the pixel's own vector. Only the leaves around it are candidates, so that
+    small components that were removed do not come back.
 
     Parameters
     ----------
@@ -61,7 +60,7 @@ def upsample_labels(
     splits : sequence of Split
         The kept splits, a segment before its parts.
     vectors_of : callable
-        Gives the (N, D) float32 feature vectors of some flat pixels of the image.
+        Returns the (N, D) float32 feature vectors of some flat pixels of the image.
 
     Returns
     -------
@@ -86,7 +85,6 @@ def upsample_labels(
         labels[cloud.valid] = 0
         return labels.reshape(-1)
 
-    # Least and greatest leaf at the corners of every cell, grid pixels without a point not counted.
     corners = _corners(on_grid.reshape(grid.shape))
     greatest = np.where(corners == none, np.int32(-1), corners).max(axis=0)
     agreed = (corners.min(axis=0) == greatest) | ((corners == greatest) | (corners == none)).all(axis=0)
@@ -104,13 +102,12 @@ def upsample_labels(
 
 
 def _corners(on_grid: NDArray[np.uint16]) -> NDArray[np.int32]:
-    """Return the leaves at the four corners of each cell, (4, h, w); the border is repeated beyond it."""
+    """Return the leaves at the corners of each cell, (4, h, w); the last row and column are repeated."""
     padded = np.pad(on_grid.astype(np.int32), ((0, 1), (0, 1)), mode="edge")
     return np.stack([padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:]])
 
 
 def _enlarged(cells: NDArray[np.uint16], grid: PixelGrid) -> NDArray[np.uint16]:
-    """Give every pixel of the image the value of its cell."""
     height, width = grid.image_shape
     tall = np.repeat(cells, grid.step, axis=0)[:height]
     return np.repeat(tall, grid.step, axis=1)[:, :width]
@@ -122,9 +119,9 @@ def _decide(
     leaf_count: int,
     splits: Sequence[Split],
 ) -> NDArray[np.uint16]:
-    """Walk pixels down the tree; a cut is asked only where both of its parts are in question.
+    """Classify pixels down the tree, by the cuts both of whose parts hold candidates.
 
-    `candidates` (4, N) holds leaves, `leaf_count` for none; a pixel without any is in question everywhere.
+    `candidates` (4, N) holds leaves, `leaf_count` for none; without any, all leaves are candidates.
     """
     numbers = np.zeros(candidates.shape[1], dtype=np.uint16)
     by_range = {(split.first, split.end): split for split in splits}
@@ -170,8 +167,8 @@ def upsample_by_depth(
     Returns
     -------
     (H, W) int32
-        The label of the grid pixel at or before the pixel, unless a gap in depth is in between:
-        then that of the neighbour nearest in inverse depth. 0 only where there is no point.
+        The label of the grid pixel at or before the pixel, or, across a gap in depth, that of the neighbour
+        nearest in inverse depth. 0 only where there is no point.
     """
     labels = np.empty(valid.shape, dtype=np.int32)
     open_pixels = np.empty(valid.shape, dtype=np.bool_)
@@ -199,7 +196,7 @@ def _take_over(
     labels: I32,
     open_pixels: Bool,
 ) -> None:
-    """Give pixels the label of their grid pixel, where no gap is in between; open the others."""
+    """Give pixels the label of their grid pixel unless a gap is in between; mark the others open."""
     height, width = valid.shape
     row_labels, row_inverse_depth = np.empty(width, dtype=np.int32), np.empty(width, dtype=np.float32)
     for row in range(height):

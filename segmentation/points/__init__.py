@@ -1,1 +1,1 @@
-"""A frame becomes a map of points."""
+"""Point maps of frames, grids of their points, rays and normals."""

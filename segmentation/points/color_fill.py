@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, U8, Bool, Intp, compiled
 
-#: Pixels that a source on another, farther surface counts as being more distant.
+#: Added to the distance of a source on a farther surface, pixels.
 _OTHER_SURFACE_PX = 10_000
-#: Passes in which what was filled serves as a source for what is still empty.
+#: Passes; pixels that were filled in one are sources in the next.
 _PASSES = 4
-#: How many sources are looked at where no pixel of the same row or column will do.
-_LAST_RESORT = 4000
+#: Number of sources to choose from, about, where no pixel of the same row or column will do.
+_FALLBACK_SOURCES = 4000
 
 
 def fill_colors(
@@ -23,34 +23,34 @@ def fill_colors(
     depth_m: NDArray[np.float32],
     tolerance_per_m: float,
 ) -> None:
-    """Color each missing pixel like the nearest known one of its row or column that is not before it.
+    """Color each missing pixel like the nearest known one in its row or column that is not in front of it.
 
-    What hides a point from the color camera stands in front of it, and so never lends it a color. A source
-    at the point's own depth is taken before one on a surface farther away. Where rows and columns hold no
-    source, the next in depth serves wherever it is; if nothing lies behind, the farthest does.
+    What hides a point from the color camera is in front of it, so its color is never taken. Sources at the
+    point's own depth are preferred to farther ones. Where row and column hold none, the known pixel that is
+    next behind in depth serves, or else the farthest.
 
     Parameters
     ----------
     color : (H, W, 3) uint8
         RGB, filled in place where `missing`.
     known : (H, W) bool
-        Where `color` holds a color that may be lent.
+        Where `color` may be taken from.
     missing : (H, W) bool
-        Where a color is wanted; apart from `known`.
+        Where a color is wanted; disjoint from `known`.
     depth_m : (H, W) float32
         Metres; finite where `known` or `missing`.
     tolerance_per_m : float
-        Difference of inverse depth, 1/m, up to which two points count as being of one depth.
+        Largest difference of inverse depth of points at the same depth, 1/m.
     """
     if not missing.any() or not known.any():
         return
-    # Beside what hides them, colors are mixed with its own: such pixels lend only where nothing else can.
+    # Next to missing pixels the color of the hiding object is mixed in: these sources come last.
     beside = cv2.dilate(missing.view(np.uint8), np.ones((5, 5), np.uint8)).view(np.bool_)
     sources = known & ~beside
     wanted = np.flatnonzero(missing)
     everything = False
     for _ in range(_PASSES):
-        left = _lend_in_lines(color, sources, wanted, depth_m, tolerance_per_m)
+        left = _fill_along_lines(color, sources, wanted, depth_m, tolerance_per_m)
         if left.size == wanted.size:
             if everything:
                 break
@@ -59,19 +59,18 @@ def fill_colors(
         wanted = left
         if not wanted.size:
             return
-    # Neither row nor column holds anything: what is nearest in depth from there on, or the farthest at all.
     flat_color, depth, some = color.reshape(-1, 3), depth_m.ravel(), np.flatnonzero(known)
-    some = some[:: max(some.size // _LAST_RESORT, 1)]
+    some = some[:: max(some.size // _FALLBACK_SOURCES, 1)]
     some = some[np.argsort(depth[some])]
     behind = np.searchsorted(depth[some], depth[wanted])
     flat_color[wanted] = flat_color[some[np.minimum(behind, some.size - 1)]]
 
 
 @compiled
-def _lend_in_lines(color: U8, sources: Bool, wanted: Intp, depth_m: F32, tolerance_per_m: float) -> Intp:
+def _fill_along_lines(color: U8, sources: Bool, wanted: Intp, depth_m: F32, tolerance_per_m: float) -> Intp:
     """Color wanted pixels, ascending, from the best source left, right, above or below.
 
-    They become sources too. Returns those for which there is none.
+    These become sources too. Returns those without a source.
     """
     height, width = sources.shape
     # The nearest source in each direction, a flat index or -1, found by sweeping down and up.

@@ -1,4 +1,4 @@
-"""The grid of points with what a camera that triangulates measures at each: inverse depth."""
+"""Grids of points with their inverse depths, which is what a triangulating camera measures."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from nurbseg.segmentation.points.registration import PointMap
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DepthGrid:
-    """A grid of points with what a sensor that triangulates measures at each.
+    """A grid of points with their inverse depths.
 
     Parameters
     ----------
@@ -53,13 +53,12 @@ class DepthGrid:
 
     @property
     def unit_px(self) -> float:
-        """Pixels of this image for each one of an image 640 wide, in which settings are given."""
+        """Pixels of this image per pixel of a 640-wide one, the unit of settings."""
         return self.points.image_shape[1] / REFERENCE_WIDTH
 
 
 @compiled
 def _distances(coordinates_m: F32) -> F32:
-    """Distance from the camera of each point of a grid."""
     _, height, width = coordinates_m.shape
     distances_m = np.empty((height, width), dtype=np.float32)
     for row in range(height):
@@ -84,7 +83,6 @@ def inverse_depth_image(cloud: PointMap) -> NDArray[np.float32]:
 
 @compiled
 def _inverse_depths(depth_m: F32, valid: Bool) -> F32:
-    """One over depth where there is a point in front of the camera, else 0."""
     height, width = valid.shape
     inverse_depth = np.empty((height, width), dtype=np.float32)
     for y in range(height):

@@ -1,4 +1,4 @@
-"""What is done to depth images before they become points: range, crop, smoothing, averaging, holes."""
+"""Preparation of depth images: range, crop, smoothing, averaging, filling of holes."""
 
 from __future__ import annotations
 
@@ -11,18 +11,17 @@ from numpy.typing import NDArray
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.segmentation.config import DepthConfig
 
-#: Side of the square that is smoothed over, pixels, and the standard deviation of the weights in it.
+#: Side of the smoothing window and standard deviation of its weights, pixels.
 _WINDOW_PX = 5
 _WEIGHT_PX = 1.5
-#: Inverse depths farther apart than this, in standard deviations of the noise, are not of one surface.
+#: Inverse depths farther apart than this, in standard deviations of the noise, are of different surfaces.
 _NOISE_DEVIATIONS = 3.0
 
 
 class DepthPreparation:
     """Prepares depth images in the order of their frames, as `DepthConfig` says.
 
-    Color, ground truth and the size of the images stay. What is left out has depth 0, as what the camera
-    does not see.
+    Color, ground truth and image size stay. Pixels that are left out get depth 0.
 
     Parameters
     ----------
@@ -64,7 +63,7 @@ class DepthPreparation:
         return replace(frame, depth_mm=depth_mm)
 
     def _averaged(self, depth_mm: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Average each pixel's inverse depth over the last frames, from the last one that differs on."""
+        """Average each pixel's inverse depth over the last frames since it changed."""
         now = _inverse(depth_mm)
         if self._mean is None or self._mean.shape != now.shape:
             self._mean, self._count = now, np.ones(now.shape, dtype=np.float32)
@@ -89,7 +88,7 @@ def _millimetres(inverse: NDArray[np.float32], valid: NDArray[np.bool_]) -> NDAr
 
 
 def _median(depth_mm: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Return the median around each pixel; one without depth counts as the nearest that has some."""
+    """Return the median around each pixel; one without depth counts as its nearest neighbour with depth."""
     return np.where(depth_mm > 0, cv2.medianBlur(_filled(depth_mm, _WINDOW_PX), _WINDOW_PX), depth_mm)
 
 

@@ -1,4 +1,4 @@
-"""The grid of pixels on which splits are decided: every pixel of the image, or every few."""
+"""The grid on which splits are decided: every pixel of the image, or every few rows and columns."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nurbseg.drivers.compiled import F32, Bool, Intp, compiled
 from nurbseg.segmentation.config import REFERENCE_PIXELS
 from nurbseg.segmentation.points.registration import PointMap
 
-#: Step of the grid where none is set, and the width up to which images have no pixels to spare: half of 640.
+#: Step of the grid where none is set, and the width up to which images are used at every pixel instead.
 _USUAL_STEP, _SMALL_IMAGE_PX = 2, 320
 
 Window = tuple[int, int, int, int]
@@ -91,7 +91,6 @@ class PixelGrid:
 
 @compiled
 def _window_mask(grid_pixels: Intp, width: int) -> tuple[int, int, int, int, Bool]:
-    """Tight window of at least one grid pixel, one past the last, and which of its pixels they are."""
     # Runs of successive grid pixels in a row: row, first column and one past the last.
     runs, count, n = np.empty((grid_pixels.size, 3), dtype=np.intp), 0, 0
     top, left, bottom, right = grid_pixels[0] // width, width, 0, 0
@@ -117,7 +116,6 @@ def _window_mask(grid_pixels: Intp, width: int) -> tuple[int, int, int, int, Boo
 
 @compiled
 def _marked(mask: Bool, top: int, left: int, width: int, step: int) -> Intp:
-    """Flat indices, on an image of some width, of the marked ones of a window of every `step`-th pixel."""
     marked = np.empty(mask.size, dtype=np.intp)
     count = 0
     for y in range(mask.shape[0]):
@@ -129,7 +127,6 @@ def _marked(mask: Bool, top: int, left: int, width: int, step: int) -> Intp:
 
 @compiled
 def _on_image(grid_pixels: Intp, width: int, image_width: int, step: int) -> Intp:
-    """Flat indices into the image of flat indices of grid pixels."""
     pixels = np.empty(grid_pixels.size, dtype=np.intp)
     for n in range(grid_pixels.size):
         row = grid_pixels[n] // width
@@ -139,7 +136,6 @@ def _on_image(grid_pixels: Intp, width: int, image_width: int, step: int) -> Int
 
 @compiled
 def _every_second(grid_pixels: Intp, width: int) -> Intp:
-    """Those of some flat grid pixels that are on even rows and columns."""
     found = np.empty(grid_pixels.size, dtype=np.intp)
     count = 0
     for pixel in grid_pixels:
@@ -150,14 +146,13 @@ def _every_second(grid_pixels: Intp, width: int) -> Intp:
 
 
 def decimated_grid(cloud: PointMap, step: int) -> PixelGrid:
-    """Take every `step`-th row and column of a frame: its points and which of them there are."""
+    """Take every `step`-th row and column of a frame."""
     height, width = cloud.valid.shape
     return PixelGrid(step, (height, width), *_decimated(cloud.points_m, cloud.valid, step))
 
 
 @compiled
 def _decimated(points_m: F32, valid: Bool, step: int) -> tuple[F32, Bool]:
-    """Take coordinates, 0 where there is no point, and where there is one, from every `step`-th pixel."""
     height, width = -(-valid.shape[0] // step), -(-valid.shape[1] // step)
     coordinates_m = np.empty((3, height, width), dtype=np.float32)
     there = np.empty((height, width), dtype=np.bool_)
@@ -184,12 +179,12 @@ def grid_step(valid: NDArray[np.bool_], decimation: int) -> int:
     valid : (H, W) bool
         Pixels that have a point.
     decimation : int
-        The setting: the step, or 0 for one that gives small images as many grid pixels as they have.
+        The setting: the step, or 0 for 2, and 1 for small images.
 
     Returns
     -------
     int
-        1 where the grid that is asked for holds no point and the image does.
+        1 if that grid would hold no point although the image does.
     """
     step = decimation or (1 if valid.shape[1] <= _SMALL_IMAGE_PX else _USUAL_STEP)
     return step if valid[::step, ::step].any() or not valid.any() else 1

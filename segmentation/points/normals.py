@@ -1,4 +1,4 @@
-"""Surface normals of every point, by planes fitted to inverse depth around it."""
+"""Surface normals by planes fitted to the inverse depth around each point."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from nurbseg.drivers.compiled import F32, F64, Bool, compiled, inlined_once
 from nurbseg.segmentation.config import OUTLIER_DEVIATIONS
 from nurbseg.segmentation.points.rays import Rays
 
-#: A window needs points on this share of its pixels to have a plane of its own.
+#: Least share of a window's pixels with points for fitting a plane.
 _FILLED_SHARE = 0.3
 #: A neighbour's plane is preferred where its variance is below this share of the pixel's own.
 _PREFERENCE = np.float32(1.0 / 1.5)
-#: Stands for the variance of a plane that is none, having too few points.
+#: Stands for the variance where there are too few points for a plane.
 _UNUSABLE = np.float32(1e3)
 
 
@@ -26,11 +26,11 @@ def facet_slopes(
     window: int,
     noise_per_m: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Fit a plane of inverse depth around every point, without mixing what lies on both sides of an edge.
+    """Fit a plane of inverse depth around every point, without mixing both sides of an edge.
 
-    A plane is fitted in the window around each grid pixel, from sums over the window. A point then takes, of
-    nine windows that hold it, the plane with the least residual among those that explain the point: next to
-    an edge that is one which does not reach across [1]_.
+    A plane is fitted in the window around each grid pixel. A point then takes, of nine windows that hold it,
+    the plane with the least residual among those that explain the point: next to an edge, one that does not
+    reach across it [1]_.
 
     Parameters
     ----------
@@ -67,10 +67,7 @@ def facet_slopes(
 
 @compiled
 def _window_planes(inverse_depth: F32, valid: Bool, window: int, noise_per_m: float) -> tuple[F32, F32]:
-    """Fit a plane in the window around each pixel: (3, h, w) value there and slopes; (h, w) what it costs.
-
-    Sums over a window are those over the window before it, with what has entered and without what has left.
-    """
+    """Fit planes from running sums over windows: (3, h, w) value at the pixel and slopes; (h, w) cost."""
     height, width = valid.shape
     half = window // 2
     planes = np.empty((3, height, width), dtype=np.float32)
@@ -92,10 +89,9 @@ def _window_planes(inverse_depth: F32, valid: Bool, window: int, noise_per_m: fl
             continue
         _add_columns(below, half, sums)
         for x in range(width):
-            # Central moments of position and inverse depth; positions are counted from this one.
             n = max(sums[0, x], 1.0)
             mean_u, mean_v, mean_d = sums[6, x] / n - x, sums[1, x] / n - y, sums[3, x] / n
-            # A little more variance of position than there is keeps a window of one row or column finite.
+            # Added variance keeps the plane of a single row or column finite.
             suu = sums[7, x] - n * (mean_u + x) * (mean_u + x) + 1e-2 * n
             svv = sums[2, x] - n * (mean_v + y) * (mean_v + y) + 1e-2 * n
             suv = sums[8, x] - n * (mean_u + x) * (mean_v + y)
@@ -236,7 +232,7 @@ def facet_normals(
     slope_u, slope_v, smoothed = facet_slopes(inverse_depth, valid, window=window, noise_per_m=noise_per_m)
     columns = np.arange(width, dtype=np.float64) * step
     rows = np.arange(height, dtype=np.float64) * step
-    # Along an image one pixel wide or high nothing tells the focal length, nor how a surface slopes.
+    # Focal lengths are infinite along a side of one pixel.
     fx, fy = (focal if np.isfinite(focal) else 0.0 for focal in rays.focal_px)
     ray_x, ray_y = rays.lattice(columns, rows)
     return plane_normals(smoothed, slope_u, slope_v, ray_x, ray_y, (fx / step, fy / step))
@@ -250,17 +246,17 @@ def plane_normals(
     ray_y: NDArray[np.float64],
     focal_px: tuple[float, float],
 ) -> NDArray[Any]:
-    """Return the unit normals of planes, of which the inverse depth in the image is known.
+    """Return the unit normals of planes of inverse depth.
 
-    The plane n . p = 1 is seen as inverse depth n . (ray_x, ray_y, 1), so that n is the slope times the
-    focal length along u and v, and what is left of the inverse depth along z.
+    The plane n . p = 1 has the inverse depth n . (ray_x, ray_y, 1). So n is the slope times the focal length
+    along u and v, and along z what remains of the inverse depth.
 
     Parameters
     ----------
     inverse_depth, slope_u, slope_v : (...) float32 or float64
         At some pixels, 1/m, and its change from pixel to pixel along rows and along columns.
     ray_x, ray_y : (...) float64
-        x / z and y / z of what these pixels see.
+        x / z and y / z of the pixels' rays.
     focal_px : (float, float)
         Focal lengths in the pixels of the slopes.
 
@@ -286,7 +282,6 @@ def _normals(
     fy: float,
     normals: NDArray[Any],
 ) -> None:
-    """Fill in what `plane_normals` returns."""
     for n in range(inverse_depth.size):
         nx, ny = slope_u[n] * fx, slope_v[n] * fy
         nz = inverse_depth[n] - nx * ray_x[n] - ny * ray_y[n]

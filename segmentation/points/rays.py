@@ -1,4 +1,4 @@
-"""The ray through each pixel as a polynomial of the pixel's place."""
+"""The ray through each pixel as a polynomial of its coordinates."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-#: Rays of a lens without distortion differ from linear ones by the rounding of single precision.
+#: Rays this close to linear ones are linear: points are stored in single precision.
 _ROUNDING = 2e-6
 #: Rows and columns of the lattice on which the rays are sampled, at most.
 _SAMPLES = 60
-#: Powers of column and row in the polynomials of a camera without a lens.
+#: Powers of column and row in the polynomials of a lens without distortion.
 _LINEAR = ((0, 0), (1, 0), (0, 1))
 #: Lenses are described by polynomials of this degree.
 _DEGREE = 5
@@ -20,7 +20,7 @@ _POWERS = tuple((a, b) for a in range(_DEGREE + 1) for b in range(_DEGREE + 1 - 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rays:
-    """Directions (x / z, y / z) of pixels: linear functions of them, or polynomials for a real lens.
+    """Directions (x / z, y / z) of pixels: linear functions, or polynomials for a lens with distortion.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class Rays:
 
     @property
     def focal_px(self) -> tuple[float, float]:
-        """Focal lengths along u and v at the center, pixels; infinite where nothing tells them."""
+        """Focal lengths along u and v at the center, pixels; infinite where unknown."""
         slopes = self.coefficients[0, 1, 0], self.coefficients[1, 0, 1]
         fx, fy = (self.scale / slope if slope else np.inf for slope in slopes)
         return float(fx), float(fy)
@@ -59,7 +59,7 @@ class Rays:
     def lattice(
         self, u: NDArray[np.float64], v: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return x / z and y / z where each of some rows v meets each of some columns u, (H, W) each."""
+        """Return x / z and y / z, (H, W) each, on the lattice of columns u (W,) and rows v (H,)."""
         if self.linear:
             return self._linear(u, v[:, np.newaxis])
         s = np.vander((u - self.center[0]) / self.scale, _DEGREE + 1, increasing=True)
@@ -87,7 +87,7 @@ class Rays:
 
 
 def rays_through(points_m: NDArray[np.float32], valid: NDArray[np.bool_]) -> Rays:
-    """Find the rays of a camera from the points that it saw, or from one on each of its rays.
+    """Estimate the rays of a camera from points on them, by least squares.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def rays_through(points_m: NDArray[np.float32], valid: NDArray[np.bool_]) -> Ray
     Returns
     -------
     Rays
-        Linear where that explains the points to rounding, else of the fifth degree; by least squares.
+        Linear if that explains the points to rounding, else of the fifth degree.
     """
     height, width = valid.shape
     center, scale = ((width - 1) / 2, (height - 1) / 2), max(height, width) / 2

@@ -1,4 +1,4 @@
-"""Registration: one depth image and its color image become a map of colored points."""
+"""Registration of a depth image and its color image to a map of colored points."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from nurbseg.segmentation.points.rays import Rays, rays_through
 #: A point is hidden where another one lands on it in the color image and their parallax differs by more
 #: pixels than this. A surface that both cameras see cannot fold by a whole pixel.
 _HIDING_PARALLAX_PX = 1.0
-#: Points nearer to the color camera than this are no points that a sensor could measure.
+#: Least depth in the color camera's frame, metres: nothing nearer could be measured.
 _NEAREST_M = np.float32(0.01)
 _METRES_PER_MM = np.float32(1e-3)
-#: Coordinates x / z that are outside any image; limited to these, no step of the projection overflows.
+#: Limit of x / z and y / z, outside any image, so that no step of the projection overflows.
 _FAR_ASIDE = np.float32(10.0)
 
-#: Numbers that a loop over pixels keeps in registers, where those of an array would be read for each pixel.
+#: A tuple, not an array, so that loops over pixels keep the numbers in registers.
 Numbers: TypeAlias = tuple[np.float32, ...]
 
 
@@ -81,17 +81,16 @@ class PointMap:
 
     @property
     def rays(self) -> Rays:
-        """Where each pixel looks; estimated from the points where no calibration tells it."""
+        """Rays of the pixels, estimated from the points if the calibration is unknown."""
         return self.known_rays or rays_through(self.points_m, self.valid)
 
 
 def register(frame: RGBDFrame) -> PointMap:
     """Give each depth pixel its point in space and its color.
 
-    Depth pixels are back-projected along their undistorted rays; each point is carried into the color
-    camera's frame, projected through its lens, compared with a z-buffer of all points seen from there,
-    and its color is sampled bilinearly. Where depth and color are registered already, pixels of equal
-    place belong together and the color image is passed through.
+    Depth pixels are back-projected along their undistorted rays. Each point is transformed into the color
+    camera's frame, projected through its lens, and compared with a z-buffer of all points; its color is
+    sampled bilinearly. If depth and color are registered already, the color image is passed through.
 
     Parameters
     ----------
@@ -102,10 +101,6 @@ def register(frame: RGBDFrame) -> PointMap:
     -------
     PointMap
         On the depth image's grid, in the depth camera's frame.
-
-    Notes
-    -----
-    What depends on the calibration alone (the rays) is kept for the calibrations used last.
     """
     prepared = _prepared(_Key(frame.calibration))
     return prepared.register(frame)
@@ -142,7 +137,7 @@ def _prepared(key: _Key) -> _Registration:
 
 
 class _Registration:
-    """What registration needs of a calibration, computed once."""
+    """What registration needs of a calibration, cached for those used last."""
 
     def __init__(self, calibration: Calibration) -> None:
         self._registered = calibration.is_registered
@@ -158,7 +153,7 @@ class _Registration:
         self._camera = _numbers(np.array([color.fx, color.fy, color.cx, color.cy]))
         self._size = color.height, color.width
         self._color_from_depth = _numbers(calibration.color_from_depth[:3])
-        # The z-buffer's cells are as large as a depth pixel: smaller ones would leave gaps to see through.
+        # The z-buffer's cells are as large as a depth pixel: smaller ones would leave gaps.
         depth_focal = min(calibration.depth.fx, abs(calibration.depth.fy))
         color_focal = min(calibration.color.fx, abs(calibration.color.fy))
         self._cells_per_px = min(1.0, depth_focal / color_focal)
@@ -178,8 +173,8 @@ class _Registration:
             *(*self._size, np.float32(self._cells_per_px), *self._cells),
         )
         if np.isfinite(self._hiding_per_m):
-            # Closing shuts the gaps of a surface that the color camera sees stretched. A color is sampled
-            # between pixels: so what stands beside a point's own cell, before it, would be mixed in.
+            # Closing fills the gaps of a surface that the color camera sees stretched. Dilation, as sampling
+            # between pixels mixes in the color of what is in front in the next cell.
             image, around = buffer[1:].reshape(self._cells), np.ones((3, 3), np.uint8)
             closed = cv2.morphologyEx(image, cv2.MORPH_CLOSE, around)
             cv2.dilate(closed, around, dst=image)
@@ -227,8 +222,8 @@ def _projected(
 ) -> tuple[F32, F32, F32, I32, F32]:
     """Project the point of every pixel into the color image.
 
-    Returns its place there, limited to the image, pixels; its inverse depth in the color camera's frame, 1/m,
-    and its cell of the z-buffer, from 1, both 0 where the point is not inside the image; and the z-buffer.
+    Returns its position there, limited to the image, pixels; its inverse depth in the color camera's frame,
+    1/m, and its cell of the z-buffer, from 1, both 0 where the point is outside the image; and the z-buffer.
     """
     height, width = shape = depth_mm.shape
     u, v = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
@@ -241,12 +236,12 @@ def _projected(
     for row in range(height):
         depths, rays_x, rays_y = depth_mm[row], ray_x[row], ray_y[row]
         row_u, row_v, row_nearness, row_cell = u[row], v[row], nearness[row], cell[row]
-        # Without a branch, so that several pixels are computed at once.
+        # Without branches, so that the loop is vectorized.
         for n in range(width):
             z = np.float32(depths[n]) * _METRES_PER_MM
             x, y = rays_x[n] * z, rays_y[n] * z
             depth = t20 * x + t21 * y + t22 * z + t23
-            # Not so either where there is no ray.
+            # Also False where there is no ray, which is NaN.
             known = (depth > _NEAREST_M) & (depths[n] != 0)
             near = one / depth if known else zero
             at_x, at_y = (
@@ -256,7 +251,7 @@ def _projected(
             at_x, at_y = _limited(at_x, -_FAR_ASIDE, _FAR_ASIDE), _limited(at_y, -_FAR_ASIDE, _FAR_ASIDE)
             at_x, at_y = _distorted(at_x, at_y, lens, fold_square, tilt)
             at_u, at_v = at_x * fx + cx, at_y * fy + cy
-            # Pixel centres are at integers, so that the image begins half a pixel before its first one.
+            # Pixel centers are at integers, so the image begins at -1/2.
             inside = (at_u >= -half) & (at_u < right + half) & (at_v >= -half) & (at_v < bottom + half)
             row_u[n], row_v[n] = _limited(at_u, zero, right), _limited(at_v, zero, bottom)
             near = near if inside else zero
@@ -285,7 +280,7 @@ def _distorted(
     a, b, c, d, e, f, g, h, i = tilt
     r2 = x * x + y * y
     radial = (one + r2 * (k1 + r2 * (k2 + r2 * k3))) / (one + r2 * (k4 + r2 * (k5 + r2 * k6)))
-    # Beyond the fold the model would bring points back into the image: they are sent far outside.
+    # Beyond the fold the model would bring points back into the image.
     radial = _FAR_ASIDE if r2 > fold_square else radial
     radial += two * (p1 * y + p2 * x)
     x, y = x * radial + r2 * (p2 + s1 + r2 * s2), y * radial + r2 * (p1 + s3 + r2 * s4)
@@ -297,7 +292,7 @@ def _distorted(
 def _seen(
     points_m: F32, nearness: F32, cell: I32, buffer: F32, hiding_per_m: np.float32, color: U8
 ) -> tuple[Bool, Bool]:
-    """Tell points that the color camera sees from others, and make color black where there is no point."""
+    """Return which points the color camera sees, and which it does not; blacken pixels without a point."""
     height, width = cell.shape
     seen, missing = np.empty((height, width), dtype=np.bool_), np.empty((height, width), dtype=np.bool_)
     for row in range(height):

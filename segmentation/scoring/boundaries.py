@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 
 class BoundaryScores(NamedTuple):
-    """Shares of boundary pixels that have a counterpart; nan where there are none to judge."""
+    """Shares of boundary pixels that are matched; NaN where none count."""
 
     precision: float
     recall: float
@@ -21,17 +21,16 @@ def boundary_scores(
 ) -> BoundaryScores:
     """Compare the boundaries of two label maps.
 
-    A boundary pixel is one whose right or lower neighbour bears another label, both being labelled: the
-    outline of what neither map knows is no boundary. Each is looked for in the other map within the
-    tolerance; pixels unlabelled in the other map, and those so near to one that a counterpart could lie
-    there, are not judged.
+    A boundary pixel has another label than its right or lower neighbour, both being labelled. It is matched
+    if a boundary of the other map is within the tolerance, and does not count if an unlabelled pixel of the
+    other map is.
 
     Parameters
     ----------
     labels, truth : (H, W) integers
         Segments and ground-truth regions; 0 is neither.
     tolerance_px : float
-        Largest distance of a counterpart, pixels.
+        Largest distance of a match, pixels.
 
     Returns
     -------
@@ -41,11 +40,11 @@ def boundary_scores(
     Raises
     ------
     ValueError
-        If the maps are not (H, W) of one shape, or the tolerance is negative.
+        If the maps are not (H, W) of the same shape, or the tolerance is negative.
     """
     labels, truth = np.asarray(labels), np.asarray(truth)
     if labels.ndim != 2 or labels.shape != truth.shape:
-        raise ValueError(f"expected (H, W) label maps of one shape, got {labels.shape} and {truth.shape}")
+        raise ValueError(f"expected two (H, W) label maps of the same shape: {labels.shape}, {truth.shape}")
     if not tolerance_px >= 0:
         raise ValueError(f"tolerance_px: expected at least 0, got {tolerance_px}")
     found, wanted = _boundaries(labels), _boundaries(truth)

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-#: An object counts as found from this F measure of its overlap on.
+#: Least F measure of the overlap at which an object counts as found.
 _FOUND_F = 0.75
-#: Half the width of the band in which boundaries agree, in units of the image's diagonal.
-_BAND = 0.003
+#: Boundaries match within this distance, a share of the image diagonal.
+_TOLERANCE = 0.003
 #: A segment is coplanar with the largest if its root mean square distance to the plane is below this, 1/m
 #: of inverse depth: three times the usual noise.
 _COPLANAR_PER_M = 7.5e-3
@@ -38,9 +38,8 @@ def object_scores(objects: NDArray[np.integer], truth: NDArray[np.integer]) -> O
     """Compare objects with true objects.
 
     Objects are assigned to true ones so that the sum of the F measures of their overlaps is greatest. Over
-    all pairs assigned, precision is the common pixels over those of all objects, recall over those of all
-    true objects. Boundaries are compared alike: a boundary pixel counts as common within a band around the
-    other's.
+    all assigned pairs, precision is the common pixels over those of all objects, recall over those of all
+    true objects. Boundaries are compared in the same way: pixels near the other boundary count as common.
 
     Parameters
     ----------
@@ -55,7 +54,7 @@ def object_scores(objects: NDArray[np.integer], truth: NDArray[np.integer]) -> O
     Raises
     ------
     ValueError
-        If the maps are not (H, W) of one shape.
+        If the maps are not (H, W) of the same shape.
 
     References
     ----------
@@ -64,7 +63,7 @@ def object_scores(objects: NDArray[np.integer], truth: NDArray[np.integer]) -> O
     """
     objects, truth = np.asarray(objects), np.asarray(truth)
     if objects.ndim != 2 or objects.shape != truth.shape:
-        raise ValueError(f"expected (H, W) label maps of one shape, got {objects.shape} and {truth.shape}")
+        raise ValueError(f"expected two (H, W) label maps of the same shape: {objects.shape}, {truth.shape}")
     found, of_object = np.unique(objects[objects > 0], return_counts=True)
     true, of_truth = np.unique(truth[truth > 0], return_counts=True)
     common = np.zeros((found.size, true.size), dtype=np.int64)
@@ -75,7 +74,7 @@ def object_scores(objects: NDArray[np.integer], truth: NDArray[np.integer]) -> O
     agreed = int(common[rows, columns].sum())
     overlap = _precision_recall_f(agreed, int(of_object.sum()), agreed, int(of_truth.sum()))
 
-    radius = int(np.ceil(_BAND * np.hypot(*objects.shape)))
+    radius = int(np.ceil(_TOLERANCE * np.hypot(*objects.shape)))
     offsets = np.arange(-radius, radius + 1)
     disk = (np.add.outer(offsets**2, offsets**2) <= radius**2).astype(np.uint8)
     edges = [_boundary(objects == label) for label in found]
@@ -95,7 +94,7 @@ def object_scores(objects: NDArray[np.integer], truth: NDArray[np.integer]) -> O
 
 
 def without_background(labels: NDArray[np.integer], points_m: NDArray[np.float32]) -> NDArray[np.integer]:
-    """Return labels with 0 for the largest segment and for what lies in one plane with it.
+    """Set the largest segment, and all segments in the same plane, to 0.
 
     Parameters
     ----------
@@ -109,7 +108,7 @@ def without_background(labels: NDArray[np.integer], points_m: NDArray[np.float32
         return np.zeros_like(labels)
     segments, numbers = np.unique(labels[known], return_inverse=True)
     x, y, z = points_m[known].astype(np.float64).T
-    # A plane is seen as an inverse depth that is linear in where one looks.
+    # The inverse depth of a plane is linear in the direction of the ray.
     rays, inverse_depth = np.stack([x / z, y / z, np.ones_like(z)], axis=1), 1.0 / z
     fitted = numbers == np.bincount(numbers).argmax()
     for _ in range(2):

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contingency:
-    """How many pixels each pair of a segment and a ground-truth region has in common, and the scores of that.
+    """Contingency table of segments and ground-truth regions, and the scores that follow from it.
 
     Attributes
     ----------
     pixels : (S, R) int64
-        One row for each segment and one column for each region that is left.
+        Common pixels: a row for each segment, a column for each region.
 
     References
     ----------
@@ -43,7 +43,7 @@ class Contingency:
         """
         labels, truth = np.asarray(labels), np.asarray(truth)
         if labels.shape != truth.shape:
-            raise ValueError(f"expected label maps of one shape, got {labels.shape} and {truth.shape}")
+            raise ValueError(f"expected label maps of the same shape, got {labels.shape} and {truth.shape}")
         for name, image in (("labels", labels), ("truth", truth)):
             if not np.issubdtype(image.dtype, np.integer):
                 raise ValueError(f"{name}: expected integers, got {image.dtype}")
@@ -68,7 +68,7 @@ class Contingency:
         return np.asarray(self.pixels.sum(axis=0))
 
     def rand_index(self) -> float:
-        """Return the Rand index [1]_: the share of pixel pairs that both maps join or both maps part."""
+        """Return the Rand index [1]_: the share of pixel pairs on which both maps agree."""
         together = _pairs(self.pixels)
         in_segments, in_regions = _pairs(self.segment_pixels), _pairs(self.region_pixels)
         everything = _pairs(self.pixels.sum(keepdims=True))
@@ -86,22 +86,21 @@ class Contingency:
         return self.over_segmentation_bits() + self.under_segmentation_bits()
 
     def over_segmentation_bits(self) -> float:
-        """Return H(segments | regions), bits: how far the regions are torn into segments."""
+        """Return H(segments | regions), bits: how much regions are split."""
         return _conditional_entropy_bits(self.pixels)
 
     def under_segmentation_bits(self) -> float:
-        """Return H(regions | segments), bits: how far the segments run together several regions."""
+        """Return H(regions | segments), bits: how much regions are merged."""
         return _conditional_entropy_bits(self.pixels.T)
 
     def found_regions(self, overlap_min: float = 0.5) -> int:
-        """Return how many regions have a segment whose intersection over union is larger than that."""
+        """Return how many regions have a segment with a larger intersection over union than `overlap_min`."""
         return int((self._overlaps().max(axis=0) > overlap_min).sum())
 
     def object_iou(self) -> float:
-        """Return the mean best overlap of the regions other than the largest; nan if it is the only one.
+        """Return the mean best overlap of all regions but the largest; NaN if it is the only one.
 
-        The largest is what the objects stand on or before; it alone would give a good covering to a map of
-        one segment.
+        The largest is usually the background, which alone gives a map of one segment a good covering.
         """
         if self.pixels.shape[1] < 2:
             return float("nan")
@@ -129,7 +128,7 @@ def _pairs(pixels: NDArray[np.int64]) -> int:
 
 
 def _conditional_entropy_bits(pixels: NDArray[np.int64]) -> float:
-    """Return the entropy, bits, of the row that a pixel is in, its column being known."""
+    """Return the entropy of a pixel's row given its column, bits."""
     p = pixels / pixels.sum()
     ratio = np.divide(p.sum(axis=0, keepdims=True), p, out=np.ones_like(p), where=p > 0)
     return float(np.sum(p * np.log2(ratio)))

@@ -83,7 +83,7 @@ def test_the_ground_truth_itself_is_perfect_and_nothing_is_nothing() -> None:
     assert object_scores(none, truth) == (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
     assert object_scores(truth, none)[:6] == (0.0, 1.0, 0.0, 0.0, 1.0, 0.0)
     assert np.isnan(object_scores(truth, none).found)
-    with pytest.raises(ValueError, match="of one shape"):
+    with pytest.raises(ValueError, match="of the same shape"):
         object_scores(truth, none[:5])
 
 

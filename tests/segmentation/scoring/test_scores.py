@@ -121,7 +121,7 @@ def test_very_large_labels_take_no_memory_of_their_size():
 @pytest.mark.parametrize(
     ("labels", "truth", "message"),
     [
-        (np.ones((2, 2), np.uint16), np.ones((2, 3), np.uint16), "one shape"),
+        (np.ones((2, 2), np.uint16), np.ones((2, 3), np.uint16), "same shape"),
         (np.ones((2, 2)), np.ones((2, 2), np.uint16), "labels: expected integers"),
         (np.ones((2, 2), np.int32), -np.ones((2, 2), np.int32), "truth: expected labels from 0"),
         (np.array([[1, 0]]), np.array([[0, 1]]), "labelled in both"),
@@ -165,7 +165,7 @@ def test_boundaries_beside_unlabelled_pixels_are_not_judged():
 
 
 def test_boundaries_of_maps_that_do_not_match_are_refused():
-    with pytest.raises(ValueError, match="one shape"):
+    with pytest.raises(ValueError, match="same shape"):
         boundary_scores(halves(3), halves(3)[:, 1:])
     with pytest.raises(ValueError, match="tolerance_px"):
         boundary_scores(halves(3), halves(3), tolerance_px=-1)
