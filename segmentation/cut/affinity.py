@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, Intp, compiled
 
-#: Affinities are at least exp(-40), 4e-18: nothing beside 1, and far from subnormal numbers, also when
-#: multiplied, each of which costs some processors a hundred cycles.
+#: Affinities are at least exp(-40), 4e-18: negligible beside 1, but their products are not subnormal, which
+#: would be slow.
 _LEAST_EXPONENT = np.float32(-40.0 / math.log(2.0))
-#: Coefficients of 2^f, ln(2)^k / k!; for f in [-1/2, 1/2] those that are left out add up to 5e-9.
+#: Coefficients of 2^f, ln(2)^k / k!; for f in [-1/2, 1/2] the error is at most 5e-9.
 _C1, _C2, _C3, _C4, _C5, _C6, _C7 = (np.float32(math.log(2.0) ** k / math.factorial(k)) for k in range(1, 8))
-#: Bits of the fraction of a single-precision number; those of the exponent come above them.
+#: Bits of the fraction of a single-precision number, below those of the exponent.
 _FRACTION_BITS = 23
 
 
@@ -35,7 +35,7 @@ def affinity(
     scale : float
         Sigma of the Gaussian, in the unit of the vectors.
     rows : (n,) intp, optional
-        The points that are asked for; all if None.
+        Rows to compute; all if None.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def affinity(
 
 @compiled
 def _with_squares(vectors: F32, rows: Intp) -> F32:
-    """Take some rows of the vectors, and add to each its squared length and a 1."""
+    """Append to each row its squared length and a 1."""
     dimensions = vectors.shape[1]
     taken = np.empty((rows.size, dimensions + 2), dtype=np.float32)
     for n in range(rows.size):

@@ -1,4 +1,4 @@
-"""Clean-up of a cut: connected pieces that are too small go to the other side."""
+"""Removal of small components from a cut: they go to the other side."""
 
 from __future__ import annotations
 
@@ -8,17 +8,16 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import I32, Bool, compiled
 
-#: Neighbours of a pixel that belong to its component where they are on its side of the cut.
+#: Neighbours of a pixel.
 _CONNECTIVITY = 8
 
 
 def remove_small_components(
     mask: NDArray[np.bool_], side: NDArray[np.bool_], pixels_min: float
 ) -> NDArray[np.bool_]:
-    """Give every connected piece of a side that is too small to the other side (section 3.1).
+    """Give every connected component of a side that is too small to the other side (section 3.1).
 
-    First the small pieces of the True side go, then those of what the False side is by then, so that
-    specks of both sides in the same place do not just change places.
+    First the True side's, then those of the new False side, so that adjacent ones are not just swapped.
 
     Parameters
     ----------
@@ -27,8 +26,7 @@ def remove_small_components(
     side : (h, w) bool
         Side of each pixel; it matters only where `mask` is set.
     pixels_min : float
-        Pieces of fewer pixels are too small (T_p). A piece that does not touch the other side stays: it
-        is an island, and no less an island on the other side.
+        Components of fewer pixels are too small (T_p). One that does not touch the other side stays.
 
     Returns
     -------
@@ -56,7 +54,7 @@ def _give(
     side: Bool,
     value: bool,
 ) -> None:
-    """Give small pieces, which are not of the side `value`, to it where they touch it."""
+    """Give small pieces of the other side to the side `value` where they touch it."""
     height, width = mask.shape
     touching = np.zeros(small.size, dtype=np.bool_)
     for row in range(height):

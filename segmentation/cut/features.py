@@ -1,4 +1,4 @@
-"""The vectors that are clustered: CIELab color and position of every point, made comparable (eq. 1-3)."""
+"""Feature vectors: normalized CIELab color and position of every point (eq. 1-3)."""
 
 from __future__ import annotations
 
@@ -19,18 +19,17 @@ def _linear_srgb() -> NDArray[np.float32]:
 
 
 _LINEAR = _linear_srgb()
-#: Linear sRGB to X, Y and Z, over those of the white point D65 (IEC 61966-2-1).
+#: Linear sRGB to X, Y and Z, relative to the white point D65 (IEC 61966-2-1).
 _XYZ = (
     np.array([[0.412453, 0.357580, 0.180423], [0.212671, 0.715160, 0.072169], [0.019334, 0.119193, 0.950227]])
     / np.array([[0.950456], [1.0], [1.088754]])
 ).astype(np.float32)
-#: Intervals of [0, 1] at whose ends CIELab's function of X, Y and Z is tabulated; between them it is all but
-#: linear, to 5e-6.
+#: Intervals of [0, 1] in which CIELab's function of X, Y and Z is interpolated, to 5e-6.
 _INTERVALS = 4096
 
 
 def _lab_function() -> NDArray[np.float32]:
-    """CIELab's function of X, Y or Z at the ends of the intervals, and of one more: 1 may be rounded up."""
+    """CIELab's function of X, Y or Z at the ends of the intervals and one more, as 1 may be rounded up."""
     t = np.arange(_INTERVALS + 2) / _INTERVALS
     return np.where(t > (6 / 29) ** 3, np.cbrt(t), t / (3 * (6 / 29) ** 2) + 4 / 29).astype(np.float32)
 
@@ -40,7 +39,7 @@ _LAB_FUNCTION = _lab_function()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Normalization:
-    """What makes color and position comparable: ``vector = (raw - mean) * factor``.
+    """Normalization of color and position: ``vector = (raw - mean) * factor``.
 
     Subtracting the mean changes no distance; it keeps single precision accurate far from the camera.
 
@@ -68,9 +67,9 @@ def lab(color: NDArray[np.uint8]) -> NDArray[np.float32]:
     Returns
     -------
     (N, 3) float32
-        L in 0 to 100, a and b in about -127 to 127, for the white point D65; to 0.01 of each color's place.
+        L in 0 to 100, a and b in about -127 to 127, for the white point D65; exact to 0.01.
     """
-    # OpenCV is off by more, and spends a tenth of a second on its tables in every process.
+    # OpenCV's is less exact, and takes a tenth of a second for its tables in every process.
     color = np.ascontiguousarray(color).view()
     # Compiled for one type, whoever calls.
     color.flags.writeable = False
@@ -79,7 +78,6 @@ def lab(color: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 @compiled
 def _lab(color: U8, linear: F32, to_xyz: F32, function: F32) -> F32:
-    """Convert sRGB colors to CIELab, (N, 3)."""
     found, f = np.empty(color.shape, dtype=np.float32), np.empty(3, dtype=np.float32)
     for n in range(color.shape[0]):
         red, green, blue = linear[color[n, 0]], linear[color[n, 1]], linear[color[n, 2]]
@@ -95,7 +93,7 @@ def _lab(color: U8, linear: F32, to_xyz: F32, function: F32) -> F32:
 
 
 def raw_vectors(cloud: PointMap, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
-    """Put color and position of some pixels side by side (eq. 1, 2).
+    """Return color and position of some pixels (eq. 1, 2).
 
     Parameters
     ----------
@@ -123,7 +121,7 @@ def normalization(
     normal_weight: float = 1.0,
     rows: NDArray[np.intp] | None = None,
 ) -> Normalization:
-    """Measure what makes color and position of these points comparable (eq. 3), and normals where given.
+    """Compute the normalization of color and position (eq. 3), and of normals if given.
 
     Parameters
     ----------
@@ -132,9 +130,9 @@ def normalization(
     geometry_weight : float
         The paper's lambda.
     color_weight, normal_weight : float
-        What color and normals are multiplied by.
+        Weights of color and normals.
     rows : (M,) intp, optional
-        The rows of `raw` that are measured; all if None.
+        Rows of `raw` to use; all if None.
 
     Returns
     -------
@@ -149,13 +147,12 @@ def normalization(
 def _normalization(
     raw: NDArray[np.float32], rows: NDArray[np.intp], weights: tuple[float, float, float]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Mean and factor of every column over some rows."""
     dimensions = raw.shape[1]
     mean, factor = np.zeros(dimensions, dtype=np.float32), np.zeros(dimensions, dtype=np.float32)
     if rows.size == 0:
         return mean, factor
     sums, squares = np.zeros(dimensions), np.zeros(dimensions)
-    # About the first, so that a spread much smaller than the values is not lost.
+    # Relative to the first row, so that a spread much smaller than the values is not lost.
     first = raw[rows[0]].astype(np.float64)
     for row in rows:
         for k in range(dimensions):
@@ -170,7 +167,7 @@ def _normalization(
             size = max(size, abs(first[k] + offset))
             # sigma_c and sigma_g: the mean deviation of each triple.
             sigma += np.sqrt(max(squares[k] / rows.size - offset * offset, 0.0)) / 3.0
-        # A deviation at the level of float32 rounding is that of a constant: it must not be blown up.
+        # A deviation at the level of float32 rounding is that of a constant, and must not be amplified.
         rounding = 1e-5 * (1.0 + size) if triple == 0 else 1e-6 * size
         if sigma > rounding:
             factor[3 * triple : 3 * triple + 3] = weights[triple] / sigma
@@ -192,7 +189,6 @@ def _normalized(
     mean: NDArray[np.float32],
     factor: NDArray[np.float32],
 ) -> NDArray[np.float32]:
-    """Take some rows, less the mean and times the factor."""
     vectors = np.empty((rows.size, raw.shape[1]), dtype=np.float32)
     for n in range(rows.size):
         row = raw[rows[n]]

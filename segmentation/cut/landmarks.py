@@ -1,4 +1,4 @@
-"""The landmarks of the Nystrom method: which samples they are, and what makes them orthonormal."""
+"""The landmarks of the Nystrom method, and the inverse Cholesky factor of their affinities."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import compiled
 
-#: A sample is left out where the others explain its affinities but for this (of the 1 to itself, squared).
+#: A sample is left out where the others leave less than this of its affinity to itself, 1, unexplained.
 _UNEXPLAINED = 1e-4
 
 
 def choose_landmarks(
     samples: NDArray[np.float32], scale: float, most: int
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Choose the samples that explain the affinities of all best, one after the other [1]_.
+    """Choose the samples that explain the affinities of all best, greedily [1]_.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ def choose_landmarks(
     scale : float
         Sigma of the Gaussian, in the unit of the points.
     most : int
-        How many are chosen, at most; fewer where these explain the others.
+        Number of landmarks, at most; fewer if these explain the others.
 
     Returns
     -------
@@ -44,7 +44,6 @@ def choose_landmarks(
 
 @compiled
 def _square_distances(points: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Squared distance of every two points."""
     count, dimensions = points.shape
     squares = np.zeros((count, count))
     for k in range(dimensions):
@@ -61,7 +60,7 @@ def _pivoted_inverse(A: NDArray[np.float64], most: int) -> tuple[NDArray[np.intp
     """Factorize A as L L^T with at most so many pivots, the least explained first; return them and L^-1."""
     count = A.shape[0]
     pivots, unexplained = np.empty(count, dtype=np.intp), np.ones(count)
-    # Row k holds column k of L, for all samples in their own order.
+    # Row k holds column k of L, for all samples in their original order.
     columns = np.empty((count, count))
     rank = 0
     while rank < min(count, most):
@@ -78,7 +77,6 @@ def _pivoted_inverse(A: NDArray[np.float64], most: int) -> tuple[NDArray[np.intp
         column /= np.sqrt(unexplained[pivot])
         for i in range(count):
             unexplained[i] -= column[i] * column[i]
-        # What is a pivot is explained, for good.
         unexplained[pivot] = -np.inf
         pivots[rank] = pivot
         rank += 1

@@ -14,15 +14,15 @@ from nurbseg.segmentation.config import SplittingPoint
 from nurbseg.segmentation.cut.affinity import affinity
 from nurbseg.segmentation.cut.landmarks import choose_landmarks
 
-#: A second eigenvalue at rounding level belongs to points that nothing tells apart.
+#: Least second eigenvalue, above rounding; below it the points are indistinguishable.
 _LEAST_EIGENVALUE = 1e-6
-#: Thresholds that are tried where the cut is made at the least Ncut.
+#: Thresholds that are tried for the least Ncut.
 _THRESHOLDS = 48
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cut:
-    """A split of points in two that can be continued to any other point.
+    """A split of points in two that can be extended to any other point.
 
     Parameters
     ----------
@@ -31,11 +31,11 @@ class Cut:
     landmarks : (M, D) float32
         The sample.
     coefficients : (M,) float32
-        A point is on the True side where its affinities to the sample times these sum to more than 0.
+        A point is on the True side where its affinities to the sample, times these, sum to more than 0.
     affinity_scale : float
         Sigma of the affinity.
     reason : str
-        Why there is no cut; empty where there is one.
+        Why there is no cut; empty if there is one.
     """
 
     side: NDArray[np.bool_]
@@ -45,12 +45,12 @@ class Cut:
     reason: str = ""
 
     def classify(self, vectors: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Say on which side other points lie, by the Nystrom extension.
+        """Return the side of other points, by the Nystrom extension.
 
         Parameters
         ----------
         vectors : (N, D) float32
-            Points in the same space as those that were cut.
+            Feature vectors, normalized as those that were cut.
 
         Returns
         -------
@@ -61,7 +61,7 @@ class Cut:
 
     def _classify(self, vectors: NDArray[np.float32], rows: NDArray[np.intp]) -> NDArray[np.bool_]:
         sides = np.empty(rows.size, dtype=np.bool_)
-        # In blocks that stay in the cache: the affinities are read once and thrown away.
+        # In blocks whose affinities fit into the cache.
         block = max(256, (1 << 18) // max(1, self.landmarks.shape[0]))
         for start in range(0, rows.size, block):
             part = slice(start, start + block)
@@ -91,20 +91,20 @@ def normalized_cut(
     rng : numpy.random.Generator
         Draws the sample; the same state gives the same cut.
     landmarks : int or None
-        Number of samples, at most, that the approximation is made of: those that explain the affinities of
-        the others best. None for all.
+        Number of samples, at most, that the approximation uses: those that explain the affinities of the
+        others best. None for all.
     affinity_scale : float
         Sigma of the Gaussian affinity, in the unit of the vectors.
     splitting_point : {"zero", "kmeans", "ncut"}
         Where the second eigenvector is cut.
     points : int or None
-        Number of points, the sample among them, on which the eigenproblem is set up; the others are
-        classified by the extension. None for all.
+        Number of points, including the sample, on which the eigenproblem is set up; the others are classified
+        by the extension. None for all.
 
     Returns
     -------
     Cut
-        Its `side` is all False, and it has a reason, where N < 2 or nothing tells the points apart.
+        Its `side` is all False, and it has a reason, if N < 2 or the points are indistinguishable.
 
     Raises
     ------
@@ -141,9 +141,9 @@ def normalized_cuts(
     splitting_point: SplittingPoint = "zero",
     points: int | None = None,
 ) -> Iterator[Cut]:
-    """Yield the cuts by the second eigenvector, the third, and so on, each computed when it is asked for.
+    """Yield the cuts by the second eigenvector, the third, and so on, lazily.
 
-    Where the second eigenvector sets a few odd points apart, one of the next often parts the surfaces.
+    Where the second eigenvector separates a few outliers, one of the next often separates the surfaces.
 
     Parameters
     ----------
@@ -155,8 +155,8 @@ def normalized_cuts(
     Yields
     ------
     Cut
-        One without parts and with a reason where there is none; no others follow where nothing tells the
-        points apart.
+        Without parts, but with a reason, if there is none; no others follow if the points are
+        indistinguishable.
 
     Raises
     ------
@@ -182,7 +182,7 @@ def normalized_cuts(
     else:
         sample = np.arange(min(samples, size))
 
-    # W = K A^-1 K^T. Samples that the others explain would make A singular; they are no landmarks. With
+    # W = K A^-1 K^T. Samples that the others explain would make A singular; they are left out. With
     # A = L L^T, W = Q Q^T where Q = K L^-T, which is not needed itself.
     numbers, inverse = choose_landmarks(drawn, affinity_scale, landmarks or samples)
     kept = drawn[numbers]
@@ -190,19 +190,19 @@ def normalized_cuts(
     total = inverse @ (np.ones(size, dtype=np.float32) @ K).astype(np.float64)
     b = total @ inverse
 
-    # S and D^-1/2 W D^-1/2 share their eigenvalues. The first eigenvector, of the constant, is known: taking
-    # it out leaves the second on top also where the affinities fall apart into components.
+    # S and D^-1/2 W D^-1/2 share their eigenvalues. The first eigenvector, of the constant, is known:
+    # deflation leaves the second on top also where the affinity graph is not connected.
     by_root = _divide_by_roots(K, b.astype(np.float32))
     S = inverse @ (K.T @ K).astype(np.float64) @ inverse.T
-    _take_out(S, total / np.linalg.norm(total))
+    _deflate(S, total / np.linalg.norm(total))
     last = S.shape[0]
-    # Where many eigenvalues are equal fewer are known than there is room for.
+    # Fewer are found where many eigenvalues are equal.
     eigenvalues, eigenvectors, known, _, failed = dsyevr(
         S.T, range="I", il=max(1, last - count + 1), iu=last, lower=1, overwrite_a=1
     )
     found = np.flatnonzero(eigenvalues[:known] > _LEAST_EIGENVALUE)[::-1]
     if failed or found.size == 0:
-        yield _no_cut(vectors, affinity_scale, "the affinities tell no points apart")
+        yield _no_cut(vectors, affinity_scale, "the affinities of all points are alike")
         return
     for each in found:
         # D^-1/2 times the eigenvector is the relaxed indicator, (K a) / (K b) at any point.
@@ -226,8 +226,8 @@ def normalized_cuts(
 
 
 @compiled
-def _take_out(S: F64, first: F64) -> None:
-    """Take a unit vector out of a symmetric matrix: (1 - f f^T) S (1 - f f^T), in place."""
+def _deflate(S: F64, first: F64) -> None:
+    """Deflate a symmetric matrix by a unit vector: (1 - f f^T) S (1 - f f^T), in place."""
     size = first.size
     Sf = np.zeros(size)
     for i in range(size):
@@ -263,7 +263,7 @@ def _divide_by_roots(K: F32, b: F32) -> F32:
 
 @compiled
 def _is_turned(sums: F32, by_root: F32, sample: Intp) -> bool:
-    """Say whether an indicator, known up to its sign, is negative at the first sample that is clear."""
+    """Return whether an indicator, known up to its sign, is negative at the first sample clearly not 0."""
     largest = np.float32(0.0)
     for place in sample:
         largest = max(largest, abs(sums[place] * by_root[place]))

@@ -1,4 +1,4 @@
-"""Symmetric systems whose entries lie on a band beside the diagonal: Cholesky factor and solution."""
+"""Symmetric banded systems: Cholesky factor and solution."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from nurbseg.drivers.compiled import F64, compiled, inlined_once
 
 @compiled
 def dot(a: F64, b: F64) -> float:
-    """Add up the products of two rows."""
+    """Return the dot product of two rows."""
     total = 0.0
     for n in range(a.size):
         total += a[n] * b[n]

@@ -1,4 +1,4 @@
-"""B-spline bases along one axis: knots for pixels in a row, basis functions and their derivatives."""
+"""B-splines along one axis: knots for rows of pixels, basis functions and their derivatives."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from nurbseg.drivers.compiled import F64, compiled, inlined
 #: The paper's surfaces are cubic in both directions.
 CUBIC = 3
 
-#: The values of the four cubic functions that are not 0 at a place.
+#: The values of the four cubic functions that are not 0 at a position.
 Four = tuple[float, float, float, float]
 
 
 def averaged_knots(parameters: NDArray[np.float64], count: int, degree: int = CUBIC) -> NDArray[np.float64]:
-    """Choose knots for a least-squares fit, so that every knot span holds about as many parameters.
+    """Choose knots for a least-squares fit, so that all knot spans hold about as many parameters.
 
     Parameters
     ----------
@@ -32,8 +32,8 @@ def averaged_knots(parameters: NDArray[np.float64], count: int, degree: int = CU
     Returns
     -------
     (count + degree + 1,) float64
-        Knot vector whose ends are repeated ``degree + 1`` times. Where there is a single parameter, the
-        domain is one unit long, since a domain without length has no basis.
+        Knot vector whose ends are repeated ``degree + 1`` times. For a single parameter the domain is one
+        unit long.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def basis_matrix(
     degree : int
         Of the basis functions.
     parameters : (M,) float64
-        Where to evaluate. Outside of the domain the polynomials of the end spans go on.
+        Where to evaluate. Outside of the domain the end spans are extrapolated.
     derivative : int
         Order of the derivative, 0 for the functions themselves.
 
@@ -90,7 +90,6 @@ def basis_matrix(
         widths = knots[1:] - knots[:-1]
         if widths[0] > 0 and np.abs(widths - widths[0]).max() <= 1e-9 * widths[0]:
             return _even_basis(float(knots[0]), float(widths[0]), count, parameters, derivative)
-    # The span that holds each parameter; the end spans also hold what lies beyond the domain.
     domain = knots[degree : count + 1]
     last_span = int(np.searchsorted(domain, domain[-1], side="left")) - 1
     span = np.searchsorted(domain, parameters, side="right") - 1
@@ -117,7 +116,7 @@ def basis_matrix(
 def _even_basis(
     first: float, spacing: float, count: int, parameters: NDArray[np.float64], derivative: int
 ) -> NDArray[np.float64]:
-    """Evaluate the cubic basis on evenly spaced knots, which is the same four polynomials on every span."""
+    """Evaluate the cubic basis on evenly spaced knots: the same four polynomials on every span."""
     place = (parameters - first) * (1.0 / spacing)
     span = np.minimum(np.maximum(np.floor(place), CUBIC), count - 1).astype(np.intp)
     values = np.zeros((parameters.size, count))
@@ -179,7 +178,7 @@ def even_slopes(t: float, per_spacing: float) -> Four:
 
 @inlined
 def knot_span(knots: F64, start: int, count: int, t: float) -> int:
-    """Return the span that holds t, from `start` on; the end spans also hold what lies beyond them."""
+    """Return the span that holds t, from `start` on; the end spans also hold parameters beyond them."""
     span = CUBIC
     while (
         span < count - 1 and knots[start + span + 1] <= t and knots[start + span + 1] < knots[start + count]
@@ -212,8 +211,7 @@ def cubic_functions(knots: F64, span: int, t: float) -> tuple[Four, Four]:
 def pixel_knots(size: int, count: int) -> NDArray[np.float64]:
     """Return the knots of a cubic fit to `size` pixels in a row, whose parameters are 0, 1, ..., size - 1.
 
-    They are (count + 4,) float64 for `count` control points, and read-only, since they are kept for the next
-    segment of the same size.
+    They are (count + 4,) float64 for `count` control points, and read-only, as they are cached.
     """
     knots = averaged_knots(np.arange(size, dtype=np.float64), count)
     knots.flags.writeable = False
@@ -240,7 +238,7 @@ class SpanBasis(NamedTuple):
 
 @lru_cache(maxsize=256)
 def pixel_basis(size: int, count: int) -> SpanBasis:
-    """Return the `count` functions of a cubic fit at `size` pixels in a row, kept as their `pixel_knots`."""
+    """Return the `count` functions of a cubic fit at `size` pixels in a row; cached as `pixel_knots`."""
     knots, parameters = pixel_knots(size, count), np.arange(size, dtype=np.float64)
     domain = knots[CUBIC : count + 1]
     last_span = int(np.searchsorted(domain, domain[-1], side="left")) - 1

@@ -54,7 +54,7 @@ def curvatures_at_pixels(
     Returns
     -------
     k1, k2 : (N,) float64
-        As `principal_curvatures`; on a lattice of rows and columns that is much cheaper.
+        As of `principal_curvatures`, computed faster, on a lattice of rows and columns.
     """
     rows, columns = np.divmod(pixels, width)
     v, row = np.unique(rows, return_inverse=True)
@@ -74,7 +74,6 @@ def _from_derivatives(
     cross = np.cross(Su, Sv, axis=0)
     area = np.sqrt(np.einsum("cn,cn->n", cross, cross))
     E, F, G = (np.einsum("cn,cn->n", a, b) for a, b in ((Su, Su), (Su, Sv), (Sv, Sv)))
-    # Tangents that are parallel to rounding span no plane.
     regular = area > 1e-9 * (E + G)
     area = np.where(regular, area, 1.0)
     L, M, N = (np.einsum("cn,cn->n", d, cross) / area for d in (Suu, Suv, Svv))

@@ -29,18 +29,17 @@ class Fit:
     Parameters
     ----------
     surface : NurbsSurface or None
-        The surface; None where there is none.
+        The surface, if there is one.
     residuals_m : (N,) float64
         Distance of each fitted point to the surface at the point's own parameters, metres.
     values : mapping of metric to float
         The deciding metric and the four residual metrics.
     reason : str
-        Why there is no surface; empty where there is one.
+        Why there is no surface; empty if there is one.
     pixels : (N,) intp
-        The pixels that were fitted, flat indices of the full image: those of the segment, or those of
-        them on the grid on which splits are decided.
+        Flat indices of the fitted pixels in the full image; only those on the grid, if there is one.
     floor : float
-        What noise alone leaves of the deciding metric, the least that it counts for in the ratio.
+        Value of the deciding metric that noise alone explains, the least it counts for in the ratio.
     rms_per_m : float
         Root mean square residual of inverse depth, 1/m, each limited to four times the noise; 0 where inverse
         depth was not fitted.
@@ -75,8 +74,7 @@ def fit_surface(cloud: PointMap, pixels: NDArray[np.intp], config: SegmentationC
     Returns
     -------
     Fit
-        The surface and how well it fits; without a surface and with a reason where there is nothing to
-        fit.
+        The surface and how well it fits; without a surface, but with a reason, if there is nothing to fit.
 
     Raises
     ------
@@ -135,7 +133,7 @@ def fit_on_grid(grid: PixelGrid, grid_pixels: NDArray[np.intp], config: Segmenta
 
 
 def has_least_norm(config: SegmentationConfig) -> bool:
-    """Say whether fits are the least-squares solutions of least norm, by SVD, and not by a ridge.
+    """Return whether fits are the least-squares solutions of least norm, by SVD, not by a ridge.
 
     Parameters
     ----------
@@ -160,8 +158,8 @@ def control_point_count(extent: int, image_extent: int, config: SegmentationConf
     extent, image_extent : int
         Of the segment and of the image in one direction, in the same unit.
     config : SegmentationConfig
-        Its `control_points_max` belongs to a segment that spans the image; where its `control_points` is
-        "fixed", to every segment.
+        Its `control_points_max` is for a segment that spans the image or, if its `control_points` is "fixed",
+        for every segment.
 
     Returns
     -------
@@ -212,7 +210,6 @@ def spline_distances(
 def _distances(
     points_m: F32, mask: Bool, corner: tuple[int, int], control_m: F64, rows: SpanBasis, columns: SpanBasis
 ) -> F64:
-    """Distance of each marked point of a window to a spline at its own parameters, in the order of pixels."""
     height, width = mask.shape
     top, left = corner
     count = 0

@@ -1,9 +1,8 @@
 """Surfaces fitted to inverse depth: rational splines S = ray / d that hold every plane exactly.
 
-With d(u, v) a spline and the ray (x / z, y / z, 1) a polynomial of the pixel, the point that pixel (u, v)
-sees is S = ray(u, v) / d(u, v): a NURBS surface whose weights are the control values of d, and whose
-weighted control points are those of the ray. A plane n . p = 1 has d = n . ray, linear in the pixel. A
-sensor that triangulates measures d, with noise of one size at every depth.
+With d(u, v) a spline and the ray (x / z, y / z, 1) a polynomial of the pixel, S = ray(u, v) / d(u, v) is a
+NURBS surface: its weights are the control values of d, its weighted control points those of the ray. A plane
+n . p = 1 has d = n . ray, linear in the pixel. Triangulating sensors measure d, with constant noise.
 """
 
 from __future__ import annotations
@@ -25,14 +24,14 @@ from nurbseg.segmentation.surfaces.leastsquares import solve_splines
 from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST, residual_metrics
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
-#: How far beyond its segment a surface goes on without leaving its knots, pixels of a 640-wide image.
+#: How far the knots of a surface extend beyond its segment, pixels of a 640-wide image.
 _MARGIN_PX = 24.0
-#: Farthest that a surface may go where no point holds it, one over metres: weights are positive.
+#: Least inverse depth of a surface where no point supports it, 1/m: weights are positive.
 LEAST_PER_M = 1e-2
-#: A control value that points hold by less than this may be changed without harm to the fit.
-_HELD = 1.0
-#: Factors on the smoothness, tried in turn where a surface would go through infinity beyond its points and
-#: giving it less room does not help.
+#: A control value with less support than this may be changed without harm to the fit.
+_SUPPORTED = 1.0
+#: Factors on the smoothness, tried in turn where a surface would pass through infinity beyond its points even
+#: with a smaller margin.
 _STIFFER = (1e2, 1e4)
 
 
@@ -55,9 +54,9 @@ def fit_window(
     mask : (h, w) bool
         Pixels of the window to fit, at least one, each of which has a point.
     config : SegmentationConfig
-        Says how far knots are apart and how smooth the surface is.
+        Knot spacing and smoothness.
     floor : float
-        That of the fit.
+        Floor of the deciding metric.
 
     Returns
     -------
@@ -106,7 +105,7 @@ def fit_window(
 
 
 def knots_on(grid: DepthGrid, config: SegmentationConfig) -> tuple[float, float]:
-    """Return the distance of the knots, in grid pixels, and the weight of second differences there."""
+    """Return the knot spacing, grid pixels, and the weight of second differences on the grid."""
     return (
         config.extended.knot_spacing_px * grid.unit_px / grid.step,
         config.extended.smoothness * (2.0 * grid.unit_px / grid.step) ** 2,
@@ -137,7 +136,7 @@ def fit_inverse_depth(
     positive = True
     for a in range(rows.size):
         for b in range(columns.size):
-            positive &= control[a, b] > LEAST_PER_M or held[a, b] <= _HELD
+            positive &= control[a, b] > LEAST_PER_M or held[a, b] <= _SUPPORTED
             control[a, b] = max(control[a, b], LEAST_PER_M)
     residuals_m, squares = _residuals(
         images[0], distances_m, mask, corner, control, rows, columns, square_most
@@ -156,7 +155,7 @@ def _residuals(
     columns: SpanBasis,
     square_most: float,
 ) -> tuple[F64, float]:
-    """Compare a spline at the marked grid pixels with images of inverse depth and of distances."""
+    """Return the distances of a spline from the marked points, and the sum of limited squared residuals."""
     (top, left), (height, width) = corner, mask.shape
     count = 0
     for y in range(height):
@@ -179,8 +178,7 @@ def _residuals(
                     fitted += columns.values[x, j] * along[start + j]
                 residual = fitted - inverse_depth[top + y, left + x]
                 squares += min(residual * residual, square_most)
-                # The point and its surface point lie on one ray: their distance is in proportion to the
-                # point's own.
+                # Both points lie on one ray.
                 residuals_m[n] = abs(residual) * distances_m[top + y, left + x] / fitted
                 n += 1
     return residuals_m, squares
@@ -193,7 +191,7 @@ def rational_surface(
     rays: Rays,
     window: Window,
 ) -> NurbsSurface:
-    """Express a spline of inverse depth as the NURBS surface that it is.
+    """Express a spline of inverse depth as a NURBS surface.
 
     Parameters
     ----------
@@ -225,7 +223,7 @@ def rational_surface(
 
 @compiled
 def _divide(rays: F64, control_per_m: F64, points_m: F64) -> None:
-    """Fill in control points on their rays, of x / z, y / z and inverse depths."""
+    """Fill in control points from x / z, y / z and inverse depths."""
     for row in range(control_per_m.shape[0]):
         for column in range(control_per_m.shape[1]):
             for axis in range(2):
@@ -236,7 +234,7 @@ def _divide(rays: F64, control_per_m: F64, points_m: F64) -> None:
 def ray_control_values(
     rays: Rays, knots_u: NDArray[np.float64], knots_v: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the control values of cubic splines that are the rays' polynomials.
+    """Return the control values of cubic splines that interpolate the rays.
 
     Parameters
     ----------
@@ -249,15 +247,14 @@ def ray_control_values(
     -------
     (2, n, m) float64
         Of x / z and y / z. The splines agree with the rays at the Greville abscissae, the means of three
-        successive knots. So they are the rays exactly where these are linear, and for a real lens
-        to the fourth order in the distance of the knots.
+        successive knots: exactly if the rays are linear, else to the fourth order in the knot spacing.
 
     References
     ----------
     .. [1] C. de Boor, "A Practical Guide to Splines", 1978, chapter 13.
     """
     if rays.linear:
-        # The control values of what is linear lie on it.
+        # The control values of a linear function lie on it.
         return _linear_control_values(rays.coefficients, *rays.center, rays.scale, knots_u, knots_v)
     u, take_u = _interpolator(knots_u)
     v, take_v = _interpolator(knots_v)
@@ -283,6 +280,6 @@ def _linear_control_values(
 
 
 def _interpolator(knots: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the Greville abscissae of a knot vector and what takes values there to control values."""
+    """Return the Greville abscissae of a knot vector, and the matrix from values there to control values."""
     abscissae = np.asarray(knots[1:-3] + knots[2:-2] + knots[3:-1], dtype=np.float64) / 3.0
     return abscissae, np.asarray(np.linalg.inv(basis_matrix(knots, CUBIC, abscissae)), dtype=np.float64)

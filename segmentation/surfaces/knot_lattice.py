@@ -1,4 +1,4 @@
-"""Cubic bases on evenly spaced knots that all segments of an image share, cut out for one window."""
+"""Cubic bases of one window, on evenly spaced knots that all segments of an image share."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, even_functions
 
-#: Tables are made for whole multiples of so many grid pixels.
+#: Tables cover multiples of this many grid pixels.
 _TABLE_PIXELS = 160
 
 
@@ -23,7 +23,7 @@ def lattice_basis(
     start, stop : int
         First grid pixel of the window along the axis, and one past the last.
     margin : int
-        How much farther a spline of these functions shall go on in both directions, grid pixels.
+        How far splines of these functions extend beyond the window on both sides, grid pixels.
     spacing : float
         Distance of the knots, grid pixels; the knots are its multiples.
 

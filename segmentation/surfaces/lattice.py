@@ -1,4 +1,4 @@
-"""All surfaces of a frame at once: their inverse depth on and between the grid pixels."""
+"""Inverse depths of all surfaces of a frame, on and between the grid pixels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nurbseg.drivers.compiled import F32, F64, I32, I64, compiled
 from nurbseg.segmentation.surfaces.bspline import CUBIC, even_values
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
-#: Part of a place by which a knot on the grid may be off it.
+#: Rounding of knots that are on the grid, grid pixels.
 _ROUNDING = 1e-9
 
 
@@ -35,14 +35,13 @@ class Samples(NamedTuple):
 class SurfaceLattice:
     """Inverse depths of surfaces, each on the part of a grid that it reaches.
 
-    One call for each of fifty surfaces costs more than the arithmetic does; here a grid pixel of any surface
-    is an index into one array.
+    All are in one array, as a call for each of fifty surfaces would cost more than the arithmetic.
 
     Parameters
     ----------
     surfaces : sequence of NurbsSurface or None
-        Of the labels 1, 2, ..., as fits of inverse depth make them: cubic on evenly spaced knots, with
-        weights that are control values of inverse depth. A label without one has no inverse depth anywhere.
+        Of the labels 1, 2, ..., as fitted to inverse depth: cubic on evenly spaced knots, with weights that
+        are control values of inverse depth. A label without a surface has no inverse depth anywhere.
     step : int
         Pixels from one grid pixel to the next.
 
@@ -57,7 +56,7 @@ class SurfaceLattice:
         labels = [label for label, surface in enumerate(surfaces, start=1) if surface is not None]
         known = [surface for surface in surfaces if surface is not None]
         shapes = np.array([each.weights.shape for each in known], dtype=np.int64).reshape(-1, 2)
-        # First knot and spacing along rows and columns, in places of the grid.
+        # First knot and spacing along rows and columns, grid pixels.
         knots = np.array(
             [(each.knots_v[0], each.knots_v[1], each.knots_u[0], each.knots_u[1]) for each in known],
             dtype=np.float64,
@@ -84,10 +83,7 @@ class SurfaceLattice:
     def slopes_at(
         self, labels: NDArray[np.int32], u: NDArray[np.float64], v: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return what `SurfaceTable.slopes` does, of surfaces taken for linear from pixel to grid pixel.
-
-        All three are NaN where a surface does not reach.
-        """
+        """Do what `SurfaceTable.slopes` does, interpolating linearly; NaN where a surface does not reach."""
         found = np.empty((3, labels.size))
         _interpolate(
             self.samples,
@@ -139,7 +135,7 @@ def _evaluate(nets: F32, shapes: I64, first: F64, spacing: F64, samples: Samples
 
 @compiled
 def _cubic(place: float, count: int, basis: F32) -> int:
-    """Fill in the four cubic functions that are not zero at a place; return the number of the first."""
+    """Fill in the four cubic functions that are not zero at a position; return the number of the first."""
     span = min(max(int(np.floor(place)), 3), count - 1)
     basis[0], basis[1], basis[2], basis[3] = even_values(place - span)
     return span - 3
@@ -147,7 +143,6 @@ def _cubic(place: float, count: int, basis: F32) -> int:
 
 @compiled
 def _take(samples: Samples, labels: I32, found: F32) -> None:
-    """Take the value of each grid pixel's label."""
     values, windows = samples
     height, width = labels.shape
     for r in range(height):
@@ -164,7 +159,7 @@ def _take(samples: Samples, labels: I32, found: F32) -> None:
 
 @compiled
 def _interpolate(samples: Samples, labels: I32, rows: F64, columns: F64, found: F64) -> None:
-    """Interpolate values between four grid pixels, and their change by one along columns and rows."""
+    """Interpolate values between four grid pixels, and their slopes along columns and rows."""
     values, windows = samples
     for n in range(labels.size):
         top, left, bottom, right, start = windows[labels[n]]

@@ -10,10 +10,10 @@ from nurbseg.drivers.compiled import F32, F64, Bool, Intp, compiled, inlined_onc
 from nurbseg.segmentation.surfaces.banded import dot, factorize, substitute
 from nurbseg.segmentation.surfaces.bspline import SpanBasis, pixel_basis
 
-#: Added to the diagonal of the normal matrix, as a share of its largest entry. It decides only what the
-#: data leave open: in the limit the solution is the one of least norm.
+#: Added to the diagonal of the normal matrix, as a share of its largest entry. It matters only where the data
+#: are not sufficient, and tends to the solution of least norm.
 _RIDGE_SHARE = 1e-10
-#: The products of two of the four functions on a span: which two.
+#: The ten products of two of the four functions on a span.
 _FIRST = (0, 0, 0, 0, 1, 1, 1, 2, 2, 3)
 _SECOND = (0, 1, 2, 3, 1, 2, 3, 2, 3, 3)
 _PRODUCTS = len(_FIRST)
@@ -26,7 +26,7 @@ def fit_control_points(
 ) -> NDArray[np.float64]:
     """Fit the control points of a bicubic spline to values on part of a window of pixels.
 
-    The parameters are the pixels' places in the window.
+    The parameters are the pixels' positions in the window.
 
     Parameters
     ----------
@@ -37,13 +37,13 @@ def fit_control_points(
     corner : (int, int)
         First row and column of the window.
     counts : (int, int)
-        Control points along rows' parameter u (columns of the image) and v (rows of the image).
+        Control points along u (columns of the image) and v (rows of the image).
 
     Returns
     -------
     (C, nv, nu) float64
-        Control values. Each image is fitted about its mean over the mask; where the data leave control
-        values open, the solution is the one of least norm about that mean, reached by a vanishing ridge.
+        Control values. Where the data are not sufficient, those of least norm about the image's mean over
+        the mask, approached by a small ridge.
 
     Raises
     ------
@@ -64,9 +64,9 @@ def fit_splines(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Fit the control values of bicubic splines to images on part of a window.
 
-    The normal matrix has an entry for every two control points whose functions overlap, a sum over pixels of
-    two basis functions along each axis. On a row of a span of columns these are ten sums, and four for each
-    image; each serves the ten products of the row's own functions.
+    The normal matrix has an entry for every two control points whose functions overlap: a sum over pixels of
+    products of two basis functions along each axis. On a row of a span of columns these are ten sums, and
+    four for each image; each is used with the ten products of the row's own functions.
 
     Parameters
     ----------
@@ -76,15 +76,14 @@ def fit_splines(
         At the rows and columns of the window.
     smoothness : float
         Weight of the squared second differences of the control values along both axes, against the squared
-        residuals. On even knots linear functions have none, so that the spline goes on linearly where there
-        is no data.
+        residuals. On even knots linear functions have none, so that splines extrapolate linearly.
 
     Returns
     -------
     control : (C, rows.size, columns.size) float64
-        Control values; where nothing else tells, about each image's mean over the mask.
+        Control values; where the data are not sufficient, about each image's mean over the mask.
     held : (rows.size, columns.size) float64
-        Sum over the pixels of each basis function's square: by how much they hold its control value.
+        Support of each control value: the sum of its basis function's square over the pixels.
 
     Raises
     ------
@@ -143,7 +142,7 @@ def solve_splines(
 
 @inlined_once
 def _some_values(images: F32, mask: Bool, corner: tuple[int, int]) -> F64:
-    """Value of each image at the first marked pixel, about which sums lose little to rounding."""
+    """Return each image's value at the first marked pixel; relative to it, sums lose little to rounding."""
     for y in range(mask.shape[0]):
         for x in range(mask.shape[1]):
             if mask[y, x]:
@@ -153,10 +152,10 @@ def _some_values(images: F32, mask: Bool, corner: tuple[int, int]) -> F64:
 
 @inlined_once
 def _center(band: F64, right: F64, centers: F64) -> None:
-    """Turn right sides about some values into those about the mean of each image, and say the means.
+    """Make right sides relative to the mean of each image instead of a value, and return the means.
 
-    The functions sum to 1: so a row of the normal matrix sums to that of its function over the points, and
-    a right side to that of its image.
+    As the functions sum to 1, a row of the normal matrix sums to its function's sum over the points, and a
+    right side to its image's.
     """
     size, width = band.shape
     ones = np.zeros(size)
@@ -200,7 +199,7 @@ def _add_points(
             whole[s, k] = product[edges[s] : edges[s + 1]].sum()
     weight, shifted = np.empty(width), np.empty((count, width))
     sums, moments = np.empty(_PRODUCTS), np.empty(4)
-    # What all rows of one span of rows add up to, by span of columns.
+    # Sums over all rows of one span of rows, by span of columns.
     matrix = np.zeros((spans, _PRODUCTS, _PRODUCTS))
     sides = np.zeros((spans, count, 4, 4))
     for y in range(height):
@@ -245,7 +244,7 @@ def _add_points(
 
 @compiled
 def span_edges(starts: Intp) -> tuple[Intp, int]:
-    """Positions at which the functions change, with both ends, and how many spans these bound."""
+    """Return the positions at which the functions change, with both ends, and the number of spans."""
     edges = np.empty(starts.size + 1, dtype=np.intp)
     edges[0] = 0
     spans = 1
@@ -269,7 +268,6 @@ def _scatter(matrix: F64, sides: F64, origin: int, steps: tuple[int, int], band:
             other = origin + p * step_v + q * step_u
             band[min(n, other), abs(n - other)] += matrix[k, m]
             if i != p and j != q:
-                # Two functions of either axis: two pairs of control points.
                 n = origin + i * step_v + q * step_u
                 other = origin + p * step_v + j * step_u
                 band[min(n, other), abs(n - other)] += matrix[k, m]

@@ -16,14 +16,14 @@ METRICS: tuple[Metric, ...] = get_args(Metric)
 COUNTS: frozenset[Metric] = frozenset({"nle", "nlc"})
 #: Metrics that need the curvature of the surface.
 CURVATURE_METRICS: frozenset[Metric] = frozenset({"vmxc", "vmec", "vgc", "mmxc", "nlc"})
-#: Residuals that are rounding: points are stored in single precision, 24 bits of a few metres.
+#: Rounding of residuals, metres: points are stored in single precision.
 ROUNDING_M = 1e-6
 #: A squared residual in units of the noise counts as no more than this, so that flying pixels do not decide.
 SQUARE_MOST = OUTLIER_DEVIATIONS**2
 
 
 def residual_metrics(residuals_m: NDArray[np.float64], config: SegmentationConfig) -> dict[Metric, float]:
-    """Measure the residuals of a fit (eq. 7, 9, 11 and section 4.4).
+    """Compute the metrics of residuals (eq. 7, 9, 11 and section 4.4).
 
     Parameters
     ----------
@@ -64,12 +64,12 @@ def _sums(residuals_m: F64, large_m: float) -> tuple[float, float, float, int]:
 def curvature_metrics(
     k1: NDArray[np.float64], k2: NDArray[np.float64], config: SegmentationConfig
 ) -> dict[Metric, float]:
-    """Measure the curvature of a fitted surface at the data (eq. 14, 15, 17, 19 and section 4.9).
+    """Compute the metrics of curvature (eq. 14, 15, 17, 19 and section 4.9).
 
     Parameters
     ----------
     k1, k2 : (N,) float64
-        Principal curvatures at the points, one over metres; NaN where there is none, which is left out.
+        Principal curvatures at the points, 1/m; NaN is left out.
     config : SegmentationConfig
         Its `large_curvature_per_m` is T_c.
 
@@ -105,8 +105,7 @@ def acceptance_ratio(metric: Metric, parent: tuple[float, int], *parts: tuple[fl
     Returns
     -------
     float
-        Below 1 where the split improves the metric; inf where the parent's value is 0, which no split
-        can improve.
+        Below 1 if the split improves the metric; inf if the parent's value is 0, which no split can improve.
     """
     if not parent[0] > 0 or parent[1] == 0:
         return float(np.inf)
@@ -117,15 +116,15 @@ def acceptance_ratio(metric: Metric, parent: tuple[float, int], *parts: tuple[fl
 
 
 def metric_value(values: Mapping[Metric, float], metric: Metric, floor: float = 0.0) -> float:
-    """Return what one metric of a fit counts for in the ratio: its value, but no less than its floor.
+    """Return the value of a metric in the ratio: at least its floor.
 
     Parameters
     ----------
     values : mapping of metric to float
-        Of the fit; what was not measured counts as 0.
+        Of the fit; a missing one counts as 0.
     metric : str
         Which of the nine.
     floor : float
-        What noise alone leaves of the metric, see `noise_floor`; 0 in the paper.
+        See `noise_floor`; 0 in the paper.
     """
     return max(values.get(metric, 0.0), floor)

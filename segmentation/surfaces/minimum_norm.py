@@ -16,22 +16,22 @@ def minimum_norm_control_points(
 ) -> NDArray[np.float64]:
     """Fit the control points of a bicubic spline to values on part of a window of pixels, by SVD.
 
-    The parameters are the pixels' places in the window. The design matrix has a row for each pixel. Its
-    triangular factor has the same singular values, of which the smallest would be lost in the normal
-    matrix; it is reached by Householder reflections of the pixels of one row of one span, of one span of
-    rows and columns, and of one span of rows, since no others share their control points.
+    The parameters are the pixels' positions in the window. The design matrix has a row for each pixel. Its
+    triangular factor has the same singular values, the smallest of which would be lost in the normal matrix.
+    Householder reflections make it of the pixels of one row of one span, of one span of rows and columns, and
+    of one span of rows, as no others share their control points.
 
     Parameters
     ----------
     values, mask, corner
         As for `nurbseg.segmentation.surfaces.leastsquares.fit_control_points`.
     counts : (int, int)
-        As there; beyond 4 no more than there are pixels, so that no span of knots is without one.
+        As there; beyond 4 at most the number of pixels, so that every knot span holds one.
 
     Returns
     -------
     (C, nv, nu) float64
-        Control values: of all that leave the least residuals, those of least norm about each image's mean
+        Control values: the least-squares solution of least norm about each image's mean
         over the mask. Singular values count as 0 below the machine epsilon times the greater of the
         numbers of pixels and of control points, times the largest.
 
@@ -139,7 +139,7 @@ def _cell(images: F32, mask: Bool, values_v: F64, values_u: F64, centers: F64) -
 
 @compiled
 def _put(system: F64, rows: int, factor: F64, first: int) -> None:
-    """Put the first rows of a reduced system where its first control point is number `first`."""
+    """Write the first rows of a reduced system whose first control point is number `first`."""
     count = factor.shape[1] - factor.shape[0]
     reached = system.shape[1] - count
     for n in range(rows):
@@ -149,7 +149,7 @@ def _put(system: F64, rows: int, factor: F64, first: int) -> None:
 
 @compiled
 def _move_up(system: F64, rows: int, reached: int) -> None:
-    """Leave out the first control points of a reduced system, for as many new ones at its end."""
+    """Drop the first control points of a reduced system, and append as many new ones."""
     for n in range(reached):
         for m in range(reached):
             inside = n + rows < reached and m + rows < reached

@@ -1,4 +1,4 @@
-"""Sensor noise, constant in inverse depth for a camera that triangulates; measured, and seen in metrics."""
+"""Sensor noise, constant in inverse depth for triangulating cameras: effect on metrics, and estimation."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.inverse_depth import knots_on
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS
 
-#: Points at a segment's rim are often mixed with what lies behind: their noise is so much larger.
+#: Factor on the noise at a segment's rim, where points are often mixed with the background.
 _RIM_FACTOR = 3.0
 
 
 def noise_floor(
     grid: DepthGrid, window: Window, mask: NDArray[np.bool_], config: SegmentationConfig
 ) -> float:
-    """Return what noise alone leaves of the metric that decides, the least that it counts for in eq. 5.
+    """Return the value of the deciding metric that noise alone explains, the least it counts for in eq. 5.
 
-    Noise of inverse depth of deviation s moves a point at depth z and distance |p| by s z |p| along its ray.
-    Residual metrics are those expected of normal noise of that size at each of the segment's points;
-    curvature metrics, those of a plane facing the camera to which a surface is fitted through the noise.
+    Noise of inverse depth with deviation s moves a point at depth z and distance |p| by s z |p| along its
+    ray. Residual metrics are those expected of normal noise of that size at the segment's points; curvature
+    metrics are those of a surface fitted to a noisy plane that faces the camera.
 
-    The floor times the number of points (for counts, the floor) is a sum over points to which none
-    contributes less in a part than in the whole: a part has no fewer of its points at its rim. So with all
-    values floored the ratio of any split is at least the floor of the whole over its value.
+    The floor times the number of points (for counts, the floor) is a sum over points. No point contributes
+    less in a part than in the whole, since rim points remain at the rim. So the ratio of any split is at
+    least the floor of the whole over its value.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def noise_floors(
     labels : (h, w) int32
         Labels on the grid, less than `size`; those above 0 have a point.
     size : int
-        One more than the largest label that may be asked for.
+        One more than the largest label.
     config : SegmentationConfig
         As for `noise_floor`.
 
@@ -111,7 +111,7 @@ def _noise_sums(
     large_m: float,
     sums: F64,
 ) -> None:
-    """Count pixels by label; sum their noise in metres, its square, and how probably it exceeds a limit."""
+    """Count pixels by label; sum their noise in metres, its square, and its probability to exceed a limit."""
     height, width = labels.shape
     three = np.zeros(width, dtype=np.bool_)
     for y in range(height):
@@ -146,12 +146,12 @@ def _noise_sums(
 def _curvature_floor(
     deviation_per_m: float, points: int, grid: DepthGrid, config: SegmentationConfig
 ) -> float:
-    """Return what noise leaves of a metric of curvature on a plane that faces the camera.
+    """Return the floor of a curvature metric, from a plane that faces the camera.
 
-    There curvature is, but for its sign, f^2 times the second derivatives of inverse depth, at any depth. Of
+    Its curvature is, but for the sign, f^2 times the second derivatives of inverse depth, at any depth. For
     an isotropic normal field these are three independent normal variables: the mean curvature H of variance
     2 t, and two of variance t, whose length R is half the difference of the principal curvatures. So the
-    largest absolute curvature is |H| + R, and the Gaussian one H^2 - R^2.
+    largest absolute curvature is |H| + R, and the Gaussian curvature H^2 - R^2.
     """
     fx, fy = grid.rays.focal_px
     scale = deviation_per_m * fx * fy / grid.step**2
@@ -174,12 +174,11 @@ def _curvature_floor(
 
 @lru_cache(maxsize=16)
 def _second_derivative_variance(spacing: float, smoothness: float) -> float:
-    """Return a quarter of the variances of d_uu and d_uv together, of a smoothing spline through noise.
+    """Return a quarter of the summed variances of d_uu and d_uv, of a smoothing spline fitted to unit noise.
 
-    In an isotropic field these are three to one, and so this is the variance of d_uv. The noise has the
-    variance 1, and borders are far away. The normal equations of even knots on every grid pixel are a
-    convolution, and diagonal in frequency: with G the products of the basis functions and P the penalty,
-    control values have the covariance G / (G + P)^2.
+    In an isotropic field these are three to one, so that this is the variance of d_uv. Far from borders the
+    normal equations are a convolution, diagonal in frequency: with G the products of the basis functions and
+    P the penalty, control values have the covariance G / (G + P)^2.
 
     Parameters
     ----------
@@ -191,7 +190,7 @@ def _second_derivative_variance(spacing: float, smoothness: float) -> float:
     Returns
     -------
     float
-        One over grid pixels to the fourth power, the mean over places between knots.
+        Mean over positions between knots, in one over grid pixels to the fourth power.
     """
     cosines = np.cos(np.outer(np.arange(4), 2.0 * np.pi * np.arange(64) / 64))
     # Integrals of products of cubic B-splines and of their first and second derivatives, 0 to 3 knots apart.
@@ -212,10 +211,10 @@ class NoiseEstimate:
     Parameters
     ----------
     inverse_depth_noise : float
-        Root mean square residual of inverse depth on the planes, 1/m: what the setting of that name takes.
+        Root mean square residual of inverse depth on the planes, 1/m: a value for the setting of that name.
     nearest_per_m, farthest_per_m : float
-        The same for the nearest and the farthest third of the points. Where they differ much, the noise
-        is not constant in inverse depth.
+        The same for the nearest and the farthest third of the points; very different values mean that the
+        noise is not constant in inverse depth.
     nearest_m, farthest_m : float
         Mean depths of these thirds, metres.
     points : int
@@ -233,11 +232,11 @@ class NoiseEstimate:
     frames: int
 
 
-#: Points of a frame that are looked at, and planes through three of them that are tried.
+#: Points of a frame that are used, and planes through three of them that are tried.
 _POINTS = 4_000
 _TRIALS = 300
-#: Half width of the slab in which the largest plane is counted, 1/m, and the share of points it must hold.
-_SLAB_PER_M = 0.02
+#: Largest residual of an inlier of the largest plane, 1/m, and the least share of inliers.
+_INLIER_PER_M = 0.02
 _PLANE_SHARE = 0.1
 _REFITS = 10
 
@@ -245,8 +244,8 @@ _REFITS = 10
 def measure_noise(clouds: Iterable[PointMap], *, seed: int = 0) -> NoiseEstimate:
     """Measure a sensor's noise on the largest plane of each frame: a table, a floor or a flat wall.
 
-    A plane is linear in inverse depth. The largest is found by random sampling, then fitted by trimmed
-    least squares; what it leaves is the noise, and whatever the plane itself is not flat by.
+    A plane is linear in inverse depth. The largest is found by random sampling, then fitted by trimmed least
+    squares; its residuals are the noise, and any unevenness of the real surface.
 
     Parameters
     ----------
@@ -316,17 +315,17 @@ def _largest_plane(
         if abs(np.linalg.det(A)) < 1e-6:
             continue
         candidate = np.linalg.solve(A, d[sample[corners]])
-        held = int(np.count_nonzero(np.abs(terms[sample] @ candidate - d[sample]) < _SLAB_PER_M))
+        held = int(np.count_nonzero(np.abs(terms[sample] @ candidate - d[sample]) < _INLIER_PER_M))
         if held > best:
             best, plane = held, candidate
     if best < max(3, _PLANE_SHARE * sample.size):
         return None
-    limit = _SLAB_PER_M
+    limit = _INLIER_PER_M
     for _ in range(_REFITS):
         kept = np.abs(terms @ plane - d) < limit
         plane = np.linalg.lstsq(terms[kept], d[kept], rcond=None)[0]
         deviation = 1.4826 * float(np.median(np.abs(terms[kept] @ plane - d[kept])))
-        limit = min(_SLAB_PER_M, OUTLIER_DEVIATIONS * deviation)
+        limit = min(_INLIER_PER_M, OUTLIER_DEVIATIONS * deviation)
         if limit == 0.0:
             break
     kept = np.abs(terms @ plane - d) <= max(limit, 1e-12)

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.surfaces.bspline import basis_matrix
 
-#: Points evaluated at once away from a lattice, to bound the memory.
+#: Scattered points evaluated at once, to limit the memory.
 _BLOCK = 16_384
 
-#: Gives the coordinates of control values (C, n, m) at some parameters, derived so often along u and v.
+#: Evaluates control values (C, n, m), or their derivative of some order along u and v, at some parameters.
 _At = Callable[[NDArray[np.float64], int, int], NDArray[np.float64]]
 
 
@@ -78,7 +78,7 @@ def evaluate(
     surface : NurbsSurface
         The surface.
     u, v : (N,) float
-        Parameters: column and row, pixels. Outside of the knots the polynomials of the ends go on.
+        Parameters: column and row, pixels. Beyond the knots the surface is extrapolated.
     du, dv : int
         Order of the derivative along u and v, together at most 2.
 
@@ -111,7 +111,7 @@ def evaluate(
 def evaluate_lattice(
     surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64], du: int = 0, dv: int = 0
 ) -> NDArray[np.float64]:
-    """Evaluate a surface or its derivative, as `evaluate` does, where rows v (H,) meet columns u (W,).
+    """Evaluate a surface or its derivative on the lattice of rows v (H,) and columns u (W,), as `evaluate`.
 
     Returns
     -------

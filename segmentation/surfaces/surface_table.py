@@ -1,4 +1,4 @@
-"""Many surfaces at scattered pixels: the inverse depth of another surface at each."""
+"""Inverse depths of many surfaces at scattered pixels."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from nurbseg.segmentation.surfaces.bspline import CUBIC, Four, even_slopes, even
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 _ORDER = CUBIC + 1
-#: Share of a space by which knots may be off even ones, and weights times depths off one value.
+#: Relative rounding of the knot spacing, and of weights times depths.
 _ROUNDING = 1e-9
 
 
 class _Axis(NamedTuple):
-    """Even knots of all surfaces along one axis: the first, one over their distance, how many functions."""
+    """Even knots of all surfaces along one axis: the first, one over the spacing, the number of functions."""
 
     first: NDArray[np.float64]
     per_spacing: NDArray[np.float64]
@@ -26,7 +26,7 @@ class _Axis(NamedTuple):
 
 
 class _Splines(NamedTuple):
-    """Control values of all surfaces, each from its place in `starts` on, and their knots."""
+    """Control values of all surfaces, each from its index in `starts` on, and their knots."""
 
     u: _Axis
     v: _Axis
@@ -40,7 +40,7 @@ class SurfaceTable:
     Parameters
     ----------
     surfaces : sequence of NurbsSurface or None
-        Of the labels 1, 2, ..., as fits of inverse depth make them; a label without one has no inverse depth.
+        Of the labels 1, 2, ..., as fitted to inverse depth; a label without one has no inverse depth.
 
     Raises
     ------
@@ -65,7 +65,7 @@ class SurfaceTable:
         Parameters
         ----------
         labels, rows, columns : (N,) int32
-            Which surface, and where. Beyond its knots the polynomials of the ends go on.
+            Which surface, and where. Beyond its knots it is extrapolated.
 
         Returns
         -------
@@ -114,7 +114,7 @@ def _net(surface: NurbsSurface) -> NDArray[np.float64]:
 
 @compiled
 def _checked(knots_u: F64, knots_v: F64, points_m: F64, weights: F64) -> tuple[bool, float]:
-    """Say whether knots are even; return the depth times weight of all control points, 0 where it differs."""
+    """Return whether knots are even, and depth times weight of the control points, 0 if these differ."""
     even = True
     for knots in (knots_u, knots_v):
         most = least = knots[1] - knots[0]
@@ -141,7 +141,6 @@ def _axis(knots: Sequence[NDArray[np.float64] | None]) -> _Axis:
 def _functions(axis: _Axis, label: int, t: float) -> tuple[int, Four, Four]:
     """Evaluate the basis functions that are not 0 at t: number of the first, values and derivatives."""
     per_spacing = axis.per_spacing[label]
-    # The same four polynomials on every span.
     place = (t - axis.first[label]) * per_spacing
     span = min(max(int(place), CUBIC), axis.counts[label] - 1)
     return span - CUBIC, even_values(place - span), even_slopes(place - span, per_spacing)
@@ -149,7 +148,7 @@ def _functions(axis: _Axis, label: int, t: float) -> tuple[int, Four, Four]:
 
 @inlined
 def _dot(B: Four, values: F64, first: int, step: int) -> float:
-    """Add up four values that are a step apart, weighted by a basis."""
+    """Sum four values that are a step apart, weighted by a basis."""
     return float(
         (B[0] * values[first] + B[1] * values[first + step])
         + (B[2] * values[first + 2 * step] + B[3] * values[first + 3 * step])

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from nurbseg.segmentation.cut.affinity import affinity
-from nurbseg.segmentation.cut.ncut import _take_out, normalized_cut, normalized_cuts
+from nurbseg.segmentation.cut.ncut import _deflate, normalized_cut, normalized_cuts
 
 
 def dense_affinity(vectors: NDArray[np.float32], scale: float = 1.0) -> NDArray[np.float64]:
@@ -190,7 +190,7 @@ def test_a_direction_is_taken_out_on_both_sides():
     S, first = S + S.T, first / np.linalg.norm(first)
     rest = np.eye(7) - np.outer(first, first)
     expected = rest @ S @ rest
-    _take_out(S, first)
+    _deflate(S, first)
     assert_allclose(S, expected, atol=1e-12)
 
 
