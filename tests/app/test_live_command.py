@@ -126,6 +126,7 @@ def test_every_frame_of_a_recording_is_segmented_exported_and_reported(
     ]
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["ended"] == "the source ended"
+    assert report["recording"] is None
     assert (report["frames"]["read"], report["frames"]["segmented"]) == (4, 4)
     assert set(report["frames"]["dropped"].values()) == {0}
     assert set(report["latency_ms"]) >= {"wait", "register", "segment", "capture_to_labels", "export"}
