@@ -68,6 +68,12 @@ class Intrinsics:
             raise ValueError(f"distortion: expected finite coefficients, got {distortion.tolist()}")
         distortion.flags.writeable = False
         object.__setattr__(self, "distortion", distortion)
+        # A few pixels all over the image will do.
+        if np.isnan(self._rays(step=max(1, max(self.width, self.height) // 24))).mean() > 0.5:
+            raise ValueError(
+                f"distortion: expected rays for most pixels of a {self.width}x{self.height} image, got none "
+                f"with {distortion.tolist()}"
+            )
 
     @property
     def matrix(self) -> NDArray[np.float64]:
@@ -79,7 +85,10 @@ class Intrinsics:
 
         NaN where the distortion cannot be undone, as at the far corners of a strongly distorting lens.
         """
-        v, u = np.mgrid[: self.height, : self.width]
+        return self._rays(step=1)
+
+    def _rays(self, *, step: int) -> NDArray[np.float32]:
+        v, u = np.mgrid[: self.height : step, : self.width : step]
         x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
         rays = np.stack([x, y], axis=-1)
         if self.distortion.any():

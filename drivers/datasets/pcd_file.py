@@ -96,8 +96,8 @@ def _header(path: Path, content: bytes) -> tuple[dict[str, list[str]], int]:
 def _positive(path: Path, fields: dict[str, list[str]], name: str) -> int:
     words = fields[name]
     number = _whole(words[0]) if len(words) == 1 else 0
-    if number < 1:
-        raise FrameFormatError(f"{path}: {name}: expected a number over 0, got {quoted(' '.join(words))}")
+    if not 1 <= number <= PIXELS_MAX:
+        raise FrameFormatError(f"{path}: {name}: expected 1 to {PIXELS_MAX}, got {quoted(' '.join(words))}")
     return number
 
 

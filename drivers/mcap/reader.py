@@ -219,8 +219,10 @@ class RecordingReader(FrameSource):
         samples: dict[str, TopicSample] = {}
         transforms: list[ros.Transform] = []
         start_ns: int | None = None
+        damage: FrameFormatError | None = None
         for item in self._file.messages(SCAN_BYTES_MAX):
             if isinstance(item, FrameFormatError):
+                damage = damage or item
                 continue
             start_ns = item.log_time_ns if start_ns is None else start_ns
             # Our own recordings say everything with the first frame.
@@ -244,6 +246,8 @@ class RecordingReader(FrameSource):
             if schema.name == definitions.TRANSFORMS:
                 transforms += ros.transforms_of(message)
             samples.setdefault(topic, TopicSample(schema.name, message))
+        if damage is not None and start_ns is None:
+            raise RecordingFormatError(f"{damage}; no message can be read")
         return samples, transforms
 
     def _has_images(self, samples: dict[str, TopicSample]) -> bool:

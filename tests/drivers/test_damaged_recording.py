@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from all_frames import frames_and_errors
 from mcap.opcode import Opcode
+from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 from recorded_scene import APART, scenes, write_mcap
 
@@ -51,6 +52,20 @@ def whole(request, tmp_path_factory, frames) -> Path:
                 )
         writer.finish()
     return other
+
+
+def test_a_recording_whose_chunks_are_all_damaged_says_so(whole: Path, tmp_path: Path) -> None:
+    content = bytearray(whole.read_bytes())
+    with whole.open("rb") as stream:
+        chunks = [each for each in StreamReader(stream, emit_chunks=True).records if isinstance(each, Chunk)]
+    assert len(chunks) > 1
+    for chunk in chunks:
+        place = content.index(chunk.data) + len(chunk.data) // 2
+        content[place : place + 8] = bytes(each ^ 0xFF for each in content[place : place + 8])
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(content)
+    with pytest.raises(RecordingFormatError, match=r"\.mcap: the chunk at .*; no message can be read"):
+        open_source(str(path))
 
 
 def last_whole_frame(path: Path, size: int) -> int:

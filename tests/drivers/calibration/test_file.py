@@ -182,6 +182,16 @@ def test_intrinsics_are_scaled_to_images_of_the_same_shape_and_refused_for_other
             r"depth\.height: expected pixels, got None",
         ),
         ("[0.1, 0.2, 0.0, 0.0, 0.3]", "[0.1, 0.2, nan, 0.0, 0.3]", r"depth\.distortion: expected a finite"),
+        (
+            "[0.1, 0.2, 0.0, 0.0, 0.3]",
+            "[1e200, 1e200, 0.0, 0.0, 1e200]",
+            "depth: distortion: expected rays for most pixels of a 64x48 image",
+        ),
+        (
+            "[0.1, 0.2, 0.0, 0.0, 0.3]",
+            "[-50.0, 300.0, 0.0, 0.0, -1000.0]",
+            "depth: distortion: expected rays for most pixels",
+        ),
         ("[0.1, 0.2, 0.0, 0.0, 0.3]", "[0.1, 0.2]", "depth: distortion: expected .* got 2"),
         ("[[1, 0, 0, -0.025]", "[[1, 0, 0, nan]", "color_from_depth: expected a finite number"),
         ("[[1, 0, 0, -0.025]", "[[1, 0, 0]", "color_from_depth: expected 4 rows of 4"),
