@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import pickle
 import select
@@ -12,10 +13,12 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 
-def serve(descriptor: int) -> None:
-    """Execute the calls that arrive through a connection, until its other end is closed."""
+def serve(descriptor: int, module: str) -> None:
+    """Import a module, if named; execute the calls that arrive through a connection until its end."""
     calls = Connection(descriptor)
     threading.Thread(target=_end_with_parent, args=(descriptor,), name="parent", daemon=True).start()
+    if module:
+        importlib.import_module(module)
     while True:
         function, task = calls.recv()
         answer: tuple[Any, Exception | None]
@@ -43,4 +46,4 @@ def _sendable(err: Exception) -> Exception:
 
 
 if __name__ == "__main__":
-    serve(int(sys.argv[1]))
+    serve(int(sys.argv[1]), sys.argv[2])

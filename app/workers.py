@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import queue
 import socket
 import subprocess
@@ -11,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
-from typing import Any, Protocol, TypeVar
+from typing import Any, Literal, Protocol, TypeVar
 
 from nurbseg.drivers.process.child import end_group, how_it_ended, python_command
 
@@ -70,13 +71,18 @@ def in_order(
             future.cancel()
 
 
+def process_count(workers: int | Literal["auto"]) -> int:
+    """Return the number of processes that a setting asks for."""
+    return len(os.sched_getaffinity(0)) if workers == "auto" else workers
+
+
 @contextmanager
-def open_workers(count: int, scheduler: str | None = None) -> Iterator[Workers]:
+def open_workers(count: int, scheduler: str | None = None, *, module: str = "") -> Iterator[Workers]:
     """Provide workers until the block ends.
 
     These are `count` processes of this computer (1 for this process alone), or those of a Dask scheduler
-    (``tcp://HOST:8786``), which must see the same files under the same names. Raises ValueError if the
-    scheduler does not answer, or has no worker.
+    (``tcp://HOST:8786``), which must see the same files under the same names. Processes import `module`
+    before their first task. Raises ValueError if the scheduler does not answer, or has no worker.
     """
     if scheduler is not None:
         with _cluster(scheduler) as cluster:
@@ -84,7 +90,7 @@ def open_workers(count: int, scheduler: str | None = None) -> Iterator[Workers]:
     elif count == 1:
         yield _ThisProcess()
     else:
-        processes = _Processes(count)
+        processes = _Processes(count, module)
         try:
             yield processes
         finally:
@@ -109,14 +115,14 @@ class _ThisProcess:
 class _Processes:
     """Processes on this computer, each with a thread that waits for it."""
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, module: str) -> None:
         self._count = count
         self._idle: queue.SimpleQueue[_Process] = queue.SimpleQueue()
         self._all: list[_Process] = []
         self._threads = ThreadPoolExecutor(count, "worker")
         try:
             for _ in range(count):
-                self._all.append(_Process())
+                self._all.append(_Process(module))
                 self._idle.put(self._all[-1])
         except BaseException:
             self.close()
@@ -148,7 +154,8 @@ class _Processes:
 class _Process:
     """A process that is replaced if it dies; called by one thread at a time."""
 
-    def __init__(self) -> None:
+    def __init__(self, module: str) -> None:
+        self._module = module
         self._lock = threading.Lock()
         self._closed = False
         self._start()
@@ -158,7 +165,7 @@ class _Process:
         self._connection = Connection(ours.detach())
         with theirs:
             self._process = subprocess.Popen(
-                python_command("nurbseg.app.worker", str(theirs.fileno())),
+                python_command("nurbseg.app.worker", str(theirs.fileno()), self._module),
                 stdin=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
                 # Ctrl-C must reach this process only, which ends the others.

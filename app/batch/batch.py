@@ -22,8 +22,8 @@ from nurbseg.segmentation.config import SegmentationConfig
 
 #: The file with the progress of an export.
 PROGRESS_FILE = "progress.json"
-#: Frames of one task: at least half a second of work, and a few megabytes of results.
-_TASK_FRAMES = 16
+#: Frames of one task: a quarter of a second of work or more, by which workers may differ at the end.
+_TASK_FRAMES = 8
 
 #: The reader of each thread: a worker of a Dask cluster may have several.
 _kept = threading.local()

@@ -18,6 +18,9 @@ from nurbseg.drivers.settings import value_kinds
 
 if TYPE_CHECKING:
     from nurbseg.app.batch.batch import Recording
+    from nurbseg.app.workers import Workers
+    from nurbseg.drivers.options import SourceOptions
+    from nurbseg.segmentation.config import SegmentationConfig
 
 #: The report on all recordings.
 REPORT_FILE = "report.json"
@@ -72,23 +75,36 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def _run(given: argparse.Namespace) -> int:
-    from nurbseg.app.batch.batch import Batch, recordings_of, run_batch
     from nurbseg.app.evaluation.arguments import base_config, source_options, warn_of_unread
-    from nurbseg.app.live.parallel import process_count
-    from nurbseg.app.workers import open_workers
+    from nurbseg.app.workers import open_workers, process_count
+
+    config, options = base_config(given), source_options(given)
+    warn_of_unread(config, [config.method])
+    count = process_count("auto" if given.workers == "auto" else _number(given.workers))
+    began_s = time.monotonic()
+    # Processes import their module, which takes half a second, while this one does.
+    with open_workers(count, given.scheduler, module="nurbseg.app.batch.batch") as workers:
+        return _run_with(workers, count, given, config, options, began_s)
+
+
+def _run_with(
+    workers: Workers,
+    count: int,
+    given: argparse.Namespace,
+    config: SegmentationConfig,
+    options: SourceOptions,
+    began_s: float,
+) -> int:
+    from nurbseg.app.batch.batch import Batch, recordings_of, run_batch
     from nurbseg.drivers.files import create_folder
 
     forms = {key.removeprefix("export."): value for key, value in vars(given).items() if "export." in key}
-    batch = Batch(given.export, base_config(given), source_options(given), ExportConfig(**forms))
-    warn_of_unread(batch.config, [batch.config.method])
+    batch = Batch(given.export, config, options, ExportConfig(**forms))
     recordings = recordings_of(given.recordings, given.export)
-    count = process_count("auto" if given.workers == "auto" else _number(given.workers))
     create_folder(given.export)
-    began_s = time.monotonic()
     ended = "interrupted"
     try:
-        with open_workers(count, given.scheduler) as workers:
-            run_batch(batch, recordings, workers, _tell)
+        run_batch(batch, recordings, workers, _tell)
         ended = "done"
     finally:
         by = {"scheduler": given.scheduler} if given.scheduler else {"workers": count}

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import copyreg
-import os
 import time
 from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 
@@ -39,11 +38,6 @@ class Segmented:
     files: Mapping[str, bytes]
     #: Left out unless needed: it takes ten times as much memory as the frame.
     result: FrameResult | None = None
-
-
-def process_count(workers: int | Literal["auto"]) -> int:
-    """Return the number of processes that a setting asks for."""
-    return len(os.sched_getaffinity(0)) if workers == "auto" else workers
 
 
 def segment_alone(frame: RGBDFrame, config: SegmentationConfig, *, export: ExportConfig | None) -> Segmented:

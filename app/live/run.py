@@ -22,7 +22,7 @@ from nurbseg.app.live.control.snapshot import write_snapshot
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.latency_filter import LatencyFilter
 from nurbseg.app.live.opening import OpenedSource, open_chosen
-from nurbseg.app.live.parallel import process_count, segment_in_parallel
+from nurbseg.app.live.parallel import segment_in_parallel
 from nurbseg.app.live.progress import Progress
 from nurbseg.app.live.report import RunReport
 from nurbseg.app.live.tracking import Segmenter
@@ -33,6 +33,7 @@ from nurbseg.app.result import FrameResult
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import ViewError
+from nurbseg.app.workers import process_count
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.files import check_absent
 from nurbseg.drivers.process.child import ChildProcess

@@ -7,9 +7,9 @@ from pathlib import Path
 import psutil
 import pytest
 from own_children import own_children
-from worker_tasks import die_at_2, fail_at_1, named, process_of, raise_unsendable, sleep_if
+from worker_tasks import die_at_2, fail_at_1, is_imported, named, process_of, raise_unsendable, sleep_if
 
-from nurbseg.app.workers import WorkerLostError, Workers, in_order, open_workers
+from nurbseg.app.workers import WorkerLostError, Workers, in_order, open_workers, process_count
 
 FAKES = str(Path(__file__).parents[1] / "fakes")
 
@@ -55,6 +55,17 @@ def test_two_workers_are_two_others(two: Workers) -> None:
     found = {future.result() for _, future in in_order(two, process_of, range(20))}
     assert os.getpid() not in found
     assert len(found) == 2
+
+
+def test_auto_is_a_process_for_each_core(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: {1, 4, 5})
+    assert [process_count("auto"), process_count(2)] == [3, 2]
+
+
+def test_processes_have_imported_a_module_before_their_first_task() -> None:
+    for module, is_there in (("wave", True), ("", False)):
+        with open_workers(2, module=module) as workers:
+            assert workers.submit(is_imported, "wave").result() is is_there
 
 
 @pytest.mark.parametrize("count", [1, 2])

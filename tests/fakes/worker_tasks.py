@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import time
 from pathlib import Path
 
 from nurbseg.app.workers import in_order, open_workers
+
+
+def is_imported(module: str) -> bool:
+    """Return whether the process has imported a module."""
+    return module in sys.modules
 
 
 def process_of(_: object) -> int:

@@ -6,7 +6,7 @@ import pytest
 
 from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.live.capture import Captured
-from nurbseg.app.live.parallel import FrameFailedError, process_count, segment_in_parallel
+from nurbseg.app.live.parallel import FrameFailedError, segment_in_parallel
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
 from tests.fakes.saved_view import read_saved_view
@@ -86,8 +86,3 @@ def test_frames_are_read_as_there_is_room_for_them() -> None:
         assert f"{number:06d}_tree.json" in segmented.files
         assert segmented.result is None
     assert read == 12
-
-
-def test_auto_is_a_process_for_each_core(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("os.sched_getaffinity", lambda _: {1, 4, 5})
-    assert [process_count("auto"), process_count(2)] == [3, 2]
