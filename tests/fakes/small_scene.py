@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from nurbseg.app.live.tracking import process_frame
@@ -40,3 +42,8 @@ def small_frame(index: int = 0, *, calibration: Calibration | None = None, truth
 def small_result(index: int = 0, *, calibration: Calibration | None = None) -> FrameResult:
     """Return the segmented frame."""
     return process_frame(small_frame(index, calibration=calibration), CONFIG)
+
+
+def numbered(result: FrameResult, index: int) -> FrameResult:
+    """Return a result as that of another frame."""
+    return replace(result, frame=replace(result.frame, index=index, timestamp_ns=index * 33_000_000))

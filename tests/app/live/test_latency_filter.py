@@ -3,20 +3,13 @@
 import logging
 
 import pytest
+from fake_clock import FakeClock
 
 from nurbseg.app.live.latency_filter import LatencyFilter
 
 
-class Clock:
-    def __init__(self) -> None:
-        self.now_s = 5.0
-
-    def __call__(self) -> float:
-        return self.now_s
-
-
 def test_what_is_older_than_allowed_is_held_back_and_counted() -> None:
-    clock = Clock()
+    clock = FakeClock()
     latency_filter = LatencyFilter(100.0, clock=clock)
     passed = []
     for age_ms in (30.0, 100.0, 100.1, 400.0, 60.0):
@@ -27,11 +20,11 @@ def test_what_is_older_than_allowed_is_held_back_and_counted() -> None:
 
 
 def test_the_first_is_shown_however_old() -> None:
-    assert LatencyFilter(100.0, clock=Clock()).passes(3000.0)
+    assert LatencyFilter(100.0, clock=FakeClock()).passes(3000.0)
 
 
 def test_a_slow_computer_shows_one_frame_a_second_and_says_so_once(caplog: pytest.LogCaptureFixture) -> None:
-    clock = Clock()
+    clock = FakeClock()
     latency_filter = LatencyFilter(100.0, clock=clock)
     shown_s = []
     with caplog.at_level(logging.WARNING):
@@ -47,6 +40,6 @@ def test_a_slow_computer_shows_one_frame_a_second_and_says_so_once(caplog: pytes
 
 
 def test_with_a_limit_of_0_nothing_is_too_old() -> None:
-    latency_filter = LatencyFilter(0.0, clock=Clock())
+    latency_filter = LatencyFilter(0.0, clock=FakeClock())
     assert all(latency_filter.passes(1e6) for _ in range(10))
     assert latency_filter.held_back == 0

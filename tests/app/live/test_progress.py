@@ -1,27 +1,19 @@
 import logging
-from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
+from fake_clock import FakeClock
 
 from nurbseg.app.live.control.terminal import StatusLine
 from nurbseg.app.live.progress import Progress
 from nurbseg.app.result import FrameResult
 
 
-@dataclass
-class Clock:
-    now_s: float = 0.0
-
-    def __call__(self) -> float:
-        return self.now_s
-
-
 def test_the_rate_after_a_silence_is_that_of_the_frames_since(
     caplog: pytest.LogCaptureFixture, small_result: FrameResult
 ) -> None:
-    clock = Clock()
+    clock = FakeClock()
     capture: Any = SimpleNamespace(read=0, withheld=0, recording=None, frames=SimpleNamespace(dropped=0))
     progress = Progress(capture, clock=clock)
 
@@ -46,7 +38,7 @@ def test_the_rate_after_a_silence_is_that_of_the_frames_since(
 
 
 def test_frames_that_are_only_recorded_are_no_silence(caplog: pytest.LogCaptureFixture) -> None:
-    clock = Clock()
+    clock = FakeClock()
     recording = SimpleNamespace(frames=40, lost=2)
     capture: Any = SimpleNamespace(withheld=0, recording=recording)
     progress = Progress(capture, clock=clock)
@@ -81,7 +73,7 @@ class Line:
 def test_the_status_line_tells_rate_latency_objects_drops_and_recording(
     caplog: pytest.LogCaptureFixture, small_result: FrameResult
 ) -> None:
-    clock, line = Clock(), Line()
+    clock, line = FakeClock(), Line()
     recording = SimpleNamespace(ended=False, seconds=4.0, size_mb=12.0, room_mb=1800.0, lost=0)
     frames = SimpleNamespace(dropped=2)
     capture: Any = SimpleNamespace(frames=frames, withheld=3, damaged=1, recording=None)

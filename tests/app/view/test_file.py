@@ -43,14 +43,6 @@ from tests.fakes.small_scene import CONFIG, HEIGHT, WIDTH, small_frame, small_re
 FRAMES = 12
 
 
-@pytest.fixture(autouse=True, scope="module")
-def strict() -> Iterator[None]:
-    """Make an error of what Rerun would only warn of, in the process that shows and saves."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("RERUN_STRICT", "1")
-        yield
-
-
 @pytest.fixture(scope="module")
 def results() -> list[FrameResult]:
     return [small_result(index) for index in range(FRAMES)]

@@ -27,12 +27,7 @@ from nurbseg.segmentation.config import SegmentationConfig
 from tests.fakes.fair_clock import FairClock
 from tests.fakes.own_children import own_children
 from tests.fakes.saved_view import read_saved_view
-from tests.fakes.small_scene import CONFIG, small_result
-
-
-@pytest.fixture(scope="module")
-def result() -> FrameResult:
-    return small_result()
+from tests.fakes.small_scene import CONFIG, numbered
 
 
 def opened(path: Path) -> tuple[IsolatedView, psutil.Process]:
@@ -40,10 +35,6 @@ def opened(path: Path) -> tuple[IsolatedView, psutil.Process]:
     assert isinstance(view, IsolatedView)
     (program,) = own_children()
     return view, program
-
-
-def numbered(result: FrameResult, index: int) -> FrameResult:
-    return replace(result, frame=replace(result.frame, index=index))
 
 
 def test_a_killed_process_is_told_of_and_nothing_waits_for_it(tmp_path: Path, result: FrameResult) -> None:

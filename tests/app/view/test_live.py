@@ -9,9 +9,8 @@ import sys
 import textwrap
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from pathlib import Path
 from unittest.mock import MagicMock
 
@@ -28,21 +27,14 @@ from nurbseg.app.view.viewer import ViewError, free_port, listens, start_viewer,
 from tests.fakes.fair_clock import FairClock
 from tests.fakes.own_children import own_children
 from tests.fakes.saved_view import read_saved_view
-from tests.fakes.small_scene import CONFIG, small_result
+from tests.fakes.small_scene import CONFIG, numbered
+from tests.fakes.waiting import wait_until
 
 LOCAL = "127.0.0.1"
 #: More than what sockets and queues on the way to a viewer can hold.
 FRAMES = 150
 
 _views: list[IsolatedView] = []
-
-
-@pytest.fixture(autouse=True, scope="module")
-def strict() -> Iterator[None]:
-    """Make an error of what Rerun would only warn of, in the process that shows and saves."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("RERUN_STRICT", "1")
-        yield
 
 
 @pytest.fixture(autouse=True)
@@ -52,11 +44,6 @@ def views_are_closed() -> Iterator[None]:
     while _views:
         with suppress(ViewError):
             _views.pop().close()
-
-
-@pytest.fixture(scope="module")
-def result() -> FrameResult:
-    return small_result()
 
 
 @contextmanager
@@ -76,13 +63,6 @@ def stand_in(port: int, save: Path | None = None) -> Iterator[psutil.Process]:
             process.kill()
 
 
-def wait_until(condition: Callable[[], bool], what: str, timeout_s: float = 60.0) -> None:
-    deadline_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline_s, f"waited {timeout_s:g} s in vain until {what}"
-        time.sleep(0.02)
-
-
 def connected(port: int, **settings: object) -> IsolatedView:
     config = ViewConfig(mode="connect", connect=f"{LOCAL}:{port}", mesh_step_px=20, **settings)  # type: ignore[arg-type]
     view = open_view(config, CONFIG)
@@ -99,10 +79,6 @@ def show_all(view: IsolatedView, result: FrameResult, frames: int = FRAMES) -> f
             view.show(numbered(result, index))
             longest_s = max(longest_s, clock.lap_s())
     return longest_s
-
-
-def numbered(result: FrameResult, index: int) -> FrameResult:
-    return replace(result, frame=replace(result.frame, index=index, timestamp_ns=index * 33_000_000))
 
 
 def close_in_time(view: IsolatedView) -> None:

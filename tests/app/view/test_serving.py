@@ -11,7 +11,7 @@ import sys
 import textwrap
 import time
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -27,6 +27,7 @@ from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import ViewError, free_port, listens, private_environment
 from tests.fakes.own_children import own_children
 from tests.fakes.small_scene import CONFIG, small_result
+from tests.fakes.waiting import wait_until
 
 LOCAL = "127.0.0.1"
 ANY_PORTS = ViewConfig(mode="serve", port=0, web_port=0)
@@ -43,13 +44,6 @@ _SERVES = """
         print(view.how_to_look, flush=True)
         sys.stdin.readline()
 """
-
-
-def wait_until(condition: Callable[[], bool], what: str, timeout_s: float = 60.0) -> None:
-    deadline_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline_s, f"waited {timeout_s:g} s in vain until {what}"
-        time.sleep(0.02)
 
 
 def serving_program(*before: str, **environment: str) -> subprocess.Popen[str]:

@@ -5,22 +5,13 @@ from __future__ import annotations
 import sys
 
 import pytest
+from fake_clock import FakeClock
 
 from nurbseg.app.evaluation.report.progress import Progress
 
 
-class Clock:
-    """Time that passes when it is told to, seconds."""
-
-    def __init__(self) -> None:
-        self.now_s = 0.0
-
-    def __call__(self) -> float:
-        return self.now_s
-
-
 def test_a_log_gets_a_line_a_minute_and_the_last(capsys: pytest.CaptureFixture[str]) -> None:
-    clock = Clock()
+    clock = FakeClock()
     progress = Progress("frames", clock)
     # Ten were there before; each other takes 25 s.
     for done in range(10, 31):
@@ -42,10 +33,10 @@ def test_a_terminal_gets_one_line_that_grows(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    clock = Clock()
+    clock = FakeClock()
     progress = Progress("settings", clock)
     progress(0, 2)
-    clock.now_s = 7200.0
+    clock.now_s += 7200.0
     progress(1, 2, "best 0.9")
     progress(2, 2)
     shown = capsys.readouterr().err

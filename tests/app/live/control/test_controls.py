@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from scripted_source import NumberedSource, ScriptedSource, small_frame
+from waiting import wait_until
 
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.commands import COMMANDS, KEYS
@@ -44,13 +45,6 @@ def controls_of(
 @pytest.fixture
 def controls(replay: Paced, looped: Looped) -> Controls:
     return controls_of(replay, CaptureThread(replay), looped)
-
-
-def wait_until(condition: Callable[[], bool]) -> None:
-    deadline_s = time.monotonic() + 30.0
-    while not condition():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.01)
 
 
 @pytest.mark.parametrize(
@@ -201,19 +195,19 @@ def test_where_frames_must_come_in_their_order_nobody_goes_to_another(
 def test_a_pause_stops_reading_a_replay_and_a_step_reads_one_frame(replay: Paced, looped: Looped) -> None:
     with CaptureThread(replay) as capture:
         controls = controls_of(replay, capture, looped)
-        wait_until(lambda: capture.read > 3)
+        wait_until(lambda: capture.read > 3, "frames are read")
         controls.apply("pause")
         time.sleep(0.2)
         read = capture.read
         for steps in (1, 2):
             controls.apply("step")
-            wait_until(lambda expected=read + steps: capture.read == expected)  # type: ignore[misc]
+            wait_until(lambda expected=read + steps: capture.read == expected, "the frame is read")  # type: ignore[misc]
             time.sleep(0.2)
             assert capture.read == read + steps
         assert controls.paused
         controls.apply("pause")
         assert not controls.paused
-        wait_until(lambda: capture.read > read + 5)
+        wait_until(lambda: capture.read > read + 5, "more frames are read")
 
 
 def test_a_camera_is_read_on_while_paused() -> None:
@@ -222,7 +216,7 @@ def test_a_camera_is_read_on_while_paused() -> None:
         controls = controls_of(source, capture)
         controls.apply("pause")
         assert controls.paused
-        wait_until(lambda: capture.read == 1000)
+        wait_until(lambda: capture.read == 1000, "all frames are read")
 
 
 def test_every_key_is_a_command_and_in_the_help(
