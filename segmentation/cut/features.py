@@ -83,9 +83,9 @@ def _lab(color: U8, linear: F32, to_xyz: F32, function: F32) -> F32:
         red, green, blue = linear[color[n, 0]], linear[color[n, 1]], linear[color[n, 2]]
         for k in range(3):
             t = to_xyz[k, 0] * red + to_xyz[k, 1] * green + to_xyz[k, 2] * blue
-            place = t * np.float32(_INTERVALS)
-            i = int(place)
-            f[k] = function[i] + (place - np.float32(i)) * (function[i + 1] - function[i])
+            position = t * np.float32(_INTERVALS)
+            i = int(position)
+            f[k] = function[i] + (position - np.float32(i)) * (function[i + 1] - function[i])
         found[n, 0] = np.float32(116.0) * f[1] - np.float32(16.0)
         found[n, 1] = np.float32(500.0) * (f[0] - f[1])
         found[n, 2] = np.float32(200.0) * (f[1] - f[2])

@@ -265,11 +265,11 @@ def _divide_by_roots(K: F32, b: F32) -> F32:
 def _is_turned(sums: F32, by_root: F32, sample: Intp) -> bool:
     """Return whether an indicator, known up to its sign, is negative at the first sample clearly not 0."""
     largest = np.float32(0.0)
-    for place in sample:
-        largest = max(largest, abs(sums[place] * by_root[place]))
-    for place in sample:
-        if abs(sums[place] * by_root[place]) >= np.float32(0.5) * largest:
-            return bool(sums[place] < 0)
+    for n in sample:
+        largest = max(largest, abs(sums[n] * by_root[n]))
+    for n in sample:
+        if abs(sums[n] * by_root[n]) >= np.float32(0.5) * largest:
+            return bool(sums[n] < 0)
     return False
 
 

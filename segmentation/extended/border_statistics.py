@@ -1,4 +1,4 @@
-"""Where two surfaces meet: whether they touch, and how concave the crease between them is."""
+"""Statistics of the border of two surfaces: whether they touch, and how concave the crease is."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from nurbseg.segmentation.points.rays import Rays
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
-#: Surfaces are compared across so many pixels without depth, at most, and by their points and normals so
-#: many pixels inside their border; both in pixels of an image 640 wide.
+#: Largest number of pixels without depth across which surfaces are compared, and distance inside the border
+#: at which they are evaluated; in pixels of a 640-wide image.
 _REACH_PX = 6
 _INSET_PX = 4
-#: Surfaces are in contact where so many samples of their border touch, and such a share of all.
+#: Least number of touching samples of a border in contact, and least share of all samples.
 _TOUCHING_LEAST = 4
 _TOUCHING_SHARE = 0.15
-#: How far apart surfaces count as at a sample, at most, in gaps.
+#: Limit of the distance of surfaces at a sample, in gaps.
 _APART_MOST = 4.0
 
 _Values = NDArray[np.float64]
-#: Gives inverse depth and its slopes from labels, columns and rows.
+#: Returns inverse depth and its slopes from labels, columns and rows.
 Evaluation = Callable[[NDArray[np.int32], _Values, _Values], tuple[_Values, _Values, _Values]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BorderStatistics:
-    """What was measured along the common borders of P pairs of labels.
+    """Statistics of the common borders of P pairs of labels.
 
     Parameters
     ----------
@@ -43,10 +43,10 @@ class BorderStatistics:
     touching : (P,) float64
         Samples where the tangent planes of both surfaces, extrapolated to the border, agree.
     concavity, concavity_square : (P,) float64
-        Sums over the touching samples of the turn of the normals towards each other, about radians, and of
-        its square. A turn is more than 0 where the crease is concave, less where it is convex.
+        Sums over the touching samples of the angle between the normals, about radians, and of its square;
+        the angle is positive at a concave crease, negative at a convex one.
     apart : (P,) float64
-        Sum over all samples of how far apart the tangent planes are, in gaps, 4 at most.
+        Sum over all samples of the distance of the tangent planes, in gaps, at most 4.
     """
 
     labels: NDArray[np.int64]
@@ -83,20 +83,20 @@ def border_statistics(
     gap_per_m : float
         Tangent planes that differ by less inverse depth at the border agree, 1/m.
     evaluate : callable, optional
-        Takes labels, columns and rows (pixels), (N,) each; gives inverse depth and its slopes along both,
+        Takes labels, columns and rows (pixels), (N,) each; returns inverse depth and its slopes along both,
         NaN where a label has no surface. By default the surfaces themselves are evaluated.
 
     Returns
     -------
     BorderStatistics
-        Of all pairs of labels whose borders meet. Samples are places of this image.
+        Of all pairs of labels whose borders meet. Samples are pixels of this image.
     """
     unit = labels.shape[1] / REFERENCE_WIDTH
     crossings = np.empty((5, 2 * labels.size), dtype=np.int32)
     count = _find_crossings(np.ascontiguousarray(labels), max(1, round(_REACH_PX * unit)), crossings)
     if count == 0:
         return BorderStatistics(np.zeros((0, 2), dtype=np.int64), *np.zeros((5, 0)))
-    # Both surfaces are looked at inside of the border: before it, then behind.
+    # Both surfaces are evaluated inside of the border: first the one before it, then the one after.
     label, u, v = np.empty(2 * count, dtype=np.int32), np.empty(2 * count), np.empty(2 * count)
     _place_inside(crossings, max(1.0, _INSET_PX * unit), label, u, v)
     slopes = (evaluate or SurfaceTable(surfaces).slopes)(label, u, v)
@@ -141,7 +141,7 @@ def _find_crossings(labels: I32, reach: int, found: I32) -> int:
 
 @compiled
 def _pixels_to_next(labels: I32) -> int:
-    """Return how far the first pixel is from another label, over what has none; 0 where it is its own."""
+    """Return the distance from the first pixel to another label across unlabelled ones; 0 if none is next."""
     for apart in range(1, labels.size):
         if labels[apart] > 0:
             return apart if labels[apart] != labels[0] else 0
@@ -178,7 +178,7 @@ def _compare(
     for n in range(count):
         before, after, row, column, apart = crossings[:, n]
         own, m = sums[min(before, after), max(before, after)], n + count
-        # The tangent planes at the middle of what is between the surfaces.
+        # The tangent planes halfway between the surfaces.
         middle_u, middle_v = column + 0.5 * max(apart, 0), row + 0.5 * max(-apart, 0)
         one = depth[n] + along_u[n] * (middle_u - u[n]) + along_v[n] * (middle_v - v[n])
         other = depth[m] + along_u[m] * (middle_u - u[m]) + along_v[m] * (middle_v - v[m])

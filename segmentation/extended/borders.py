@@ -1,4 +1,4 @@
-"""Borders between surfaces at full resolution: each pixel goes to the surface that explains it best."""
+"""Refinement of borders at full resolution: pixels go to the surface that explains them best."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
-#: Neighbours that vote are at most so far away along rows and columns, pixels.
+#: Largest distance of neighbours that vote, along rows and columns, pixels.
 _REACH = 2
 #: Weight of one neighbour at a distance of one pixel against a squared residual in units of the noise.
 _VOTE = 0.7
-#: Vote of a neighbour across a gap in depth, in shares of another's.
+#: Vote of a neighbour across a gap in depth, relative to others.
 ACROSS_GAP = 0.25
 #: Passes over the pixels at borders.
 _SWEEPS = 4
-#: Pixels judged at once, so that what is found for them stays in the cache.
+#: Pixels judged at once; their candidates fit into the cache.
 _BLOCK = 4096
 #: Pixels within reach along a row or column, and of the square around a pixel with its own.
 _SIDE = 2 * _REACH + 1
@@ -46,11 +46,10 @@ def refine_borders(
 ) -> NDArray[np.int32]:
     """Move borders to where the surfaces on both sides, extrapolated beyond them, explain the points best.
 
-    The cost of a label at a pixel is minus twice the logarithm of a normal likelihood, the squared residual
-    of inverse depth over the deviation of the label's surface being limited, less the votes of the
-    neighbours, which weigh one over their distance and little across a gap in depth. Pixels with neighbours
-    of another label take the cheapest of their labels, in a few sweeps (iterated conditional modes [1]_).
-    What a border cuts off goes to its neighbours, where that is asked for.
+    The cost of a label at a pixel is minus twice the logarithm of a normal likelihood, with a limited squared
+    residual of inverse depth, less the votes of the neighbours, which weigh one over their distance, and less
+    across a gap in depth. In a few sweeps, pixels with neighbours of another label take the cheapest of
+    their labels (iterated conditional modes [1]_).
 
     Parameters
     ----------
@@ -61,21 +60,21 @@ def refine_borders(
     surfaces : sequence of NurbsSurface or None
         That of each label; a label without one explains nothing.
     config : SegmentationConfig
-        Noise, gap and smallest piece.
+        Noise, gap and smallest component.
     rms_per_m : sequence of float, optional
-        Root mean square residual of each surface, 1/m: its deviation, which is no less than the noise;
-        without it all have the noise's.
+        Root mean square residual of each surface, 1/m: its deviation, if larger than the noise. By default
+        all have the noise's.
     step : int
         Pixels of the image from one row or column of the labels to the next.
     sweeps : int
-        How often pixels are judged, at most.
+        Largest number of sweeps.
     spread_severed : bool
-        Whether small pieces that a border cuts off go to their neighbours.
+        Whether small components that a border cuts off go to their neighbours.
 
     Returns
     -------
     (H, W) int32
-        The new labels. A label that would lose its last pixel keeps those it had.
+        The new labels. A label that would lose its last pixel keeps all.
 
     References
     ----------
@@ -98,7 +97,7 @@ def refine_borders(
 
 
 class Deviations(NamedTuple):
-    """Of residuals from surfaces, by label from 0 on, which is none.
+    """Deviations of residuals by label; 0 is none.
 
     Parameters
     ----------
@@ -113,7 +112,7 @@ class Deviations(NamedTuple):
 
 
 def own_deviations(rms_per_m: ArrayLike, noise_per_m: float) -> Deviations:
-    """Return the deviations of surfaces from their root mean square residuals: no less than the noise."""
+    """Return the deviations of surfaces: their root mean square residuals, at least the noise."""
     deviation = np.maximum(np.concatenate([[noise_per_m], np.asarray(rms_per_m)]), noise_per_m)
     return Deviations(
         (1.0 / deviation).astype(np.float32), (2.0 * np.log(deviation / noise_per_m)).astype(np.float32)
@@ -137,7 +136,6 @@ def _cheapest(
     padded, depths = np.pad(labels, _REACH), np.pad(inverse_depth, _REACH).ravel()
     flat, width = padded.reshape(-1), padded.shape[1]
     gaps = (config.extended.inverse_depth_gap * np.sqrt(_DISTANCES)).astype(np.float32)
-    # A pixel has no vote on itself.
     votes = np.where(_DISTANCES > 0, _VOTE / np.maximum(_DISTANCES, 1.0), 0.0).astype(np.float32)
     across = np.float32(ACROSS_GAP) * votes
 
@@ -156,8 +154,8 @@ def _cheapest(
             )
             explained = table.inverse_depths(label, row * np.int32(step), column * np.int32(step))
             _choose(flat, depths, some, candidates, explained, deviations, SQUARE_MOST, best[block])
-        # Only where a label has changed within reach can another one be the cheapest now. By the third
-        # sweep neighbours that only change places are left: one of two at a time.
+        # Only pixels within reach of a change can change now. From the third sweep on only neighbours
+        # that swap labels are left: one of two at a time.
         reached[:] = False
         _move(flat, width, pixels, best, sweep + 1 if sweep > 0 else -1, reached)
         pixels = np.flatnonzero(reached)
@@ -185,7 +183,7 @@ class _Candidates(NamedTuple):
 
 
 def _room_for(pixels: int) -> _Candidates:
-    """Return candidates of so many pixels that are yet to be found."""
+    """Allocate candidates of a number of pixels."""
     most = pixels * _AROUND
     label, row, column = np.empty((3, most), dtype=np.int32)
     return _Candidates(np.empty(pixels, dtype=np.intp), label, row, column, np.empty(most, dtype=np.float32))
@@ -216,7 +214,6 @@ def _find_candidates(
                 steps_per_m[down * _SIDE + across] = inverse_depth[start + across] - inverse_depth[pixel]
         for k in range(_AROUND):
             near_votes[k] = votes_across[k] if abs(steps_per_m[k]) >= gaps_per_m[k] else votes[k]
-        # The pixel's own label first, then the others, the largest first.
         own = labels[pixel]
         label, below = own, np.int32(np.iinfo(np.int32).max)
         while label > 0:
@@ -254,7 +251,7 @@ def _choose(
             label = candidates.label[at]
             residual = (explained_per_m[at] - inverse_depth[pixels[n]]) * deviations.precision_m[label]
             cost = np.float32(square_most)
-            # False for what has no surface.
+            # False if there is no surface, which is NaN or inf.
             if residual * residual < cost:
                 cost = residual * residual
             cost += deviations.penalty[label] - candidates.votes[at]
@@ -284,16 +281,16 @@ def _move(labels: I32, width: int, pixels: Intp, best: I32, parity: int, reached
 def _near_borders(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
     """Find labelled pixels with another label within reach."""
     kernel = np.ones((2 * _REACH + 1, 2 * _REACH + 1), dtype=np.uint8)
-    # Narrow integers: the extremes of many pixels are found at once.
+    # Narrow integers are faster.
     image: NDArray[np.integer] = labels.astype(np.uint8 if labels.max() < 255 else np.uint16)
     largest = cv2.dilate(image, kernel)
-    # Less 1, what has no label is the largest of numbers.
+    # Less 1, no label becomes the largest number.
     least = cv2.erode(image - image.dtype.type(1), kernel) + image.dtype.type(1)
     return np.asarray((image > 0) & (largest != least))
 
 
 def _present(labels: NDArray[np.int32], count: int) -> NDArray[np.bool_]:
-    """Say which of the labels from 1 to `count` there are, (count + 1,) bool; False for 0."""
+    """Return which of the labels from 1 to `count` occur, (count + 1,) bool; False for 0."""
     present = np.zeros(count + 1, dtype=np.bool_)
     _mark(np.ascontiguousarray(labels), present)
     present[0] = False
@@ -309,7 +306,7 @@ def _mark(labels: I32, present: Bool) -> None:
 def _severed(
     labels: NDArray[np.int32], inverse_depth: NDArray[np.float32], config: SegmentationConfig
 ) -> NDArray[np.intp]:
-    """Find the flat pixels of small pieces that are not the largest of their label."""
+    """Find the flat pixels of small components, but for the largest of each label."""
     found = connected_components(
         labels, pixel_adjacency(inverse_depth, labels > 0, config.extended.inverse_depth_gap)
     )

@@ -1,4 +1,4 @@
-"""What speaks for and against two surfaces being one object: features of a pair, and their weights."""
+"""Evidence for and against two surfaces being one object: features of a pair, and their weights."""
 
 from __future__ import annotations
 
@@ -12,38 +12,38 @@ from nurbseg.segmentation.extended.surface_statistics import SurfaceStatistics
 
 
 class Term(NamedTuple):
-    """A feature of a pair of surfaces: its weight in the log odds, and its value where it says nothing."""
+    """A feature of a pair of surfaces: its weight in the log odds, and its neutral value."""
 
     name: str
     weight: float
     neutral: float
 
 
-#: Log odds of two surfaces being one object are `BASE` plus, for each feature, its weight times what it is
-#: above its neutral value. ``python benchmarks/merging.py`` trains them; docs/accuracy.md tells how.
+#: Log odds of two surfaces being one object are `BASE` plus, for each feature, its weight times its
+#: difference from the neutral value. ``python benchmarks/merging.py`` trains them, see docs/accuracy.md.
 BASE = 1.08
 TERMS = (
     # Mean concavity where they touch, 0 for a convex crease, about radians; 1 at most.
     Term("concave", -4.91, 0.28),
     # Its standard deviation along the border, 0.6 at most: a crease that noise alone makes has a large one.
     Term("uneven", -4.63, 0.31),
-    # How far apart the surfaces are at their border, in gaps: mean of what is at most 4.
+    # Mean distance of the surfaces at their border, in gaps, 4 at most.
     Term("apart", -3.99, 0.48),
-    # Share of the smaller one's border with all surfaces that is with the larger one.
+    # Share of the smaller one's border that is shared with the larger one.
     Term("enclosed", 5.65, 0.32),
     # Logarithm of the size of the larger one, in pixels of an image of 640 columns.
     Term("larger", -0.73, 8.62),
-    # By how many deviations of the noise the smaller one's middle is before the larger one's plane: arsinh.
+    # Distance of the smaller one's center in front of the larger one's plane, in noise deviations: arsinh.
     Term("front", -0.54, -0.41),
 )
-#: Log odds where two surfaces do not touch, whatever else there is.
+#: Log odds where two surfaces do not touch.
 GAP = -1.5
-#: What log odds consist of, in the order of `evidence`.
+#: Terms of the log odds, in the order of `evidence`.
 ITEMS = ("base", *(term.name for term in TERMS), "gap")
-#: Evidence counts to so many digits, those that are exported.
+#: Decimals to which evidence is rounded, as exported.
 DIGITS = 3
 
-#: Concavity and its deviation count as no more than this, radians.
+#: Limits of concavity and its deviation, radians.
 _CONCAVITY_MOST, _DEVIATION_MOST = 1.0, 0.6
 
 
@@ -92,7 +92,7 @@ def pair_features(
 def evidence(
     borders: BorderStatistics, surfaces: SurfaceStatistics, noise_per_m: float
 ) -> NDArray[np.float64]:
-    """Weigh what speaks for and against each pair of surfaces being one object.
+    """Weigh the evidence for and against each pair of surfaces being one object.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def evidence(
     Returns
     -------
     (P, 8) float64
-        Of each pair by `ITEMS`; its log odds are their sum. Where surfaces do not touch the gap alone counts.
+        Of each pair, by `ITEMS`; its log odds are their sum. If surfaces do not touch, only the gap counts.
     """
     weights, neutral = (np.array([each[n] for each in TERMS]) for n in (1, 2))
     items = np.zeros((len(borders.labels), len(ITEMS)))

@@ -1,4 +1,4 @@
-"""Leaves of different branches that meet smoothly, and that one surface explains as well: they become one."""
+"""Leaves of different branches that meet smoothly, and that one surface explains as well, are merged."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from nurbseg.segmentation.growth import stop_without_cut
 from nurbseg.segmentation.segments import Node, Trial, depth_first
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
-#: Pairs of adjacent grid pixels along which two leaves meet, at least.
+#: Least number of adjacent pairs of grid pixels of two leaves that meet.
 BORDER_LEAST = 4
-#: Mean cosine of the angle between the normals on both sides of a border without a crease: of 15 degrees.
+#: Least mean cosine of the angle between the normals on both sides of a smooth border: of 15 degrees.
 _SMOOTH_COSINE = 0.966
-#: Leaves of these reasons say that the tree has not grown to its end.
+#: Stop reasons of a tree that a limit ended.
 _UNFINISHED = {StopReason.SPLITS, StopReason.BUDGET}
-#: What a node takes over from the one that takes its place.
+#: Fields that a node takes over from its remaining child.
 _TAKEN_OVER = (
     "grid_pixels",
     "fit",
@@ -36,25 +36,24 @@ _TAKEN_OVER = (
     "age",
 )
 
-#: The values of all fields of a node.
 _state = attrgetter(*Node.__slots__)
 
 _Pair = tuple[int, int]
 
 
 def fold_leaves(root: Node, features: GridFeatures, config: SegmentationConfig) -> None:
-    """Make one leaf of every two that meet smoothly and that the ratio does not keep apart.
+    """Merge leaves that meet smoothly if the ratio does not keep them apart.
 
-    The first cuts of a frame go through surfaces whose parts then never meet again in the tree. Two leaves
-    meet smoothly where the normals on both sides of their border agree on the mean. If the ratio (eq. 5)
-    would reject a split of one surface for both into the two, the smaller leaf is taken out of the tree and
-    the larger one gets its grid pixels. The segments above them are fitted and judged again; if the ratio
-    does not keep all of their splits, the two stay apart. The pair with the largest ratio goes first.
+    The first cuts of a frame may divide a surface, whose parts then are in different branches. Two leaves
+    meet smoothly if the normals on both sides of their border agree on average. If the ratio (eq. 5) would
+    reject splitting one surface for both into the two, the smaller leaf is removed and its grid pixels go to
+    the larger one. The segments above them are fitted and judged again; if the ratio rejects one of their
+    splits, the two are not merged. The pair with the largest ratio comes first.
 
     Parameters
     ----------
     root : Node
-        Of a tree that has grown, which is changed. One that a limit stopped is left as it is.
+        Of a grown tree, which is changed; one that a limit stopped is not.
     features : GridFeatures
         The frame, with the normals of all its grid pixels.
     config : SegmentationConfig
@@ -88,22 +87,22 @@ def fold_leaves(root: Node, features: GridFeatures, config: SegmentationConfig) 
 
 
 def take_out(root: Node, gone: Node) -> tuple[Node, Node]:
-    """Take a part out of a tree: the other part of the split takes the place of the whole.
+    """Remove a node from a tree: its sibling takes the place of their parent.
 
     Returns
     -------
     (Node, Node)
-        The other part, which is no longer in the tree, and the node that is now what it was.
+        The sibling, which is no longer in the tree, and the parent that has its fields now.
     """
-    place = next(node for node in depth_first(root) if gone in node.children)
-    (other,) = (child for child in place.children if child is not gone)
+    parent = next(node for node in depth_first(root) if gone in node.children)
+    (sibling,) = (child for child in parent.children if child is not gone)
     for name in _TAKEN_OVER:
-        setattr(place, name, getattr(other, name))
-    for node in depth_first(place):
+        setattr(parent, name, getattr(sibling, name))
+    for node in depth_first(parent):
         for number, child in enumerate(node.children):
             child.name = f"{node.name}{number}"
             child.cuts_above = node.cuts_above + (node.division is Division.CUT)
-    return other, place
+    return sibling, parent
 
 
 def _borders(leaves: Mapping[int, Node], features: GridFeatures) -> dict[_Pair, tuple[int, float]]:
@@ -126,7 +125,7 @@ def _borders(leaves: Mapping[int, Node], features: GridFeatures) -> dict[_Pair, 
 def _add_borders(
     labels: I64, right: Bool, down: Bool, raw: F32, size: int, counts: I64, cosines: F64
 ) -> None:
-    """Add every two adjacent grid pixels of different labels to what their pair of labels has."""
+    """Add every two adjacent grid pixels of different labels to the sums of their pair of labels."""
     height, width = labels.shape
     for y in range(height):
         for x in range(width):
@@ -156,7 +155,7 @@ def _fold(
     features: GridFeatures,
     config: SegmentationConfig,
 ) -> bool:
-    """Give a leaf what another one has; False, and nothing changed, if a split above is kept no longer."""
+    """Merge two leaves; False, and nothing is changed, if a split above is not kept then."""
     before = [(node, _state(node)) for node in depth_first(root)]
     above, above_gone = _path(root, leaves[kept]), _path(root, leaves[gone])
     shared = sum(node is other for node, other in zip(above, above_gone, strict=False))
@@ -167,19 +166,19 @@ def _fold(
         node.grid_pixels = np.setdiff1d(node.grid_pixels, moved, assume_unique=True)
     (_, leaves[kept].fit, stop), trial = judged
     leaf_of = {id(leaf): number for number, leaf in leaves.items()}
-    other, place = take_out(root, leaves[gone])
-    at = {**leaves, **({leaf_of[id(other)]: place} if id(other) in leaf_of else {})}
+    sibling, parent = take_out(root, leaves[gone])
+    at = {**leaves, **({leaf_of[id(sibling)]: parent} if id(sibling) in leaf_of else {})}
 
     leaf = at[kept]
     leaf.stop = stop or stop_without_cut(leaf, 0, features.grid_pixels_min(config), config)
     leaf.trial = None if leaf.stop else trial
     leaf.stop = leaf.stop or StopReason.CRITERION
-    # The last segment that holds both has the same pixels as before; what took a place, what it had there.
-    changed = {id(node) for node in (*above[shared:], *above_gone[shared:])} - {id(place)}
-    if place is above[shared - 1]:
-        changed.add(id(place))
+    # The parent has the pixels of the sibling now, and is changed if that was.
+    changed = {id(node) for node in (*above[shared:], *above_gone[shared:])} - {id(parent)}
+    if parent is above[shared - 1]:
+        changed.add(id(parent))
     judged_again = changed | {id(node) for node in above[:shared]}
-    # Parts come before what they are parts of.
+    # Children before parents.
     for node in reversed(depth_first(root)):
         sound = True
         if not node.children:
@@ -203,7 +202,7 @@ def _fold(
 
 
 def _path(root: Node, leaf: Node) -> list[Node]:
-    """Return the nodes from the root to a leaf, with both."""
+    """Return the nodes from the root to a leaf, both included."""
     path = [root]
     while path[-1] is not leaf:
         path.append(next(child for child in path[-1].children if leaf.name.startswith(child.name)))
@@ -211,7 +210,7 @@ def _path(root: Node, leaf: Node) -> list[Node]:
 
 
 def _parts(node: Node) -> list[Node]:
-    """Return the parts of a split: those that nodes without a surface hold together are parts themselves."""
+    """Return the parts of a split: below nodes without a surface, which only chain components."""
     found, waiting = [], list(node.children)
     while waiting:
         part = waiting.pop(0)

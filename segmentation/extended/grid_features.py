@@ -1,4 +1,4 @@
-"""A frame laid out on the grid on which splits are decided: points, their adjacency, and raw vectors."""
+"""Features of a frame on the grid: points, their adjacency, and raw vectors."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class GridFeatures:
 
 
 def grid_features(cloud: PointMap, config: SegmentationConfig) -> GridFeatures:
-    """Lay a frame out on the grid that is set: inverse depth, adjacency and raw vectors."""
+    """Compute inverse depths, adjacency and raw vectors on the grid that is set."""
     grid = depth_grid(cloud, grid_step(cloud.valid, config.decimation))
     color = lab(cloud.color[:: grid.step, :: grid.step].reshape(-1, 3))
     normals = _normals(grid, 0, 0, *grid.points.shape, config)
@@ -52,7 +52,6 @@ def grid_features(cloud: PointMap, config: SegmentationConfig) -> GridFeatures:
 
 @compiled
 def _side_by_side(color: F32, coordinates_m: F32, normals: F32) -> F32:
-    """Put color, position and normal of each grid pixel into one row."""
     height, width, _ = normals.shape
     raw = np.empty((height * width, 9), dtype=np.float32)
     for y in range(height):
@@ -88,7 +87,7 @@ def _normals(
 def segment_normalization(
     raw: NDArray[np.float32], grid_pixels: NDArray[np.intp], config: SegmentationConfig
 ) -> Normalization:
-    """Measure what makes the vectors of a segment comparable, with the weights that are set.
+    """Compute the normalization of a segment's vectors, with the weights that are set.
 
     Parameters
     ----------
@@ -116,7 +115,7 @@ def segment_normalization(
 def with_features_at(
     cloud: PointMap, features: GridFeatures, grid_pixels: NDArray[np.intp], config: SegmentationConfig
 ) -> GridFeatures:
-    """Return features whose raw vectors are known at some grid pixels only, those that are to be split.
+    """Return features whose raw vectors are known only at the grid pixels that are to be split.
 
     Parameters
     ----------
@@ -131,7 +130,7 @@ def with_features_at(
     raw = np.zeros((grid.valid.size, 9), dtype=np.float32)
     raw[grid_pixels, :6] = raw_vectors(cloud, grid.points.pixels(grid_pixels))
     rows, columns, (top, left, bottom, right) = grid.points.locate(grid_pixels)
-    # Windows for normals look at what is around the segment too.
+    # Windows for normals extend beyond the segment.
     top, left = max(0, top - 2 * half), max(0, left - 2 * half)
     normals = _normals(grid, top, left, bottom + 2 * half, right + 2 * half, config)
     raw[grid_pixels, 6:] = normals[rows - top, columns - left]

@@ -1,4 +1,4 @@
-"""Objects: surfaces that the evidence of the whole frame puts together."""
+"""Objects: surfaces merged by the evidence along their borders."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 @dataclass(frozen=True, slots=True)
 class SceneObject:
-    """Surfaces that belong together.
+    """Surfaces that were merged.
 
     Parameters
     ----------
     leaves : tuple of str
-        Names of the leaves that it consists of, in the order of the tree.
+        Names of its leaves, in the order of the tree.
     """
 
     leaves: tuple[str, ...]
@@ -32,22 +32,22 @@ class SceneObject:
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Two leaves whose borders meet, and what became of them.
+    """Two leaves whose borders meet, and whether they were merged.
 
     Parameters
     ----------
     first, second : str
         Names of the leaves.
     merged : bool
-        Whether they are in one object in the end.
+        Whether they are in the same object.
     reason : str
         Why, or why not.
     samples, touching : int
-        Grid pixels along the border, and those of them where the surfaces agree.
+        Grid pixels along the border, and those where the surfaces agree.
     log_odds : float
-        Of the two being one object, by this pair alone.
+        That the two are one object, from this pair alone.
     evidence : mapping of str to float
-        What the log odds are the sum of, by name; without what is 0.
+        Terms of the log odds, by name, but for those that are 0.
     """
 
     first: str
@@ -62,18 +62,18 @@ class Contact:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WeighedBorders:
-    """What speaks for and against merging P pairs of surfaces.
+    """Evidence for and against merging P pairs of surfaces.
 
     Parameters
     ----------
     labels : (P, 2) int64
         Of each pair, the smaller one first.
     samples, touching : (P,) int64
-        Grid pixels along each border, by which its log odds weigh, and those where the surfaces agree.
+        Grid pixels along each border, the weight of its log odds, and those where the surfaces agree.
     items : (P, N) float64
-        What the log odds are the sum of, to `DIGITS` digits.
+        Terms of the log odds, to `DIGITS` digits.
     names : tuple of str
-        Of these.
+        Of the terms.
     """
 
     labels: NDArray[np.int64]
@@ -84,7 +84,7 @@ class WeighedBorders:
 
     @property
     def log_odds(self) -> NDArray[np.float64]:
-        """Of each pair being one object, (P,) float64."""
+        """Log odds that each pair is one object, (P,) float64."""
         return np.asarray(np.round(self.items.sum(axis=1), DIGITS))
 
 
@@ -97,9 +97,9 @@ def merge_surfaces(
 ) -> tuple[tuple[SceneObject, ...], tuple[Contact, ...]]:
     """Merge adjacent surfaces into objects.
 
-    Each pair that meets has log odds of being one object (see `evidence`). Of all pairs the one with the
-    largest is merged first, and the log odds of its borders with others are averaged, weighted by the
-    borders' lengths, until all that is left is less likely one object than two [1]_.
+    Each pair that meets has log odds of being one object (see `evidence`). The pair with the largest is
+    merged, and its log odds with others are averaged, weighted by the lengths of the borders, until no pair
+    is likely enough [1]_.
 
     Parameters
     ----------
@@ -112,12 +112,12 @@ def merge_surfaces(
     surfaces : sequence of NurbsSurface or None
         That of each label.
     config : SegmentationConfig
-        Whether anything is merged, from which log odds on, and what noise and a gap are.
+        Whether to merge, the least log odds, noise and gap.
 
     Returns
     -------
     objects : tuple of SceneObject
-        The one with most pixels first; empty where merging is off.
+        Largest first; empty if merging is off.
     contacts : tuple of Contact
         Of all leaves whose borders meet.
 
@@ -138,7 +138,7 @@ def merge_surfaces(
 def merged_objects(
     borders: WeighedBorders, labels: NDArray[np.int32], names: Sequence[str], config: SegmentationConfig
 ) -> tuple[tuple[SceneObject, ...], tuple[Contact, ...]]:
-    """Merge surfaces by the evidence of where they meet.
+    """Merge surfaces by the evidence along their borders.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def merged_objects(
     names : sequence of str
         Of the leaf of each label.
     config : SegmentationConfig
-        From which log odds on surfaces are merged.
+        The least log odds.
 
     Returns
     -------
@@ -180,26 +180,26 @@ def agglomerated(
     count: int,
     log_odds_min: float = 0.0,
 ) -> list[int]:
-    """Merge the likeliest pair of groups again and again, while it is likely enough.
+    """Merge the most likely pair of groups, as long as it is likely enough.
 
     Parameters
     ----------
     pairs : sequence of (int, int)
         Labels that meet, the smaller one first, each pair once.
     log_odds : sequence of float
-        Of each pair; they count to `DIGITS` digits.
+        Of each pair, to `DIGITS` digits.
     samples : sequence of int
-        Length of each border, more than 0: those of two groups are the average over their borders.
+        Length of each border, more than 0: its weight in the average over the borders of two groups.
     count : int
         Number of labels, from 1 on.
     log_odds_min : float
-        Groups are merged while theirs are more than this.
+        Groups are merged if theirs are more than this.
 
     Returns
     -------
     list of int
-        The smallest label of each label's group; of 0, which is no label, 0. Of groups equally likely to be
-        one, those of the smallest labels go first.
+        The smallest label of each label's group; 0 of 0. Of equally likely pairs, that of the smallest
+        labels is first.
     """
     group, scale = list(range(count + 1)), 10**DIGITS
     # Sums of whole numbers do not depend on the order in which they are added.
@@ -216,7 +216,7 @@ def agglomerated(
         judge(first, second, round(odds * scale) * length, length)
     while queue:
         _, kept, gone, *sums = heapq.heappop(queue)
-        # What was merged, or pooled with another border since, is out of date.
+        # Skip pairs that have changed since.
         if joint[kept].get(gone) != tuple(sums):
             continue
         del joint[kept][gone], joint[gone][kept]
@@ -232,7 +232,7 @@ def agglomerated(
 def _contacts(
     borders: WeighedBorders, names: Sequence[str], group: Sequence[int], log_odds_min: float
 ) -> list[Contact]:
-    """Say in words why surfaces are, or are not, one object."""
+    """Return the pairs with the reasons why they are, or are not, one object."""
     found = []
     columns = (borders.labels, borders.samples, borders.touching, borders.log_odds, borders.items)
     for (first, second), samples, touching, log_odds, items in zip(
@@ -242,9 +242,9 @@ def _contacts(
         weighed = {name: item for name, item in zip(borders.names, items, strict=True) if item}
         why = _in_words(weighed, log_odds, samples, touching)
         if merged and not likely:
-            why = f"joined through other surfaces, in spite of {why}"
+            why = f"merged through other surfaces, despite {why}"
         elif not merged and likely:
-            why = f"{why}, but their objects as wholes are two"
+            why = f"{why}, but the average over their objects' borders is too low"
         found.append(
             Contact(names[first - 1], names[second - 1], merged, why, samples, touching, log_odds, weighed)
         )
@@ -253,11 +253,11 @@ def _contacts(
 
 def _in_words(weighed: Mapping[str, float], log_odds: float, samples: int, touching: int) -> str:
     if "gap" in weighed:
-        return f"a gap: {touching} of {samples} places along the border touch"
+        return f"a gap: the surfaces touch at {touching} of {samples} samples of the border"
     by_weight = sorted((item, name) for name, item in weighed.items() if name != "base")
     most = [by_weight[-1], by_weight[0]] if by_weight else []
-    told = " and ".join(f"{name} {item:+.1f}" for item, name in most)
-    return f"log odds of {log_odds:+.2f}, of which {told}" if told else f"log odds of {log_odds:+.2f}"
+    terms = " and ".join(f"{name} {item:+.1f}" for item, name in most)
+    return f"log odds of {log_odds:+.2f}, of which {terms}" if terms else f"log odds of {log_odds:+.2f}"
 
 
 __all__ = [

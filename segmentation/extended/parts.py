@@ -1,4 +1,4 @@
-"""Parts of a split: how they are fitted, judged by the ratio, and made nodes of the tree."""
+"""Parts of a split: their fits, the ratio that judges them, and their nodes in the tree."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from nurbseg.segmentation.vocabulary import Division, StopReason
 
 
 class Part(NamedTuple):
-    """A part of a split: its flat indices of grid pixels, its fit, and why it is not to be split, if so."""
+    """A part of a split: its flat grid pixels, its fit, and why it is not to be split, if so."""
 
     grid_pixels: NDArray[np.intp]
     fit: Fit
     stop: StopReason | None
 
     def weighed(self, config: SegmentationConfig) -> tuple[float, int]:
-        """Return what its metric counts for in the ratio, and its number of points."""
+        """Return the value of its metric in the ratio, and its number of points."""
         return metric_value(self.fit.values, config.metric, self.fit.floor), self.grid_pixels.size
 
 
@@ -41,15 +41,9 @@ def judge_split(
 
 
 def fit_segment(features: GridFeatures, grid_pixels: NDArray[np.intp], config: SegmentationConfig) -> Part:
-    """Fit a surface, with the metric that decides among its values, and what noise leaves of that metric.
+    """Fit a surface to flat grid pixels, (N,) intp, ascending, with the deciding metric and its floor.
 
-    The grid pixels are flat indices into the grid, (N,) intp, ascending.
-
-    Returns
-    -------
-    Part
-        Its stop is `NOISE` where the metric is so near its floor that the ratio (eq. 5) of any split would be
-        T or more.
+    The part's stop is `NOISE` if its metric is so near the floor that no split can have a ratio below T.
     """
     if grid_pixels.size == 0:
         return Part(
@@ -68,19 +62,19 @@ def fit_segment(features: GridFeatures, grid_pixels: NDArray[np.intp], config: S
 def fit_together(
     features: GridFeatures, grid_pixels: Sequence[NDArray[np.intp]], config: SegmentationConfig
 ) -> Part:
-    """Fit one surface to several parts, as `fit_segment` does to one."""
+    """Fit one surface to several parts, as `fit_segment` to one."""
     return fit_segment(features, np.sort(np.concatenate(grid_pixels), kind="stable"), config)
 
 
 def at_noise_floor(fit: Fit, config: SegmentationConfig) -> bool:
-    """Say whether a fit is so near to what noise leaves that no split can have a ratio (eq. 5) below T."""
-    # The floors of parts weigh no less than that of the whole: no ratio is below floor over value.
+    """Return whether the metric is so near its floor that no split can have a ratio (eq. 5) below T."""
+    # See `noise_floor`: no ratio is below floor over value.
     value = metric_value(fit.values, config.metric, fit.floor)
     return config.extended.noise_floor > 0 and fit.floor >= config.ratio_max * value
 
 
 def children_of(node: Node, sides: tuple[list[Part], list[Part]]) -> tuple[Node, Node]:
-    """Make two nodes of the parts of a cut's sides, or of the pieces of the one side that is left.
+    """Make two nodes of the parts of a cut's sides, or of the components of the only side.
 
     Parameters
     ----------
@@ -104,7 +98,7 @@ def children_of(node: Node, sides: tuple[list[Part], list[Part]]) -> tuple[Node,
 
 
 def chain_components(name: str, parts: list[Part], cuts_above: int) -> Node:
-    """Chain parts that are not connected: a node of the largest and of a node of the others, and so on."""
+    """Chain parts that are not connected: the largest and a node of the others, and so on."""
     parts = sorted(parts, key=lambda part: -part.grid_pixels.size)
     grid_pixels, fit, stop = parts[-1]
     node = Node(f"{name}{'1' * (len(parts) - 1)}", grid_pixels, fit, stop=stop, cuts_above=cuts_above)
@@ -113,7 +107,7 @@ def chain_components(name: str, parts: list[Part], cuts_above: int) -> Node:
         # Each part ascends: the stable sort merges them.
         grid_pixels = np.sort(np.concatenate([part.grid_pixels for part in together]), kind="stable")
         pixels = np.sort(np.concatenate([part.fit.pixels for part in together]), kind="stable")
-        fit = Fit(None, np.zeros(0), {}, f"{len(together)} pieces that are not connected", pixels)
+        fit = Fit(None, np.zeros(0), {}, f"{len(together)} components that are not connected", pixels)
         own_pixels, own_fit, stop = parts[largest]
         own = Node(f"{inner}0", own_pixels, own_fit, stop=stop, cuts_above=cuts_above)
         rest = node

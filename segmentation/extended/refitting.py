@@ -1,4 +1,4 @@
-"""A second fit of the surfaces: after their borders have moved on the grid."""
+"""A second fit of the surfaces, after their borders have moved on the grid."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
-#: A surface is fitted again where so many of its grid pixels, as a share, have come or gone.
+#: A surface is fitted again if this share of its grid pixels was added or removed.
 _MOVED_SHARE = 0.1
-#: Those on every pixel follow.
+#: Sweeps on the grid; those on every pixel follow.
 _SWEEPS = 2
 
 
 class RefitSurfaces(NamedTuple):
-    """What borders and contacts are judged by.
+    """Surfaces by which borders and contacts are judged.
 
     Parameters
     ----------
@@ -43,10 +43,10 @@ class RefitSurfaces(NamedTuple):
 def refit_surfaces(
     labels: NDArray[np.int32], fits: Sequence[Fit], grid: DepthGrid, config: SegmentationConfig
 ) -> RefitSurfaces:
-    """Move the borders on the grid, and fit the surfaces again of which they took or gave much.
+    """Refine the borders on the grid, and fit surfaces again that changed much.
 
-    A cut leaves a strip along many a border on the wrong side. It bends the surface beyond that border, so
-    that a second fit tells better where the two surfaces meet. The tree keeps the fits that decided it.
+    Cuts often leave a strip along a border on the wrong side, which distorts the surface. A second fit tells
+    better where two surfaces meet. The tree keeps the fits that decided it.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
-#: From so many grid pixels on, a segment is cut at every second grid pixel of both directions.
+#: From this many grid pixels on, a segment is cut on every second row and column of the grid.
 _MANY_PIXELS = 2_000
 
 
@@ -39,9 +39,9 @@ def segment_nurbseg(
 ) -> SegmentationTree:
     """Segment a frame into surfaces, and these into objects.
 
-    The paper's tree of normalized cuts decided by surface fits, with vectors that hold normals, surfaces of
-    inverse depth, cuts that fall into connected pieces, metrics that count as no less than noise leaves,
-    borders refined on every pixel, and surfaces merged where they meet in a convex or smooth crease.
+    The paper's tree of normalized cuts decided by surface fits, with normals in the vectors, surfaces fitted
+    to inverse depth, cuts divided into connected components, floors of the metrics, borders refined on every
+    pixel, and surfaces merged into objects.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def segment_nurbseg(
     Returns
     -------
     SegmentationTree
-        Its leaves are surfaces; its objects, none where merging is off, are merged leaves.
+        Its leaves are surfaces; its objects, none if merging is off, are merged leaves.
     """
     time_is_over = time_limit(config, clock)
     config = replace(config, decimation=grid_step(cloud.valid, config.decimation))
@@ -84,7 +84,7 @@ def segment_nurbseg(
 
 
 def grown_tree(features: GridFeatures, config: SegmentationConfig, time_is_over: Callable[[], bool]) -> Node:
-    """Grow the tree of surfaces on the grid, and fold what one surface explains.
+    """Grow the tree of surfaces on the grid, and merge leaves that one surface explains.
 
     Parameters
     ----------
@@ -98,8 +98,8 @@ def grown_tree(features: GridFeatures, config: SegmentationConfig, time_is_over:
     Returns
     -------
     Node
-        The root. Where parts of a frame or of a side of a cut are not connected, nodes without a surface
-        chain them, so that every segment has two parts or none.
+        The root. Components of the frame, or of a side of a cut, are chained by nodes without a surface, so
+        that every segment has two parts or none.
     """
 
     def split(node: Node) -> bool:
@@ -124,27 +124,26 @@ def grown_tree(features: GridFeatures, config: SegmentationConfig, time_is_over:
 def best_split(
     features: GridFeatures, node: Node, config: SegmentationConfig, *, thin_from: int = _MANY_PIXELS
 ) -> tuple[tuple[list[Part], list[Part]], Cut | None]:
-    """Try the cuts of a node in turn; if none is kept the node gets the reason and there is no cut.
+    """Try the cuts of a node in turn; if none is kept, the node gets a stop reason.
 
     Parameters
     ----------
     features : GridFeatures
         The frame; its vectors are read at the node's grid pixels.
     node : Node
-        Gets the trial of the split that is kept or else of the best one and, where none is, the reason.
+        Gets the trial of the split that is kept or else of the best one and, if none is kept, the reason.
     config : SegmentationConfig
         Thresholds and choices.
     thin_from : int
-        From so many grid pixels on a segment is cut at every second grid pixel of both directions.
+        From this many grid pixels on, a segment is cut on every second row and column of the grid.
 
     Returns
     -------
     sides : (list of Part, list of Part)
-        Connected pieces of both sides of the cut.
+        Connected components of both sides of the cut.
     cut : Cut or None
-        None where no split is kept.
+        None if no split is kept.
     """
-    # Of a large segment, the grid pixels between those that are cut follow them.
     points = features.grid.points
     drawn = points.every_second(node.grid_pixels) if node.grid_pixels.size >= thin_from else node.grid_pixels
     scale = segment_normalization(features.raw, drawn, config)
@@ -163,7 +162,7 @@ def best_split(
         if cut.reason:
             continue
         sides_of_pixels = (
-            cut.side if drawn is node.grid_pixels else _continued(features, node, drawn, cut, scale)
+            cut.side if drawn is node.grid_pixels else _extended(features, node, drawn, cut, scale)
         )
         pieces, side_of = _pieces(features, node.grid_pixels, 1 + sides_of_pixels.astype(np.int32), config)
         if len(pieces) < 2:
@@ -182,15 +181,15 @@ def best_split(
             return sides, cut
         node.stop = StopReason.CRITERION
     if node.trial is not None:
-        # What a later eigenvector came to does not undo what the ratio said of an earlier one.
+        # The ratio of an earlier cut counts more than why a later one failed.
         node.stop = StopReason.CRITERION
     return ([], []), None
 
 
-def _continued(
+def _extended(
     features: GridFeatures, node: Node, drawn: NDArray[np.intp], cut: Cut, scale: Normalization
 ) -> NDArray[np.bool_]:
-    """Continue a cut of every second grid pixel to all: where those around agree, else by its extension."""
+    """Extend a cut of every second grid pixel to all; where those around disagree, by classification."""
     sides, asked = _neighbors_side(cut.side, drawn, node.grid_pixels, *features.grid.points.shape)
     sides[asked] = cut.classify(normalized(features.raw, scale, node.grid_pixels[asked]))
     return sides
@@ -200,7 +199,7 @@ def _continued(
 def _neighbors_side(
     drawn_side: Bool, drawn: Intp, grid_pixels: Intp, height: int, width: int
 ) -> tuple[Bool, Intp]:
-    """Give grid pixels the side of the drawn ones around them; also return which have none, or both."""
+    """Return the side of the drawn grid pixels around each, and which have none, or both, around."""
     # Bit 0 for the False side and bit 1 for the True one, at every second row and column.
     corners = np.zeros(((height + 1) // 2 + 1, (width + 1) // 2 + 1), dtype=np.uint8)
     for n in range(drawn.size):
@@ -225,10 +224,7 @@ def _pieces(
     labels: NDArray[np.int32],
     config: SegmentationConfig,
 ) -> tuple[list[NDArray[np.intp]], list[int]]:
-    """Split grid pixels by label and into connected pieces; small ones go to their neighbours.
-
-    Returns the grid pixels of each piece and the label it had, none where no component is large enough.
-    """
+    """Return the large connected components and their labels; small ones go to their neighbours."""
     if grid_pixels.size == 0:
         return [], []
     return large_components(

@@ -1,4 +1,4 @@
-"""What each surface is like as a whole: its size, its middle and the plane that is nearest to it."""
+"""Size, center and plane of each surface."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from numpy.typing import NDArray
 from nurbseg.drivers.compiled import F32, F64, I32, compiled
 from nurbseg.segmentation.points.depth_grid import DepthGrid
 
-#: Weight of slopes of 0 in the plane of a surface, so that a row of points has one as well.
+#: Ridge for the slopes of a plane, so that a row of points has one as well.
 _RIDGE = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceStatistics:
-    """Size, middle and plane of the surfaces of the labels from 0 on; the first is of no label.
+    """Size, center and plane of the surfaces, by label from 0 on, which is none.
 
     Parameters
     ----------
     pixels : (L,) float64
-        Pixels of an image of 640 columns.
+        In pixels of a 640-wide image.
     center_m : (L, 3) float64
         Mean of its points, metres.
     normal : (L, 3) float64
-        Of the plane of inverse depth that fits its points best, towards the camera, of length 1.
+        Unit normal of the plane of inverse depth that fits its points best, towards the camera.
     """
 
     pixels: NDArray[np.float64]
@@ -52,9 +52,9 @@ def surface_statistics(labels: NDArray[np.int32], count: int, grid: DepthGrid) -
     """
     sums = np.zeros((count + 1, 12))
     _sum(np.ascontiguousarray(labels), grid.inverse_depth, grid.points.coordinates_m, sums)
-    places = sums[:, 0]
-    # Columns and rows count from the middle of the image, in widths of it.
-    (_, u, v, d, uu, uv, vv, ud, vd, *center) = (sums / np.maximum(places, 1.0)[:, np.newaxis]).T
+    counts = sums[:, 0]
+    # Columns and rows from the center of the image, in image widths.
+    (_, u, v, d, uu, uv, vv, ud, vd, *center) = (sums / np.maximum(counts, 1.0)[:, np.newaxis]).T
     matrix = np.stack([uu - u * u + _RIDGE, uv - u * v, uv - u * v, vv - v * v + _RIDGE], axis=1)
     slopes_u, slopes_v = np.linalg.solve(
         matrix.reshape(-1, 2, 2), np.stack([ud - u * d, vd - v * d], axis=1)[..., np.newaxis]
@@ -65,13 +65,13 @@ def surface_statistics(labels: NDArray[np.int32], count: int, grid: DepthGrid) -
     x, y = grid.rays.at(
         u * across_px + (width - 1) / 2 * grid.step, v * across_px + (height - 1) / 2 * grid.step
     )
-    # Next to no points tell no focal length.
+    # Infinite where unknown.
     focal_u, focal_v = (each if np.isfinite(each) else 0.0 for each in grid.rays.focal_px)
     along_u, along_v = slopes_u * focal_u / across_px, slopes_v * focal_v / across_px
     normal = -np.stack([along_u, along_v, d - along_u * x - along_v * y])
     normal /= np.maximum(np.sqrt(np.square(normal).sum(axis=0)), 1e-12)
     return SurfaceStatistics(
-        places * (grid.step / grid.unit_px) ** 2,
+        counts * (grid.step / grid.unit_px) ** 2,
         np.stack(center, axis=1),
         normal.T,
     )

@@ -41,7 +41,7 @@ _TERMS = (3, 6)
 
 @dataclass(frozen=True, slots=True)
 class Join:
-    """Two surfaces of objects that do not meet in the image, and why they belong to one thing.
+    """Two surfaces of objects that do not meet in the image, and the evidence that they are one thing.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def join_objects(
     objects, contacts
         As `merge_surfaces` returns them.
     labels : (h, w) int32
-        Of the grid pixels: the place of the leaf plus one; 0 where there is no point.
+        Of the grid pixels: the index of the leaf plus one; 0 where there is no point.
     names : sequence of str
         Of the leaf of each label.
     grid : DepthGrid
@@ -134,12 +134,14 @@ def join_objects(
     """
     if config.extended.level != "things":
         return tuple(objects), ()
-    place = {name: label for label, name in enumerate(names, start=1)}
-    members = [[place[name] for name in each.leaves] for each in objects]
+    label_of = {name: label for label, name in enumerate(names, start=1)}
+    members = [[label_of[name] for name in each.leaves] for each in objects]
     object_of = {label: number for number, each in enumerate(members) for label in each}
     counts = np.bincount(labels.ravel(), minlength=len(names) + 1)
     sampled = _sampled(members, counts, labels, grid, color)
-    meet = {frozenset((object_of[place[each.first]], object_of[place[each.second]])) for each in contacts}
+    meet = {
+        frozenset((object_of[label_of[each.first]], object_of[label_of[each.second]])) for each in contacts
+    }
 
     object_image = np.array([-1, *(object_of[label] for label in range(1, len(names) + 1))])[labels]
     found = []
@@ -154,7 +156,7 @@ def join_objects(
     group = {number: {number} for number in range(len(objects))}
     joins = []
     for join, one, other in sorted(found, key=lambda each: (each[0].ratio, *each[1:])):
-        # Whether objects that meet are one was decided by their border.
+        # Objects that meet were judged by their border.
         if other in group[one] or any(frozenset(pair) in meet for pair in product(group[one], group[other])):
             continue
         joins.append(join)
@@ -207,7 +209,7 @@ def _join(
     config: SegmentationConfig,
     eased: float,
 ) -> Join | None:
-    """Return why two surfaces belong to one thing, or None if they do not."""
+    """Return the evidence that two surfaces are one thing, or None if they are not."""
     color = float(np.linalg.norm(points[0].color_lab - points[1].color_lab))
     if color > _COLOR_MOST * eased:
         return None

@@ -1,1 +1,1 @@
-"""The tree that goes on from frame to frame."""
+"""The tree that is continued from frame to frame."""

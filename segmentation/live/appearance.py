@@ -1,4 +1,4 @@
-"""What a segment looks like: by which it is known again after it was hidden."""
+"""Appearance of segments, by which they are recognized after they were hidden."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from nurbseg.segmentation.cut.features import lab
 from nurbseg.segmentation.labels.lookup import read_only
 from nurbseg.segmentation.points.registration import PointMap
 
-#: A segment that comes back may be this far from its path (metres and a share of its distance), be this many
-#: times larger, or smaller since it appears bit by bit, and differ this much in color (CIELab). Distance and
-#: color are judged together: more of one is allowed with less of the other.
+#: Limits of a returning segment: distance from its path (metres, and share of its depth), times larger or
+#: smaller (it may reappear gradually), and color difference (CIELab). Distance and color are judged together:
+#: more of one is allowed with less of the other.
 _RETURN_M, _RETURN_SHARE, _RETURN_LARGER, _RETURN_SMALLER, _RETURN_LAB = 0.05, 0.05, 3.0, 12.0, 20.0
 #: Weight of the last frame in the remembered motion.
 _NEW_SHARE = 0.5
-#: What is left of a remembered size after a frame in which less was seen; color goes with it.
+#: Decay of a remembered size, and its color, in frames that show less.
 _SIZE_KEPT = 0.97
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Appearance:
-    """By what a segment is known again after it was hidden.
+    """By which a segment is recognized after it was hidden.
 
     Parameters
     ----------
@@ -37,9 +37,9 @@ class Appearance:
     pixels : int
         Number of its pixels on the grid.
     unseen : int
-        Frames since it was seen; 0 while it is.
+        Frames since it was seen; 0 while visible.
     motion_m : (3,) float64
-        How far it moves from frame to frame, metres.
+        Its motion from frame to frame, metres.
     """
 
     center_m: NDArray[np.float64]
@@ -49,14 +49,14 @@ class Appearance:
     motion_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
     def distance_m(self, center_m: NDArray[np.float64]) -> float:
-        """Return the distance of a point from the path that it takes until the next frame, metres."""
+        """Return the distance of a point from its path to the next frame, metres."""
         path = self.motion_m * (self.unseen + 1)
         share = np.dot(center_m - self.center_m, path) / max(np.dot(path, path), 1e-12)
         return math.dist(center_m, self.center_m + np.clip(share, 0.0, 1.0) * path)
 
 
 def updated(before: Appearance | None, now: Appearance) -> Appearance:
-    """Return an appearance with its place and motion now, and size and color of when more of it was seen."""
+    """Return the appearance now, but with size and color of when more of it was seen."""
     if before is None:
         return now
     motion_m = (now.center_m - before.center_m) / (before.unseen + 1)
@@ -77,16 +77,16 @@ def appearances_of(
     labels : (H, W) uint16
         Of the frame.
     wanted : sequence of int
-        Labels, ascending; those that are not there are left out.
+        Labels, ascending; those that do not occur are left out.
     cloud : PointMap
         The frame.
     step : int
         Pixels from one row or column to the next.
     """
     sums = np.zeros((len(wanted), 7))
-    place = np.full(int(max(wanted, default=0)) + 1, -1)
-    place[wanted] = np.arange(len(wanted))
-    _sum_points(read_only(labels), cloud.points_m, cloud.color, step, place, sums)
+    index = np.full(int(max(wanted, default=0)) + 1, -1)
+    index[wanted] = np.arange(len(wanted))
+    _sum_points(read_only(labels), cloud.points_m, cloud.color, step, index, sums)
     counts = sums[:, 0]
     means = sums[:, 1:] / np.maximum(counts, 1.0)[:, np.newaxis]
     colors = lab(np.rint(means[:, 3:]).astype(np.uint8)).astype(np.float64)
@@ -98,15 +98,15 @@ def appearances_of(
 
 
 @compiled
-def _sum_points(labels: U16, points_m: F32, color: U8, step: int, place: I64, sums: F64) -> None:
-    """Count pixels, and sum their points and colors, by the place of their label, if it has one."""
+def _sum_points(labels: U16, points_m: F32, color: U8, step: int, index: I64, sums: F64) -> None:
+    """Count pixels, and sum their points and colors, by the index of their label."""
     height, width = color.shape[:2]
     for r in range(0, height, step):
         for c in range(0, width, step):
             label = labels[r * width + c]
-            if label >= place.size or place[label] < 0:
+            if label >= index.size or index[label] < 0:
                 continue
-            own = sums[place[label]]
+            own = sums[index[label]]
             own[0] += 1.0
             for axis in range(3):
                 own[1 + axis] += points_m[r, c, axis]
@@ -114,7 +114,7 @@ def _sum_points(labels: U16, points_m: F32, color: U8, step: int, place: I64, su
 
 
 def most_alike(appearance: Appearance, lost: Mapping[int, Appearance]) -> int | None:
-    """Return the lost identity that a segment resembles most, if it resembles one."""
+    """Return the lost identity that a segment resembles most, if any."""
     best: tuple[float, int] | None = None
     for identity, other in lost.items():
         ratio = appearance.pixels / max(1, other.pixels)
@@ -122,7 +122,7 @@ def most_alike(appearance: Appearance, lost: Mapping[int, Appearance]) -> int | 
         if not 1.0 / _RETURN_SMALLER <= ratio <= _RETURN_LARGER or color > math.sqrt(2.0):
             continue
         reach = _RETURN_M + _RETURN_SHARE * math.hypot(*other.center_m)
-        # What is hidden may change its motion.
+        # Hidden segments may change their motion.
         reach *= 1.0 + 0.2 * other.unseen
         distance = other.distance_m(appearance.center_m) / reach
         difference = math.hypot(distance, color)

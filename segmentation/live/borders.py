@@ -1,4 +1,4 @@
-"""Labels of every pixel of a frame, from those on the grid and those that pixels had before."""
+"""Labels of every pixel, from those on the grid and those of the pixels before."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _VOTE, _DIAGONAL_VOTE = 1.4, 1.4 / 2**0.5
 def spread_to_pixels(
     before: NDArray[np.uint16], on_grid: NDArray[np.int32], inverse_depth: NDArray[np.float32], step: int
 ) -> NDArray[np.uint16]:
-    """Take over what was decided on the grid; where nothing was, a pixel keeps its label.
+    """Apply changes of labels on the grid to its pixels; the others keep their label.
 
     Parameters
     ----------
@@ -46,15 +46,14 @@ def relax_borders(
     *,
     gap_per_m: float,
 ) -> NDArray[np.uint16]:
-    """Give every pixel at a border the cheapest of its own label, the largest and the least beside it.
+    """Give every pixel at a border the cheapest of its own label, the largest and the smallest next to it.
 
-    One pass of iterated conditional modes, as borders are refined in a first frame; passes of later frames
-    go on with it.
+    One sweep of iterated conditional modes, as in `refine_borders`; later frames continue it.
 
     Parameters
     ----------
     labels : (H, W) uint16
-        Labels of all pixels that have a point, or 0 where that is not known yet.
+        Labels of pixels that have a point, 0 where not known yet.
     inverse_depth : (H, W) float32
         Inverse depth, 1/m; 0 where there is no point.
     lattice : SurfaceLattice
@@ -78,7 +77,7 @@ def relax_borders(
 def _spread(before: U16, on_grid: I32, inverse_depth: F32, step: int, labels: U16) -> None:
     """Give the pixels of a grid pixel its label where it is another one than before."""
     height, width = before.shape
-    # What the pixels of a row of grid pixels take, -1 where they keep what they have.
+    # New labels of the pixels of a row of grid pixels, -1 for none.
     taken, on_row = np.empty(width, dtype=np.int32), np.arange(width) // step
     for r in range(height):
         known, depths, spread = before[r], inverse_depth[r], labels[r]
@@ -102,14 +101,13 @@ def _relax(
     gap: float,
     relaxed: U16,
 ) -> None:
-    """Write down the cheapest label of pixels at borders."""
     height, width = labels.shape
     turns, beside = np.empty(width, dtype=np.bool_), np.empty(width, dtype=np.bool_)
-    # By how many of its row and its column are others; a pixel has no vote for itself.
+    # By the number of nonzero offsets; a pixel has no vote for itself.
     votes, none = np.array([0.0, _VOTE, _DIAGONAL_VOTE]), np.int64(1 << 16)
     for r in range(height):
         above, below = max(r - 1, 0), min(r + 2, height)
-        # Most pixels have neighbours of their own label only.
+        # Most pixels have only neighbours of their own label.
         for c in range(width):
             turns[c] = (labels[above, c] != labels[r, c]) | (labels[below - 1, c] != labels[r, c])
         for c in range(1, width):
@@ -155,7 +153,7 @@ def _explained(samples: Samples, label: np.int64, at: tuple[int, int, float, flo
     values, windows = samples
     row, column, down, across = at
     top, left, bottom, right, start = windows[label]
-    # Beside the last grid pixel of a row or column no other one is asked.
+    # No extrapolation beyond the last row and column.
     under, beside = (1 if down > 0 else 0), (1 if across > 0 else 0)
     if not (top <= row < bottom - under and left <= column < right - beside):
         return np.inf

@@ -1,4 +1,4 @@
-"""The structure of the live tree while it is edited: leaves are added, removed and merged."""
+"""Editing of the live tree: leaves are added, removed and merged."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from nurbseg.segmentation.segments import Node, depth_first
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.vocabulary import Division
 
-#: Why what was divided without a cut has no surface.
-NOT_CUT = "parts that no cut made"
+#: Why a segment that was divided without a cut has no surface.
+NOT_CUT = "divided without a cut"
 
 
 @dataclass(slots=True)
@@ -29,12 +29,12 @@ class UpdateReport:
     Parameters
     ----------
     reset : str
-        Why the frame was segmented from scratch; empty where the tree was continued.
+        Why the frame was segmented from scratch; empty if the tree was continued.
     unexplained : float
         Share of the points that the moved surfaces did not explain.
     refits, trials, splits, appeared, merges, judged : int
-        Surfaces fitted again, leaves tried for a split, splits made, leaves that came into view, merges of
-        leaves, and splits judged again.
+        Numbers of surfaces fitted again, leaves tried for a split, splits made, leaves that came into view,
+        merges of leaves, and splits judged again.
     oldest, oldest_trial : int
         Frames since the oldest value or ratio of a split was found, and since the oldest trial of a leaf.
     waiting : int
@@ -59,14 +59,14 @@ class UpdateReport:
 
 @dataclass(slots=True, eq=False)
 class TreeUpdate:
-    """What became of a tree in an update.
+    """The result of an update of a tree.
 
     Parameters
     ----------
     leaves : list of LiveLeaf
         Of the labels 1, 2, ... from now on.
     before, on_grid : (h, w) int32
-        Labels on the grid before it, and after it by their working numbers.
+        Labels on the grid before, and working numbers after it.
     final : (numbers,) uint16
         Label from now on of each working number.
     report : UpdateReport
@@ -82,10 +82,7 @@ class TreeUpdate:
     def relabelled(
         self, labels: NDArray[np.uint16], inverse_depth: NDArray[np.float32], step: int
     ) -> NDArray[np.uint16]:
-        """Return a label image (H, W) as it is after the update, given each pixel's inverse depth, 1/m.
-
-        Where that is 0 there is no point, and so no label; `step` is that of the grid, pixels.
-        """
+        """Apply the update to a label image (H, W), given inverse depths, 1/m (0: no point, so no label)."""
         relabelled = np.empty_like(labels)
         _relabel(labels, inverse_depth, self.before, self.on_grid, self.final, step, relabelled)
         return relabelled
@@ -95,7 +92,7 @@ class TreeUpdate:
 def _relabel(
     labels: U16, inverse_depth: F32, before: I32, on_grid: I32, final: U16, step: int, relabelled: U16
 ) -> None:
-    """Look up labels from now on; pixels that have the label of their grid pixel change with it."""
+    """Look up final labels; pixels that have the label of their grid pixel change with it."""
     height, width = labels.shape
     known, number = np.empty(width, dtype=np.int32), np.empty(width, dtype=np.int32)
     on_row = np.arange(width) // step
@@ -106,14 +103,14 @@ def _relabel(
             for c in range(width):
                 known[c], number[c] = row_before[on_row[c]], row_now[on_row[c]]
         for c in range(width):
-            # Neighbours across a border keep what they have; what had no label takes this one.
+            # Pixels of another label keep it; unlabelled ones take this one.
             label = np.int32(own[c])
             found = final[number[c] if label == known[c] else label]
             now[c] = found if depths[c] > 0 else 0
 
 
 class TreeEditor:
-    """A tree that is edited; leaves have working numbers, their labels so far and then further ones.
+    """Edits a tree; the working numbers of leaves are their labels so far, and further ones for new leaves.
 
     Parameters
     ----------
@@ -189,7 +186,7 @@ class TreeEditor:
         number = self._next
         self._next += 1
         leaf = self.by_number[number] = self._make_leaf(node)
-        # Nobody has tried to split it yet.
+        # No split of it was tried yet.
         leaf.tried = 0.0
         return number
 
@@ -199,7 +196,7 @@ class TreeEditor:
         return [number for number, leaf in self.by_number.items() if id(leaf.node) in below]
 
     def collapse(self, node: Node) -> int:
-        """Make one leaf of all below a node; return its working number, that of the largest of them."""
+        """Merge all leaves below a node; return the working number, that of the largest of them."""
         numbers = self.below(node)
         sizes = self.sizes()
         kept = max(numbers, key=lambda number: int(sizes[number]))
@@ -213,11 +210,11 @@ class TreeEditor:
         return kept
 
     def contains(self, node: Node) -> bool:
-        """Say whether a node is in the tree."""
+        """Return whether a node is in the tree."""
         return any(each is node for each in depth_first(self._root))
 
     def merge_leaves(self, gone: int, kept: int) -> None:
-        """Give the grid pixels of one leaf to another, and take it out of the tree."""
+        """Give the grid pixels of one leaf to another, and remove it from the tree."""
         leaf = self.by_number.pop(gone)
         self.labels[self.labels == gone] = kept
         self._merged_into[gone] = kept
@@ -227,20 +224,20 @@ class TreeEditor:
                 each.node = place
 
     def around(self, mask: NDArray[np.bool_]) -> int | None:
-        """Return the leaf that surrounds some grid pixels, if there is one."""
+        """Return the leaf with the longest border to some grid pixels, or the largest, if there is one."""
         kernel = np.ones((3, 3), dtype=np.uint8)
         ring = (cv2.dilate(mask.view(np.uint8), kernel) > 0) & ~mask
         labels = self.labels[ring]
         counts = np.bincount(labels[labels > 0], minlength=2)
         number = int(counts.argmax())
         if counts[number] == 0:
-            # Nothing touches it: whatever is largest.
+            # Nothing touches it: the largest leaf.
             sizes = self.sizes()
             number = int(sizes.argmax())
         return number if number in self.by_number else None
 
     def finished(self) -> TreeUpdate:
-        """Give the leaves labels in the order of the tree, and end."""
+        """Give the leaves labels in the order of the tree, and return the update."""
         by_node = {id(leaf.node): (number, leaf) for number, leaf in self.by_number.items()}
         final = np.zeros(self._next, dtype=np.uint16)
         for node in depth_first(self._root):

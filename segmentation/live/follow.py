@@ -1,4 +1,4 @@
-"""The leaves of one frame in the next: surfaces moved, labels grown into what is open."""
+"""Following leaves into the next frame: surfaces are moved, labels grow into unlabelled pixels."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from nurbseg.segmentation.surfaces.inverse_depth import LEAST_PER_M
 from nurbseg.segmentation.surfaces.lattice import Samples, SurfaceLattice
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
-#: Differences of inverse depth between two frames that are another surface rather than motion, 1/m.
+#: Limit of the change of inverse depth by motion between two frames; more is another surface, 1/m.
 _MOTION_MOST_PER_M = 0.15
-#: Passes in which labels grow into grid pixels that have none.
+#: Passes in which labels grow.
 _GROWTH = 12
 
 
@@ -29,11 +29,10 @@ def moved_surfaces(
     inverse_depth: NDArray[np.float32],
     noise_per_m: float,
 ) -> list[NurbsSurface | None]:
-    """Move every surface by the linear change of inverse depth that its points show.
+    """Move every surface by the linear change of its points' inverse depth.
 
-    A spline holds linear functions exactly, so that the moved surface has the same knots. It follows any
-    motion of a plane, and small motions of the others. Grid pixels whose neighbours have another label do
-    not count.
+    Splines represent linear functions exactly, so that the knots stay. This follows any motion of a plane,
+    and small motions of other surfaces. Grid pixels next to another label do not count.
 
     Parameters
     ----------
@@ -53,11 +52,11 @@ def moved_surfaces(
     list of NurbsSurface or None
         The moved ones.
     """
-    # First their mean, then a linear change of those that agree with it.
+    # First the mean change, then a linear change of the pixels that agree with it.
     count = len(surfaces) + 1
     change = lattice.image(labels)
     sums = np.zeros((count, 3))
-    _tell_changes(labels, inner_pixels(labels), inverse_depth, change, sums)
+    _sum_changes(labels, inner_pixels(labels), inverse_depth, change, sums)
     mean, square = np.ascontiguousarray(sums[:, 1:].T) / np.maximum(sums[:, 0], 1.0)
     spread = np.sqrt(np.maximum(square - np.square(mean), 0.0))
     limit = np.maximum(6.0 * noise_per_m, 2.0 * spread)
@@ -91,7 +90,7 @@ def kept_labels(
     lattice: SurfaceLattice,
     limits_per_m: NDArray[np.float32],
 ) -> NDArray[np.int32]:
-    """Take labels away from grid pixels that their surfaces do not explain.
+    """Remove the labels of grid pixels that their surfaces do not explain.
 
     Parameters
     ----------
@@ -102,12 +101,12 @@ def kept_labels(
     lattice : SurfaceLattice
         Of the labels' surfaces.
     limits_per_m : (labels + 1,) float32
-        Residual from which on a label's surface does not explain a grid pixel, 1/m.
+        Residual from which a label's surface does not explain a grid pixel, 1/m.
 
     Returns
     -------
     (h, w) int32
-        The labels, 0 where they are not kept.
+        The labels, 0 where removed.
     """
     is_own = np.abs(lattice.image(labels) - inverse_depth) < limits_per_m.take(labels)
     return np.where(is_own, labels, 0)
@@ -121,8 +120,8 @@ def grown_labels(
 ) -> NDArray[np.int32]:
     """Let labels grow into unlabelled grid pixels that their surfaces explain.
 
-    All is as for `kept_labels`; grid pixels without a point, whose inverse depth is 0, and those that no
-    neighbour's surface explains stay 0.
+    Parameters are those of `kept_labels`. Grid pixels without a point, whose inverse depth is 0, and those
+    that no neighbour's surface explains stay 0.
     """
     grown = labels.copy()
     _grow(grown, inverse_depth, lattice.samples, limits_per_m, _GROWTH)
@@ -132,7 +131,7 @@ def grown_labels(
 def split_off_new(
     labels: NDArray[np.int32], features: GridFeatures, count: int, config: SegmentationConfig
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Give small components to their neighbours; number the large ones that have no label.
+    """Give small components to their neighbours; number the large unlabelled ones.
 
     Parameters
     ----------
@@ -148,8 +147,7 @@ def split_off_new(
     Returns
     -------
     labels, new : (h, w) int32
-        The labels, of each of which the largest component stays however small it is; and the numbers of the
-        components that are new, 0 elsewhere.
+        The labels, each with at least its largest component; and the numbers of new components, 0 elsewhere.
     """
     grid, open_label = features.grid, count + 1
     marked = np.where(grid.valid & (labels == 0), np.int32(open_label), labels)
@@ -171,7 +169,7 @@ def split_off_new(
 
 
 def inner_pixels(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Find grid pixels with a label whose eight neighbours have the same, (h, w) bool."""
+    """Find labelled grid pixels whose eight neighbours have the same label, (h, w) bool."""
     inner = np.empty(labels.shape, dtype=np.bool_)
     _find_inner(labels, inner)
     return inner
@@ -194,8 +192,8 @@ def _find_inner(labels: I32, inner: Bool) -> None:
 
 
 @compiled
-def _tell_changes(labels: I32, inner: Bool, inverse_depth: F32, change: F32, sums: F64) -> None:
-    """Turn surfaces' inverse depths into changes, NaN where one does not count; sum 1, c, cc by label."""
+def _sum_changes(labels: I32, inner: Bool, inverse_depth: F32, change: F32, sums: F64) -> None:
+    """Turn inverse depths into changes, NaN where these do not count; sum 1, c, cc by label."""
     height, width = labels.shape
     for r in range(height):
         c = 0
@@ -253,7 +251,7 @@ def _moved_net(
 
 @compiled
 def _grow(labels: I32, inverse_depth: F32, samples: Samples, limits: F32, passes: int) -> None:
-    """Give open grid pixels the label beside them that explains them best, all those of a pass at once."""
+    """Give unlabelled grid pixels the adjacent label that explains them best, all of a pass at once."""
     values, windows = samples
     height, width = labels.shape
     grid_pixels, found = np.empty(labels.size, dtype=np.int64), np.empty(labels.size, dtype=np.int32)

@@ -1,4 +1,4 @@
-"""Which segment of a frame is which of the frame before: identities that live as long as what they name."""
+"""Identities: which segment of a frame is which of the frame before."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from nurbseg.segmentation.points.registration import PointMap
 
 #: Identities fit into a label image of 16 bits; 0 is "no segment".
 _IDENTITY_MAX = np.iinfo(np.uint16).max
-#: Overlap (intersection over union) under which two segments are not the same.
+#: Least overlap (intersection over union) of the same segment in two frames.
 _OVERLAP_MIN = 0.2
-#: Share of a segment that another must have taken over for a split or a merge to be reported.
+#: Least share of a segment that changes its identity for a split or a merge to be reported.
 _TAKEN_SHARE = 0.3
 #: Pixels of the image are compared on a grid of about this width.
 _GRID_WIDTH = 160
@@ -30,9 +30,9 @@ class Event:
     Parameters
     ----------
     kind : {"new", "lost", "back", "split", "merge"}
-        "split": `identity` came off `other`; "merge": `identity` went into `other`.
+        "split": `identity` was split from `other`; "merge": `identity` was merged into `other`.
     identity : int
-        Whom it is about.
+        The identity.
     other : int or None
         The second one of a split or a merge.
     """
@@ -43,20 +43,20 @@ class Event:
 
 
 def event_text(event: Event) -> str:
-    """Return an event as a person reads it."""
+    """Return an event as text."""
     texts = {
         "new": f"{event.identity} is new",
-        "lost": f"{event.identity} is out of sight",
+        "lost": f"{event.identity} is lost",
         "back": f"{event.identity} is back",
-        "split": f"{event.identity} came off {event.other}",
-        "merge": f"{event.identity} went into {event.other}",
+        "split": f"{event.identity} split from {event.other}",
+        "merge": f"{event.identity} merged into {event.other}",
     }
     return texts[event.kind]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identities:
-    """The identities of one frame's segments, and of those that were there shortly before.
+    """The identities of a frame's segments, and of those seen shortly before.
 
     Parameters
     ----------
@@ -65,11 +65,11 @@ class Identities:
     grid : (h, w) uint16
         Identity of every few pixels, for the comparison with the next frame.
     appearances : mapping of int to Appearance
-        Of every identity that is seen, or was seen not long ago.
+        Of every identity that is visible, or was recently.
     events : tuple of Event
         What changed since the frame before.
     next_identity : int
-        The first one never given.
+        The next unused one.
     """
 
     of_label: Mapping[int, int]
@@ -79,7 +79,7 @@ class Identities:
     next_identity: int = 1
 
     def image(self, labels: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Return a label image with identities in place of labels.
+        """Return a label image of identities.
 
         Parameters
         ----------
@@ -102,9 +102,9 @@ def track_identities(
 ) -> Identities:
     """Give each segment the identity of the segment of the frame before that it continues.
 
-    Segments are matched by their overlap in the image, all at once (the assignment of the greatest total
-    overlap). One that continues none is compared with those that nothing continues, or that were lost within
-    the last frames, by place, motion, size and color; if it resembles none, it is new.
+    Segments are matched by the assignment with the greatest total overlap in the image. Those without a match
+    are compared with unmatched and recently lost ones by position, motion, size and color; those that
+    resemble none are new.
 
     Parameters
     ----------
@@ -115,10 +115,10 @@ def track_identities(
     cloud : PointMap
         This frame.
     before : (H, W) uint16, optional
-        Labels of the frame before, warped to this one; 0 is none. Without them
-        segments are taken to be where they were.
+        Labels of the frame before, warped to this one; 0 is none. By default segments are assumed not to
+        have moved.
     remembered : int
-        Frames for which an identity that is not seen is kept.
+        Frames for which a lost identity is kept.
 
     Returns
     -------
@@ -131,7 +131,7 @@ def track_identities(
     seen = appearances_of(labels, every, cloud, step)
     between = [int(each) for each in every if each and each not in seen]
     if between:
-        # Slivers that lie between the grid's pixels.
+        # Slivers between the grid's pixels.
         seen |= appearances_of(labels, between, cloud, 1)
     if previous is None or previous.grid.shape != coarse.shape:
         previous = Identities({}, np.zeros_like(coarse), {}, (), 1)
@@ -185,7 +185,7 @@ def track_identities(
 def _overlaps(
     before: NDArray[np.uint16], now: NDArray[np.uint16]
 ) -> tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16]]:
-    """Count common pixels of identities (rows) and labels (columns); the first of either is 0, "none"."""
+    """Count common pixels of identities (rows) and labels (columns); the first of both is 0, none."""
     identities, rows = _numbered(before)
     present, columns = _numbered(now)
     cells = (rows * present.size).take(before) + columns.take(now)
@@ -194,7 +194,7 @@ def _overlaps(
 
 
 def _numbered(image: NDArray[np.uint16]) -> tuple[NDArray[np.uint16], NDArray[np.int64]]:
-    """Return the values of an image, 0 among them, and the place among these of each value."""
+    """Return the values of an image, 0 included, and the index of each value."""
     found = labels_present(image)
     values = np.concatenate([[0], found[found > 0]]).astype(np.uint16)
     place = np.zeros(int(values[-1]) + 1, dtype=np.int64)
@@ -209,17 +209,17 @@ def _matched(
     previous: Identities,
     seen: Mapping[int, Appearance],
 ) -> dict[int, int]:
-    """Return the identity that each label continues, for those that continue one."""
+    """Return the identity of each label that continues one."""
     common = overlap[1:, 1:]
     if common.size == 0:
         return {}
     before = np.array([previous.appearances[int(each)].pixels for each in identities[1:]])
     now = np.array([seen[int(each)].pixels for each in present[1:]])
-    # Points that come into view or go out of it are no disagreement: only what both frames label counts.
+    # Only pixels labelled in both frames count: others came into view or left it.
     both_before, both_now = common.sum(axis=1), common.sum(axis=0)
     union = np.minimum(before, both_before)[:, None] + np.minimum(now, both_now)[None, :] - common
     score = common / np.maximum(union, 1)
-    # Late: a third of what a run imports, and only frames that continue each other need it.
+    # Imported late: it takes long, and a single frame does not need it.
     from scipy.optimize import linear_sum_assignment
 
     rows, columns = linear_sum_assignment(-score)
@@ -233,7 +233,7 @@ def _matched(
 def _fresh(
     next_identity: int, remembered: Mapping[int, Appearance], given: Mapping[int, int]
 ) -> tuple[int, int]:
-    """Return an identity that nobody has, and the next one to try."""
+    """Return an unused identity, and the next one to try."""
     taken = {*remembered, *given.values()}
     while next_identity in taken or next_identity > _IDENTITY_MAX:
         next_identity = 1 if next_identity >= _IDENTITY_MAX else next_identity + 1
@@ -241,6 +241,6 @@ def _fresh(
 
 
 def _most(counts: NDArray[np.int64], values: NDArray[np.uint16]) -> int | None:
-    """Return the value, but 0, that has the most of some counts, if that is a large enough share of all."""
+    """Return the value, but for 0, with the largest count, if that is a large enough share of all."""
     most = int(counts[1:].argmax()) + 1 if counts.size > 1 else 0
     return int(values[most]) if most and counts[most] >= _TAKEN_SHARE * counts.sum() else None

@@ -1,4 +1,4 @@
-"""A leaf that lives from frame to frame, and how well its surface still explains it."""
+"""Leaves of the live tree, and how well their surfaces still explain them."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from nurbseg.segmentation.surfaces.noise import noise_floors
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.vocabulary import StopReason
 
-#: A leaf's rim, mixed with what lies behind, is left out where this much of it is left.
+#: A leaf's rim, mixed with the background, does not count if at least this share of the leaf is inside it.
 _INNER_SHARE = 0.3
 
 
 @dataclass(slots=True)
 class Attempt:
-    """The last try to split a leaf: why that was not done, in which frame, and how many frames ago."""
+    """The last attempt to split a leaf: why it failed, in which frame, and how many frames ago."""
 
     stop: StopReason
     trial: Trial | None
@@ -46,7 +46,7 @@ class LiveLeaf:
     node : Node
         Its node of the tree.
     number : int
-        By which it is known as long as it lives.
+        Its number, the same in all frames.
 
     Attributes
     ----------
@@ -55,13 +55,13 @@ class LiveLeaf:
     age : int
         Frames since it was fitted.
     level : float
-        Mean squared residual after the last fit, in units of the noise; NaN where that is not known.
+        Mean squared residual after the last fit, in units of the noise; NaN if unknown.
     tried : float
-        The same at the last trial of a split, or when the leaf was made; NaN where that is not known.
+        The same at the last trial of a split, or when the leaf was made; NaN if unknown.
     rms_per_m : float
         Root mean square residual of inverse depth, 1/m.
     attempt : Attempt or None
-        The last try to split it, if that still counts.
+        The last attempt to split it, if not out of date.
     """
 
     node: Node
@@ -83,20 +83,20 @@ class LiveLeaf:
 
     @property
     def attempt_age(self) -> int:
-        """Frames since the last try to split it that still counts; 0 without one."""
+        """Frames since the last attempt to split it; 0 without one."""
         return 0 if self.attempt is None else self.attempt.age
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Misfit:
-    """How well surfaces explain their labels, by label; the first is of no label.
+    """How well surfaces explain their labels, by label; 0 is none.
 
     Parameters
     ----------
     counts : (labels + 1,) int64
         Number of grid pixels.
     mean_squared : (labels + 1,) float64
-        Mean of the squared residuals in units of the noise, each limited; 1 is what noise leaves.
+        Mean of the limited squared residuals, in units of the noise: 1 is expected.
     unreached : (labels + 1,) float64
         Share of grid pixels that the surface does not reach.
     """
@@ -125,7 +125,7 @@ def misfit(
         Number of labels.
     """
     size = leaves + 1
-    # Of the rim and of the inner pixels: how many, not reached, and sum of squares.
+    # Of the rim and of the inner pixels: count, count not reached, sum of squares.
     sums = np.zeros((size, 2, 3))
     explained, inner = lattice.image(labels), inner_pixels(labels)
     _sum_misfits(labels, grid.inverse_depth, 1.0 / noise_per_m, OUTLIER_DEVIATIONS, explained, inner, sums)
@@ -141,7 +141,7 @@ def misfit(
 def _sum_misfits(
     labels: I32, inverse_depth: F32, per_deviation: float, most: float, explained: F32, inner: Bool, sums: F64
 ) -> None:
-    """Sum by label over pixels at the rim and inner ones: 1, those not reached, limited squared residuals."""
+    """Sum by label over rim and inner pixels: 1, those not reached, limited squared residuals."""
     height, width = labels.shape
     for r in range(height):
         for c in range(width):
@@ -162,7 +162,7 @@ def update_residuals(
     grid: DepthGrid,
     config: SegmentationConfig,
 ) -> list[LiveLeaf]:
-    """Give each leaf its grid pixels, its moved surface's residuals, and the metrics of these.
+    """Update each leaf's grid pixels, and the residuals and metrics of its moved surface.
 
     Parameters
     ----------
@@ -175,12 +175,12 @@ def update_residuals(
     grid : DepthGrid
         The points.
     config : SegmentationConfig
-        The metric that decides, and its limits.
+        The deciding metric, and limits of the metrics.
 
     Returns
     -------
     list of LiveLeaf
-        Leaves whose surface does not reach all of their grid pixels. They have these only, and no fit.
+        Leaves whose surface does not reach all of their grid pixels; they have no fit.
     """
     size = len(leaves) + 1
     order, bounds = by_label(labels.reshape(-1), size)
@@ -193,7 +193,7 @@ def update_residuals(
         lattice.image(labels).reshape(-1),
         grid.inverse_depth.reshape(-1),
         grid.distances_m.reshape(-1),
-        # What is far off is not the leaf's own, and does not make room for more of its kind.
+        # Outliers must not raise the limit for further outliers.
         OUTLIER_DEVIATIONS * config.extended.inverse_depth_noise,
         config.large_error_m,
         (labels.shape[1], width, grid.step),
@@ -210,7 +210,7 @@ def update_residuals(
         leaf.rms_per_m = float(rms_per_m[label])
         fitted_now = leaf.age == 0 and leaf.surface is not None and leaf.node.fit.surface is leaf.surface
         if fitted_now and np.array_equal(leaf.node.grid_pixels, order[own]):
-            # The fit is of these very grid pixels, and more exact.
+            # Fitted to the same grid pixels, more exactly.
             continue
         leaf.node.grid_pixels = order[own]
         if leaf.surface is None or unreached[label] > 0:
@@ -244,7 +244,7 @@ def _measure(
     pixels: Intp,
     sums: F64,
 ) -> None:
-    """Give residuals in space and pixels in the order of labels; sum them, count large and missing ones."""
+    """Fill in residuals in space and pixels, by label; sum residuals, count large and missing ones."""
     grid_width, image_width, step = widths
     for n in range(order.size):
         pixel = order[n]
@@ -258,7 +258,7 @@ def _measure(
             own[4] += 1.0
             continue
         beyond_per_m = abs(np.float64(explained[pixel]) - inverse_depth[pixel])
-        # The point and its surface point lie on one ray.
+        # Both points lie on one ray.
         residual_m = distances_m[pixel] * beyond_per_m / explained[pixel]
         residuals_m[n] = residual_m
         own[0] += residual_m

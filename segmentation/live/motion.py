@@ -1,4 +1,4 @@
-"""Where a frame's pixels were in the frame before: labels warped by optical flow."""
+"""Labels warped by optical flow from the frame before."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def flow_back(now: NDArray[np.uint8], before: NDArray[np.uint8]) -> NDArray[np.f
     Returns
     -------
     (h, w, 2) float32
-        Columns and rows from a pixel of this frame to its place in the one before; 0 where the images are
-        too small to tell.
+        Columns and rows from a pixel of this frame to its position in the one before; 0 if the images are too
+        small.
 
     References
     ----------
@@ -50,7 +50,7 @@ def flow_back(now: NDArray[np.uint8], before: NDArray[np.uint8]) -> NDArray[np.f
 
 
 def warped(image: NDArray[np.uint16], flow: NDArray[np.float32]) -> NDArray[np.uint16]:
-    """Warp the values of the frame before to where they are now.
+    """Warp the values of the frame before to this frame.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def warped(image: NDArray[np.uint16], flow: NDArray[np.float32]) -> NDArray[np.u
     Returns
     -------
     (H, W) uint16
-        The value that each pixel had, the nearest one; 0 for what comes into view.
+        The nearest value at each pixel's position; 0 for what comes into view.
     """
     found = np.empty_like(image)
     _warp(np.ascontiguousarray(image), np.ascontiguousarray(flow), found)
@@ -71,7 +71,7 @@ def warped(image: NDArray[np.uint16], flow: NDArray[np.float32]) -> NDArray[np.u
 
 @compiled
 def _warp(image: U16, flow: F32, found: U16) -> None:
-    """Take each pixel's value from where the flow, linear between its places, says that it was."""
+    """Take each pixel's value from where it was by the flow, interpolated linearly."""
     height, width = image.shape
     h, w = flow.shape[:2]
     across, down = np.float32(width / w), np.float32(height / h)

@@ -1,4 +1,4 @@
-"""Objects from frame to frame: the evidence of borders is filtered, so that merges do not flicker."""
+"""Objects from frame to frame: evidence is filtered over time, so that merges do not flicker."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from nurbseg.segmentation.live.leaf import LiveLeaf
 from nurbseg.segmentation.points.depth_grid import DepthGrid
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 
-#: Share of a frame in what is remembered of a border.
+#: Weight of a new frame in the filtered evidence.
 _NEW_SHARE = 0.2
-#: Log odds that merged surfaces gain, and others lose, by having been so in the frame before.
+#: Added to the log odds of surfaces merged in the frame before, subtracted from those of others.
 _HYSTERESIS = 0.5
-#: Frames for which a border that is not seen is remembered.
+#: Frames for which a border that does not occur is remembered.
 _REMEMBERED = 30
 
 _Pair = tuple[int, int]
@@ -30,7 +30,7 @@ _Pair = tuple[int, int]
 
 @dataclass(slots=True, eq=False)
 class _Border:
-    """What is remembered of the border of two leaves: samples, touching ones, and the items of evidence."""
+    """The filtered border of two leaves: samples, touching ones, and terms of the evidence."""
 
     measured: NDArray[np.float64]
     merged: bool | None = None
@@ -60,7 +60,7 @@ class ObjectMemory:
         grid: DepthGrid,
         config: SegmentationConfig,
     ) -> tuple[tuple[SceneObject, ...], tuple[Contact, ...]]:
-        """Merge the leaves of a frame, with what is remembered of their borders.
+        """Merge the leaves of a frame by the filtered evidence along their borders.
 
         Parameters
         ----------
@@ -73,12 +73,12 @@ class ObjectMemory:
         grid : DepthGrid
             The points.
         config : SegmentationConfig
-            Whether anything is merged, from which log odds on, and what noise and a gap are.
+            Whether to merge, the least log odds, noise and gap.
 
         Returns
         -------
         objects, contacts
-            As those of `merge_surfaces`; evidence has one item more, ``kept``, for how it was before.
+            As those of `merge_surfaces`; evidence has one more term, ``kept``, the hysteresis.
         """
         if not config.extended.merge_surfaces:
             return (), ()
@@ -111,7 +111,7 @@ class ObjectMemory:
         color: NDArray[np.uint8],
         config: SegmentationConfig,
     ) -> tuple[tuple[SceneObject, ...], tuple[Join, ...]]:
-        """Join objects that others separate in the image, more readily if they were joined before.
+        """Join objects that others separate in the image, with easier limits if they were joined before.
 
         Parameters are as those of `merged` and `join_objects`.
         """
@@ -125,7 +125,7 @@ class ObjectMemory:
         return objects, joins
 
     def _remembered(self, pair: _Pair, measured: NDArray[np.float64]) -> _Border:
-        """Return a border with what was measured of it now among what was before."""
+        """Return a border updated with what was measured now."""
         border = self._borders.get(pair)
         if border is None:
             border = self._borders[pair] = _Border(measured)
@@ -138,7 +138,7 @@ class ObjectMemory:
 def _borders_on_grid(
     on_grid: NDArray[np.int32], lattice: SurfaceLattice, grid: DepthGrid, config: SegmentationConfig
 ) -> BorderStatistics:
-    """Measure borders between grid pixels, on surfaces that are linear between them."""
+    """Measure borders on the grid, with linearly interpolated surfaces."""
     step = grid.step
     rays = replace(
         grid.rays,
@@ -154,7 +154,7 @@ def _borders_on_grid(
 
     gap_per_m = config.extended.inverse_depth_gap
     found = border_statistics(on_grid, (), rays, gap_per_m=gap_per_m, evaluate=evaluate)
-    # Samples count as those on every pixel.
+    # Scaled to samples on every pixel.
     sums = (found.samples, found.touching, found.concavity, found.concavity_square, found.apart)
     return BorderStatistics(found.labels, *(step * each for each in sums))
 
@@ -166,7 +166,7 @@ def _pair(leaves: Sequence[LiveLeaf], labels: Sequence[int]) -> _Pair:
 
 
 def _weighed(found: BorderStatistics, borders: Sequence[_Border]) -> WeighedBorders:
-    """Return what is remembered of borders, with what merged ones gain and others lose."""
+    """Return filtered borders with hysteresis."""
     measured = np.array([border.measured for border in borders]).reshape(-1, 2 + len(ITEMS))
     kept = [0.0 if border.merged is None else 2.0 * border.merged - 1.0 for border in borders]
     samples, touching = np.rint(measured[:, :2]).astype(np.int64).T

@@ -1,4 +1,4 @@
-"""Values, ratios and reasons of the live tree: of the frame shown, or judged again in turn."""
+"""Renewal of the live tree's values, ratios and stop reasons, in each frame or in turn."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from nurbseg.segmentation.live.leaf import LiveLeaf
 from nurbseg.segmentation.segments import Node, depth_first
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
-#: Frames within which every split is judged again, and after which the oldest rejected trial counts no more.
+#: Frames within which every split is judged again, and after which a rejected trial is out of date.
 SPLIT_FRAMES, TRIAL_FRAMES = 60, 300
-#: Grid pixels whose splits are judged again in one frame; one split is in any case.
+#: Grid pixels whose splits are judged again in one frame; at least one split is.
 _JUDGED_PIXELS = 4_000
 
 
@@ -29,9 +29,9 @@ class Renewal:
     Parameters
     ----------
     judged : int
-        Splits that were.
+        Number of splits.
     rejected : tuple of Node
-        Splits of them that the ratio no longer keeps, with surfaces that have moved since they were fitted.
+        Those that the ratio no longer keeps, by surfaces that were moved since they were fitted.
     oldest : int
         Frames since the oldest value or ratio of a split was found.
     """
@@ -51,10 +51,10 @@ def renew_splits(
     *,
     every_surface: bool,
 ) -> Renewal:
-    """Judge splits again by the ratio (eq. 5), those first for which that is longest ago.
+    """Judge splits again by the ratio (eq. 5), the least recently judged ones first.
 
-    One surface is fitted to all of a segment and compared with those of the leaves below it. A segment that
-    is not fitted in this frame has no surface: what it had belongs to another frame.
+    One surface is fitted to the whole segment and compared with those of the leaves below it. A segment that
+    is not fitted in this frame has no surface, as its last one belongs to another frame.
 
     Parameters
     ----------
@@ -76,8 +76,8 @@ def renew_splits(
     Returns
     -------
     Renewal
-        Splits that the ratio keeps no longer are undone in the next frame; until then they have the trial
-        by which they were kept last.
+        Rejected splits are undone in the next frame; until then they have the trial by which they were kept
+        last.
     """
     label = {id(leaf.node): number for number, leaf in enumerate(leaves, start=1)}
     reach: dict[int, tuple[int, int]] = {}
@@ -122,7 +122,7 @@ def renew_splits(
 def give_reasons(
     leaves: Sequence[LiveLeaf], cuts: int, grid_pixels_min: float, frame: int, config: SegmentationConfig
 ) -> None:
-    """Give every leaf the reason why it is one, by what was measured in this frame and by its last trial.
+    """Give every leaf its stop reason, by its measurements in this frame and its last trial.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def give_reasons(
         node.trial = None
         if attempt is not None and attempt.trial is not None:
             node.trial, node.judged = attempt.trial, attempt.frame
-        # What was tried is a leaf by that, however many cuts there are by now.
+        # The limit of splits is no reason if a trial was rejected.
         node.stop = stop_without_cut(node, cuts if attempt is None else 0, grid_pixels_min, config)
         if node.grid_pixels.size and node.fit.surface is None:
             node.stop = StopReason.NO_FIT

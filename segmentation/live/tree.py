@@ -1,4 +1,4 @@
-"""The live tree: a segmentation that is continued from frame to frame and updated where it must be."""
+"""The live tree: a segmentation that is continued from frame to frame, and updated where necessary."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 from nurbseg.segmentation.vocabulary import TRIED, Division, StopReason
 
-#: The scene is another one where so much of it is not explained by the surfaces of the frame before.
+#: Share of points unexplained by the surfaces of the frame before that means a new scene.
 _CHANGED_SHARE = 0.4
-#: So many leaves waiting for a trial, over so many frames, are more than updates can do.
+#: More leaves than this waiting for a trial, in more frames than this in a row, are too many for updates.
 _WAITING_MOST, _WAITING_FRAMES = 6, 15
 #: Step of the coarsest grid that a budget may ask for, pixels.
 _STEP_MOST = 8
@@ -43,11 +43,11 @@ _STEP_MOST = 8
 class LiveTree:
     """Segments frame after frame, each from the tree of the one before.
 
-    Labels are warped by the optical flow of the image, surfaces move by the linear change of inverse depth
-    that their points show, and borders are relaxed by both. Then the tree is updated, the worst first and as
-    far as the budget goes: leaves are fitted again, a leaf that has become worse is tried for a split, one
-    that one surface explains again is undone. Borders between surfaces are remembered, so that objects do not
-    flicker. A frame that is not explained is segmented from scratch.
+    Labels are warped by optical flow, surfaces move by the linear change of their points' inverse depth, and
+    borders are relaxed. Then the tree is updated within a budget, the worst first: leaves are fitted again,
+    leaves that have become worse are tried for a split, and splits of what one surface explains are undone.
+    Evidence along borders is filtered over time, so that objects do not flicker. A frame that is not
+    explained is segmented from scratch.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class LiveTree:
     report : UpdateReport
         What was done for the last frame.
     labels_before : (H, W) uint16
-        Label that each pixel of the last frame had in the tree before it; 0 where it had none.
+        Label of each pixel of the last frame in the tree before; 0 for none.
 
     Raises
     ------
@@ -89,7 +89,7 @@ class LiveTree:
         self.labels_before = self._labels
 
     def restart(self, reason: str) -> None:
-        """Segment the next frame from scratch, for a reason that the report is to give."""
+        """Segment the next frame from scratch, and report this reason."""
         self._restart = reason
 
     def segment(
@@ -107,17 +107,17 @@ class LiveTree:
         cloud : PointMap
             The frame.
         budget : Budget, optional
-            How much may be updated; its grid holds for a frame segmented from scratch as well.
+            How much may be updated; its grid also applies to a frame segmented from scratch.
         frame : int, optional
-            Its number, by which later trees say when something was measured; by default the next one.
+            Its number, by which later trees refer to it; by default the next one.
         every_surface : bool
-            Whether segments that were cut get a surface in every frame, and not just in turn.
+            Whether segments that were cut get a surface in every frame, not only in turn.
 
         Returns
         -------
         SegmentationTree
-            As that of a frame alone; a part that is split off or gone changes the names of those below
-            the same split.
+            As that of a single frame. Splitting or removing a part changes the names of those below the same
+            split.
         """
         with one_blas_thread():
             self._frame = self._frame + 1 if frame is None else frame
@@ -138,24 +138,24 @@ class LiveTree:
         return tree
 
     def _config_on(self, step: int) -> SegmentationConfig:
-        """Return the configuration on a grid of so many pixels."""
+        """Return the configuration with a grid step, pixels."""
         if step not in self._configs:
             self._configs[step] = replace(self._config, decimation=step)
         return self._configs[step]
 
     def _no_continuation(self, cloud: PointMap) -> str:
         if not self._leaves:
-            return "the first frame"
+            return "first frame"
         if self._restart:
             return self._restart
         if cloud.valid.shape != self._labels.shape:
-            return "images of another size"
+            return "new image size"
         if self._overdue > _WAITING_FRAMES:
-            return "more to revise than the budget allows"
+            return "more updates than the budget allows"
         return ""
 
     def _take_over(self, tree: SegmentationTree, cloud: PointMap, step: int) -> None:
-        """Begin to live with a tree that was grown for this frame alone, on a grid of so many pixels."""
+        """Start from a tree that was grown for this frame alone, on a grid of some step, pixels."""
         nodes = {
             each.name: Node(
                 each.name,
@@ -190,7 +190,7 @@ class LiveTree:
     def _followed(
         self, cloud: PointMap, config: SegmentationConfig, budget: Budget, every_surface: bool
     ) -> SegmentationTree | None:
-        """Let the tree live on into a frame; None where the frame is not explained."""
+        """Continue the tree in a frame; None if the frame is not explained."""
         step = config.decimation
         inverse_depth = inverse_depth_image(cloud)
         on_every = np.ascontiguousarray(inverse_depth[::step, ::step])
@@ -199,7 +199,7 @@ class LiveTree:
         before = warped(self._labels, flow_back(gray, resized(self._gray, gray.shape)))
         on_grid = np.where(grid.valid, before[::step, ::step], 0).astype(np.int32)
 
-        # Surfaces move with their points, and what they do not explain is open.
+        # Surfaces move with their points; pixels that they do not explain lose their label.
         surfaces = [leaf.surface for leaf in self._leaves]
         if self._lattice.step != step:
             self._lattice = SurfaceLattice(surfaces, step)
@@ -212,7 +212,7 @@ class LiveTree:
         on_grid = kept_labels(on_grid, grid.inverse_depth, lattice, limits)
         unexplained = 1.0 - int(np.count_nonzero(on_grid)) / max(1, known)
         if unexplained > _CHANGED_SHARE or known < (1.0 - _CHANGED_SHARE) * points:
-            self.report = UpdateReport(reset="another scene", unexplained=unexplained)
+            self.report = UpdateReport(reset="new scene", unexplained=unexplained)
             return None
         for leaf, surface in zip(self._leaves, surfaces, strict=True):
             leaf.surface = surface
@@ -222,7 +222,7 @@ class LiveTree:
         for node in depth_first(self._root):
             node.age += 1
 
-        # Labels grow into what is open; what stays open is new, or too small to be anything.
+        # Labels grow into unlabelled pixels; what stays unlabelled is new, or too small.
         on_grid = grown_labels(on_grid, grid.inverse_depth, lattice, limits)
         adjacency = pixel_adjacency(grid.inverse_depth, grid.valid, config.extended.inverse_depth_gap)
         features = GridFeatures(grid, adjacency, np.zeros((0, 0), dtype=np.float32))
@@ -267,14 +267,14 @@ class LiveTree:
             ).astype(np.uint16)
         self.labels_before = before
         self._gray = gray
-        # A budget of time would leave a tree from scratch just as unfinished.
+        # A time budget would leave a tree from scratch just as unfinished.
         late = done.report.waiting > _WAITING_MOST and config.budget_ms == 0
         self._overdue = self._overdue + 1 if late else 0
         self.report = replace(done.report, unexplained=unexplained, step=step)
         return self._finished(cloud, features, labels, before, config, every_surface)
 
     def _limits_per_m(self) -> NDArray[np.float32]:
-        """Return from which residual on a grid pixel is not a leaf's own, by label."""
+        """Return the residual from which a leaf's surface does not explain a grid pixel, by label."""
         own = [OUTLIER_DEVIATIONS * leaf.rms_per_m for leaf in self._leaves]
         limits = np.maximum(np.array([0.0, *own]), self._config.extended.inverse_depth_gap)
         return np.asarray(limits, dtype=np.float32)
@@ -315,7 +315,7 @@ class LiveTree:
         objects, joins = self._objects.joined(
             objects, contacts, self._leaves, on_grid, grid, cloud.color, config
         )
-        # What has no depth in this frame keeps its label for the next one.
+        # Pixels without depth in this frame keep their label for the next one.
         self._labels = self._updater.renumbered(before)
         np.copyto(self._labels, labels, where=labels > 0)
         return SegmentationTree(
@@ -324,5 +324,5 @@ class LiveTree:
 
 
 def lives(config: SegmentationConfig) -> bool:
-    """Say whether the tree of a configuration can live on from frame to frame."""
+    """Return whether the tree of a configuration can be continued from frame to frame."""
     return config.method == "nurbseg"

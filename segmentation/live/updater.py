@@ -1,4 +1,4 @@
-"""What of the live tree is updated in a frame: the worst first, as far as the budget goes."""
+"""Updates of the live tree in a frame, the worst first, within a budget."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, Trial, depth_first
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
-#: A leaf is tried again for a split when its mean square is this much more than at the last trial.
+#: A leaf is tried again for a split if its mean square is this much larger than at the last trial.
 _WORSE_FACTOR, _WORSE_BY = 1.5, 0.5
 #: Grid pixels cut in one frame, unless one leaf has more.
 _CUT_PIXELS = 2000
-#: A leaf with fewer grid pixels than this share of the smallest has vanished.
+#: A leaf smaller than this share of the smallest size has vanished.
 _VANISHED_SHARE = 0.25
-#: Things that appear in one frame, at most; the others wait.
+#: Largest number of leaves that appear in one frame; the others wait.
 _APPEARING_MOST = 6
-#: Frames after which a pair of leaves is asked as if for the first time.
+#: Frames after which the last comparison of a pair of leaves is forgotten.
 _FORGOTTEN = 1000
 #: Wear of a surface by one frame, in units of its relative misfit.
 _WEAR = 0.05
@@ -56,7 +56,7 @@ class Budget:
     merges : int
         Pairs of leaves that are compared with one surface for both.
     coarser : int
-        Pixels by which the step of the grid exceeds the usual one.
+        Pixels by which the grid step exceeds the usual one.
     """
 
     refits: int = 6
@@ -66,7 +66,7 @@ class Budget:
 
 
 class TreeUpdater:
-    """Updates a tree frame after frame, and keeps whose turn it is."""
+    """Updates a tree frame after frame, and remembers whose turn it is."""
 
     def __init__(self) -> None:
         self._numbers = count(1)
@@ -79,7 +79,7 @@ class TreeUpdater:
         return LiveLeaf(node, next(self._numbers))
 
     def renumbered(self, labels: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Return labels from before the last update as they are now; 0 for those that are no more."""
+        """Apply the last update to labels from before it; 0 for those that are gone."""
         return apply_lookup_table(self._final, labels)
 
     def update(
@@ -97,7 +97,7 @@ class TreeUpdater:
         budget: Budget,
         config: SegmentationConfig,
     ) -> TreeUpdate:
-        """Update a tree, the worst first and as far as the budget goes.
+        """Update a tree, the worst first, within the budget.
 
         Parameters
         ----------
@@ -106,7 +106,7 @@ class TreeUpdater:
         on_grid : (h, w) int32
             Labels on the grid, 1 to the number of leaves; 0 for none.
         appeared : (h, w) int32
-            Numbers of pieces that no leaf explains; 0 elsewhere.
+            Numbers of components that no leaf explains; 0 elsewhere.
         root : Node
             Of the tree, which is changed.
         leaves : sequence of LiveLeaf
@@ -114,9 +114,9 @@ class TreeUpdater:
         measures : Misfit
             How well their surfaces explain them.
         same_object : container of (int, int)
-            Numbers of leaves, the smaller first, that meet and are one object.
+            Numbers of adjacent leaves of one object, the smaller first.
         rejected : sequence of Node
-            Segments whose split the ratio keeps no longer, by the surfaces of the frame before.
+            Segments whose split the ratio no longer keeps, by the surfaces of the frame before.
         frame : int
             Number of the frame.
         budget : Budget
@@ -169,7 +169,7 @@ class _Update:
                 leaf.tried = float(measures.mean_squared[number])
 
     def add_appeared(self, appeared: NDArray[np.int32]) -> None:
-        """Add leaves for what no leaf explains, each beside the one that surrounds it."""
+        """Add leaves for components that no leaf explains, each next to the one that surrounds it."""
         for piece in range(1, int(appeared.max()) + 1):
             mask = appeared == piece
             neighbor = self._editor.around(mask)
@@ -183,7 +183,7 @@ class _Update:
             )
 
     def remove_vanished(self) -> None:
-        """Remove leaves of which next to nothing is left."""
+        """Remove leaves that have become very small."""
         editor = self._editor
         sizes = editor.sizes()
         for number in [n for n in editor.by_number if sizes[n] < _VANISHED_SHARE * self._grid_pixels_min]:
@@ -195,7 +195,7 @@ class _Update:
             editor.merge_leaves(number, kept)
 
     def refit(self, most: int) -> None:
-        """Fit the surfaces again that explain their leaves worst, or are the oldest."""
+        """Fit surfaces again: those that explain their leaves worst, or are oldest."""
         m = self._measures
         need = []
         for number, leaf in self._editor.by_number.items():
@@ -215,7 +215,7 @@ class _Update:
                 self._editor.done.report.refits += 1
 
     def split(self, most: int) -> None:
-        """Try leaves for a split that have become worse, the worst first."""
+        """Try to split leaves that have become worse, the worst first."""
         m, editor = self._measures, self._editor
         self._forget_oldest()
         waiting = []
@@ -235,7 +235,7 @@ class _Update:
                 cuts, counted = cuts + 1, counted + int(m.counts[number])
 
     def _forget_oldest(self) -> None:
-        """Let the oldest attempt count no more, if it is too old; its leaf is tried again."""
+        """Forget the oldest attempt if it is out of date, so that its leaf is tried again."""
         attempts = [leaf for leaf in self._editor.by_number.values() if leaf.attempt is not None]
         oldest = max(attempts, key=lambda leaf: leaf.attempt_age, default=None)
         # One in each frame, so early that none gets older than the limit.
@@ -243,14 +243,14 @@ class _Update:
             oldest.attempt, oldest.tried = None, 0.0
 
     def _may_be_split(self, number: int) -> bool:
-        """Say whether neither its size nor its depth, nor how near it is to the noise, forbids a split."""
+        """Return whether size, depth and distance from the noise allow a split."""
         m, node = self._measures, self._editor.by_number[number].node
         if m.counts[number] <= 2.0 * self._grid_pixels_min or at_noise_floor(node.fit, self._config):
             return False
         return node.cuts_above < self._config.depth_max
 
     def collapse(self, rejected: Sequence[Node]) -> None:
-        """Judge splits again with fitted surfaces; make one leaf of each that is not kept."""
+        """Judge rejected splits again with fitted surfaces, and undo those that are not kept."""
         editor = self._editor
         for node in rejected:
             if not (node.children and editor.contains(node)):
@@ -271,7 +271,7 @@ class _Update:
         same_object: Container[tuple[int, int]],
         asked: dict[tuple[int, int], int],
     ) -> None:
-        """Merge two leaves of an object where the ratio does not keep them apart; in turn."""
+        """Merge leaves of an object, in turn, if the ratio does not keep them apart."""
         editor = self._editor
 
         def pair_of(pair: tuple[int, int]) -> tuple[int, int]:
@@ -295,7 +295,7 @@ class _Update:
     def _compare(
         self, grid_pixels: Sequence[NDArray[np.intp]], nodes: Sequence[Node] = ()
     ) -> tuple[Part, Trial]:
-        """Compare one surface with nodes as they are and, if these are no better, with fits to each part."""
+        """Compare one surface with nodes as they are and, if these are not better, with new fits."""
         config = self._config
         whole = fit_together(self._features, grid_pixels, config)
         if nodes:
@@ -317,7 +317,7 @@ class _Update:
         self._editor.done.report.merges += 1
 
     def _try(self, number: int) -> bool:
-        """Try a leaf for a split; say whether it was cut for that, which is what takes time."""
+        """Try to split a leaf; return whether it was cut, which takes time."""
         leaf = self._editor.by_number[number]
         node = leaf.node
         self._editor.done.report.trials += 1

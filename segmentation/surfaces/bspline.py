@@ -52,9 +52,9 @@ def averaged_knots(parameters: NDArray[np.float64], count: int, degree: int = CU
     if last <= first:
         last = first + 1.0
     inner = np.arange(1, count - degree, dtype=np.float64)
-    place = inner * parameters.size / (count - degree)
-    index = place.astype(np.intp)
-    share = place - index
+    position = inner * parameters.size / (count - degree)
+    index = position.astype(np.intp)
+    share = position - index
     index = np.minimum(index, parameters.size - 1)
     knots = (1.0 - share) * parameters[np.maximum(index - 1, 0)] + share * parameters[index]
     return np.concatenate([np.full(degree + 1, first), knots, np.full(degree + 1, last)])
@@ -117,12 +117,12 @@ def _even_basis(
     first: float, spacing: float, count: int, parameters: NDArray[np.float64], derivative: int
 ) -> NDArray[np.float64]:
     """Evaluate the cubic basis on evenly spaced knots: the same four polynomials on every span."""
-    place = (parameters - first) * (1.0 / spacing)
-    span = np.minimum(np.maximum(np.floor(place), CUBIC), count - 1).astype(np.intp)
+    position = (parameters - first) * (1.0 / spacing)
+    span = np.minimum(np.maximum(np.floor(position), CUBIC), count - 1).astype(np.intp)
     values = np.zeros((parameters.size, count))
     at = np.arange(parameters.size) * count + (span - CUBIC)
     flat = values.reshape(-1)
-    functions = even_functions(place - span, spacing, derivative)
+    functions = even_functions(position - span, spacing, derivative)
     for step in range(CUBIC + 1):
         flat[at + step] = functions[:, step]
     return values

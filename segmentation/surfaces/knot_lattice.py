@@ -47,8 +47,8 @@ def lattice_basis(
 @lru_cache(maxsize=16)
 def _table(spacing: float, blocks: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Tabulate span and functions at every grid pixel of an image's whole extent."""
-    place = np.arange(blocks * _TABLE_PIXELS, dtype=np.float64) / spacing
-    span = np.floor(place)
-    values = even_functions(place - span, spacing)
+    position = np.arange(blocks * _TABLE_PIXELS, dtype=np.float64) / spacing
+    span = np.floor(position)
+    values = even_functions(position - span, spacing)
     values.flags.writeable = False
     return span.astype(np.intp), values

@@ -134,10 +134,10 @@ def _evaluate(nets: F32, shapes: I64, first: F64, spacing: F64, samples: Samples
 
 
 @compiled
-def _cubic(place: float, count: int, basis: F32) -> int:
+def _cubic(position: float, count: int, basis: F32) -> int:
     """Fill in the four cubic functions that are not zero at a position; return the number of the first."""
-    span = min(max(int(np.floor(place)), 3), count - 1)
-    basis[0], basis[1], basis[2], basis[3] = even_values(place - span)
+    span = min(max(int(np.floor(position)), 3), count - 1)
+    basis[0], basis[1], basis[2], basis[3] = even_values(position - span)
     return span - 3
 
 

@@ -141,9 +141,9 @@ def _axis(knots: Sequence[NDArray[np.float64] | None]) -> _Axis:
 def _functions(axis: _Axis, label: int, t: float) -> tuple[int, Four, Four]:
     """Evaluate the basis functions that are not 0 at t: number of the first, values and derivatives."""
     per_spacing = axis.per_spacing[label]
-    place = (t - axis.first[label]) * per_spacing
-    span = min(max(int(place), CUBIC), axis.counts[label] - 1)
-    return span - CUBIC, even_values(place - span), even_slopes(place - span, per_spacing)
+    position = (t - axis.first[label]) * per_spacing
+    span = min(max(int(position), CUBIC), axis.counts[label] - 1)
+    return span - CUBIC, even_values(position - span), even_slopes(position - span, per_spacing)
 
 
 @inlined

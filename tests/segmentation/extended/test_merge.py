@@ -69,7 +69,7 @@ def test_a_box_is_an_object_and_the_table_another(cloud_of, box_on_table, step):
     assert not said["00", "10"].merged
     assert said["00", "10"].log_odds < -2
     assert said["00", "10"].evidence["concave"] < said["01", "10"].evidence["concave"]
-    assert said["00", "01"].reason == "a gap: 0 of 152 places along the border touch"
+    assert said["00", "01"].reason == "a gap: the surfaces touch at 0 of 152 samples of the border"
     assert not said["00", "01"].merged
 
 
@@ -225,7 +225,7 @@ def test_a_weak_border_does_not_join_what_a_long_one_parts():
     [
         ((1.5, -0.25, 2.0, 0.0), True, "log odds of +3.25, of which front +2.0 and concave -0.2"),
         ((1.5, -3.0, 1.25, 0.0), False, "log odds of -0.25, of which front +1.2 and concave -3.0"),
-        ((0.0, 0.0, 0.0, -1.5), False, "a gap: 3 of 20 places along the border touch"),
+        ((0.0, 0.0, 0.0, -1.5), False, "a gap: the surfaces touch at 3 of 20 samples of the border"),
     ],
 )
 def test_a_contact_says_why_it_is_merged_or_not(items, merged, reason):
@@ -239,10 +239,10 @@ def test_a_contact_says_why_it_is_merged_or_not(items, merged, reason):
     assert contact.evidence == {name: item for name, item in zip(names, items, strict=True) if item}
 
 
-def test_a_contact_says_that_others_joined_or_parted_it():
+def test_a_contact_says_that_others_merged_or_separated_it():
     labels = np.array([[1, 2, 3]], dtype=np.int32)
     pairs = [(1, 2), (1, 3), (2, 3)]
     _, contacts = merged_objects(borders_of(pairs, [2.0, -0.5, 2.0], [9, 9, 9]), labels, NAMES[:3], CONFIG)
-    assert contacts[1].reason == "joined through other surfaces, in spite of log odds of -0.50"
+    assert contacts[1].reason == "merged through other surfaces, despite log odds of -0.50"
     _, contacts = merged_objects(borders_of(pairs, [2.0, -1.5, 1.0], [9, 9, 9]), labels, NAMES[:3], CONFIG)
-    assert contacts[2].reason == "log odds of +1.00, but their objects as wholes are two"
+    assert contacts[2].reason == "log odds of +1.00, but the average over their objects' borders is too low"

@@ -61,7 +61,7 @@ def tree() -> LiveTree:
     """A live tree that has seen a wall and a box."""
     live = LiveTree(CONFIG)
     live.segment(scene(BOX))
-    assert live.report.reset == "the first frame"
+    assert live.report.reset == "first frame"
     return live
 
 
@@ -231,7 +231,7 @@ def test_two_leaves_become_one_when_they_are_flush_and_not_before(merges: int) -
 def test_another_scene_is_segmented_anew(tree: LiveTree) -> None:
     other = scene((10, 10, 120, 90), noise=5, wall_m=3.0)
     found = tree.segment(other)
-    assert tree.report.reset == "another scene"
+    assert tree.report.reset == "new scene"
     assert np.array_equal(found.labels("surfaces"), segment(other, CONFIG).labels("surfaces"))
     tree.segment(other)
     assert tree.report.reset == ""
@@ -252,7 +252,7 @@ def test_a_frame_is_segmented_anew_on_demand_and_once(tree: LiveTree) -> None:
 def test_a_frame_is_segmented_anew_on_the_grid_of_the_budget(tree: LiveTree, coarser: int) -> None:
     other = scene((10, 10, 120, 90), noise=5, wall_m=3.0)
     found = tree.segment(other, Budget(coarser=coarser))
-    assert (tree.report.reset, tree.report.step) == ("another scene", 1 + coarser)
+    assert (tree.report.reset, tree.report.step) == ("new scene", 1 + coarser)
     alone = segment(other, replace(CONFIG, decimation=1 + coarser))
     assert np.array_equal(found.labels("surfaces"), alone.labels("surfaces"))
     # The tree lives on from there, on that grid and on another one.
@@ -268,7 +268,7 @@ def test_images_of_another_size_are_segmented_anew(tree: LiveTree) -> None:
         *(np.ascontiguousarray(each[:100]) for each in (whole.points_m, whole.color, whole.colored))
     )
     assert tree.segment(part).shape == (100, 160)
-    assert tree.report.reset == "images of another size"
+    assert tree.report.reset == "new image size"
 
 
 @pytest.mark.parametrize("refits", [0, 1, 2])
