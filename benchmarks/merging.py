@@ -27,7 +27,7 @@ from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.border_statistics import border_statistics
 from nurbseg.segmentation.extended.evidence import BASE, DIGITS, GAP, TERMS, pair_features
-from nurbseg.segmentation.extended.merge import agglomerated
+from nurbseg.segmentation.extended.merge import agglomerate
 from nurbseg.segmentation.extended.refitting import refit_surfaces
 from nurbseg.segmentation.extended.surface_statistics import surface_statistics
 from nurbseg.segmentation.methods import segment
@@ -127,7 +127,7 @@ def true_log_odds(each: Surfaces) -> NDArray[np.float64]:
 def scores(each: Surfaces, odds: NDArray[np.float64], log_odds_min: float = 0.0) -> list[float]:
     """Merge surfaces and score the objects: RI, GTRC, VoI, obj, and the two parts of VoI."""
     count = len(each.common) - 1
-    group = agglomerated(
+    group = agglomerate(
         each.pairs.tolist(),
         np.round(odds, DIGITS).tolist(),
         each.samples.tolist(),

@@ -17,7 +17,7 @@ from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.labels.lookup import apply_lookup_table
 from nurbseg.segmentation.live.identity import Identities, track_identities
-from nurbseg.segmentation.live.tree import LiveTree, lives
+from nurbseg.segmentation.live.tree import LiveTree, supports_live_tree
 from nurbseg.segmentation.live.updater import Budget
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap, register
@@ -52,7 +52,7 @@ class Segmenter:
         self._every_surface = every_surface
         self._rate_controller = RateController(target_hz) if target_hz > 0 else None
         self._temporal = temporal
-        self._live = LiveTree(config) if temporal and lives(config) else None
+        self._live = LiveTree(config) if temporal and supports_live_tree(config) else None
         self._surfaces: Identities | None = None
         self._objects: Identities | None = None
         self._object_of_label = np.zeros(1, dtype=np.uint16)

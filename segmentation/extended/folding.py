@@ -86,7 +86,7 @@ def fold_leaves(root: Node, features: GridFeatures, config: SegmentationConfig) 
                 borders[joint] = count + more_count, cosines + more_cosines
 
 
-def take_out(root: Node, gone: Node) -> tuple[Node, Node]:
+def remove_node(root: Node, gone: Node) -> tuple[Node, Node]:
     """Remove a node from a tree: its sibling takes the place of their parent.
 
     Returns
@@ -166,7 +166,7 @@ def _fold(
         node.grid_pixels = np.setdiff1d(node.grid_pixels, moved, assume_unique=True)
     (_, leaves[kept].fit, stop), trial = judged
     leaf_of = {id(leaf): number for number, leaf in leaves.items()}
-    sibling, parent = take_out(root, leaves[gone])
+    sibling, parent = remove_node(root, leaves[gone])
     at = {**leaves, **({leaf_of[id(sibling)]: parent} if id(sibling) in leaf_of else {})}
 
     leaf = at[kept]
@@ -221,4 +221,4 @@ def _parts(node: Node) -> list[Node]:
     return found
 
 
-__all__ = ["BORDER_LEAST", "fold_leaves", "take_out"]
+__all__ = ["BORDER_LEAST", "fold_leaves", "remove_node"]

@@ -156,7 +156,7 @@ def merged_objects(
     objects, contacts
         As those of `merge_surfaces`.
     """
-    group = agglomerated(
+    group = agglomerate(
         borders.labels.tolist(),
         borders.log_odds.tolist(),
         borders.samples.tolist(),
@@ -173,7 +173,7 @@ def merged_objects(
     return objects, tuple(_contacts(borders, names, group, config.extended.log_odds_min))
 
 
-def agglomerated(
+def agglomerate(
     pairs: Sequence[Sequence[int]],
     log_odds: Sequence[float],
     samples: Sequence[int],
@@ -264,7 +264,7 @@ __all__ = [
     "Contact",
     "SceneObject",
     "WeighedBorders",
-    "agglomerated",
+    "agglomerate",
     "merge_surfaces",
     "merged_objects",
 ]

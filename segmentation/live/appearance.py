@@ -113,7 +113,7 @@ def _sum_points(labels: U16, points_m: F32, color: U8, step: int, index: I64, su
                 own[4 + axis] += color[r, c, axis]
 
 
-def most_alike(appearance: Appearance, lost: Mapping[int, Appearance]) -> int | None:
+def best_match(appearance: Appearance, lost: Mapping[int, Appearance]) -> int | None:
     """Return the lost identity that a segment resembles most, if any."""
     best: tuple[float, int] | None = None
     for identity, other in lost.items():

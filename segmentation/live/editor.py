@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, I32, I64, U16, Bool, compiled
-from nurbseg.segmentation.extended.folding import take_out
+from nurbseg.segmentation.extended.folding import remove_node
 from nurbseg.segmentation.extended.parts import Part
 from nurbseg.segmentation.labels.regions import PixelAdjacency
 from nurbseg.segmentation.live.leaf import LiveLeaf
@@ -218,7 +218,7 @@ class TreeEditor:
         leaf = self.by_number.pop(gone)
         self.labels[self.labels == gone] = kept
         self._merged_into[gone] = kept
-        other, place = take_out(self._root, leaf.node)
+        other, place = remove_node(self._root, leaf.node)
         for each in self.by_number.values():
             if each.node is other:
                 each.node = place

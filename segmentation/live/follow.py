@@ -84,7 +84,7 @@ def _moved(surface: NurbsSurface, change: NDArray[np.float64], step: int) -> Nur
     return NurbsSurface(surface.degree, surface.knots_u, surface.knots_v, points, weights, surface.window)
 
 
-def kept_labels(
+def explained_labels(
     labels: NDArray[np.int32],
     inverse_depth: NDArray[np.float32],
     lattice: SurfaceLattice,
@@ -120,15 +120,15 @@ def grown_labels(
 ) -> NDArray[np.int32]:
     """Let labels grow into unlabelled grid pixels that their surfaces explain.
 
-    Parameters are those of `kept_labels`. Grid pixels without a point, whose inverse depth is 0, and those
-    that no neighbour's surface explains stay 0.
+    Parameters are those of `explained_labels`. Grid pixels without a point, whose inverse depth is 0, and
+    those that no neighbour's surface explains stay 0.
     """
     grown = labels.copy()
     _grow(grown, inverse_depth, lattice.samples, limits_per_m, _GROWTH)
     return grown
 
 
-def split_off_new(
+def new_components(
     labels: NDArray[np.int32], features: GridFeatures, count: int, config: SegmentationConfig
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Give small components to their neighbours; number the large unlabelled ones.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.labels.lookup import apply_lookup_table, labels_present
-from nurbseg.segmentation.live.appearance import Appearance, appearances_of, most_alike, updated
+from nurbseg.segmentation.live.appearance import Appearance, appearances_of, best_match, updated
 from nurbseg.segmentation.points.registration import PointMap
 
 #: Identities fit into a label image of 16 bits; 0 is "no segment".
@@ -152,7 +152,7 @@ def track_identities(
         if label in matched:
             of_label[label] = matched[label]
             continue
-        known = most_alike(seen[label], free)
+        known = best_match(seen[label], free)
         if known is not None:
             del free[known]
             of_label[label] = known

@@ -119,7 +119,7 @@ def renew_splits(
     return Renewal(judged, tuple(rejected), max((node.age for node in splits), default=0))
 
 
-def give_reasons(
+def set_stop_reasons(
     leaves: Sequence[LiveLeaf], cuts: int, grid_pixels_min: float, frame: int, config: SegmentationConfig
 ) -> None:
     """Give every leaf its stop reason, by its measurements in this frame and its last trial.

@@ -18,11 +18,11 @@ from nurbseg.segmentation.labels.segment_pixels import finished_segments
 from nurbseg.segmentation.labels.spreading import spread_labels
 from nurbseg.segmentation.live.borders import relax_borders, spread_to_pixels
 from nurbseg.segmentation.live.editor import UpdateReport
-from nurbseg.segmentation.live.follow import grown_labels, kept_labels, moved_surfaces, split_off_new
+from nurbseg.segmentation.live.follow import explained_labels, grown_labels, moved_surfaces, new_components
 from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf, misfit, update_residuals
 from nurbseg.segmentation.live.motion import brightness, flow_back, resized, warped
 from nurbseg.segmentation.live.objects import ObjectMemory
-from nurbseg.segmentation.live.renewal import give_reasons, renew_splits
+from nurbseg.segmentation.live.renewal import renew_splits, set_stop_reasons
 from nurbseg.segmentation.live.updater import Budget, TreeUpdater
 from nurbseg.segmentation.points.depth_grid import DepthGrid, inverse_depth_image
 from nurbseg.segmentation.points.grid import decimated_grid, grid_step
@@ -68,7 +68,7 @@ class LiveTree:
     """
 
     def __init__(self, config: SegmentationConfig) -> None:
-        if not lives(config):
+        if not supports_live_tree(config):
             raise ValueError(f"method: expected nurbseg, got {config.method}")
         self._config = config
         self._configs: dict[int, SegmentationConfig] = {}
@@ -209,7 +209,7 @@ class LiveTree:
         lattice = SurfaceLattice(surfaces, step)
         limits = self._limits_per_m()
         points, known = int(np.count_nonzero(grid.valid)), int(np.count_nonzero(on_grid))
-        on_grid = kept_labels(on_grid, grid.inverse_depth, lattice, limits)
+        on_grid = explained_labels(on_grid, grid.inverse_depth, lattice, limits)
         unexplained = 1.0 - int(np.count_nonzero(on_grid)) / max(1, known)
         if unexplained > _CHANGED_SHARE or known < (1.0 - _CHANGED_SHARE) * points:
             self.report = UpdateReport(reset="new scene", unexplained=unexplained)
@@ -226,7 +226,7 @@ class LiveTree:
         on_grid = grown_labels(on_grid, grid.inverse_depth, lattice, limits)
         adjacency = pixel_adjacency(grid.inverse_depth, grid.valid, config.extended.inverse_depth_gap)
         features = GridFeatures(grid, adjacency, np.zeros((0, 0), dtype=np.float32))
-        on_grid, appeared = split_off_new(on_grid, features, len(self._leaves), config)
+        on_grid, appeared = new_components(on_grid, features, len(self._leaves), config)
 
         # Borders on every pixel.
         labels = spread_to_pixels(before, on_grid, inverse_depth, step)
@@ -302,7 +302,7 @@ class LiveTree:
         )
         nodes = depth_first(self._root)
         cuts = sum(node.division is Division.CUT for node in nodes)
-        give_reasons(leaves, cuts, features.grid_pixels_min(config), self._frame, config)
+        set_stop_reasons(leaves, cuts, features.grid_pixels_min(config), self._frame, config)
         self._rejected = renewal.rejected
         self.report = replace(
             self.report,
@@ -323,6 +323,6 @@ class LiveTree:
         )
 
 
-def lives(config: SegmentationConfig) -> bool:
+def supports_live_tree(config: SegmentationConfig) -> bool:
     """Return whether the tree of a configuration can be continued from frame to frame."""
     return config.method == "nurbseg"

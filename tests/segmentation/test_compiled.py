@@ -46,7 +46,7 @@ def test_compiled_functions_take_names_only_from_files_by_whose_content_their_co
 
 
 @every_module
-def test_compiled_functions_tell_infinities_by_comparison(module):
+def test_compiled_functions_recognize_infinities_by_comparison(module):
     """Where sums may be reordered, a sum less itself is 0, and so `isfinite` is true of it."""
     for name, code in compiled_in(module):
         assert "isfinite" not in code.co_names, name
@@ -92,7 +92,7 @@ print(outer(1), sum(outer.stats.cache_hits.values()))
 """
 
 
-def test_code_is_compiled_anew_when_a_function_of_another_file_changes(tmp_path: Path, monkeypatch):
+def test_code_is_recompiled_when_a_function_of_another_file_changes(tmp_path: Path, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "code"))
     (tmp_path / "segmentation").mkdir()
     (tmp_path / "segmentation/outer.py").write_text(OUTER)

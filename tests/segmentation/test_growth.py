@@ -245,7 +245,7 @@ def test_the_smallest_segment_has_exactly_t_p_places(cloud_of, base, left, right
 
 
 @pytest.mark.parametrize(("grid_pixels_min", "leaves"), [(100, 2), (101, 1)])
-def test_a_side_apart_from_the_other_is_held_to_t_p_too(cloud_of, grid_pixels_min, leaves):
+def test_t_p_applies_to_a_side_apart_from_the_other_too(cloud_of, grid_pixels_min, leaves):
     # It touches nothing that it could be given to.
     tree = segment(
         two_colors(cloud_of, 100, 190, apart=2),

@@ -95,7 +95,7 @@ def test_borders_are_measured_crossing_by_crossing(width, reach, inset):
     assert (found.touching < found.samples).any()
 
 
-def test_one_label_meets_nobody():
+def test_a_single_label_has_no_borders():
     labels = np.ones((5, 9), dtype=np.int32)
     labels[2, 3:6] = 0
     for image in (labels, 0 * labels):

@@ -64,7 +64,7 @@ def cut_at_middle(tree: SegmentationTree) -> bool:
     return not left & right
 
 
-def test_two_planes_at_an_angle_are_parted_by_their_ratio(cloud_of):
+def test_two_planes_at_an_angle_are_separated_by_their_ratio(cloud_of):
     cloud = cloud_of(roof(0.02))
     tree = segment(cloud, CONFIG)
     assert cut_at_middle(tree)

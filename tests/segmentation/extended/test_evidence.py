@@ -93,7 +93,7 @@ def test_evidence_does_not_depend_on_the_size_of_the_image_or_the_unit_of_border
     )
 
 
-def test_items_are_weights_times_features_and_a_gap_stands_alone():
+def test_terms_are_weights_times_features_and_a_gap_is_the_only_term():
     borders, surfaces = frame(2)
     items, features = evidence(borders, surfaces, NOISE), pair_features(borders, surfaces, NOISE)
     assert items.shape[1] == len(ITEMS)
@@ -111,7 +111,7 @@ def test_items_are_weights_times_features_and_a_gap_stands_alone():
         assert found.tolist() == [round(item, 3) for item in found.tolist()]
 
 
-def test_what_concavity_gaps_and_size_say_goes_the_way_it_should():
+def test_concavity_gaps_and_size_have_the_right_sign():
     weights = {term.name: term.weight for term in TERMS}
     assert all(weights[name] < 0 for name in ("concave", "apart", "larger", "front"))
     assert weights["enclosed"] > 0

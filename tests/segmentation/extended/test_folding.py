@@ -76,7 +76,7 @@ def test_the_halves_of_a_wall_become_one_leaf(cloud_of):
     assert [node.cuts_above for node in depth_first(scene.root)] == [0, 1, 1]
 
 
-def test_what_the_ratio_rejects_is_told_where_noise_does_not(cloud_of):
+def test_without_a_floor_the_ratio_decides(cloud_of):
     # Without a floor the ratio alone decides; one of 0.9 or more keeps nothing apart.
     config = updated(CONFIG, ratio_max=0.9, extended={"noise_floor": 0.0})
     scene = ParedWall(cloud_of, config)

@@ -8,7 +8,7 @@ from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.extended.border_statistics import border_statistics
 from nurbseg.segmentation.extended.merge import (
     WeighedBorders,
-    agglomerated,
+    agglomerate,
     merge_surfaces,
     merged_objects,
 )
@@ -194,7 +194,7 @@ def test_the_likeliest_pair_is_merged_first_and_its_borders_are_averaged(seed):
     log_odds = (rng.integers(-6, 7, len(pairs)) / 4 if seed % 2 else rng.normal(0, 1, len(pairs))).tolist()
     samples = rng.integers(1, 5 if seed % 2 else 90, len(pairs)).tolist()
     groups = merged_from_scratch(pairs, log_odds, samples, count, least)
-    found = agglomerated(pairs, log_odds, samples, count, least)
+    found = agglomerate(pairs, log_odds, samples, count, least)
     assert found == [0, *(min(next(g for g in groups if label in g)) for label in range(1, count + 1))]
 
     labels = rng.integers(0, count + 1, (9, 13)).astype(np.int32)
@@ -216,8 +216,8 @@ def test_the_likeliest_pair_is_merged_first_and_its_borders_are_averaged(seed):
 def test_a_weak_border_does_not_join_what_a_long_one_parts():
     # Surface 3 is likelier one with 2 than not, but its long border with 1, which goes with 2, says no.
     pairs, log_odds = [(1, 2), (1, 3), (2, 3)], [3.0, -1.0, 1.0]
-    assert agglomerated(pairs, log_odds, [10, 50, 10], 3) == [0, 1, 1, 3]
-    assert agglomerated(pairs, log_odds, [10, 5, 10], 3) == [0, 1, 1, 1]
+    assert agglomerate(pairs, log_odds, [10, 50, 10], 3) == [0, 1, 1, 3]
+    assert agglomerate(pairs, log_odds, [10, 5, 10], 3) == [0, 1, 1, 1]
 
 
 @pytest.mark.parametrize(

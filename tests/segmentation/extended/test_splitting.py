@@ -152,7 +152,7 @@ def test_next_to_no_points_are_one_leaf(cloud_of, points):
     assert np.count_nonzero(tree.labels()) == points
 
 
-def test_things_apart_in_depth_are_parted_without_a_cut(cloud_of):
+def test_objects_at_different_depths_are_separated_without_a_cut(cloud_of):
     depth = np.full((120, 160), 2.0)
     depth[30:80, 40:90] = 1.0
     tree = segment(cloud_of(depth), CONFIG)

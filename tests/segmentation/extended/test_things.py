@@ -82,7 +82,7 @@ def test_what_a_post_cuts_apart_is_one_thing(walls, round_m):
     assert left != right
 
 
-def test_objects_are_not_joined_unless_things_are_asked_for(walls):
+def test_objects_are_joined_only_at_the_level_of_things(walls):
     tree = segment(walls(), CONFIG)
     assert tree.joins == ()
     assert np.array_equal(tree.labels("things"), tree.labels("objects"))

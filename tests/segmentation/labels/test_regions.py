@@ -61,7 +61,7 @@ def test_the_largest_piece_of_a_label_is_kept_however_small():
     assert found.large(5, 2).tolist() == [False, True, False, True, False]
 
 
-def test_a_gap_in_depth_parts_what_touches_in_the_image():
+def test_a_gap_in_depth_separates_what_touches_in_the_image():
     inverse_depth = np.ones((10, 12), np.float32)
     inverse_depth[:, 6:] = 1.1
     labels = np.ones((10, 12), np.int32)

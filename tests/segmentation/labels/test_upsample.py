@@ -27,7 +27,7 @@ def test_pixels_near_a_border_go_where_the_cut_puts_them(cloud_of):
         assert (labels == expected).all(), step
 
 
-def test_pixels_away_from_the_border_are_not_asked(cloud_of):
+def test_pixels_away_from_the_border_are_not_evaluated(cloud_of):
     cloud, vectors, grid, cut, leaves = scene(cloud_of, 4)
     asked = []
 

@@ -110,7 +110,7 @@ def fit_of(places):
         ([(3, 2), (4, 2), (1, 2)], [""], [1], [0, 1, 1, 1, 1]),
     ],
 )
-def test_a_leaf_that_goes_leaves_its_place_to_the_other_part(absorbed, names, by_final, final):
+def test_the_sibling_of_a_removed_leaf_takes_the_place_of_their_parent(absorbed, names, by_final, final):
     grown = Grown()
     kept_before = {leaf.number: leaf.node.grid_pixels for leaf in grown.leaves}
     for gone, kept in absorbed:
@@ -139,7 +139,7 @@ def test_a_leaf_that_goes_leaves_its_place_to_the_other_part(absorbed, names, by
     assert np.bincount(expected.ravel(), minlength=5).tolist() == grown.editor.sizes().tolist()
 
 
-def test_what_is_adopted_has_the_next_number_and_nobody_has_tried_it():
+def test_an_added_leaf_has_the_next_number_and_no_trial():
     grown = Grown()
     numbers = [grown.editor.add_leaf(Node("2", np.arange(2), fit_of(np.arange(2)))) for _ in range(2)]
     assert numbers == [5, 6]
@@ -158,7 +158,7 @@ def test_a_place_is_surrounded_by_the_leaf_that_touches_it_most(seed):
     assert counts[editor_of(labels).around(mask)] == counts.max() > 0
 
 
-def test_a_place_that_touches_nothing_belongs_to_the_largest_leaf():
+def test_pixels_that_touch_nothing_belong_to_the_largest_leaf():
     labels = np.zeros((8, 7), dtype=np.int32)
     labels[0, :3], labels[7] = 1, 2
     editor = editor_of(labels)
@@ -188,7 +188,7 @@ def described(root):
     return [(each.name, each.division, each.cuts_above) for each in depth_first(root)]
 
 
-def test_cuts_above_are_counted_again_where_a_leaf_goes():
+def test_cuts_above_are_recounted_when_a_leaf_is_removed():
     root, editor = cut_tree()
     assert editor.cuts == 2
     editor.merge_leaves(1, 4)

@@ -8,7 +8,7 @@ from inverse_depth_lattice import inverse_depth_lattice
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.borders import own_deviations
 from nurbseg.segmentation.live.borders import relax_borders, spread_to_pixels
-from nurbseg.segmentation.live.follow import grown_labels, kept_labels, moved_surfaces
+from nurbseg.segmentation.live.follow import explained_labels, grown_labels, moved_surfaces
 from nurbseg.segmentation.live.motion import brightness, flow_back, warped
 from nurbseg.segmentation.points.depth_grid import depth_grid
 from nurbseg.segmentation.points.registration import PointMap
@@ -131,13 +131,13 @@ def test_labels_stay_and_grow_only_where_their_surface_explains() -> None:
     inverse_depth[15:25, 15:25] = 1.1
     # Without a point there is no label.
     inverse_depth[12, 12] = 0.0
-    kept = kept_labels(labels, inverse_depth, lattice, limits)
+    kept = explained_labels(labels, inverse_depth, lattice, limits)
     assert np.array_equal(kept, labels * (inverse_depth == np.float32(0.8)))
     grown = grown_labels(kept, inverse_depth, lattice, limits)
     assert np.array_equal(grown, inverse_depth == np.float32(0.8))
 
 
-def test_pixels_follow_their_place_of_the_grid_where_it_was_decided_anew() -> None:
+def test_pixels_follow_their_grid_pixel_where_its_label_changed() -> None:
     before = np.array([[1, 1, 2, 2, 2], [1, 2, 2, 2, 2], [1, 1, 1, 1, 2]], np.uint16)
     on_grid = np.array([[1, 3, 2], [1, 1, 0]], np.int32)
     inverse_depth = np.ones(before.shape, np.float32)

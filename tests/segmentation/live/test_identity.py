@@ -102,7 +102,7 @@ def test_a_forgotten_segment_is_new() -> None:
     assert again.of_label[2] != first.of_label[2]
 
 
-def test_splits_and_merges_are_told_with_both_names() -> None:
+def test_splits_and_merges_are_reported_with_both_identities() -> None:
     whole = track_identities(None, *scene((10, 10, 40, 20, 100)))
     parted = track_identities(whole, *scene((10, 10, 26, 20, 100), (36, 10, 14, 20, 100)))
     assert parted.of_label[2] == whole.of_label[2]
@@ -112,7 +112,7 @@ def test_splits_and_merges_are_told_with_both_names() -> None:
     assert adjacency.events == (Event("merge", parted.of_label[3], whole.of_label[2]),)
 
 
-def test_the_image_bears_identities_and_keeps_what_has_no_segment() -> None:
+def test_the_image_has_identities_and_keeps_unlabelled_pixels() -> None:
     labels, cloud = scene((10, 10, 20, 20, 10))
     labels[:5] = 0
     found = track_identities(None, labels, cloud)
@@ -130,7 +130,7 @@ def test_a_frame_without_segments_has_no_identities_and_forgets_none() -> None:
     assert again.of_label == first.of_label
 
 
-def test_identities_are_given_anew_when_sixteen_bits_run_out() -> None:
+def test_identities_are_reused_when_sixteen_bits_run_out() -> None:
     labels, cloud = scene((10, 10, 20, 20, 10))
     full = Identities({}, np.zeros((60, 80), np.uint16), {}, (), 65_535)
     found = track_identities(full, labels, cloud)

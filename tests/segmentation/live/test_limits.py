@@ -99,7 +99,7 @@ def test_what_a_budget_of_time_left_is_cut_in_later_frames(monkeypatch: pytest.M
     assert len(cuts_of(trees[-1])) > 2
 
 
-def test_no_cut_has_a_ratio_of_t_or_more_and_t_tells() -> None:
+def test_no_cut_has_a_ratio_of_t_or_more_and_a_smaller_t_keeps_fewer() -> None:
     counts = {}
     for most in (1.0, 0.9, 0.02):
         trees = [tree for _, tree, _ in run(replace(CONFIG, ratio_max=most))]
@@ -113,7 +113,7 @@ def test_no_cut_has_a_ratio_of_t_or_more_and_t_tells() -> None:
     assert counts[1.0] > counts[0.9] > counts[0.02] == 0
 
 
-def test_the_metric_tells() -> None:
+def test_the_metric_decides() -> None:
     def cuts(metric: Metric) -> int:
         trees = [tree for _, tree, _ in run(replace(CONFIG, metric=metric))]
         for tree in trees:
@@ -139,7 +139,7 @@ def test_what_comes_into_view_is_no_cut() -> None:
     assert new.pixels.size == pytest.approx(16 * 20, rel=0.1)
 
 
-def test_no_reason_is_told_that_was_not_found() -> None:
+def test_only_reasons_that_were_found_are_given() -> None:
     seen = run(CONFIG)
     told = set()
     for place, (_, tree, _) in enumerate(seen):

@@ -98,7 +98,7 @@ def test_merges_change_when_evidence_does_for_good(box, wavering):
     assert seen == [True] * 4 + [False] * 8
 
 
-def test_what_is_told_adds_up(box, wavering):
+def test_evidence_adds_up_to_the_log_odds(box, wavering):
     memory = ObjectMemory()
     wavering(1.0)
     merged_now(memory, box)

@@ -8,7 +8,7 @@ from designed_tree import BEFORE, CONFIG, FRAME, Band, DesignedTree, designed_tr
 from exact_surface import metric, ratio
 
 from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf
-from nurbseg.segmentation.live.renewal import Renewal, give_reasons, renew_splits
+from nurbseg.segmentation.live.renewal import Renewal, renew_splits, set_stop_reasons
 from nurbseg.segmentation.segments import Node, Trial
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.vocabulary import Division, StopReason
@@ -121,7 +121,7 @@ def test_what_is_not_fitted_in_this_frame_has_no_surface(tree: DesignedTree) -> 
     assert tree.root.fit.surface is not None
 
 
-def test_every_split_gets_its_surface_where_that_is_asked_for(tree: DesignedTree) -> None:
+def test_every_split_gets_its_surface_on_request(tree: DesignedTree) -> None:
     assert renewed(tree, {"": 9, "0": 1, "1": 1}, every=True).judged == 1
     assert judged(tree) == {""}
     for name, (first, last) in (("", (1, 4)), ("0", (1, 2)), ("1", (3, 4))):
@@ -181,11 +181,11 @@ def leaf_of(
         ({}, 59, StopReason.UNTRIED),
     ],
 )
-def test_a_leaf_tells_the_first_reason_of_this_frame(
+def test_a_leaf_has_the_first_reason_of_this_frame(
     tree: DesignedTree, leaf: dict[str, int], cuts: int, stop: StopReason
 ) -> None:
     living = leaf_of(tree, **leaf)
-    give_reasons([living], cuts, PLACES_MIN, FRAME, CONFIG)
+    set_stop_reasons([living], cuts, PLACES_MIN, FRAME, CONFIG)
     node = living.node
     assert (node.stop, node.trial, node.measured, node.judged) == (stop, None, FRAME, FRAME)
 
@@ -201,12 +201,12 @@ def test_a_leaf_tells_the_first_reason_of_this_frame(
         (Attempt(StopReason.CRITERION, REJECTED, 30), {"cuts_above": 8}, StopReason.DEPTH, 30),
     ],
 )
-def test_a_leaf_tells_of_its_last_trial(
+def test_a_leaf_has_its_last_trial(
     tree: DesignedTree, attempt: Attempt, leaf: dict[str, int], stop: StopReason, judged_in: int
 ) -> None:
     living = leaf_of(tree, attempt=attempt, **leaf)
     # As many cuts as are allowed: what was tried before that says more.
-    give_reasons([leaf_of(tree), living], 60, PLACES_MIN, FRAME, CONFIG)
+    set_stop_reasons([leaf_of(tree), living], 60, PLACES_MIN, FRAME, CONFIG)
     node = living.node
     assert (node.stop, node.trial, node.measured, node.judged) == (stop, attempt.trial, FRAME, judged_in)
 
@@ -215,5 +215,5 @@ def test_the_noise_forbids_nothing_below_a_ratio_of_its_own(tree: DesignedTree) 
     # A floor of half the value: no ratio is below 0.5, but one may be below 0.6.
     for most, stop in ((0.5, StopReason.NOISE), (0.6, StopReason.UNTRIED)):
         living = leaf_of(tree)
-        give_reasons([living], 0, PLACES_MIN, FRAME, replace(CONFIG, ratio_max=most))
+        set_stop_reasons([living], 0, PLACES_MIN, FRAME, replace(CONFIG, ratio_max=most))
         assert living.node.stop is stop

@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.live import tree as live_tree
-from nurbseg.segmentation.live.tree import LiveTree, lives
+from nurbseg.segmentation.live.tree import LiveTree, supports_live_tree
 from nurbseg.segmentation.live.updater import Budget
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap
@@ -94,7 +94,7 @@ def test_matrix_products_of_every_frame_are_made_on_one_thread(monkeypatch: pyte
     assert seen == [{1}, {1}]
 
 
-def test_a_scene_that_stands_still_keeps_its_labels(tree: LiveTree) -> None:
+def test_a_static_scene_keeps_its_labels(tree: LiveTree) -> None:
     first = tree.segment(scene(BOX))
     for _ in range(5):
         again = tree.segment(scene(BOX))
@@ -103,7 +103,7 @@ def test_a_scene_that_stands_still_keeps_its_labels(tree: LiveTree) -> None:
         assert tree.report.splits == tree.report.merges == 0
 
 
-def test_noise_moves_no_more_than_the_rims(tree: LiveTree) -> None:
+def test_noise_changes_only_the_rims(tree: LiveTree) -> None:
     first = tree.segment(scene(BOX)).labels("surfaces")
     for noise in range(1, 6):
         labels = tree.segment(scene(BOX, noise=noise)).labels("surfaces")
@@ -149,7 +149,7 @@ def test_surfaces_move_with_what_they_explain(tree: LiveTree) -> None:
             assert np.sqrt(leaf.fit.values["mse"]) < 5e-3
 
 
-def test_what_appears_gets_a_leaf_of_its_own_and_what_goes_loses_it(tree: LiveTree) -> None:
+def test_an_appearing_object_gets_a_leaf_and_a_disappearing_one_loses_it(tree: LiveTree) -> None:
     new = (100, 30, 30, 50)
     with_one = tree.segment(scene(BOX, noise=1))
     box = only(with_one.labels("surfaces")[inside(BOX)])
@@ -184,7 +184,7 @@ def consistent(tree: SegmentationTree) -> None:
 
 
 @pytest.mark.parametrize("turn", range(3))
-def test_the_tree_stays_one_whatever_comes_and_goes(turn: int) -> None:
+def test_the_tree_stays_valid_as_objects_come_and_go(turn: int) -> None:
     rng = np.random.default_rng(turn)
     live = LiveTree(CONFIG)
     for frame in range(12):
@@ -228,7 +228,7 @@ def test_two_leaves_become_one_when_they_are_flush_and_not_before(merges: int) -
     assert (only(found.labels("surfaces")) == 1) if merges else (found.labels("surfaces").max() == 2)
 
 
-def test_another_scene_is_segmented_anew(tree: LiveTree) -> None:
+def test_a_new_scene_is_segmented_from_scratch(tree: LiveTree) -> None:
     other = scene((10, 10, 120, 90), noise=5, wall_m=3.0)
     found = tree.segment(other)
     assert tree.report.reset == "new scene"
@@ -237,7 +237,7 @@ def test_another_scene_is_segmented_anew(tree: LiveTree) -> None:
     assert tree.report.reset == ""
 
 
-def test_a_frame_is_segmented_anew_on_demand_and_once(tree: LiveTree) -> None:
+def test_a_frame_is_segmented_from_scratch_on_demand_and_once(tree: LiveTree) -> None:
     same = scene((10, 10, 120, 90), noise=5)
     tree.segment(same)
     tree.restart("a jump")
@@ -249,20 +249,20 @@ def test_a_frame_is_segmented_anew_on_demand_and_once(tree: LiveTree) -> None:
 
 
 @pytest.mark.parametrize("coarser", [1, 2])
-def test_a_frame_is_segmented_anew_on_the_grid_of_the_budget(tree: LiveTree, coarser: int) -> None:
+def test_a_frame_is_segmented_from_scratch_on_the_grid_of_the_budget(tree: LiveTree, coarser: int) -> None:
     other = scene((10, 10, 120, 90), noise=5, wall_m=3.0)
     found = tree.segment(other, Budget(coarser=coarser))
     assert (tree.report.reset, tree.report.step) == ("new scene", 1 + coarser)
     alone = segment(other, replace(CONFIG, decimation=1 + coarser))
     assert np.array_equal(found.labels("surfaces"), alone.labels("surfaces"))
-    # The tree lives on from there, on that grid and on another one.
+    # The tree is continued from there, on that grid and on another one.
     for following in (coarser, 0):
         again = tree.segment(other, Budget(coarser=following))
         assert (tree.report.reset, tree.report.step) == ("", 1 + following)
         assert np.mean(again.labels("surfaces") == found.labels("surfaces")) > 0.98
 
 
-def test_images_of_another_size_are_segmented_anew(tree: LiveTree) -> None:
+def test_images_of_another_size_are_segmented_from_scratch(tree: LiveTree) -> None:
     whole = scene(BOX)
     part = PointMap(
         *(np.ascontiguousarray(each[:100]) for each in (whole.points_m, whole.color, whole.colored))
@@ -295,9 +295,9 @@ def test_a_frame_without_depth_is_survived(tree: LiveTree) -> None:
     assert (tree.segment(whole).labels("surfaces") > 0).all()
 
 
-def test_only_the_default_method_lives() -> None:
-    assert lives(CONFIG)
+def test_only_the_default_method_has_a_live_tree() -> None:
+    assert supports_live_tree(CONFIG)
     config = replace(CONFIG, method="stag15")
-    assert not lives(config)
+    assert not supports_live_tree(config)
     with pytest.raises(ValueError, match="nurbseg"):
         LiveTree(config)

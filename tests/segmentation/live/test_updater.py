@@ -65,7 +65,7 @@ def refitted(tree: DesignedTree, most: int, **measures: Sequence[float]) -> list
         ((2, 2, 2), (0, 0, 0), {"square": (1, 1, 1)}, []),
     ],
 )
-def test_the_worst_explained_leaves_are_fitted_anew(
+def test_the_worst_explained_leaves_are_refitted(
     level: Sequence[float], age: Sequence[int], measures: dict[str, Sequence[float]], order: list[int]
 ) -> None:
     for most in range(4):
@@ -74,7 +74,7 @@ def test_the_worst_explained_leaves_are_fitted_anew(
         assert refitted(tree, most, **measures) == sorted(order[:most])
 
 
-def test_a_leaf_out_of_sight_keeps_its_surface(thirds: DesignedTree) -> None:
+def test_a_hidden_leaf_keeps_its_surface(thirds: DesignedTree) -> None:
     known(thirds, level=(1, 1, 1), age=(50, 0, 0))
     thirds.labels[:, :20] = 0
     before = thirds.leaves[0].surface
@@ -91,7 +91,7 @@ def appearing(*corners: tuple[int, int]) -> np.ndarray:
     return appeared
 
 
-def test_what_appears_is_a_leaf_beside_its_surroundings_six_in_a_frame() -> None:
+def test_new_components_become_siblings_of_their_surroundings_six_per_frame() -> None:
     tree = designed_tree(Band("0", 40), Band("1", 40))
     corners = [(4, 4), (4, 50), (20, 4), (20, 50), (40, 4), (40, 50), (50, 20), (50, 60)]
     appeared = appearing(*corners)
@@ -116,7 +116,7 @@ def test_what_appears_is_a_leaf_beside_its_surroundings_six_in_a_frame() -> None
 
 
 @pytest.mark.parametrize(("places", "gone"), [(6, True), (7, False)])
-def test_a_leaf_of_less_than_a_quarter_of_the_least_goes(places: int, gone: bool) -> None:
+def test_a_leaf_below_a_quarter_of_the_smallest_size_is_removed(places: int, gone: bool) -> None:
     # The least is 25 places. The last band stands in the first one, which is smaller than the second.
     tree = designed_tree(Band("0", 30), Band("10", 50), Band("11", 0))
     tree.labels[30, 10 : 10 + places] = 3
@@ -361,7 +361,7 @@ def test_leaves_stay_two_where_they_are_better_so_or_no_object() -> None:
     assert len(flush.update(same_object=[(1, 2)]).leaves) == 2
 
 
-def test_leaves_that_only_surfaces_since_moved_would_part_are_asked_of_their_fits() -> None:
+def test_leaves_that_only_moved_surfaces_separate_are_compared_with_new_fits() -> None:
     # As they are they explain the wall perfectly; fitted anew they do not do so any better than one.
     tree = designed_tree(Band("0", 40), Band("1", 40))
     for leaf in tree.leaves:
@@ -376,7 +376,7 @@ def test_leaves_that_only_surfaces_since_moved_would_part_are_asked_of_their_fit
     assert len(tree.update(same_object=[(1, 2)], budget=Budget(refits=0, trials=0, merges=1)).leaves) == 2
 
 
-def test_pairs_are_asked_in_turn() -> None:
+def test_pairs_are_compared_in_turn() -> None:
     tree = designed_tree(Band("0", 20, 0.02), Band("10", 30), Band("11", 30))
     pairs, one = [(1, 2), (2, 3)], Budget(refits=0, trials=0, merges=1)
     # First the plate and the wall, which stay apart; then the halves of the wall, in spite of their number.

@@ -16,7 +16,7 @@ def everywhere(color):
     return np.full((*SIZE, 3), color, dtype=np.uint8)
 
 
-def test_a_hole_takes_its_own_surface_and_not_the_nearer_one_beside_it():
+def test_a_hole_is_filled_from_its_own_surface_not_from_a_nearer_one():
     color, known, depth = everywhere(BLUE), np.ones(SIZE, bool), np.full(SIZE, 2.0)
     color[:, :10], depth[:, :10] = RED, 1.0
     known[5:15, 10:14] = False
@@ -59,7 +59,7 @@ def test_where_everything_known_is_nearer_the_farthest_of_it_serves():
     assert (filled(color, known, depth)[hole] == GREEN).all()
 
 
-def test_single_known_pixels_lend_even_beside_what_is_missing():
+def test_single_known_pixels_are_sources_even_next_to_missing_ones():
     known = np.zeros(SIZE, bool)
     known[10, 10] = True
     color = everywhere(0)

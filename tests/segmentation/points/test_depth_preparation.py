@@ -53,7 +53,7 @@ def test_what_is_outside_the_crop_has_no_depth(noisy: NDArray[np.uint16]) -> Non
     assert_array_equal(prepared(noisy, crop=(20, 10, 500, 500))[10:, 20:], noisy[10:, 20:])
 
 
-def test_a_crop_beside_the_image_is_named() -> None:
+def test_a_crop_outside_of_the_image_is_named() -> None:
     DepthConfig(crop=(49, 39, 10, 10)).check_crop(50, 40)
     for crop in ((50, 0, 10, 10), (0, 40, 10, 10)):
         with pytest.raises(ValueError, match=r"crop: .* is outside of a depth image of 50x40"):
@@ -75,7 +75,7 @@ def test_smoothing_takes_noise_away_and_keeps_edges_and_holes(
 
 
 @pytest.mark.parametrize("smoothing", ["median", "bilateral"])
-def test_what_is_beside_a_hole_is_smoothed_by_what_is_there(smoothing: str) -> None:
+def test_pixels_next_to_a_hole_are_smoothed_by_those_with_depth(smoothing: str) -> None:
     inverse = 0.5 + np.random.default_rng(2).normal(0.0, NOISE_PER_M, (400, 20))
     depth = np.rint(1e3 / inverse).astype(np.uint16)
     depth[:, 10:] = 0

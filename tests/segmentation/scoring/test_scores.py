@@ -98,7 +98,7 @@ def test_scores_of_a_map_worked_out_by_hand():
     assert counts.found_regions(overlap_min=0.4) == 2
 
 
-def test_over_and_under_segmentation_are_told_apart():
+def test_over_and_under_segmentation_are_distinguished():
     whole, torn = np.ones((4, 4), dtype=np.uint16), np.arange(1, 17, dtype=np.uint16).reshape(4, 4)
     assert Contingency.between(torn, whole).over_segmentation_bits() == pytest.approx(4.0)
     assert Contingency.between(torn, whole).under_segmentation_bits() == pytest.approx(0.0)
@@ -156,7 +156,7 @@ def test_without_boundaries_there_is_nothing_to_judge():
     assert np.isnan(precision) and recall == 0.0
 
 
-def test_boundaries_beside_unlabelled_pixels_are_not_judged():
+def test_boundaries_next_to_unlabelled_pixels_do_not_count():
     truth = halves(20)
     truth[:, 8:12] = 0
     labels = halves(20)

@@ -21,7 +21,7 @@ def plane(slope_u: float = 0.004, slope_v: float = -0.003) -> np.ndarray:
     return 1.0 / (0.8 + slope_u * columns + slope_v * rows)
 
 
-def test_a_plane_is_held_exactly(cloud_of):
+def test_a_plane_is_fitted_exactly(cloud_of):
     cloud = cloud_of(plane())
     fit = fit_window(depth_grid(cloud, 1), WHOLE, cloud.valid, CONFIG)
     assert fit.residuals_m.max() < 1e-6
@@ -29,7 +29,7 @@ def test_a_plane_is_held_exactly(cloud_of):
     assert_allclose(points, cloud.points_m, atol=2e-6)
 
 
-def test_a_plane_goes_on_beyond_its_segment(cloud_of):
+def test_a_plane_is_extrapolated_beyond_its_segment(cloud_of):
     cloud = cloud_of(plane())
     mask = np.zeros(SIZE, dtype=bool)
     mask[20:40, 30:45] = True

@@ -164,7 +164,7 @@ def test_curvatures_of_irregular_segments_are_those_of_the_dense_svd(mask, nu: i
 
 
 @pytest.mark.parametrize("metric", get_args(Metric))
-def test_metrics_of_curvature_are_solved_by_svd_unless_told_otherwise(metric: Metric):
+def test_fits_for_curvature_metrics_use_svd_by_default(metric: Metric):
     assert has_least_norm(SegmentationConfig(metric=metric)) is (metric in CURVATURE)
     assert has_least_norm(SegmentationConfig(metric=metric, stag15=Stag15Config(least_squares="svd")))
     assert not has_least_norm(SegmentationConfig(metric=metric, stag15=Stag15Config(least_squares="ridge")))

@@ -34,7 +34,7 @@ def test_the_noise_of_a_wall_is_measured(cloud_of, noise):
     assert estimate.points > 0.9 * 3 * SIZE[0] * SIZE[1]
 
 
-def test_the_largest_plane_is_found_beside_other_things(cloud_of):
+def test_the_largest_plane_is_found_among_other_surfaces(cloud_of):
     depth = wall(2e-3, 0)
     depth[:100, :150] = 0.8
     depth[150:, 200:] = 0.6 + 0.1 * np.random.default_rng(1).random((90, 120))
@@ -45,7 +45,7 @@ def test_a_perfect_plane_has_next_to_no_noise(cloud_of):
     assert measure_noise([cloud_of(wall(0.0, 0))]).inverse_depth_noise < 1e-6
 
 
-def test_frames_without_a_plane_are_told(cloud_of):
+def test_frames_without_a_plane_are_refused(cloud_of):
     rng = np.random.default_rng(0)
     clutter = cloud_of(1 / rng.uniform(0.2, 2.0, SIZE))
     empty = cloud_of(np.full(SIZE, np.nan))
@@ -149,7 +149,7 @@ def test_the_floor_of_curvature_is_the_same_on_every_second_pixel_of_twice_as_ma
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_the_floors_of_parts_weigh_no_less_than_that_of_the_whole(cloud_of, metric):
+def test_the_floors_of_parts_sum_to_at_least_that_of_the_whole(cloud_of, metric):
     rng = np.random.default_rng(1)
     grid = depth_grid(cloud_of(rng.uniform(0.5, 4.0, (40, 50))), 1)
     config = SegmentationConfig(metric=metric, large_error_m=0.03, large_curvature_per_m=0.05)
