@@ -56,10 +56,14 @@ def test_a_first_frame_that_is_slow_to_draw_is_saved(
     draw = view_isolated.drawn
 
     def compiled_first(*arguments: Any, **options: Any) -> ViewFrame:
-        time.sleep(3.0)
+        time.sleep(1.5)
+        # What comes after the drawing takes as long as a busy computer needs.
+        monkeypatch.setattr(view_isolated, "_REST_S", 60.0)
         return draw(*arguments, **options)
 
-    monkeypatch.setattr(view_isolated, "FILE_PATIENCE_S", 1.0)
+    monkeypatch.setattr(view_isolated, "FILE_PATIENCE_S", 0.5)
+    monkeypatch.setattr(view_isolated, "_REST_S", 0.5)
+    monkeypatch.setattr(view_isolated, "_BUSY_S", 0.5)
     monkeypatch.setattr(view_isolated, "drawn", compiled_first)
     path = tmp_path / "a.rrd"
     with opened(path)[0] as view:
