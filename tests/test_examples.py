@@ -175,7 +175,7 @@ def test_the_notebook(tmp_path: Path) -> None:
     assert above is not None and above.std() > 10
 
 
-def test_every_example_is_told_of_and_tested() -> None:
+def test_every_example_is_documented_and_tested() -> None:
     names = {path.name for path in EXAMPLES.iterdir() if path.suffix in (".py", ".ipynb")}
     page = (EXAMPLES.parent / "docs" / "library.md").read_text()
     assert names == {"frame.ipynb", "opencv_camera.py", "own_arrays.py", "realsense.py", "ros2_bag.py"}

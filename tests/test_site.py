@@ -51,7 +51,7 @@ def test_every_page_is_in_the_navigation_once() -> None:
     assert sorted(pages) == sorted(PAGES)
 
 
-def test_the_index_tells_of_every_page_in_the_order_of_the_navigation() -> None:
+def test_the_index_lists_every_page_in_the_order_of_the_navigation() -> None:
     told = re.findall(r"\| [^|]*\[[^|]* \|", (DOCS / "README.md").read_text())
     linked = [(DOCS / link).resolve() for row in told for link in re.findall(r"\]\((.*?)\)", row)]
     assert linked == [page for page in navigation() if page != ROOT / "README.md"]
@@ -110,7 +110,7 @@ def test_a_public_name_is_documented_with_all_that_it_takes(name: str) -> None:
     assert told == taken
 
 
-def test_every_setting_tells_what_it_means() -> None:
+def test_every_setting_has_a_meaning() -> None:
     assert all(each.metadata["text"] for _, each in setting_paths(SegmentationConfig))
 
 

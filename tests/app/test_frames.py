@@ -49,7 +49,7 @@ def test_frames_at_later_places_are_read_without_opening_again(reader: Reader, o
     assert opened == [uri]
 
 
-def test_earlier_places_and_other_recordings_are_opened_anew(reader: Reader, opened: list[str]) -> None:
+def test_earlier_positions_and_other_recordings_are_reopened(reader: Reader, opened: list[str]) -> None:
     first, second = SCENE.format(0), SCENE.format(1)
     for uri, run in ((first, range(5, 8)), (first, range(2, 3)), (second, range(4, 5)), (first, range(1))):
         assert [frame.index for frame in reader.read(uri, OPTIONS, run)] == list(run)

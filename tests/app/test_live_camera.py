@@ -100,7 +100,7 @@ def test_300_recorded_frames_are_exact_while_they_are_segmented(virtual_cameras,
     assert_exact(frames)
 
 
-def test_color_is_jpeg_unless_asked_for_otherwise_and_depth_always_exact(live, virtual_cameras, tmp_path):
+def test_color_is_jpeg_by_default_and_depth_always_exact(live, virtual_cameras, tmp_path):
     virtual_cameras.add()
     path = tmp_path / "X.mcap"
     assert (
@@ -169,7 +169,7 @@ def test_ctrl_c_leaves_a_whole_recording(virtual_cameras, tmp_path, suffix):
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".oni"])
-def test_recordings_begin_and_end_by_commands_while_the_camera_goes_on(virtual_cameras, tmp_path, suffix):
+def test_recordings_begin_and_end_by_commands_while_the_camera_continues(virtual_cameras, tmp_path, suffix):
     virtual_cameras.add()
     path, report = tmp_path / f"X{suffix}", tmp_path / "R.json"
     words = ["--device", "any", "--record", str(path), "--report", str(report), "--control", "lines", *FAST]

@@ -28,7 +28,7 @@ SMALL = "synthetic:?width=96&height=72&frames={}"
 FAST = ("--speed", "0", "--view", "none")
 
 
-def test_help_is_there_in_a_third_of_a_second(live_process: Live) -> None:
+def test_help_is_printed_in_a_third_of_a_second(live_process: Live) -> None:
     def took_s() -> float:
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         assert live_process("--help").returncode == 0
@@ -79,7 +79,7 @@ def test_depth_is_prepared_after_it_is_recorded_and_again_for_the_check(live: Li
     assert checked.returncode == 0, checked.stdout
 
 
-def test_a_crop_beside_the_depth_image_is_refused(live: Live) -> None:
+def test_a_crop_outside_of_the_depth_image_is_refused(live: Live) -> None:
     done = live("--replay", SMALL.format(2), *FAST, "--crop", "96,0,10,10", "--report", "run.json")
     assert done.returncode == 2
     assert "crop: (96, 0, 10, 10) is outside of a depth image of 96x72" in done.stderr
@@ -89,7 +89,7 @@ def test_a_crop_beside_the_depth_image_is_refused(live: Live) -> None:
 @pytest.mark.parametrize(
     "words", [("--range-min", "60"), ("--workers", "2", "--temporal", "off", "--range-min", "60")]
 )
-def test_frames_whose_depth_is_all_lost_are_told_once(live: Live, words: tuple[str, ...]) -> None:
+def test_frames_whose_depth_is_all_lost_are_reported_once(live: Live, words: tuple[str, ...]) -> None:
     done = live("--replay", SMALL.format(3), *FAST, *words)
     assert done.returncode == 0, done.stderr
     [line] = [line for line in done.stderr.splitlines() if "no pixel has depth" in line]
@@ -190,7 +190,9 @@ def test_a_recording_that_is_deleted_while_it_is_replayed_is_read_to_its_end_and
     assert f"{path} was deleted or moved while it was replayed" in "".join(run.said)
 
 
-def test_ctrl_c_ends_a_recording_which_is_then_told(start_live: Callable[..., Any], tmp_path: Path) -> None:
+def test_ctrl_c_ends_a_recording_which_is_then_reported(
+    start_live: Callable[..., Any], tmp_path: Path
+) -> None:
     words = ("--loop", "--view", "none", "--splits-max", "1", "--record", "a-{date}.mcap")
     run = start_live("--replay", demo_uri(), *words)
     run.wait_for("frame 0")
@@ -231,7 +233,7 @@ def test_limits_and_loops(live: Live, tmp_path: Path) -> None:
     assert len(list((tmp_path / "short").glob("*_labels.png"))) == 3
 
 
-def test_a_damaged_frame_is_named_and_the_run_goes_on(
+def test_a_damaged_frame_is_named_and_the_run_continues(
     live: Live, write_pairs: Callable[..., Path], tmp_path: Path
 ) -> None:
     folder = write_pairs(4)

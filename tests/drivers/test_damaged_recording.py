@@ -171,7 +171,7 @@ def test_without_compression_a_frame_is_replayed_as_soon_as_its_last_byte_is_the
             assert len(replayed(cut)) == expected
 
 
-def test_a_damaged_chunk_is_named_and_the_run_goes_on(whole, frames, tmp_path) -> None:
+def test_a_damaged_chunk_is_named_and_the_run_continues(whole, frames, tmp_path) -> None:
     content = bytearray(whole.read_bytes())
     with whole.open("rb") as stream:
         chunks = [each for each in _chunks(stream)]

@@ -49,7 +49,7 @@ def test_the_demo_recording_is_small_short_and_labelled():
     assert all(len(np.unique(frame.labels)) == 12 for frame in frames)
 
 
-def test_the_command_writes_the_recording_where_it_is_told(script, tmp_path, monkeypatch):
+def test_the_command_writes_the_recording_to_the_given_path(script, tmp_path, monkeypatch):
     monkeypatch.setattr(script, "DEMO", SyntheticOptions(frames=2, width=80, height=60))
     script.make_demo(tmp_path / "small.mcap", script.DEMO)
     with open_source(str(tmp_path / "small.mcap")) as recording, SyntheticSource(script.DEMO) as source:

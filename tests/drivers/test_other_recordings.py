@@ -219,7 +219,7 @@ def test_padded_rows_and_the_other_byte_order_are_understood(tmp_path: Path) -> 
         np.testing.assert_array_equal(source.read().depth_mm, frame.depth_mm)
 
 
-def test_one_bad_image_is_named_and_the_run_goes_on(tmp_path: Path) -> None:
+def test_one_bad_image_is_named_and_the_run_continues(tmp_path: Path) -> None:
     bag = Bag(tmp_path / "bag.mcap")
     for frame in scenes(4):
         stamp = frame.timestamp_ns

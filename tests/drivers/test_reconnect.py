@@ -179,7 +179,7 @@ def test_a_camera_that_comes_back_with_another_registration_is_said_so(caplog):
     assert "camera does not register depth to color now, unlike before" in caplog.text
 
 
-def test_a_recording_goes_on_under_the_next_number():
+def test_a_recording_continues_under_the_next_number():
     clock = Clock()
     back, again = Camera(clock, 1), Camera(clock, 1)
     first = Camera(clock, 1)

@@ -55,7 +55,7 @@ def test_what_is_written_comes_back_exactly(tmp_path: Path, color_format: ColorF
         np.testing.assert_array_equal(one.labels, other.labels)
 
 
-def test_jpeg_is_close_and_depth_beside_it_exact(tmp_path: Path) -> None:
+def test_jpeg_is_close_and_its_depth_exact(tmp_path: Path) -> None:
     frames = scenes(3, APART)
     path = write_mcap(tmp_path / "a.mcap", frames, "jpeg95")
     with open_source(path) as source:

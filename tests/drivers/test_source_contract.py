@@ -114,7 +114,7 @@ def same(one: RGBDFrame, other: RGBDFrame) -> bool:
     return pixels and labels and (one.index, one.timestamp_ns) == (other.index, other.timestamp_ns)
 
 
-def test_frames_are_numbered_and_their_time_goes_on(case: Case) -> None:
+def test_frames_are_numbered_and_their_time_continues(case: Case) -> None:
     with case.open() as source:
         frames = list(some(source))
     assert [frame.index for frame in frames] == list(range(FRAMES))

@@ -198,7 +198,7 @@ def test_a_dask_cluster_gives_the_same_files(at_home: Path, write_pairs: Pairs) 
     assert shared == alone
 
 
-def test_a_killed_run_of_real_recordings_goes_on_where_it_was(
+def test_a_killed_run_of_real_recordings_continues_where_it_was(
     at_home: Path, real_data: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     kitchen = real_data("kitchen_sequence")

@@ -86,7 +86,7 @@ def test_a_source_on_the_command_line_takes_the_place_of_the_files(
     assert parse_arguments(["--config", str(path), *words]).config.source.named == named
 
 
-def test_a_pattern_that_the_shell_has_replaced_is_told_of(
+def test_a_pattern_that_the_shell_expanded_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     names = [str(tmp_path / f"{number}.png") for number in range(3)]
@@ -153,7 +153,7 @@ def test_loudness(words: list[str], verbosity: int) -> None:
         ("record", record_main),
     ],
 )
-def test_every_command_tells_the_version(
+def test_every_command_prints_the_version(
     name: str,
     main: Callable[[list[str]], object],
     monkeypatch: pytest.MonkeyPatch,

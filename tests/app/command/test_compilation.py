@@ -38,7 +38,7 @@ def _loaded(folder: Path) -> ModuleType:
     return loops
 
 
-def test_compiling_is_told_once_and_how_long_it_took(
+def test_compiling_is_reported_once_and_how_long_it_took(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     loops = _loaded(tmp_path)
@@ -50,7 +50,7 @@ def test_compiling_is_told_once_and_how_long_it_took(
     assert said[1].startswith("compiling took")
 
 
-def test_progress_is_told_from_time_to_time(
+def test_progress_is_reported_from_time_to_time(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     loops = _loaded(tmp_path)
@@ -79,7 +79,9 @@ def test_garbage_is_searched_for_less_often_while_code_is_compiled(tmp_path: Pat
     assert [threshold[0] for threshold in during] == [100_000]
 
 
-def test_what_is_compiled_beside_a_run_ends_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compilation_in_the_background_ends_with_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     script = "import os, sys, time; os.symlink(str(os.getpid()), sys.argv[1]); time.sleep(60)"
     monkeypatch.setattr(compilation, "_BESIDE", [sys.executable, "-c", script, str(tmp_path / "process")])
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
@@ -94,7 +96,7 @@ def test_what_is_compiled_beside_a_run_ends_with_it(tmp_path: Path, monkeypatch:
         os.kill(process, 0)
 
 
-def test_what_is_found_on_disk_is_not_told(tmp_path: Path) -> None:
+def test_cached_functions_are_not_reported(tmp_path: Path) -> None:
     (tmp_path / "loops.py").write_text(_MODULE)
     script = (
         "import logging, sys\n"

@@ -205,9 +205,7 @@ def test_a_former_name_is_understood_in_its_section_too(tmp_path: Path) -> None:
     assert read_config(path).segmentation.extended.inverse_depth_gap == 0.5
 
 
-def test_a_setting_that_is_none_any_more_is_told_or_refused(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_removed_setting_is_reported_or_refused(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     former = "first_split = 'kept'\nnormalize_nodes = true\nconnected_pieces = true\n"
     path = written(tmp_path, f"[segmentation]\n{former}fit_of = 'inverse-depth'\n")
     assert read_config(path) == AppConfig()

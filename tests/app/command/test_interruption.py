@@ -105,7 +105,7 @@ def test_ctrl_c_again_and_again_disturbs_no_file(start_live: START, tmp_path: Pa
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP], ids=["killed", "terminal-closed"])
-def test_a_polite_kill_ends_cleanly_too(number: signal.Signals, start_live: START, tmp_path: Path) -> None:
+def test_sigterm_ends_cleanly_too(number: signal.Signals, start_live: START, tmp_path: Path) -> None:
     run = start_live("--replay", SCENE, "--loop", "--speed", "0", "--view", "none", *FILES)
     run.wait_for("frame 0")
     code, took_s = run.end_with(number)
@@ -126,7 +126,7 @@ def test_a_signal_raises_once_and_is_remembered() -> None:
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_a_run_that_ignores_its_terminal_goes_on_without_it() -> None:
+def test_a_run_that_ignores_its_terminal_continues_without_it() -> None:
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
     try:
         with Interruption() as interruption:

@@ -87,7 +87,7 @@ def test_cameras_are_listed_as_they_describe_themselves(virtual_cameras, capsys)
     assert {"width": 640, "height": 480, "fps": 30, "pixel_format": "DEPTH_1_MM"} in first["depth_modes"]
 
 
-def test_json_may_be_asked_for_without_naming_the_command(virtual_cameras, capsys):
+def test_json_may_be_requested_without_naming_the_command(virtual_cameras, capsys):
     virtual_cameras.add()
     assert devices.main(["--json"]) == 0
     assert len(json.loads(capsys.readouterr().out)["cameras"]) == 1
@@ -157,7 +157,7 @@ def test_the_doctor_calls_a_camera_ready_that_openni2_opens(virtual_cameras, cap
     assert text.endswith("Result: a camera is ready to use.\n")
 
 
-def test_the_doctor_asked_for_a_kinect_does_not_call_an_xtion_ready(virtual_cameras, capsys):
+def test_the_doctor_for_a_kinect_does_not_call_an_xtion_ready(virtual_cameras, capsys):
     virtual_cameras.add()
     assert devices.main(["doctor", "--device", "kinect"]) == 1
     assert devices.main(["doctor", "--device", "xtion"]) == 0
@@ -282,7 +282,7 @@ def test_tilt_and_light_reach_the_motor(motor, capsys):
     assert capsys.readouterr().out == "tilting to -10 degrees\nlight: blink-green\n"
 
 
-def test_the_accelerometer_is_told_in_both_units(motor, capsys):
+def test_the_accelerometer_is_given_in_both_units(motor, capsys):
     assert devices.main(["accelerometer"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[1].split() == ["y", "9.807", "m/s^2", "1.000", "g"]

@@ -55,7 +55,7 @@ def study(folder: Path, out: Path, kernel: str, *words: str) -> tuple[str, str]:
     return (out / "results.csv").read_text(), (out / "tables.md").read_text().splitlines()[0]
 
 
-def test_a_study_has_the_same_results_whatever_kernel_is_asked_for(frames: Path, tmp_path: Path, kernels):
+def test_a_study_has_the_same_results_with_any_requested_kernel(frames: Path, tmp_path: Path, kernels):
     words = ("--methods", "nurbseg,stag15", "--frames", "2")
     first, second = (study(frames, tmp_path / kernel, kernel, *words) for kernel in kernels)
     assert first == second
@@ -80,7 +80,7 @@ def test_frames_that_another_kernel_cuts_otherwise_have_the_same_results(real_da
     ],
     ids=["newer", "older", "another architecture", "no such file"],
 )
-def test_the_common_kernel_is_asked_for_where_the_processor_has_it(tmp_path: Path, said, expected):
+def test_the_common_kernel_is_requested_if_the_processor_has_it(tmp_path: Path, said, expected):
     cpu_info = tmp_path / "cpuinfo"
     if said is not None:
         cpu_info.write_text(f"processor\t: 0\n{said}")

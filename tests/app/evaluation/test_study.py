@@ -34,7 +34,7 @@ def evaluate(frames: Path, out: Path, *more: str) -> str:
     return (out / "tables.md").read_text()
 
 
-def test_a_killed_run_goes_on_where_it_was_and_gives_the_same_tables(
+def test_a_killed_run_continues_where_it_was_and_gives_the_same_tables(
     study: tuple[Path, Path, str], tmp_path: Path
 ) -> None:
     frames, _, whole = study

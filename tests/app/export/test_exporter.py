@@ -49,7 +49,7 @@ def test_files_are_named_by_the_frames_number(small_result: FrameResult, tmp_pat
     ]
 
 
-def test_objects_and_a_preview_are_written_when_asked_for(small_result: FrameResult, tmp_path: Path) -> None:
+def test_objects_and_a_preview_are_written_when_requested(small_result: FrameResult, tmp_path: Path) -> None:
     Exporter(tmp_path, SETTINGS, ExportConfig(objects=True, preview=True)).write(small_result)
     names = {path.name for path in tmp_path.iterdir()}
     assert {"000000_objects.json", "000000_preview.png", "objects.csv"} <= names
@@ -106,7 +106,7 @@ def test_a_missing_library_is_named_with_the_extra_that_brings_it(
     assert not (tmp_path / "out").exists()
 
 
-def test_surfaces_are_written_only_when_asked_for(small_result: FrameResult, tmp_path: Path) -> None:
+def test_surfaces_are_written_only_when_requested(small_result: FrameResult, tmp_path: Path) -> None:
     exported(small_result, tmp_path, surfaces=False)
     assert not list(tmp_path.glob("*.npz"))
 
@@ -142,7 +142,7 @@ def test_the_tree_file_agrees_with_itself_and_with_the_labels(
         assert each["value"] == each["values"]["mse"]
 
 
-def test_both_levels_are_exported_and_each_leaf_tells_its_object(
+def test_both_levels_are_exported_and_each_leaf_names_its_object(
     merged_result: FrameResult, tmp_path: Path
 ) -> None:
     exported(merged_result, tmp_path)
@@ -212,7 +212,7 @@ def test_the_surfaces_file_gives_the_measured_pixels_back(merged_result: FrameRe
             assert np.array_equal(measured, each.fit.pixels)
 
 
-def test_the_settings_are_written_beside_the_frames(small_result: FrameResult, tmp_path: Path) -> None:
+def test_the_settings_are_written_next_to_the_frames(small_result: FrameResult, tmp_path: Path) -> None:
     config = SegmentationConfig(metric="vgc", splits_max=7)
     settings = run_settings(config, source="kitchen.mcap", temporal=True, target_fps=30.0)
     Exporter(tmp_path, settings).write(small_result)

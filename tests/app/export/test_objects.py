@@ -87,7 +87,7 @@ def test_the_table_has_a_row_for_each_object_of_each_frame(tmp_path: Path) -> No
     assert (row["rms_m"], row["leaves"]) == ("0.001", "P0 P11")
 
 
-def test_a_run_that_goes_on_keeps_the_rows_before_and_writes_none_twice(tmp_path: Path) -> None:
+def test_a_run_that_continues_keeps_the_rows_before_and_writes_none_twice(tmp_path: Path) -> None:
     path = tmp_path / "objects.csv"
     first = ObjectTable(path)
     for frame in range(4):

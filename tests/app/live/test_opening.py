@@ -147,7 +147,7 @@ def test_a_start_behind_the_end_is_an_error() -> None:
         open_chosen(chosen(replay=SMALL, start=6))
 
 
-def test_settings_of_a_replay_are_told_to_be_ignored_for_a_camera(
+def test_a_camera_warns_of_ignored_settings_of_a_replay(
     a_camera: list[ScriptedSource], caplog: pytest.LogCaptureFixture
 ) -> None:
     open_chosen(chosen(device="any", loop=True, start=3, speed=0.0)).source.close()

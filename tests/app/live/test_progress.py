@@ -70,7 +70,7 @@ class Line:
         self.shown.append(text)
 
 
-def test_the_status_line_tells_rate_latency_objects_drops_and_recording(
+def test_the_status_line_shows_rate_latency_objects_drops_and_recording(
     caplog: pytest.LogCaptureFixture, small_result: FrameResult
 ) -> None:
     clock, line = FakeClock(), Line()

@@ -90,7 +90,7 @@ def test_a_computer_that_is_slow_for_a_while_does_less_for_as_long() -> None:
     assert set(levels[1000:]) == {0}
 
 
-def test_frames_segmented_anew_tell_nothing() -> None:
+def test_frames_segmented_from_scratch_do_not_change_the_rate() -> None:
     controller = RateController(30.0)
     for _ in range(100):
         controller.took(500.0, cold=True)

@@ -14,7 +14,7 @@ def recording(frames: int) -> ScriptedSource:
     return ScriptedSource([small_frame(index) for index in range(frames)])
 
 
-def test_a_looped_recording_goes_on_with_rising_numbers_and_stamps() -> None:
+def test_a_looped_recording_continues_with_rising_numbers_and_stamps() -> None:
     with Looped(recording(3), lambda: recording(3)) as source:
         frames = [source.read() for _ in range(8)]
     assert [frame.index for frame in frames] == list(range(8))
@@ -41,7 +41,7 @@ def test_a_loop_can_be_begun_and_ended_while_it_is_read() -> None:
     assert [frame.index for frame in first + again] == [0, 1, 2, 3, 4, 5]
 
 
-def test_a_loop_of_a_part_of_a_recording_goes_on_with_rising_numbers() -> None:
+def test_a_loop_of_a_part_of_a_recording_continues_with_rising_numbers() -> None:
     def part() -> ScriptedSource:
         return ScriptedSource([FrameFormatError("bad"), *(small_frame(index) for index in (11, 12))])
 
@@ -182,7 +182,7 @@ def test_the_delay_counts_neither_frames_nor_time() -> None:
     assert [frame.index for frame in source] == list(range(45))
 
 
-def test_a_clock_that_begins_anew_does_not_make_the_delay_begin_anew() -> None:
+def test_a_restarted_clock_does_not_restart_the_delay() -> None:
     script = [small_frame(index, timestamp_s=(index % 40) / 30) for index in range(90)]
     source = Limited(ScriptedSource(script), frames=20, delay_s=1.0)
     assert [frame.index for frame in source] == list(range(50))

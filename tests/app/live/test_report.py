@@ -39,7 +39,7 @@ def test_every_frame_is_accounted_for() -> None:
     assert report.summary() == "1 frame recorded"
 
 
-def test_latencies_are_told_as_percentiles() -> None:
+def test_latencies_are_reported_as_percentiles() -> None:
     report = RunReport(AppConfig(), "scripted", {})
     for value in range(1, 102):
         report.add({"segment": float(value)})

@@ -29,7 +29,7 @@ def test_frames_follow_each_other_where_the_newest_is_taken(
 
 
 @pytest.mark.parametrize("method", ["stag15", "nurbseg"])
-def test_labels_are_identities_and_the_tree_tells_them(method: str) -> None:
+def test_labels_are_identities_and_the_tree_has_them(method: str) -> None:
     segmenter = Segmenter(SegmentationConfig(method=method), temporal=True)  # type: ignore[arg-type]
     with open_source("synthetic:?width=160&height=120&frames=3") as source:
         results = [segmenter.process(frame) for frame in source]

@@ -51,7 +51,7 @@ def test_a_whole_recording_is_said_to_be(whole, capsys):
     assert told["last_ns"] == scenes(12)[-1].timestamp_ns
 
 
-def test_gaps_are_told_by_the_frame_before_them(tmp_path, capsys):
+def test_gaps_are_reported_by_the_frame_before_them(tmp_path, capsys):
     frames = scenes(12)
     path = write_mcap(tmp_path / "a.mcap", frames[:4] + frames[7:])
     code, told = found(capsys, "check", str(path))
@@ -108,7 +108,7 @@ def test_a_damaged_chunk_costs_its_frames_and_no_more(whole, capsys):
     assert told["remarks"] == [f"1 damaged parts of {whole} were left out"]
 
 
-def test_no_file_is_replaced_unless_that_is_asked_for(cut, capsys):
+def test_no_file_is_replaced_unless_requested(cut, capsys):
     out = cut.with_name("cut-repaired.mcap")
     out.write_bytes(b"precious")
     assert main(["repair", str(cut)]) == 2

@@ -237,7 +237,7 @@ def test_a_recording_and_its_parts_are_for_this_user_alone(tmp_path):
     assert [file.stat().st_mode & 0o777 for file in recording.files] == [0o600, 0o600]
 
 
-def test_a_recording_goes_on_in_another_file_after_some_time(tmp_path):
+def test_a_recording_continues_in_another_file_after_some_time(tmp_path):
     path, taken = tmp_path / "run.mcap", tmp_path / "run-2.mcap"
     taken.write_bytes(b"precious")
     config = RecordConfig(file=str(path), split_s=1.0, color="raw")
@@ -254,7 +254,7 @@ def test_a_recording_goes_on_in_another_file_after_some_time(tmp_path):
 
 
 @pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
-def test_as_many_frames_are_told_as_are_in_the_file_when_the_disk_is_full(tmp_path, share, caplog):
+def test_the_reported_frames_are_those_in_the_file_when_the_disk_is_full(tmp_path, share, caplog):
     whole, path = tmp_path / "whole.mcap", tmp_path / "run.mcap"
     frames = [small_frame(index) for index in range(30)]
     with open_recording(RecordConfig(file=str(whole)), ScriptedSource([])) as recording:
@@ -314,7 +314,7 @@ def test_closing_gives_up_on_what_cannot_be_written_in_time_and_counts_it(path):
     assert (recording.frames, recording.lost) == (1, 4)
 
 
-def test_figures_tell_what_the_report_needs(tmp_path):
+def test_figures_hold_what_the_report_needs(tmp_path):
     path = tmp_path / "run.mcap"
     with open_recording(RecordConfig(file=str(path)), ScriptedSource([])) as recording:
         recording.put(small_frame(0))
@@ -350,7 +350,7 @@ class Recorder(ScriptedSource):
             raise DeviceLostError("unplugged") from err
 
 
-def test_the_files_of_a_camera_that_was_away_are_all_told(tmp_path, caplog):
+def test_all_files_of_a_camera_that_was_away_are_reported(tmp_path, caplog):
     path = tmp_path / "run.oni"
     cameras = [Recorder(small_frame(0)), Recorder(small_frame(0)), Recorder(small_frame(0), refusal="full")]
     with (

@@ -82,7 +82,7 @@ def test_each_time_it_is_switched_on_the_frames_until_it_is_off_are_a_new_file(
     assert [each["file"] for each in figures] == ["run.mcap", "run-2.mcap", "run-3.mcap"]
 
 
-def test_a_recording_that_was_asked_for_with_the_run_ends_and_goes_on_in_another_file(folder: Path) -> None:
+def test_a_recording_requested_with_the_run_ends_and_continues_in_another_file(folder: Path) -> None:
     with run_with(RecordConfig(file="a.mcap", delay_s=0.1), "a.mcap") as run:
         run.read(5)
         run.controls.apply("record")
@@ -94,7 +94,7 @@ def test_a_recording_that_was_asked_for_with_the_run_ends_and_goes_on_in_another
     assert indexes(folder / "a-2.mcap") == [6, 7]
 
 
-def test_what_a_recording_holds_is_said_while_the_run_goes_on(
+def test_the_contents_of_a_recording_are_reported_during_the_run(
     folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     with caplog.at_level(logging.INFO, "nurbseg"), run_with(RecordConfig(), "run.mcap") as run:
@@ -141,7 +141,7 @@ def test_a_file_that_cannot_be_made_costs_the_recording_and_not_the_run(
         assert not run.recorder.is_recording
 
 
-def test_a_recording_that_failed_is_told_and_can_be_begun_again(
+def test_a_failed_recording_is_reported_and_can_be_started_again(
     folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     with run_with(RecordConfig(), "run.mcap") as run:
@@ -202,7 +202,7 @@ def test_a_camera_s_own_recorder_is_switched_by_the_thread_that_reads_it(
     assert caplog.messages[-1].startswith("recorded 2 frames")
 
 
-def test_a_recording_whose_end_nobody_reads_any_more_is_closed_with_the_run(folder: Path) -> None:
+def test_a_recording_that_was_just_stopped_is_closed_with_the_run(folder: Path) -> None:
     with Recorder(RecordConfig(), ScriptedSource([]), name="run.mcap") as recorder:
         assert recorder.begin().name == "run.mcap"
         begun = recorder.recording

@@ -225,7 +225,7 @@ def test_the_trees_nodes_are_filled_by_stop_reason(saved: SavedView, results: li
     assert len(tree["GraphNodes:positions"]) == len(names) == len(segments) + len(results[5].tree.leaves())
 
 
-def test_the_table_tells_of_every_segment(saved: SavedView, results: list[FrameResult]) -> None:
+def test_the_table_has_every_segment(saved: SavedView, results: list[FrameResult]) -> None:
     text = saved.by_frame["splits"]["TextDocument:text"][0][0]
     tree = results[0].tree
     assert f"**small0**: {len(tree.leaves())} final segments of {len(tree.segments)}" in text
@@ -343,14 +343,14 @@ _LIMITED_SAVER = """
 """
 
 
-def test_a_full_disk_is_told_instead_of_losing_frames_silently(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_instead_of_losing_frames_silently(tmp_path: Path) -> None:
     path = tmp_path / "full.rrd"
     with _start(_LIMITED_SAVER, path) as process:
         printed, _ = process.communicate(timeout=60.0)
     assert printed.count(f"{path}: cannot be written: File too large") == 2
 
 
-def test_a_full_disk_is_told_at_once_and_nothing_is_left_waiting(results: list[FrameResult]) -> None:
+def test_a_full_disk_is_reported_at_once_and_nothing_is_left_waiting(results: list[FrameResult]) -> None:
     view = open_view(ViewConfig(mode="none", save="/dev/full"), CONFIG)
     with FairClock() as clock, pytest.raises(ViewError, match="cannot be written: No space left on device"):
         while True:

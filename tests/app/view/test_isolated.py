@@ -37,7 +37,7 @@ def opened(path: Path) -> tuple[IsolatedView, psutil.Process]:
     return view, program
 
 
-def test_a_killed_process_is_told_of_and_nothing_waits_for_it(tmp_path: Path, result: FrameResult) -> None:
+def test_a_killed_process_is_reported_and_nothing_waits_for_it(tmp_path: Path, result: FrameResult) -> None:
     view, program = opened(tmp_path / "a.rrd")
     program.kill()
     began_s = time.monotonic()
@@ -133,7 +133,7 @@ def test_frames_of_another_size_get_room_and_none_is_lost(tmp_path: Path, result
     assert sizes == [2 * 160 * 120 if n in (0, 1, 3) else 2 * 320 * 240 for n in range(6)]
 
 
-def test_cameras_are_told_once_and_again_when_they_change(tmp_path: Path, result: FrameResult) -> None:
+def test_cameras_are_reported_once_and_again_when_they_change(tmp_path: Path, result: FrameResult) -> None:
     path = tmp_path / "a.rrd"
     other = replace(result.frame.calibration.depth, fx=99.0)
     changed = replace(result.frame.calibration, depth=other, color=other)
@@ -181,7 +181,7 @@ def test_an_address_of_another_computer_is_named() -> None:
     assert own_children() == []
 
 
-def test_a_frame_that_cannot_be_shown_is_told_with_its_cause(tmp_path: Path, result: FrameResult) -> None:
+def test_a_frame_that_cannot_be_shown_is_reported_with_its_cause(tmp_path: Path, result: FrameResult) -> None:
     path = tmp_path / "a.rrd"
     view, _ = opened(path)
     # The process has never been told of the cameras.

@@ -188,7 +188,7 @@ def test_an_absent_viewer_does_no_harm_and_is_named_once(
     assert_file_is_whole(path)
 
 
-def test_a_viewer_that_ends_at_once_is_told_of_once(
+def test_a_viewer_that_ends_at_once_is_reported_once(
     result: FrameResult, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     # Without a display the viewer cannot open its window.

@@ -69,7 +69,7 @@ def fetched(url: str) -> tuple[bytes, dict[str, str]]:
         return answer.read(), dict(answer.headers)
 
 
-def test_the_page_may_speak_to_its_server_and_to_nobody_else(view: View) -> None:
+def test_the_page_may_connect_to_its_server_only(view: View) -> None:
     stream_port = urlsplit(view.how_to_look).query.rpartition("%3A")[2].partition("%2F")[0]
     wait_until(lambda: listens(LOCAL, int(stream_port)), "the server listens")
     page, headers = fetched(view.how_to_look)
@@ -150,7 +150,7 @@ def test_serving_looks_no_name_up_and_connects_to_this_computer_only(tmp_path: P
     assert list(tmp_path.rglob("analytics*")) == []
 
 
-def test_what_is_started_is_told_to_send_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_started_programs_are_set_to_send_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FORCE_RERUN_ANALYTICS", "1")
     monkeypatch.delenv("CI", raising=False)
     environment = private_environment()

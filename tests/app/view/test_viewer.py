@@ -20,7 +20,7 @@ def test_nothing_is_said_of_a_stream_for_this_computer_alone(
 
 
 @pytest.mark.parametrize("bind", ["0.0.0.0", "192.168.1.5", "::"])
-def test_who_lets_others_see_the_stream_is_warned_and_hears_the_ports(
+def test_binding_to_other_addresses_warns_and_names_the_ports(
     bind: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     warn_beyond_loopback(bind, 9876, 9090)
@@ -50,7 +50,7 @@ def test_somebody_who_waits_without_a_display_is_served_a_page(
     assert view.bind == "127.0.0.1"
 
 
-def test_a_page_that_nobody_asked_for_takes_no_port_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_that_was_not_requested_takes_no_port_in_use(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with socket.create_server(("127.0.0.1", 0)) as taken:

@@ -125,7 +125,7 @@ def test_images_without_a_partner_among_the_patterns_are_counted(tmp_path: Path)
         assert [frame.name for frame in source] == ["c1", "c2"]
 
 
-def test_a_folder_of_other_names_is_told_the_names_and_the_patterns(tmp_path: Path) -> None:
+def test_the_error_for_a_folder_of_other_names_gives_names_and_patterns(tmp_path: Path) -> None:
     write_image(tmp_path / "left.png", scene(0).color)
     with pytest.raises(RecordingFormatError, match=r"NAME_color\.png.*--color 'GLOB' --depth 'GLOB'"):
         open_source(tmp_path, GIVEN)
@@ -281,7 +281,7 @@ def spoil(folder: Path, kind: str) -> None:
         ("directory", r"shot1_depth\.png: the image cannot be read"),
     ],
 )
-def test_one_bad_frame_is_named_and_the_run_goes_on(tmp_path: Path, kind: str, text: str) -> None:
+def test_one_bad_frame_is_named_and_the_run_continues(tmp_path: Path, kind: str, text: str) -> None:
     write_pairs(tmp_path, scenes(3))
     spoil(tmp_path, kind)
     with open_source(tmp_path) as source:

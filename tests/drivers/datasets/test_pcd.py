@@ -131,7 +131,7 @@ def test_a_cloud_that_is_cut_off_is_refused(tmp_path: Path, form, part: float) -
         read_pcd(path)
 
 
-def test_one_bad_cloud_of_a_folder_is_named_and_the_run_goes_on(tmp_path: Path) -> None:
+def test_one_bad_cloud_of_a_folder_is_named_and_the_run_continues(tmp_path: Path) -> None:
     for number in (0, 1, 2, 10):
         write_pcd(tmp_path / f"c{number}.pcd", POINTS_M, FRAME.color, "binary")
     (tmp_path / "c1.pcd").write_bytes((tmp_path / "c1.pcd").read_bytes()[:500])

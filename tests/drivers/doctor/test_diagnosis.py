@@ -65,7 +65,7 @@ def test_nothing_plugged_in(findings):
     assert finding.title == "No depth camera is plugged in"
 
 
-def test_another_camera_than_the_one_asked_for(findings):
+def test_another_camera_than_the_requested_one(findings):
     found = findings(ScriptedDevice(XTION), wanted="kinect")
     assert codes(found) == ["not-plugged-in"]
     assert "Xtion PRO LIVE (1d27:0601, port 1-2) is" in found[0].title
@@ -319,7 +319,7 @@ def test_a_vendors_library_brings_its_own_drivers_and_endings(findings, vendors_
     assert the(found, "redist-set").severity == "note"
 
 
-def test_a_vendors_library_reads_the_settings_beside_it(findings, vendors_folder):
+def test_a_vendors_library_reads_the_settings_next_to_it(findings, vendors_folder):
     (vendors_folder / "OpenNI.ini").write_text('[Device]\nOverride="rec.oni"\n')
     found = findings(ScriptedDevice(ASTRA), environ={"OPENNI2_REDIST": str(vendors_folder)})
     assert "Override=rec.oni" in the(found, "ini-override").reason

@@ -79,12 +79,12 @@ def test_without_a_motor_the_error_says_so():
         KinectMotor(ScriptedUsb(ScriptedDevice(KINECT_CAMERA)))
 
 
-def test_a_kinect_for_windows_is_told_apart():
+def test_a_kinect_for_windows_is_distinguished():
     with pytest.raises(DeviceNotFoundError, match="1473"):
         KinectMotor(ScriptedUsb(ScriptedDevice(KINECT_FOR_WINDOWS_MOTOR)))
 
 
-def test_of_several_motors_the_one_asked_for_moves():
+def test_of_several_motors_the_requested_one_moves():
     first, second = motor_device(address=4), motor_device(address=5)
     with KinectMotor(ScriptedUsb(first, second), number=1) as motor:
         motor.tilt(5)

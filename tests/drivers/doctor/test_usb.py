@@ -56,7 +56,7 @@ def test_without_the_kernels_list_pyusb_alone_reads_names_port_and_speed(root):
         (errno.EOVERFLOW, "silent"),
     ],
 )
-def test_why_a_device_cannot_be_opened_is_told_by_the_systems_error(root, refusal, access):
+def test_why_a_device_cannot_be_opened_is_reported_by_the_systems_error(root, refusal, access):
     (device,) = scan(root, ScriptedDevice(XTION, open_errno=refusal)).devices
     assert device.access == access
 
@@ -100,7 +100,7 @@ def test_after_the_time_budget_no_further_device_is_tried(root):
     assert [device.access for device in scanned.devices] == ["open", "unknown"]
 
 
-def test_without_libusb_the_kernels_list_still_tells_what_is_plugged_in(root, monkeypatch):
+def test_without_libusb_the_kernels_list_still_shows_what_is_plugged_in(root, monkeypatch):
     def no_backend(**_):
         raise usb.core.NoBackendError("No backend available")
 
@@ -121,7 +121,7 @@ def test_whatever_pyusb_raises_is_reported_with_what_the_kernel_lists(root):
     assert [device.ids for device in scanned.devices] == ["1d27:0601"]
 
 
-def test_a_camera_whose_device_file_is_not_here_is_told_without_pyusb(root):
+def test_a_camera_whose_device_file_is_not_here_is_reported_without_pyusb(root):
     root.plug(ScriptedDevice(XTION))
     root.remove("dev/bus/usb/001")
     (device,) = scan(root).devices

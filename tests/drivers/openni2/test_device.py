@@ -100,7 +100,7 @@ def test_depth_in_tenths_of_a_millimetre_is_rounded_to_millimetres(virtual_camer
 
 @pytest.mark.parametrize("behaviour", ["obeys", "stuck"])
 @pytest.mark.parametrize("mirror", [False, True])
-def test_images_are_mirrored_only_when_asked_whatever_the_camera_does(virtual_cameras, behaviour, mirror):
+def test_images_are_mirrored_only_on_request_whatever_the_camera_does(virtual_cameras, behaviour, mirror):
     virtual_cameras.add(mirror=behaviour)
     with DeviceSource(options=DeviceOptions(mirror=mirror)) as source:
         frame = source.read()

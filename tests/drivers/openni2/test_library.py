@@ -46,7 +46,7 @@ def test_a_missing_library_names_the_package(monkeypatch):
         openni2.Library("libNoSuchLibrary.so.0")
 
 
-def test_another_library_of_that_name_is_told_apart(monkeypatch):
+def test_another_library_of_that_name_is_distinguished(monkeypatch):
     with pytest.raises(BackendMissingError, match=r"libc\.so\.6 is not OpenNI2 2\.2"):
         openni2.Library("libc.so.6")
 

@@ -250,7 +250,7 @@ def test_closing_finishes_the_recording(virtual_cameras, tmp_path):
     assert_exact(replay(path), first=0)
 
 
-def test_a_recording_goes_on_in_a_new_file_when_the_camera_is_back(virtual_cameras, tmp_path, caplog):
+def test_a_recording_continues_in_a_new_file_when_the_camera_is_back(virtual_cameras, tmp_path, caplog):
     camera = virtual_cameras.add()
     path = tmp_path / "clip.oni"
     with open_uri("any", SourceOptions(device=DeviceOptions(reconnect_interval_s=0.05))) as source:
@@ -456,7 +456,7 @@ def test_a_slow_reader_loses_nothing(recording):
     assert_exact(frames, first=0)
 
 
-def test_skipping_goes_on_at_the_right_frame(recording):
+def test_skipping_continues_at_the_right_frame(recording):
     with OniSource(recording) as source:
         source.read()
         assert source.skip(4) == 4

@@ -76,7 +76,7 @@ def test_sixty_frames_a_second_are_kept(virtual_cameras):
     assert fewest_lost([virtual_cameras.add()], lambda: lost(180, fps=60, **modes)) == 0
 
 
-def test_no_frame_of_two_cameras_is_lost_in_twenty_seconds_of_computing_beside(virtual_cameras):
+def test_no_frame_of_two_cameras_is_lost_in_twenty_seconds_of_other_computing(virtual_cameras):
     cameras = [virtual_cameras.add(name, serial=name) for name in ("S1", "S2")]
 
     def read():

@@ -50,7 +50,7 @@ def test_recordings_left_open_are_no_cameras():
         chosen("any", there=[RECORDING])
 
 
-def test_what_is_there_is_told_when_it_does_not_match():
+def test_devices_are_listed_when_none_matches():
     with pytest.raises(DeviceNotFoundError, match=r"Microsoft Kinect \(045e:02ae\) at freenect://0"):
         chosen("xtion", there=[KINECT])
 
@@ -73,7 +73,7 @@ def test_the_port_is_found_by_bus_and_address(tmp_path):
     assert usb_port("freenect://0", tmp_path) == "freenect://0"
 
 
-def test_two_cameras_are_told_apart_and_used_at_once(virtual_cameras):
+def test_two_cameras_are_distinguished_and_used_at_once(virtual_cameras):
     virtual_cameras.add("first", serial="A1", usb_product=0x0600)
     virtual_cameras.add("second", serial="B2", vendor="Microsoft", usb_vendor=0x045E, usb_product=0x02AE)
     options = DeviceOptions(serial="A1")
@@ -85,7 +85,7 @@ def test_two_cameras_are_told_apart_and_used_at_once(virtual_cameras):
             assert kinect.read().depth_mm.shape == xtion.read().depth_mm.shape
 
 
-def test_of_several_cameras_one_is_taken_that_nobody_else_has(virtual_cameras):
+def test_of_several_cameras_a_free_one_is_taken(virtual_cameras):
     first = virtual_cameras.add("first", serial="A1")
     second = virtual_cameras.add("second", serial="B2")
     for busy in (0, 1):

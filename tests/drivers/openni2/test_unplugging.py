@@ -87,7 +87,7 @@ def test_unplugging_ends_a_read_that_waits(stalled):
     unplugger.join()
 
 
-def test_a_stalled_camera_times_out_and_then_goes_on(stalled):
+def test_a_stalled_camera_times_out_and_then_continues(stalled):
     camera, source = stalled
     with pytest.raises(FrameTimeoutError, match=r"no depth and color within 0.3 s"):
         for _ in range(5):  # one or two frames may be on their way

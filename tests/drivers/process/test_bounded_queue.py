@@ -54,7 +54,7 @@ def test_a_producer_that_waits_gives_up_in_time_and_nothing_is_dropped() -> None
     assert queue.dropped == 0
 
 
-def test_a_waiting_producer_goes_on_as_soon_as_there_is_room() -> None:
+def test_a_waiting_producer_continues_as_soon_as_there_is_room() -> None:
     queue: BoundedQueue[int] = BoundedQueue(1, "wait")
 
     def produce() -> None:

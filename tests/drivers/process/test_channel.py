@@ -89,7 +89,7 @@ def test_slots_come_free_again(talk: Talk) -> None:
     assert [each.number for each in heard[:-1]] == list(range(20))
 
 
-def test_a_program_with_nothing_to_say_is_told_from_one_that_hangs(talk: Talk) -> None:
+def test_a_silent_program_is_distinguished_from_one_that_hangs(talk: Talk) -> None:
     assert talk.ask(Say("a")) == Say("a")
     for _ in range(8):
         assert talk.channel.receive(0.5) is None
@@ -140,7 +140,7 @@ def test_sending_to_a_stopped_process_ends_in_time(talk: Talk) -> None:
     assert talk.hear() == Say("b")
 
 
-def test_a_process_that_is_told_to_end_does(talk: Talk) -> None:
+def test_a_process_ends_on_request(talk: Talk) -> None:
     assert talk.ask(Say("a")) == Say("a")
     talk.channel.finish()
     assert talk.process.end(30.0) == 7

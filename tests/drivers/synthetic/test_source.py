@@ -157,7 +157,7 @@ def test_surface_labels_part_objects_and_never_join_them():
 
 @pytest.mark.parametrize("hide", [3, 10])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_the_ball_is_hidden_for_about_as_many_frames_as_asked_and_never_for_more(hide, seed):
+def test_the_ball_is_hidden_for_about_as_many_frames_as_requested_and_never_for_more(hide, seed):
     options = SyntheticOptions(hide=hide, seed=seed, width=320, height=240)
     with SyntheticSource(options) as source:
         ball = next(label for label, name in source.label_names.items() if name == "ball")

@@ -565,7 +565,7 @@ def test_a_surface_that_moved_a_little_is_found(export, name, deep):
     assert any(f"{segment} mse: expected" in each for each in found)
 
 
-def test_a_surface_beside_the_rays_of_its_pixels_is_found(export):
+def test_a_surface_off_the_rays_of_its_pixels_is_found(export):
     folder = export("nurbseg")
 
     def aside(arrays):
@@ -597,7 +597,7 @@ def test_every_wrong_value_is_found_with_the_recording(export, name):
     assert folder.findings(RECORDING) == []
 
 
-def test_what_belongs_to_another_frame_is_held_against_that_frame(export):
+def test_values_of_another_frame_are_compared_with_that_frame(export):
     folder = export("nurbseg")
     settings = json.loads((folder.folder / "settings.json").read_text())
     (folder.folder / "settings.json").write_text(json.dumps({**settings, "temporal": True}))

@@ -108,7 +108,7 @@ def test_the_report_of_many_frames_shows_the_worst(frames: Path, tmp_path: Path)
     assert (out / "report.html").read_text().count("<figcaption>ground truth") == 2
 
 
-def test_a_segment_bears_the_color_of_the_region_it_overlaps_most() -> None:
+def test_a_segment_has_the_color_of_the_region_it_overlaps_most() -> None:
     truth = np.repeat(np.array([[1, 1, 2, 2]], np.uint16), 4, axis=0)
     labels = np.repeat(np.array([[9, 9, 9, 4]], np.uint16), 4, axis=0)
     own, theirs = label_colors(labels, truth), label_colors(truth, truth)

@@ -175,7 +175,7 @@ def test_what_is_no_frame_number_is_said(
     assert caplog.messages == [f"seek: expected a frame's number, +N or -N, got {word!r}"]
 
 
-def test_where_frames_must_come_in_their_order_nobody_goes_to_another(
+def test_seeking_is_refused_where_frames_must_come_in_order(
     seekable: Controls, controls: Controls, caplog: pytest.LogCaptureFixture, tmp_path: Path
 ) -> None:
     controls.apply("seek 3")

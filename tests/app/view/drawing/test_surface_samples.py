@@ -44,7 +44,7 @@ def test_vertices_are_where_the_surfaces_own_evaluation_puts_them() -> None:
     np.testing.assert_array_equal(evaluate_vertices(surfaces, lattices, some), points[some])
 
 
-def test_a_lattice_spans_its_window_with_steps_near_the_one_asked_for() -> None:
+def test_a_lattice_spans_its_window_with_steps_near_the_requested_one() -> None:
     rng = np.random.default_rng(4)
     lattices = Lattices.over([surface(rng, (10, 20, 71, 141), 5, 5)], 6.0)
     assert lattices.first.tolist() == [[10.0, 20.0]]

@@ -9,7 +9,7 @@ from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
 
 
-def test_the_table_tells_of_each_object_by_what_evidence_it_was_merged() -> None:
+def test_the_table_gives_the_evidence_by_which_each_object_was_merged() -> None:
     with open_source("synthetic:?width=160&height=120&frames=1") as source:
         result = process_frame(source.read(), SegmentationConfig())
     frame = drawn(
