@@ -124,6 +124,7 @@ class ExtendedConfig(Settings):
         "sensor noise, the standard deviation of inverse depth",
         unit="1/m",
         above=0.0,
+        most=1.0,
         formerly="noise_per_m",
     )
     noise_floor: float = setting(
@@ -152,7 +153,7 @@ class ExtendedConfig(Settings):
     color_weight: float = setting(0.25, "weight of color in the vectors", least=0.0)
     normal_weight: float = setting(1.0, "weight of surface normals in the vectors; 0 for none", least=0.0)
     normal_window_px: int = setting(
-        17, "window size for normals, in pixels of a 640-wide image", unit="px", least=3
+        17, "window size for normals, in pixels of a 640-wide image", unit="px", least=3, most=640
     )
     knot_spacing_px: float = setting(
         40.0,

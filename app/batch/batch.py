@@ -131,7 +131,7 @@ def run_batch(
                 _keep(recording, outcomes, exporters[task.uri])
             except Exception as err:
                 run = f"frames {task.run.start} to {task.run.stop - 1}"
-                recording.failure = f"{task.uri}, {run}: {type(err).__name__}: {err}"
+                recording.failure = f"{run}: {type(err).__name__}: {err}"
             if recording.ended:
                 report(recording)
     finally:

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib import import_module
+from tempfile import TemporaryFile
 from typing import get_args
 
 from nurbseg.app.atomic_file import write_atomically, write_json
@@ -137,6 +138,10 @@ def search(given: argparse.Namespace, study: Study) -> None:
     warn_of_unread(config, [config.method])
     if not given.out.parent.is_dir():
         raise ValueError(f"--out {given.out}: no such folder")
+    try:
+        TemporaryFile(dir=given.out.parent).close()
+    except OSError as err:
+        raise ValueError(f"--out {given.out}: cannot be written: {err.strerror}") from err
     progress = Progress("settings")
     found = tune(
         study,

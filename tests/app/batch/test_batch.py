@@ -264,7 +264,7 @@ def test_a_recording_that_fails_midway_is_whole_up_to_there(tmp_path: Path) -> N
     batch = Batch(tmp_path, SegmentationConfig())
     run_batch(batch, recordings, FailingWorkers(16), lambda each: told.append(each.uri))
     failed, whole = recordings
-    assert "frames 16 to 23: WorkerLostError: gone" in failed.failure
+    assert failed.failure == "frames 16 to 23: WorkerLostError: gone"
     assert (failed.done, whole.done, whole.failure) == (16, 10, "")
     assert sorted(results(Path(failed.directory))) == [f"{place:06d}_tree.json" for place in range(16)]
     assert told == ["synthetic:?frames=60", "synthetic:?frames=10"]

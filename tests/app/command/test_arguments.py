@@ -116,6 +116,9 @@ def test_a_recording_without_a_flag_is_answered_with_the_flag(
         (["--speed", "-1"], "argument --speed: expected at least 0.0, got -1.0"),
         (["--duration", "0"], "argument --duration: expected more than 0.0, got 0.0"),
         (["--frames", "0"], "argument --frames: expected at least 1, got 0"),
+        # A window of so many pixels would be summed without end, and such noise cannot be squared.
+        (["--normal-window-px", "10000000000"], "argument --normal-window-px: expected at most 640"),
+        (["--inverse-depth-noise", "1e308"], "argument --inverse-depth-noise: expected at most 1.0"),
         (["--intrinsics", "1,2,3"], "argument --intrinsics: expected 4 numbers, got '1,2,3'"),
         (["--intrinsics=-1,2,3,4"], "argument --intrinsics: expected focal lengths"),
         (["--metric", "foo"], "argument --metric: invalid choice: 'foo'"),

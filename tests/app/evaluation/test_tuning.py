@@ -31,6 +31,14 @@ def test_the_search_is_over_settings_that_the_method_uses(
     assert len(searched) == 6
 
 
+def test_a_file_that_cannot_be_written_is_refused_before_the_search(
+    frames: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["tune", str(frames), "--budget", "2", "--out", "/proc/tuned.toml"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("nurbseg-eval: error: --out /proc/tuned.toml: cannot be written: ")
+
+
 def test_the_same_seed_finds_the_same_settings(frames: Path, tmp_path: Path) -> None:
     for name in ("a.toml", "b.toml"):
         words = ["tune", str(frames), "--budget", "3", "--seed", "5", "--frames", "3"]
