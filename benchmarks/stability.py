@@ -69,8 +69,9 @@ def main() -> None:
     parser.add_argument("source", help="what nurbseg-live replays, with known motion")
     parser.add_argument("--frames", type=int, default=120, help="frames from the first on (120)")
     parser.add_argument("--every", type=int, default=4, help="segment every so many frames alone as well (4)")
+    parser.add_argument("--seed", type=int, default=0, help="of the live tree (0)")
     arguments = parser.parse_args()
-    config = SegmentationConfig(method="nurbseg")
+    config = SegmentationConfig(method="nurbseg", seed=arguments.seed)
     with open_source(arguments.source, SourceOptions()) as source:
         motion = known_motion(source, arguments.source)
         measure(source, motion, config, arguments.frames, arguments.every)
