@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, I32, U16, compiled, inlined_once
+from nurbseg.drivers.compiled import F32, I32, U16, Bool, compiled, inlined_once
 from nurbseg.segmentation.extended.borders import ACROSS_GAP, Deviations
 from nurbseg.segmentation.surfaces.lattice import Samples, SurfaceLattice
 from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST
 
-#: Vote of a neighbour at a distance of one pixel, and of a diagonal one.
-_VOTE, _DIAGONAL_VOTE = 1.4, 1.4 / 2**0.5
+#: Vote of a pixel by its number of nonzero offsets: for itself, beside, and diagonally.
+_VOTES = np.array([0.0, 1.4, 1.4 / 2**0.5])
+#: Sweeps over the pixels at borders in one frame: one does not keep up with moving things.
+_SWEEPS = 2
 
 
 def spread_to_pixels(
@@ -45,10 +47,11 @@ def relax_borders(
     deviations: Deviations,
     *,
     gap_per_m: float,
+    sweeps: int = _SWEEPS,
 ) -> NDArray[np.uint16]:
     """Give every pixel at a border the cheapest of its own label, the largest and the smallest next to it.
 
-    One sweep of iterated conditional modes, as in `refine_borders`; later frames continue it.
+    Sweeps of iterated conditional modes, as in `refine_borders`; later frames continue them.
 
     Parameters
     ----------
@@ -62,6 +65,8 @@ def relax_borders(
         Of these surfaces.
     gap_per_m : float
         Smallest gap, 1/m.
+    sweeps : int
+        How often pixels are judged, at most.
 
     Returns
     -------
@@ -69,7 +74,7 @@ def relax_borders(
         The new labels.
     """
     relaxed = labels.copy()
-    _relax(labels, inverse_depth, lattice.samples, lattice.step, deviations, gap_per_m, relaxed)
+    _relax(relaxed, inverse_depth, lattice.samples, lattice.step, deviations, gap_per_m, sweeps)
     return relaxed
 
 
@@ -99,52 +104,105 @@ def _relax(
     step: int,
     deviations: Deviations,
     gap: float,
-    relaxed: U16,
+    sweeps: int,
 ) -> None:
+    pixels, beside = np.empty((2, labels.size, 2), dtype=np.int32)
+    best, listed = np.empty(labels.size, dtype=np.uint16), np.zeros(labels.shape, dtype=np.bool_)
+    count = _find_borders(labels, inverse_depth, pixels)
+    for _ in range(sweeps):
+        for n in range(count):
+            at = pixels[n, 0], pixels[n, 1]
+            best[n] = _cheapest(labels, inverse_depth, at, samples, step, deviations, gap)
+        # Only beside a pixel that has changed can another label be the cheapest now.
+        around = 0
+        for n in range(count):
+            row, column = pixels[n]
+            if best[n] != labels[row, column]:
+                labels[row, column] = best[n]
+                around = _list_around((row, column), inverse_depth, listed, beside, around)
+        for n in range(around):
+            listed[beside[n, 0], beside[n, 1]] = False
+        pixels, beside, count = beside, pixels, around
+
+
+@inlined_once
+def _find_borders(labels: U16, inverse_depth: F32, pixels: I32) -> int:
+    """List the rows and columns of pixels with a point that have neighbours of another label; count them."""
     height, width = labels.shape
     turns, beside = np.empty(width, dtype=np.bool_), np.empty(width, dtype=np.bool_)
-    # By the number of nonzero offsets; a pixel has no vote for itself.
-    votes, none = np.array([0.0, _VOTE, _DIAGONAL_VOTE]), np.int64(1 << 16)
+    count = 0
     for r in range(height):
-        above, below = max(r - 1, 0), min(r + 2, height)
+        above, below = max(r - 1, 0), min(r + 1, height - 1)
         # Most pixels have only neighbours of their own label.
         for c in range(width):
-            turns[c] = (labels[above, c] != labels[r, c]) | (labels[below - 1, c] != labels[r, c])
+            turns[c] = (labels[above, c] != labels[r, c]) | (labels[below, c] != labels[r, c])
         for c in range(1, width):
             beside[c] = (labels[r, c - 1] != labels[r, c]) | turns[c - 1] | turns[c]
         beside[0] = turns[0]
         for c in range(width):
-            own = inverse_depth[r, c]
-            if not (beside[c] or beside[min(c + 1, width - 1)]) or not own > 0:
+            if (beside[c] or beside[min(c + 1, width - 1)]) and inverse_depth[r, c] > 0:
+                pixels[count, 0], pixels[count, 1] = r, c
+                count += 1
+    return count
+
+
+@inlined_once
+def _list_around(pixel: tuple[int, int], inverse_depth: F32, listed: Bool, pixels: I32, count: int) -> int:
+    """Add a pixel and its neighbours that have a point, each once, to a list of so many; count them."""
+    height, width = inverse_depth.shape
+    row, column = pixel
+    for r in range(max(row - 1, 0), min(row + 2, height)):
+        for c in range(max(column - 1, 0), min(column + 2, width)):
+            if not listed[r, c] and inverse_depth[r, c] > 0:
+                listed[r, c] = True
+                pixels[count, 0], pixels[count, 1] = r, c
+                count += 1
+    return count
+
+
+@inlined_once
+def _cheapest(
+    labels: U16,
+    inverse_depth: F32,
+    pixel: tuple[int, int],
+    samples: Samples,
+    step: int,
+    deviations: Deviations,
+    gap: float,
+) -> np.int64:
+    """Return the cheapest of a pixel's label, the largest and the least around it."""
+    height, width = labels.shape
+    r, c = pixel
+    own = inverse_depth[r, c]
+    above, below = max(r - 1, 0), min(r + 2, height)
+    left, right = max(c - 1, 0), min(c + 2, width)
+    before, most, least = np.int64(labels[r, c]), np.int64(0), np.int64(1 << 16)
+    for y in range(above, below):
+        for x in range(left, right):
+            near = np.int64(labels[y, x])
+            most = near if near > most else most
+            least = near if 0 < near < least else least
+    found = before
+    if most > least:
+        for_before, for_most, for_least = 0.0, 0.0, 0.0
+        for y in range(above, below):
+            for x in range(left, right):
+                near, vote = np.int64(labels[y, x]), _VOTES[(y != r) + (x != c)]
+                vote *= 1.0 if abs(inverse_depth[y, x] - own) < gap else ACROSS_GAP
+                for_before += vote if near == before else 0.0
+                for_most += vote if near == most else 0.0
+                for_least += vote if near == least else 0.0
+        row, column = r // step, c // step
+        at = (row, column, (r - step * row) / step, (c - step * column) / step)
+        cheapest = np.inf
+        for label, vote in ((before, for_before), (most, for_most), (least, for_least)):
+            if label == 0 or (label == before and cheapest < np.inf):
                 continue
-            left, right = max(c - 1, 0), min(c + 2, width)
-            before, most, least = np.int64(labels[r, c]), np.int64(0), none
-            for y in range(above, below):
-                for x in range(left, right):
-                    near = np.int64(labels[y, x])
-                    most = near if near > most else most
-                    least = near if 0 < near < least else least
-            if most <= least:
-                continue
-            for_before, for_most, for_least = 0.0, 0.0, 0.0
-            for y in range(above, below):
-                for x in range(left, right):
-                    near, vote = labels[y, x], votes[(y != r) + (x != c)]
-                    vote *= 1.0 if abs(inverse_depth[y, x] - own) < gap else ACROSS_GAP
-                    for_before += vote if near == before else 0.0
-                    for_most += vote if near == most else 0.0
-                    for_least += vote if near == least else 0.0
-            row, column = r // step, c // step
-            at = (row, column, (r - step * row) / step, (c - step * column) / step)
-            cheapest = np.inf
-            for label, vote in ((before, for_before), (most, for_most), (least, for_least)):
-                if label == 0 or (label == before and cheapest < np.inf):
-                    continue
-                residual = deviations.precision_m[label] * (_explained(samples, label, at) - own)
-                cost = min(residual * residual, SQUARE_MOST) + deviations.penalty[label] - vote
-                if cost < cheapest:
-                    cheapest = cost
-                    relaxed[r, c] = label
+            residual = deviations.precision_m[label] * (_explained(samples, label, at) - own)
+            cost = min(residual * residual, SQUARE_MOST) + deviations.penalty[label] - vote
+            if cost < cheapest:
+                cheapest, found = cost, label
+    return found
 
 
 @inlined_once

@@ -6,7 +6,7 @@ import pytest
 from inverse_depth_lattice import inverse_depth_lattice
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.borders import own_deviations
+from nurbseg.segmentation.extended.borders import Deviations, own_deviations
 from nurbseg.segmentation.live.borders import relax_borders, spread_to_pixels
 from nurbseg.segmentation.live.follow import explained_labels, grown_labels, moved_surfaces
 from nurbseg.segmentation.live.motion import brightness, flow_back, warped
@@ -41,6 +41,22 @@ def fitted(inverse_depth: np.ndarray) -> NurbsSurface:
     fit = fit_window(grid, (0, 0, *grid.valid.shape), grid.valid, CONFIG)
     assert fit.surface is not None
     return fit.surface
+
+
+#: Labels, inverse depth, and the lattice and deviations of the labels' surfaces.
+Three = tuple[np.ndarray, np.ndarray, SurfaceLattice, Deviations]
+
+
+@pytest.fixture(scope="module")
+def three() -> Three:
+    """Three labels at random, left of what is all of the second one."""
+    rng = np.random.default_rng(5)
+    lattice = SurfaceLattice([fitted(np.full(SHAPE, value)) for value in (1.0, 1.003, 0.994)], STEP)
+    labels = rng.integers(0, 4, SHAPE).astype(np.uint16)
+    labels[:, 64:] = 2
+    inverse_depth = (1.0 + 0.004 * rng.standard_normal(SHAPE)).astype(np.float32)
+    inverse_depth[rng.random(SHAPE) < 0.05] = 0.0
+    return labels, inverse_depth, lattice, own_deviations([1e-3, 2.5e-3, 4e-3], 2.5e-3)
 
 
 @pytest.fixture(scope="module")
@@ -148,32 +164,32 @@ def test_pixels_follow_their_grid_pixel_where_its_label_changed() -> None:
 
 def test_borders_go_to_the_surface_that_explains_the_pixels() -> None:
     near, far = fitted(np.full(SHAPE, 1.0)), fitted(np.full(SHAPE, 0.8))
-    columns = np.arange(SHAPE[1])
-    truth = np.broadcast_to(np.where(columns < 64, 1, 2), SHAPE).astype(np.uint16)
-    inverse_depth = np.where(truth == 1, 1.0, 0.8).astype(np.float32)
-    labels = np.broadcast_to(np.where(columns < 61, 1, 2), SHAPE).astype(np.uint16)
-    lattice = SurfaceLattice([near, far], STEP)
-    for _ in range(3):
-        settled = relax_borders(
-            labels, inverse_depth, lattice, own_deviations([0.0, 0.0], 2.5e-3), gap_per_m=0.025
+
+    def halves(middle: int) -> np.ndarray:
+        return np.broadcast_to(np.where(np.arange(SHAPE[1]) < middle, 1, 2), SHAPE).astype(np.uint16)
+
+    inverse_depth = np.where(halves(64) == 1, 1.0, 0.8).astype(np.float32)
+    given = inverse_depth, SurfaceLattice([near, far], STEP), own_deviations([0.0, 0.0], 2.5e-3)
+    # One column in a sweep, the one next to the border, and two sweeps in a frame.
+    for sweeps, middle in ((1, 62), (2, 63), (3, 64), (9, 64)):
+        assert np.array_equal(
+            relax_borders(halves(61), *given, gap_per_m=0.025, sweeps=sweeps), halves(middle)
         )
-        # One column in a pass, the one beside the border.
-        assert (settled != labels).sum() == SHAPE[0]
-        labels = settled
-    assert np.array_equal(labels, truth)
+    assert np.array_equal(relax_borders(halves(61), *given, gap_per_m=0.025), halves(63))
 
 
-def test_one_pass_takes_the_cheapest_of_three_labels() -> None:
-    rng = np.random.default_rng(5)
-    lattice = SurfaceLattice([fitted(np.full(SHAPE, value)) for value in (1.0, 1.003, 0.994)], STEP)
-    labels = rng.integers(0, 4, SHAPE).astype(np.uint16)
-    labels[:, 64:] = 2
-    inverse_depth = (1.0 + 0.004 * rng.standard_normal(SHAPE)).astype(np.float32)
-    inverse_depth[rng.random(SHAPE) < 0.05] = 0.0
-    deviations = (2.5e-3, 2.5e-3, 4e-3)
-    settled = relax_borders(
-        labels, inverse_depth, lattice, own_deviations([1e-3, 2.5e-3, 4e-3], 2.5e-3), gap_per_m=0.006
-    )
+def test_a_second_sweep_goes_on_where_the_first_one_ended(three: Three) -> None:
+    labels, *given = three
+    once = relax_borders(labels, *given, gap_per_m=0.006, sweeps=1)
+    twice = relax_borders(once, *given, gap_per_m=0.006, sweeps=1)
+    assert np.count_nonzero(twice != once) > 100
+    assert np.array_equal(relax_borders(labels, *given, gap_per_m=0.006, sweeps=2), twice)
+
+
+def test_one_sweep_takes_the_cheapest_of_three_labels(three: Three) -> None:
+    labels, inverse_depth, *_ = three
+    rng, deviations = np.random.default_rng(6), (2.5e-3, 2.5e-3, 4e-3)
+    settled = relax_borders(*three, gap_per_m=0.006, sweeps=1)
     for r, c in zip(*(rng.integers(0, extent, 300) for extent in SHAPE), strict=True):
         near = [
             (y, x)
