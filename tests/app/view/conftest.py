@@ -10,7 +10,7 @@ from nurbseg.app.result import FrameResult
 from tests.fakes.small_scene import small_result
 
 
-@pytest.fixture(autouse=True, scope="package")
+@pytest.fixture(autouse=True, scope="module")
 def strict() -> Iterator[None]:
     """Make an error of what Rerun would only warn of, in the process that shows and saves."""
     with pytest.MonkeyPatch.context() as patch:
