@@ -64,6 +64,8 @@ def open_chosen(app_config: AppConfig) -> OpenedSource:
             heeded |= {"mirror", "registration"}
         ignored = {each.name for each in described_fields(DeviceOptions)} - heeded
         _warn_of_ignored(app_config.camera, ignored, f"cameras only, ignored for {uri}")
+        if uri.startswith(SYNTHETIC):
+            _warn_of_ignored(config, ("intrinsics", "depth_scale"), f"recordings only, ignored for {uri}")
         return _prepared(uri, app_config, options)
     try:
         return _prepared(uri, app_config, options)

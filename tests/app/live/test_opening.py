@@ -156,6 +156,13 @@ def test_a_camera_warns_of_ignored_settings_of_a_replay(
     assert "--intrinsics: for replays only" in caplog.text
 
 
+def test_settings_of_a_recording_are_said_to_be_ignored_for_the_rendered_scene(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    open_chosen(chosen(replay=SMALL, intrinsics=(60.0, 61.0, 31.5, 23.5), depth_scale=5.0)).source.close()
+    assert f"--intrinsics, --depth-scale: for recordings only, ignored for {SMALL}" in caplog.text
+
+
 def test_settings_of_a_camera_are_said_to_be_ignored_for_other_sources(
     caplog: pytest.LogCaptureFixture, tmp_path: Path
 ) -> None:
