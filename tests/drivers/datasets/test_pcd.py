@@ -102,7 +102,7 @@ def replaced(path: Path, old: str, new: str) -> None:
     ("old", "new", "text"),
     [
         ("WIDTH 64\nHEIGHT 48", "WIDTH 3072\nHEIGHT 1", r"HEIGHT: the cloud is not organized \(3072x1\)"),
-        ("HEIGHT 48", "HEIGHT many", "HEIGHT: expected a number"),
+        ("HEIGHT 48", "HEIGHT many", "HEIGHT: expected 1 to 16777216, got 'many'"),
         ("POINTS 3072", "POINTS 3000", "POINTS: expected WIDTH x HEIGHT = 3072"),
         ("FIELDS x y z rgb", "FIELDS x y w rgb", "FIELDS: z missing"),
         ("SIZE 4 4 4 4", "SIZE 4 4 4", "FIELDS, SIZE, TYPE, COUNT"),
