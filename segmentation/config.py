@@ -170,6 +170,13 @@ class ExtendedConfig(Settings):
     fold_surfaces: bool = setting(
         True, "whether to merge surfaces that meet smoothly and that one surface explains as well"
     )
+    protrusion_min: float = setting(
+        2.5,
+        "points nearer than a surface by more than this many times inverse_depth_noise become a surface of "
+        "their own where they are connected, at least piece_pixels_min and hold a square of 8 pixels; 0 for "
+        "never",
+        least=0.0,
+    )
     refine_borders: bool = setting(
         True, "whether to assign border pixels to the surface that explains them best"
     )

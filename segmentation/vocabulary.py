@@ -9,8 +9,8 @@ class StopReason(StrEnum):
     """Why a segment was not split further; the first four are the colors of the paper's figure 3.
 
     ``noise`` (default method): the metric is so near its floor that no split can have a ratio below T; none
-    was tried. ``untried`` (live tree): the segment is new, or its last trial is out of date. ``budget``: the
-    time for the frame was used up before its turn.
+    was tried. ``untried``: the segment is a protrusion or the rest beside one; in the live tree also: it is
+    new, or its last trial is out of date. ``budget``: the time for the frame was used up before its turn.
     """
 
     CRITERION = "criterion"
@@ -30,12 +30,13 @@ class Division(StrEnum):
     """How a segment is divided into its children.
 
     ``cut``: by a normalized cut that was kept. ``gap``: its pixels are not connected. ``appeared``: part 1
-    came into view beside or in front of part 0.
+    came into view beside or in front of part 0. ``protrusion``: part 1 is in front of the surface.
     """
 
     CUT = "cut"
     GAP = "gap"
     APPEARED = "appeared"
+    PROTRUSION = "protrusion"
 
 
 #: Reasons that result from trying a cut; the others follow from the segment's own values.

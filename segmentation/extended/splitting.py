@@ -18,6 +18,7 @@ from nurbseg.segmentation.extended.folding import fold_leaves
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features, segment_normalization
 from nurbseg.segmentation.extended.merge import merge_surfaces
 from nurbseg.segmentation.extended.parts import Part, chain_components, children_of, fit_segment, judge_split
+from nurbseg.segmentation.extended.protrusions import split_off_protrusions
 from nurbseg.segmentation.extended.refitting import refit_surfaces
 from nurbseg.segmentation.extended.things import join_objects
 from nurbseg.segmentation.growth import Clock, grow, time_limit
@@ -84,7 +85,7 @@ def segment_nurbseg(
 
 
 def grown_tree(features: GridFeatures, config: SegmentationConfig, time_is_over: Callable[[], bool]) -> Node:
-    """Grow the tree of surfaces on the grid, and merge leaves that one surface explains.
+    """Grow the tree of surfaces on the grid, merge what one surface explains, and split off protrusions.
 
     Parameters
     ----------
@@ -118,6 +119,8 @@ def grown_tree(features: GridFeatures, config: SegmentationConfig, time_is_over:
     grow(root, split, features.grid_pixels_min(config), config, time_is_over)
     if config.extended.fold_surfaces and not time_is_over():
         fold_leaves(root, features, config)
+    if config.extended.protrusion_min > 0 and not time_is_over():
+        split_off_protrusions(root, features, config)
     return root
 
 

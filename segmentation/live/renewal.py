@@ -12,8 +12,10 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.parts import at_noise_floor, fit_segment, judge_split
 from nurbseg.segmentation.growth import stop_without_cut
+from nurbseg.segmentation.live.editor import NOT_CUT
 from nurbseg.segmentation.live.leaf import LiveLeaf
 from nurbseg.segmentation.segments import Node, depth_first
+from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
 #: Frames within which every split is judged again, and after which a rejected trial is out of date.
@@ -91,8 +93,9 @@ def renew_splits(
     ends = np.cumsum([0, *(leaf.node.grid_pixels.size for leaf in leaves)])
     for node in nodes:
         if node.division not in (None, Division.CUT) and node.fit.pixels.size:
-            # It has no surface, and its pixels are those of its parts.
-            node.fit = replace(node.fit, pixels=np.zeros(0, dtype=np.intp))
+            # Its pixels are those of its parts; a surface that parts protrude from is of another frame.
+            reason, none = node.fit.reason or NOT_CUT, np.zeros(0, dtype=np.intp)
+            node.fit, node.measured = Fit(None, np.zeros(0), {}, reason, none), None
     rejected: list[Node] = []
     splits = [node for node in nodes if node.division is Division.CUT]
     judged = counted = 0

@@ -11,8 +11,10 @@ from nurbseg.app.evaluation.check.exported import ExportedFrame, ExportedSegment
 
 #: Relative difference of sums in double precision whose order differs.
 _ROUNDING = 1e-12
+#: Ways in which a segment can be divided.
+_KINDS: tuple[str | None, ...] = ("cut", "gap", "protrusion")
 #: Ways in which a segment of a live tree can be divided.
-_LIVE_KINDS = ("cut", "gap", "appeared")
+_LIVE_KINDS: tuple[str | None, ...] = ("cut", "gap", "appeared", "protrusion")
 
 
 def ratio_of(metric: str, whole: Measured, parts: Iterable[Measured]) -> float:
@@ -37,7 +39,8 @@ def check_splits(frame: ExportedFrame) -> Iterator[Finding]:
     if frame.tree.metric != config.metric:
         yield frame.wrong("", "metric", config.metric, frame.tree.metric)
     for name, each in frame.segments.items():
-        kinds = (("cut", "gap") if frame.settings.independent else _LIVE_KINDS) if each.children else (None,)
+        kinds = _LIVE_KINDS if not frame.settings.independent else _KINDS
+        kinds = kinds if each.children else (None,)
         if each.division not in kinds:
             yield frame.wrong(name, "division", " or ".join(map(str, kinds)), each.division)
         if (each.stop is None) != bool(each.children):
@@ -54,6 +57,8 @@ def check_splits(frame: ExportedFrame) -> Iterator[Finding]:
                 yield frame.wrong(name, "division", "no trial and no surface without a cut", "one of them")
             if config.method == "stag15":
                 yield frame.wrong(name, "division", "cut: stag15 knows no gaps", "gap")
+        if each.division == "protrusion":
+            yield from _check_protrusion(frame, each)
         yield from _check_trial(frame, each)
     cuts = [each.name for each in frame.segments.values() if each.division == "cut"]
     if len(cuts) > config.splits_max:
@@ -62,6 +67,17 @@ def check_splits(frame: ExportedFrame) -> Iterator[Finding]:
         if frame.cuts_above(name) >= config.depth_max:
             depth = f"{frame.cuts_above(name) + 1} splits above its parts"
             yield frame.wrong(name, "depth", f"at most {config.depth_max} (T_d)", depth)
+
+
+def _check_protrusion(frame: ExportedFrame, each: ExportedSegment) -> Iterator[Finding]:
+    """Check that a protrusion is allowed, was not tried as a split, and has as many points as a segment."""
+    if frame.settings.config.method == "stag15" or frame.settings.config.extended.protrusion_min == 0:
+        yield frame.wrong(each.name, "division", "no protrusion with these settings", each.division)
+    if each.trial is not None:
+        yield frame.wrong(each.name, "trial", "none of a protrusion", each.trial)
+    least = min(part.points for part in frame.parts(each.name))
+    if frame.settings.independent and least < frame.points_min:
+        yield frame.wrong(each.name, "points", f"at least {frame.points_min:g} in each part (T_p)", least)
 
 
 def _check_trial(frame: ExportedFrame, each: ExportedSegment) -> Iterator[Finding]:

@@ -19,6 +19,13 @@ def check_stops(frame: ExportedFrame) -> Iterator[Finding]:
     while waiting:
         _, name = heapq.heappop(waiting)
         each = frame.segments[name]
+        if each.division == "protrusion":
+            # Split off when the tree had grown: its parts were not tried.
+            for leaf in frame.below(name):
+                stop = "noise" if _hopeless(leaf, frame.settings.config) else "untried"
+                if leaf.stop != stop:
+                    yield frame.wrong(leaf.name, "stop", stop, leaf.stop)
+            continue
         expected = _early_stop(frame, each, splits)
         if expected is None and _hurried(frame, each):
             time_is_over = True

@@ -32,6 +32,7 @@ DIVISION_COLORS: dict[Division, tuple[int, int, int]] = {
     Division.CUT: (150, 155, 162),
     Division.GAP: (92, 96, 102),
     Division.APPEARED: (112, 92, 82),
+    Division.PROTRUSION: (82, 98, 112),
 }
 
 #: Lines of a plot, in their order.

@@ -105,11 +105,11 @@ def test_a_factor_on_the_noise_decides_what_is_noise(cloud_of):
 
 
 def test_a_threshold_on_either_side_of_the_ratio_decides(cloud_of):
-    cloud = cloud_of(roof(0.02))
-    ratio = segment(cloud, CONFIG).root.ratio
+    cloud, alone = cloud_of(roof(0.02)), updated(CONFIG, extended={"protrusion_min": 0.0})
+    ratio = segment(cloud, alone).root.ratio
     assert ratio is not None
-    above = segment(cloud, replace(CONFIG, ratio_max=1.01 * ratio))
-    below = segment(cloud, updated(CONFIG, ratio_max=0.99 * ratio, extended={"cuts": 1}))
+    above = segment(cloud, replace(alone, ratio_max=1.01 * ratio))
+    below = segment(cloud, updated(alone, ratio_max=0.99 * ratio, extended={"cuts": 1}))
     assert above.root.ratio == ratio
     assert above.root.division is Division.CUT
     assert below.root.stop is StopReason.CRITERION
@@ -145,7 +145,7 @@ def test_the_metric_decides(cloud_of):
     # One spline across the crease leaves errors of centimetres: enough for MSE, none beyond T_l for NLE.
     cloud = cloud_of(roof(0.02))
     assert cut_at_middle(segment(cloud, replace(CONFIG, metric="mae")))
-    few = segment(cloud, replace(CONFIG, metric="nle"))
+    few = segment(cloud, updated(CONFIG, metric="nle", extended={"protrusion_min": 0.0}))
     assert [leaf.stop for leaf in few.leaves()] == [StopReason.NOISE]
     assert cut_at_middle(segment(cloud, replace(CONFIG, metric="nle", large_error_m=0.01)))
 

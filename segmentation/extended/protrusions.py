@@ -1,0 +1,94 @@
+"""Things that stand before a large surface, and are too small to raise its error: each becomes a surface."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.extended.grid_features import GridFeatures
+from nurbseg.segmentation.extended.parts import chain_components, fit_segment
+from nurbseg.segmentation.labels.regions import connected_components
+from nurbseg.segmentation.points.depth_grid import DepthGrid
+from nurbseg.segmentation.segments import Node, depth_first
+from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
+from nurbseg.segmentation.vocabulary import Division, StopReason
+
+#: Side of the square that a protrusion has room for, pixels of a 640-wide image: strips at borders have none.
+_SIDE_PX = 8.0
+#: Share of a leaf that protrudes, at most: where it is more, the surface is what is wrong.
+_SHARE_MOST = 0.5
+
+
+def split_off_protrusions(root: Node, features: GridFeatures, config: SegmentationConfig) -> None:
+    """Make leaves of connected points that stand before the surface of a leaf beyond its noise.
+
+    The ratio (eq. 5) compares means over a segment. A thing that is a small share of a large surface hardly
+    changes them, however far it stands out; here each point counts by itself. A protrusion is connected, has
+    at least T_p points, and holds a square of 8 pixels. It and what remains of the leaf are fitted anew.
+
+    Parameters
+    ----------
+    root : Node
+        Of a tree that has grown, which is changed. A leaf with protrusions gets two parts: what remains,
+        and the protrusion, or a node without a surface that chains several.
+    features : GridFeatures
+        The frame.
+    config : SegmentationConfig
+        The limit `protrusion_min`, the noise and T_p.
+    """
+    leaves = [node for node in depth_first(root) if not node.children]
+    labels = _before_surfaces(leaves, features.grid, config)
+    found = connected_components(labels, features.adjacency)
+    large = np.flatnonzero(found.sizes >= features.grid_pixels_min(config))
+    if not large.size:
+        return
+    side = max(1, round(_SIDE_PX * features.grid.unit_px / features.grid.step))
+    square = np.ones((side, side), dtype=np.uint8)
+    protrusions: dict[int, list[NDArray[np.intp]]] = {}
+    for number in large.tolist():
+        grid_pixels = np.flatnonzero(found.numbers == number)
+        mask = features.grid.points.window_mask(grid_pixels)[1].astype(np.uint8)
+        if cv2.erode(mask, square, borderType=cv2.BORDER_CONSTANT, borderValue=0).any():
+            protrusions.setdefault(int(found.labels_of[number]), []).append(grid_pixels)
+    for label, pieces in protrusions.items():
+        _split_off(leaves[label - 1], pieces, features, config)
+
+
+def _before_surfaces(leaves: list[Node], grid: DepthGrid, config: SegmentationConfig) -> NDArray[np.int32]:
+    """Mark grid pixels that are nearer than their leaf's surface by more than the limit, by label."""
+    limit_per_m = config.extended.protrusion_min * config.extended.inverse_depth_noise
+    labels = np.zeros(grid.valid.shape, dtype=np.int32)
+    flat, inverse_depth = labels.reshape(-1), grid.inverse_depth.ravel()
+    distances_m = grid.distances_m.ravel()
+    for label, leaf in enumerate(leaves, start=1):
+        if leaf.fit.surface is not None:
+            at = leaf.grid_pixels
+            # A point at distance p, nearer than the surface by r 1/m, is more than r p / d away from it.
+            far = leaf.fit.residuals_m * inverse_depth[at] > limit_per_m * distances_m[at]
+            flat[at[far]] = label
+    marked = np.flatnonzero(flat)
+    rows, columns = np.divmod(marked.astype(np.int32), np.int32(grid.points.shape[1]))
+    step = np.int32(grid.step)
+    surfaces = SurfaceTable([leaf.fit.surface for leaf in leaves])
+    explained = surfaces.inverse_depths(flat[marked], rows * step, columns * step)
+    flat[marked[inverse_depth[marked] - explained <= limit_per_m]] = 0
+    return labels
+
+
+def _split_off(
+    leaf: Node, pieces: list[NDArray[np.intp]], features: GridFeatures, config: SegmentationConfig
+) -> None:
+    """Divide a leaf into what remains and its protrusions, unless these are most of it."""
+    protruding = np.concatenate(pieces)
+    if protruding.size > _SHARE_MOST * leaf.grid_pixels.size:
+        return
+    remaining = np.setdiff1d(leaf.grid_pixels, protruding, assume_unique=True)
+    rest, *parts = (
+        part._replace(stop=part.stop or StopReason.UNTRIED)
+        for part in (fit_segment(features, each, config) for each in (remaining, *pieces))
+    )
+    name, depth = leaf.name, leaf.cuts_above
+    leaf.children = chain_components(f"{name}0", [rest], depth), chain_components(f"{name}1", parts, depth)
+    leaf.division, leaf.stop, leaf.trial = Division.PROTRUSION, None, None

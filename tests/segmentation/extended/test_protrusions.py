@@ -1,0 +1,95 @@
+"""What stands before a surface becomes a leaf: not noise, a strip, a hollow or what is too small."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nurbseg.drivers.settings import updated
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.extended.grid_features import grid_features
+from nurbseg.segmentation.extended.parts import fit_segment
+from nurbseg.segmentation.extended.protrusions import split_off_protrusions
+from nurbseg.segmentation.methods import segment
+from nurbseg.segmentation.segments import Node, depth_first
+from nurbseg.segmentation.vocabulary import Division, StopReason
+
+CONFIG = SegmentationConfig(decimation=2)
+NOISE_PER_M = CONFIG.extended.inverse_depth_noise
+SIZE = (480, 640)
+THING = (slice(200, 224), slice(300, 320))
+
+
+def wall(cloud_of, things, seed=0):
+    """Return a sloping wall with noise, before which some pixels stand by so many deviations."""
+    rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
+    inverse_depth = 1.0 + 4e-4 * columns + 2e-4 * rows
+    inverse_depth = inverse_depth + NOISE_PER_M * np.random.default_rng(seed).standard_normal(SIZE)
+    for where, deviations in things:
+        inverse_depth[where] += deviations * NOISE_PER_M
+    return cloud_of(1.0 / inverse_depth)
+
+
+def split_off(cloud_of, things, config=CONFIG):
+    """Return the tree of a wall that no cut divided, and its grid's shape."""
+    features = grid_features(wall(cloud_of, things), config)
+    part = fit_segment(features, np.flatnonzero(features.grid.valid), config)
+    root = Node("", part.grid_pixels, part.fit, stop=part.stop)
+    split_off_protrusions(root, features, config)
+    return root, features.grid.valid.shape
+
+
+def test_a_small_thing_before_a_wall_that_is_at_its_noise_becomes_a_leaf(cloud_of):
+    root, shape = split_off(cloud_of, [(THING, 8.0)])
+    assert root.division is Division.PROTRUSION
+    assert (root.stop, root.trial) == (None, None)
+    rest, thing = root.children
+    assert np.array_equal(np.union1d(rest.grid_pixels, thing.grid_pixels), root.grid_pixels)
+    expected = np.zeros(shape, dtype=bool)
+    expected[100:112, 150:160] = True
+    found = np.zeros(shape, dtype=bool)
+    found.ravel()[thing.grid_pixels] = True
+    assert (found & expected).sum() / (found | expected).sum() > 0.95
+    assert (rest.name, thing.name) == ("0", "1")
+    assert thing.stop in (StopReason.NOISE, StopReason.UNTRIED)
+    assert rest.stop is StopReason.NOISE
+    # The surface beside the thing is no longer bent towards it.
+    assert rest.fit.rms_per_m < root.fit.rms_per_m
+    assert thing.cuts_above == rest.cuts_above == root.cuts_above
+
+
+@pytest.mark.parametrize(
+    "things",
+    [
+        [],
+        [(THING, -8.0)],
+        [(THING, 1.0)],
+        [((slice(100, 300), slice(300, 306)), 8.0)],
+        [((slice(200, 208), slice(300, 310)), 20.0)],
+    ],
+    ids=["noise", "a hollow", "within noise", "a strip", "fewer points than T_p"],
+)
+def test_a_wall_stays_whole(cloud_of, things):
+    root, _ = split_off(cloud_of, things)
+    assert root.children == ()
+
+
+def test_several_things_are_chained_without_a_surface(cloud_of):
+    other = (slice(300, 324), slice(100, 130))
+    root, _ = split_off(cloud_of, [(THING, 8.0), (other, 8.0)])
+    leaves = [node for node in depth_first(root) if not node.children]
+    assert [leaf.name for leaf in leaves] == ["0", "10", "11"]
+    assert root.children[1].division is Division.GAP
+    assert sorted(leaf.grid_pixels.size for leaf in leaves) == pytest.approx([120, 180, 76500], rel=0.05)
+
+
+def test_a_frame_has_the_thing_as_a_surface_unless_the_limit_is_0(cloud_of):
+    cloud = wall(cloud_of, [(THING, 8.0)])
+    labels = segment(cloud, CONFIG).labels("surfaces")
+    assert labels.max() == 2
+    thing = labels == labels[212, 310]
+    expected = np.zeros(SIZE, dtype=bool)
+    expected[THING] = True
+    assert (thing & expected).sum() / (thing | expected).sum() > 0.9
+    off = replace(CONFIG, extended=updated(CONFIG, extended={"protrusion_min": 0.0}).extended)
+    assert segment(cloud, off).labels("surfaces").max() == 1
