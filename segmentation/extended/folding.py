@@ -21,7 +21,7 @@ BORDER_LEAST = 4
 #: Least mean cosine of the angle between the normals on both sides of a smooth border: of 15 degrees.
 _SMOOTH_COSINE = 0.966
 #: Stop reasons of a tree that a limit ended.
-_UNFINISHED = {StopReason.SPLITS, StopReason.BUDGET}
+UNFINISHED = {StopReason.SPLITS, StopReason.BUDGET}
 #: Fields that a node takes over from its remaining child.
 _TAKEN_OVER = (
     "grid_pixels",
@@ -60,7 +60,7 @@ def fold_leaves(root: Node, features: GridFeatures, config: SegmentationConfig) 
         The metric, T and T_d.
     """
     leaves = dict(enumerate((node for node in depth_first(root) if not node.children), start=1))
-    if any(leaf.stop in _UNFINISHED for leaf in leaves.values()):
+    if any(leaf.stop in UNFINISHED for leaf in leaves.values()):
         return
     borders = _borders(leaves, features)
     judged: dict[_Pair, tuple[Part, Trial]] = {}
@@ -221,4 +221,4 @@ def _parts(node: Node) -> list[Node]:
     return found
 
 
-__all__ = ["BORDER_LEAST", "fold_leaves", "remove_node"]
+__all__ = ["BORDER_LEAST", "UNFINISHED", "fold_leaves", "remove_node"]

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.extended.folding import UNFINISHED
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.parts import chain_components, fit_segment
 from nurbseg.segmentation.labels.regions import connected_components
@@ -31,14 +32,17 @@ def split_off_protrusions(root: Node, features: GridFeatures, config: Segmentati
     Parameters
     ----------
     root : Node
-        Of a tree that has grown, which is changed. A leaf with protrusions gets two parts: what remains,
-        and the protrusion, or a node without a surface that chains several.
+        Of a tree that has grown, which is changed. One that a limit stopped is left as it is. A leaf with
+        protrusions gets two parts: what remains, and the protrusion, or a node without a surface that
+        chains several.
     features : GridFeatures
         The frame.
     config : SegmentationConfig
         The limit `protrusion_min`, the noise and T_p.
     """
     leaves = [node for node in depth_first(root) if not node.children]
+    if any(leaf.stop in UNFINISHED for leaf in leaves):
+        return
     labels = _before_surfaces(leaves, features.grid, config)
     found = connected_components(labels, features.adjacency)
     large = np.flatnonzero(found.sizes >= features.grid_pixels_min(config))

@@ -40,6 +40,7 @@ EXTENDED = SegmentationConfig(
         noise_floor=0.0,
         cuts=1,
         fold_surfaces=False,
+        protrusion_min=0.0,
         refine_borders=False,
     ),
 )

@@ -118,7 +118,7 @@ def test_pieces_hang_below_one_another_the_largest_first():
         assert (np.diff(node.grid_pixels) > 0).all()
     assert nodes["1010"].stop is StopReason.NOISE
     assert nodes["11"].stop is StopReason.NO_POINTS
-    assert "3 pieces" in nodes["10"].fit.reason
+    assert "3 components" in nodes["10"].fit.reason
     assert "2 pieces" in nodes["101"].fit.reason
 
 

@@ -30,11 +30,11 @@ def wall(cloud_of, things, seed=0):
     return cloud_of(1.0 / inverse_depth)
 
 
-def split_off(cloud_of, things, config=CONFIG):
+def split_off(cloud_of, things, config=CONFIG, stop=None):
     """Return the tree of a wall that no cut divided, and its grid's shape."""
     features = grid_features(wall(cloud_of, things), config)
     part = fit_segment(features, np.flatnonzero(features.grid.valid), config)
-    root = Node("", part.grid_pixels, part.fit, stop=part.stop)
+    root = Node("", part.grid_pixels, part.fit, stop=stop or part.stop)
     split_off_protrusions(root, features, config)
     return root, features.grid.valid.shape
 
@@ -72,6 +72,13 @@ def test_a_small_thing_before_a_wall_that_is_at_its_noise_becomes_a_leaf(cloud_o
 def test_a_wall_stays_whole(cloud_of, things):
     root, _ = split_off(cloud_of, things)
     assert root.children == ()
+
+
+@pytest.mark.parametrize("stop", [StopReason.SPLITS, StopReason.BUDGET])
+def test_a_tree_that_a_limit_stopped_is_left_as_it_is(cloud_of, stop):
+    root, _ = split_off(cloud_of, [(THING, 8.0)], stop=stop)
+    assert root.children == ()
+    assert root.stop is stop
 
 
 def test_several_things_are_chained_without_a_surface(cloud_of):
