@@ -61,7 +61,7 @@ STAGES: dict[str, tuple[ModuleType, dict[str, str]]] = {
         {
             "grid_features": "prepare",
             "normalized_cuts": "cut",
-            "_continued": "cut",
+            "_extended": "cut",
             "_pieces": "pieces",
             "fit_segment": "fit",
             "fold_leaves": "fold",
