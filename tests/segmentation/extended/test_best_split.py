@@ -101,7 +101,7 @@ def part(first: int, places: int, stop: StopReason | None = None):
     return Part(own, Fit(None, np.zeros(0), {}, "", 3 * own), stop)
 
 
-def test_pieces_hang_below_one_another_the_largest_first():
+def test_components_are_chained_the_largest_first():
     parent = Node("1", np.arange(24), part(0, 24)[1], cuts_above=2)
     small, largest, middle = part(0, 5), part(5, 9), part(14, 7, StopReason.NOISE)
     other = part(21, 3, StopReason.NO_POINTS)
@@ -119,7 +119,7 @@ def test_pieces_hang_below_one_another_the_largest_first():
     assert nodes["1010"].stop is StopReason.NOISE
     assert nodes["11"].stop is StopReason.NO_POINTS
     assert "3 components" in nodes["10"].fit.reason
-    assert "2 pieces" in nodes["101"].fit.reason
+    assert "2 components" in nodes["101"].fit.reason
 
 
 @pytest.mark.parametrize("empty", [0, 1])
