@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 Color = tuple[int, int, int]
 
+#: Height and width of a print, of a plain surface and of a ball's cover, pixels.
+_PRINT_PX, _PLAIN_PX, _BALL_PX = 192, 96, 240
+
 
 def wood(rng: np.random.Generator, height: int, width: int) -> NDArray[np.uint8]:
     """Return planks of oiled wood with their grain along the width, (height, width, 3) RGB."""
@@ -35,26 +38,25 @@ def plaster(rng: np.random.Generator, height: int, width: int) -> NDArray[np.uin
     return _to_bytes((tone * down)[..., None] * np.array([196, 200, 194], dtype=np.float32))
 
 
-def printed(rng: np.random.Generator, base: Color, accent: Color, *, size: int = 192) -> NDArray[np.uint8]:
-    """Return a printed carton: a field, a band, a disc and lines of text, (size, size, 3) RGB."""
-    image = np.empty((size, size, 3), dtype=np.uint8)
-    image[:] = base
-    unit = size / 192
+def printed(rng: np.random.Generator, base: Color, accent: Color) -> NDArray[np.uint8]:
+    """Return a printed carton: a field, a band, a disc and lines of text, (H, W, 3) RGB."""
+    size = _PRINT_PX
+    image = np.full((size, size, 3), base, dtype=np.uint8)
     band = int(rng.uniform(0.16, 0.24) * size)
-    cv2.rectangle(image, (0, band), (size, band + int(34 * unit)), accent, -1, cv2.LINE_AA)
+    cv2.rectangle(image, (0, band), (size, band + 34), accent, -1, cv2.LINE_AA)
     center = (int(rng.uniform(0.4, 0.6) * size), int(0.62 * size))
-    cv2.circle(image, center, int(34 * unit), (244, 238, 222), -1, cv2.LINE_AA)
-    cv2.circle(image, center, int(22 * unit), accent, -1, cv2.LINE_AA)
+    cv2.circle(image, center, 34, (244, 238, 222), -1, cv2.LINE_AA)
+    cv2.circle(image, center, 22, accent, -1, cv2.LINE_AA)
     for line in range(3):
         y = int((0.86 + 0.04 * line) * size)
         cv2.line(image, (int(0.12 * size), y), (int(rng.uniform(0.5, 0.88) * size), y), (60, 54, 50), 1)
     return image
 
 
-def banded(rng: np.random.Generator, base: Color, accent: Color, *, size: int = 192) -> NDArray[np.uint8]:
-    """Return a can's wrapper: metal rims, a field, a wavy band, (size, size, 3) RGB."""
-    image = np.empty((size, size, 3), dtype=np.uint8)
-    image[:] = base
+def banded(rng: np.random.Generator, base: Color, accent: Color) -> NDArray[np.uint8]:
+    """Return a can's wrapper: metal rims, a field, a wavy band, (H, W, 3) RGB."""
+    size = _PRINT_PX
+    image = np.full((size, size, 3), base, dtype=np.uint8)
     across = np.arange(size)
     middle = 0.5 * size + 0.05 * size * np.sin(4 * np.pi * across / size + rng.uniform(0, 6))
     rows = np.arange(size)[:, None]
@@ -65,23 +67,23 @@ def banded(rng: np.random.Generator, base: Color, accent: Color, *, size: int = 
     return image
 
 
-def plain(rng: np.random.Generator, base: Color, *, size: int = 96, grain: float = 0.03) -> NDArray[np.uint8]:
-    """Return one color with a little unevenness, (size, size, 3) RGB."""
-    tone = 1 + grain * _noise(rng, size, size, 3, 3)
+def plain(rng: np.random.Generator, base: Color, *, grain: float = 0.03) -> NDArray[np.uint8]:
+    """Return one color with a little unevenness, (H, W, 3) RGB."""
+    tone = 1 + grain * _noise(rng, _PLAIN_PX, _PLAIN_PX, 3, 3)
     return _to_bytes(tone[..., None] * np.array(base, dtype=np.float32))
 
 
-def striped(rng: np.random.Generator, base: Color, accent: Color, *, size: int = 192) -> NDArray[np.uint8]:
-    """Return stripes along the width, with the unevenness of cloth, (size, size, 3) RGB."""
-    image = np.where((np.arange(size) // (size // 12) % 3 == 0)[:, None, None], accent, base).astype(
-        np.float32
-    )
-    image = np.repeat(image, size, axis=1)
+def striped(rng: np.random.Generator, base: Color, accent: Color) -> NDArray[np.uint8]:
+    """Return stripes along the width, with the unevenness of cloth, (H, W, 3) RGB."""
+    size = _PRINT_PX
+    is_accent = np.arange(size) // (size // 12) % 3 == 0
+    image = np.repeat(np.where(is_accent[:, None, None], accent, base), size, axis=1).astype(np.float32)
     return _to_bytes(image * (1 + 0.05 * _noise(rng, size, size, 1, 2))[..., None])
 
 
-def beach_ball(colors: tuple[Color, ...], *, size: int = 240) -> NDArray[np.uint8]:
-    """Return the sectors of a ball with a cap at either pole, (size, size, 3) RGB."""
+def beach_ball(colors: tuple[Color, ...]) -> NDArray[np.uint8]:
+    """Return the sectors of a ball with a cap at either pole, (H, W, 3) RGB."""
+    size = _BALL_PX
     sector = (np.arange(size) * len(colors) // size)[None, :].repeat(size, axis=0)
     image = np.array(colors, dtype=np.uint8)[sector]
     cap = size // 16
