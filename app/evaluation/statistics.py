@@ -19,21 +19,15 @@ class Estimate:
     frames: int
 
 
-def bootstrap_mean(
-    values: NDArray[np.float64], *, level: float = 0.95, draws: int = 2000, seed: int = 0
-) -> Estimate:
-    """Compute a mean over frames and its percentile bootstrap interval.
+def bootstrap_mean(values: NDArray[np.float64], *, draws: int = 2000) -> Estimate:
+    """Compute a mean over frames and its 95 % percentile bootstrap interval.
 
     Parameters
     ----------
     values : (N,) float64
         One value per frame; NaN is left out.
-    level : float
-        Confidence level.
     draws : int
         Number of resamples.
-    seed : int
-        Seed of the resampling.
 
     Returns
     -------
@@ -54,8 +48,7 @@ def bootstrap_mean(
         (values,),
         np.mean,
         n_resamples=draws,
-        confidence_level=level,
         method="percentile",
-        rng=np.random.default_rng(seed),
+        rng=np.random.default_rng(0),
     ).confidence_interval
     return Estimate(mean, float(low), float(high), values.size)

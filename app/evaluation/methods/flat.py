@@ -6,8 +6,8 @@ into a given number of segments instead of a tree of fits.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
+from operator import itemgetter
 
 import cv2
 import numpy as np
@@ -162,14 +162,9 @@ def unsupervised_quality(labels: NDArray[np.uint16], cloud: PointMap) -> float:
 
 
 def best_lambda(
-    cloud: PointMap,
-    config: SegmentationConfig,
-    *,
-    clusters: int,
-    seed: int,
-    candidates: Sequence[float] = LAMBDAS,
+    cloud: PointMap, config: SegmentationConfig, *, clusters: int, seed: int
 ) -> tuple[float, NDArray[np.uint16]]:
-    """Choose the lambda whose flat clustering has the best unsupervised quality.
+    """Choose, of `LAMBDAS`, the first whose flat clustering has the best unsupervised quality.
 
     Parameters
     ----------
@@ -181,8 +176,6 @@ def best_lambda(
         Number of segments.
     seed : int
         Seed of the random numbers of each candidate.
-    candidates : sequence of float
-        Values of lambda to try; the first of equally good ones is chosen.
 
     Returns
     -------
@@ -191,13 +184,10 @@ def best_lambda(
     labels : (H, W) uint16
         The clustering with this weight.
     """
-    best: tuple[float, float, NDArray[np.uint16]] | None = None
-    for candidate in candidates:
-        tried = replace(config, geometry_weight=candidate)
-        labels = flat_clusters(cloud, tried, clusters=clusters, rng=np.random.default_rng(seed))
-        quality = unsupervised_quality(labels, cloud)
-        if best is None or quality > best[0]:
-            best = (quality, candidate, labels)
-    if best is None:
-        raise ValueError("candidates: expected at least one value of lambda, got none")
-    return best[1], best[2]
+    tried = []
+    for candidate in LAMBDAS:
+        weighted = replace(config, geometry_weight=candidate)
+        labels = flat_clusters(cloud, weighted, clusters=clusters, rng=np.random.default_rng(seed))
+        tried.append((unsupervised_quality(labels, cloud), candidate, labels))
+    _, chosen, labels = max(tried, key=itemgetter(0))
+    return chosen, labels

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 import cv2
 import numpy as np
@@ -44,10 +45,7 @@ def fh04_color(cloud: PointMap, rng: np.random.Generator) -> Labels:
     ----------
     .. [1] P. Felzenszwalb, D. Huttenlocher, "Efficient graph-based image segmentation", IJCV 59(2), 2004.
     """
-    from skimage.segmentation import felzenszwalb
-
-    smallest = max(1, round(_SMALLEST_PX * cloud.valid.size / REFERENCE_PIXELS))
-    return np.asarray(felzenszwalb(cloud.color, scale=1000, sigma=0.8, min_size=smallest)) + 1
+    return _felzenszwalb(cloud.color)
 
 
 def fh04_color_depth(cloud: PointMap, rng: np.random.Generator) -> Labels:
@@ -55,11 +53,14 @@ def fh04_color_depth(cloud: PointMap, rng: np.random.Generator) -> Labels:
 
     Depth, with holes filled from the nearest pixel, is a fourth channel with the weight of the other three.
     """
+    depth = 3.0 * _as_unit_range(_filled_depth(cloud))
+    return _felzenszwalb(np.dstack([cloud.color / 255.0, depth]))
+
+
+def _felzenszwalb(image: NDArray[Any]) -> Labels:
     from skimage.segmentation import felzenszwalb
 
-    smallest = max(1, round(_SMALLEST_PX * cloud.valid.size / REFERENCE_PIXELS))
-    depth = 3.0 * _as_unit_range(_filled_depth(cloud))
-    image = np.dstack([cloud.color / 255.0, depth])
+    smallest = max(1, round(_SMALLEST_PX * image.shape[0] * image.shape[1] / REFERENCE_PIXELS))
     with warnings.catch_warnings():
         # It warns about four channels although the channel axis is given.
         warnings.filterwarnings("ignore", "Got image with third dimension", RuntimeWarning)

@@ -141,18 +141,17 @@ def _tree_pictures(
     """Draw trees and fitting errors of the worst and best frames of a variant."""
     order = results.worst_frames(variant)
     drawn = []
-    for frame in dict.fromkeys(each["key"] for each in (*order[:_TREES], *order[-_TREES:])):
-        about = next(each for each in order if each["key"] == frame)
-        path = store.folder / tree_path(frame, variant)
+    for key, frame in {each["key"]: each for each in (*order[:_TREES], *order[-_TREES:])}.items():
+        path = store.folder / tree_path(key, variant)
         if not path.exists():
             continue
         segments = json.loads(path.read_text(encoding="utf-8"))["segments"]
         image = plots.tree_plot(segments)
-        (folder / f"{frame}-{about['name']}-tree.png").write_bytes(image)
-        drawn.append((f"{about['name']}: tree of {variant.name}", _base64(image)))
-        errors = pictures.strip_png(_error_tiles(study, about, variant), 420)
-        (folder / f"{frame}-{about['name']}-errors.png").write_bytes(errors)
-        drawn.append((f"{about['name']}: fitting error, blue 0 to red {_ERROR_M} m", _base64(errors)))
+        (folder / f"{key}-{frame['name']}-tree.png").write_bytes(image)
+        drawn.append((f"{frame['name']}: tree of {variant.name}", _base64(image)))
+        errors = pictures.strip_png(_error_tiles(study, frame, variant), 420)
+        (folder / f"{key}-{frame['name']}-errors.png").write_bytes(errors)
+        drawn.append((f"{frame['name']}: fitting error, blue 0 to red {_ERROR_M} m", _base64(errors)))
     return drawn
 
 

@@ -111,15 +111,11 @@ def test_the_chosen_lambda_is_the_first_whose_clusters_have_the_most_quality(
         return scripted[config.geometry_weight]
 
     monkeypatch.setattr(flat, "flat_clusters", clusters_of)
+    monkeypatch.setattr(flat, "LAMBDAS", tuple(scripted))
     config = SegmentationConfig(samples=77)
-    chosen, labels = best_lambda(wall(two_tone()), config, clusters=2, seed=3, candidates=tuple(scripted))
+    chosen, labels = best_lambda(wall(two_tone()), config, clusters=2, seed=3)
     assert chosen == 0.5
     assert labels is HALVES
     # Each candidate starts from the same random numbers.
     first = int(np.random.default_rng(3).integers(1 << 40))
     assert asked == [(each, 77, 2, first) for each in scripted]
-
-
-def test_without_candidates_there_is_nothing_to_choose() -> None:
-    with pytest.raises(ValueError, match="at least one value of lambda"):
-        best_lambda(wall(two_tone()), SegmentationConfig(), clusters=2, seed=0, candidates=())
