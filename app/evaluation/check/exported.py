@@ -116,14 +116,14 @@ class ExportedObject:
 
 @dataclass(frozen=True, slots=True)
 class ExportedContact:
-    """Two leaves in contact, whether they were merged, and the evidence."""
+    """Two leaves in contact, whether they were merged, and the evidence, which earlier versions left out."""
 
     first: str
     second: str
     merged: bool
-    samples: int
-    log_odds: float
-    evidence: Mapping[str, float]
+    samples: int | None
+    log_odds: float | None
+    evidence: Mapping[str, float] | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,6 +31,10 @@ def check_merges(frame: ExportedFrame) -> Iterator[Finding]:
             sound = False
         elif merged != together:
             yield frame.wrong(pair, "merged", f"{together} by their objects", merged)
+        if contact.evidence is None or contact.log_odds is None:
+            # An earlier version did not write evidence.
+            sound = False
+            continue
         total = sum(contact.evidence.values())
         if not abs(total - contact.log_odds) <= _ROUNDING:
             expected = f"{total:.3f}, the sum of its evidence"
@@ -80,8 +84,8 @@ def _check_objects(frame: ExportedFrame) -> Iterator[Finding]:
     between: dict[tuple[int, int], tuple[Fraction, int]] = {}
     for each in frame.tree.contacts:
         first, second = sorted((place[each.first], place[each.second]))
-        odds = Fraction(round(1000 * each.log_odds), 1000)
-        between[first, second] = odds * each.samples, each.samples
+        places = each.samples or 0
+        between[first, second] = Fraction(round(1000 * (each.log_odds or 0.0)), 1000) * places, places
     least = Fraction(frame.settings.config.extended.log_odds_min)
     while True:
         # Among equal pairs, that of the first leaves.

@@ -90,12 +90,15 @@ def read_frame(folder: Path, stem: str, settings: RunSettings) -> ExportedFrame:
 
 
 def _filled_in(document: Any) -> Any:
-    """Fill in fields that are left out where they say nothing."""
+    """Fill in fields that earlier versions left out."""
     for each in document.get("segments", ()):
         for key in ("measured", "judged"):
             if each.get(key) is None:
                 each[key] = document.get("frame")
     document.setdefault("joins", [])
+    for each in document.get("contacts", ()):
+        for key in ("samples", "log_odds", "evidence"):
+            each.setdefault(key, None)
     return document
 
 
