@@ -1,13 +1,16 @@
 """Settings that the chosen method does not read are named in a warning."""
 
+import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from nurbseg.app.batch.cli import main as batch_main
-from nurbseg.app.command.cli import main as live_main
 from nurbseg.app.config import unread_settings
 from nurbseg.app.evaluation.cli import main as eval_main
+
+Live = Callable[..., subprocess.CompletedProcess[str]]
 
 NO_LEVEL = "level: no effect with stag15, only with the method nurbseg"
 NO_SVD = "least_squares: no effect with nurbseg, only with the method stag15"
@@ -21,9 +24,10 @@ NO_SVD = "least_squares: no effect with nurbseg, only with the method stag15"
         (["--method", "stag15", "--inverse-depth-noise", "1"], "inverse_depth_noise: no effect with stag15"),
     ],
 )
-def test_the_live_command_warns(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert live_main(["--replay", "nowhere", "--view", "none", *words]) == 2
-    assert f"nurbseg-live: warning: {said}" in capsys.readouterr().err
+def test_the_live_command_warns(live: Live, words: list[str], said: str) -> None:
+    done = live("--replay", "nowhere", "--view", "none", *words)
+    assert done.returncode == 2
+    assert f"nurbseg-live: warning: {said}" in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -35,11 +39,10 @@ def test_the_live_command_warns(words: list[str], said: str, capsys: pytest.Capt
         ["--method", "stag15", "--depth-average", "2", "--inverse-depth-noise", "1"],
     ],
 )
-def test_settings_that_have_an_effect_are_not_named(
-    words: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert live_main(["--replay", "nowhere", "--view", "none", *words]) == 2
-    assert "no effect" not in capsys.readouterr().err
+def test_settings_that_have_an_effect_are_not_named(live: Live, words: list[str]) -> None:
+    done = live("--replay", "nowhere", "--view", "none", *words)
+    assert done.returncode == 2
+    assert "no effect" not in done.stderr
 
 
 def test_batches_studies_and_tuning_warn(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
