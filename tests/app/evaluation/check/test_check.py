@@ -238,6 +238,32 @@ def test_every_wrong_reason_to_stop_is_found(export, name):
     assert folder.findings() == []
 
 
+@pytest.mark.parametrize(
+    ("damage", "field"),
+    [
+        (lambda folder: folder.setting("protrusion_min", 0.0), "division"),
+        (lambda folder: folder.setting("piece_pixels_min", 4000), "points"),
+        (
+            lambda folder: folder.tree(
+                lambda segments: next(
+                    each.update(trial=other["trial"])
+                    for each in segments.values()
+                    for other in segments.values()
+                    if each["division"] == "protrusion" and other["trial"]
+                )
+            ),
+            "trial: expected none of a protrusion",
+        ),
+    ],
+)
+def test_what_contradicts_a_protrusion_is_found(export, damage, field):
+    folder = export("strict")
+    protrusions = [key for key, each in folder.segments().items() if each["division"] == "protrusion"]
+    damage(folder)
+    found = folder.findings()
+    assert any(f": {key} {field}" in each for each in found for key in protrusions), found
+
+
 @pytest.mark.parametrize("name", ["stag15", "nurbseg", "floored"])
 def test_a_wrong_floor_is_found(export, name):
     folder = export(name)
