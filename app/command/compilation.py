@@ -72,7 +72,7 @@ class _Listener(event.Listener):
     def on_start(self, event: event.Event) -> None:
         with self._lock:
             if not self._told_s:
-                _log.info("compiling the inner loops; this takes a quarter of a minute, once per computer")
+                _log.info("compiling the inner loops; this takes about 20 s, once per computer")
                 self._told_s = time.monotonic()
                 self._start_beside()
             if self._depth == 0:
