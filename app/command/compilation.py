@@ -52,18 +52,21 @@ class _Listener(event.Listener):
         self._done = 0
         self._thresholds = gc.get_threshold()
         self._beside: subprocess.Popen[bytes] | None = None
+        self._ended = False
 
     def _start_beside(self) -> None:
         nowhere = subprocess.DEVNULL
         # Without it, everything is compiled in this process.
         with suppress(OSError):
-            if (os.cpu_count() or 1) > 1:
+            if (os.cpu_count() or 1) > 1 and not self._ended:
                 self._beside = subprocess.Popen(
                     dying_with_parent(_BESIDE), stdin=nowhere, stdout=nowhere, stderr=nowhere
                 )
 
     def end(self) -> None:
-        """End the other process if it is still compiling."""
+        """End the other process if it is still compiling, and start none from now on."""
+        with self._lock:
+            self._ended = True
         if self._beside is not None:
             self._beside.kill()
             with suppress(subprocess.TimeoutExpired):

@@ -37,13 +37,21 @@ def small_result() -> FrameResult:
         return process_frame(source.read(), SegmentationConfig(method="stag15"))
 
 
+@pytest.fixture(autouse=True)
+def log_level() -> Iterator[None]:
+    """Restore the level of the log, which commands that run in this process set."""
+    logger = logging.getLogger("nurbseg")
+    level = logger.level
+    yield
+    logger.setLevel(level)
+
+
 @pytest.fixture
 def live(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> Iterator[Callable[..., subprocess.CompletedProcess[str]]]:
     """Run nurbseg-live to its end in this process, in an empty folder: it need not be loaded each time."""
-    log, ours = logging.getLogger(), logging.getLogger("nurbseg")
-    level = ours.level
+    log = logging.getLogger()
 
     def run(*words: str) -> subprocess.CompletedProcess[str]:
         capfd.readouterr()
@@ -58,7 +66,6 @@ def live(
         patch.setattr(log, "handlers", [])
         patch.setenv("OPENBLAS_NUM_THREADS", "1")
         yield run
-    ours.setLevel(level)
     logging.captureWarnings(False)
     gc.unfreeze()
 

@@ -110,3 +110,14 @@ def test_cached_functions_are_not_reported(tmp_path: Path) -> None:
     assert [run.stdout.strip() for run in runs] == ["10", "10"]
     assert "compiling" in runs[0].stderr
     assert "compiling" not in runs[1].stderr
+
+
+def test_no_process_is_started_once_the_run_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thread that warms up may still compile then."""
+    started: list[object] = []
+    monkeypatch.setattr(compilation.subprocess, "Popen", lambda *words, **options: started.append(words))
+    monkeypatch.setattr(compilation.os, "cpu_count", lambda: 2)
+    listener = compilation._Listener()
+    listener.end()
+    listener.on_start(event.Event("numba:compile", event.EventStatus.START))
+    assert not started

@@ -216,7 +216,7 @@ def test_a_recording_is_logged_if_an_error_ends_the_run(
     folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Libraries may turn Ctrl-C into an error of their own."""
-    caplog.set_level(logging.INFO)
+    caplog.set_level(logging.INFO, "nurbseg")
     steps = Steps(RecordConfig(file="a.mcap"), "a.mcap", None)
     with (
         pytest.raises(SystemError, match="in a library"),
