@@ -39,8 +39,7 @@ def check_splits(frame: ExportedFrame) -> Iterator[Finding]:
     if frame.tree.metric != config.metric:
         yield frame.wrong("", "metric", config.metric, frame.tree.metric)
     for name, each in frame.segments.items():
-        kinds = _LIVE_KINDS if not frame.settings.independent else _KINDS
-        kinds = kinds if each.children else (None,)
+        kinds = (_KINDS if frame.settings.independent else _LIVE_KINDS) if each.children else (None,)
         if each.division not in kinds:
             yield frame.wrong(name, "division", " or ".join(map(str, kinds)), each.division)
         if (each.stop is None) != bool(each.children):
