@@ -1,4 +1,4 @@
-"""Things that stand before a large surface, and are too small to raise its error: each becomes a surface."""
+"""Things in front of a large surface that are too small to raise its error: each becomes a surface."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _SHARE_MOST = 0.5
 
 
 def split_off_protrusions(root: Node, features: GridFeatures, config: SegmentationConfig) -> None:
-    """Make leaves of connected points that stand before the surface of a leaf beyond its noise.
+    """Split off connected points that are in front of the surface of their leaf by more than noise.
 
     The ratio (eq. 5) compares means over a segment. A thing that is a small share of a large surface hardly
-    changes them, however far it stands out; here each point counts by itself. A protrusion is connected, has
+    changes them, however far it protrudes; here each point counts by itself. A protrusion is connected, has
     at least T_p points, and holds a square of 8 pixels. It and what remains of the leaf are fitted anew.
 
     Parameters

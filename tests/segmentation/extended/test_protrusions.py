@@ -1,4 +1,4 @@
-"""What stands before a surface becomes a leaf: not noise, a strip, a hollow or what is too small."""
+"""What is in front of a surface becomes a leaf, but not noise, a strip, a hollow or what is too small."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ THING = (slice(200, 224), slice(300, 320))
 
 
 def wall(cloud_of, things, seed=0):
-    """Return a sloping wall with noise, before which some pixels stand by so many deviations."""
+    """Return a sloping wall with noise, in front of which some pixels are by so many deviations."""
     rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
     inverse_depth = 1.0 + 4e-4 * columns + 2e-4 * rows
     inverse_depth = inverse_depth + NOISE_PER_M * np.random.default_rng(seed).standard_normal(SIZE)
