@@ -21,6 +21,12 @@ def test_every_folder_is_packaged():
     assert packages <= set(setuptools["packages"])
 
 
+def test_every_package_can_be_imported_where_it_is_installed_as_it_stands():
+    # The finder of an editable install knows no package without the file.
+    folders = {path.parent for path in FILES} | {ROOT / "recordings"}
+    assert not [folder for folder in sorted(folders) if not (folder / "__init__.py").is_file()]
+
+
 @pytest.mark.parametrize("folder", sorted({path.parent for path in FILES}), ids=str)
 def test_a_folder_can_be_read(folder: Path):
     assert len([path for path in FILES if path.parent == folder]) <= 14

@@ -1,0 +1,1 @@
+"""The demo recording, which is installed with the program."""
