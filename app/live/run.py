@@ -12,6 +12,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import cv2
+
 from nurbseg.app.config import AppConfig
 from nurbseg.app.export.exporter import Exporter, ExportError, check_libraries, run_settings
 from nurbseg.app.live.capture import Captured, CaptureThread
@@ -243,6 +245,8 @@ def _segment(
     interruption: Interruption,
 ) -> None:
     """Segment frames and pass the results on until the source ends."""
+    # A thread of OpenCV's pool waits longer for a core than its share of a small image takes.
+    cv2.setNumThreads(1)
     if (count := process_count(config.source.workers)) > 1:
         all_frames = (each for each in captured_frames(capture, progress, interruption) if each is not None)
         _segment_in_parallel(config, all_frames, count, exporter, view, report, progress)

@@ -11,9 +11,11 @@ import pytest
 
 from nurbseg.app.export.tree import tree_document
 from nurbseg.app.live.config import LiveConfig
+from nurbseg.app.live.rate_controller import RateController
 from nurbseg.app.live.tracking import Segmenter
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.live.updater import Budget
 
 Live = Callable[..., CompletedProcess[str]]
 
@@ -69,6 +71,33 @@ def test_a_late_frame_is_updated_less() -> None:
             assert result.update is not None
             refits.append(result.update.refits)
     assert max(refits[-3:]) < min(refits[-5:-3])
+
+
+def test_a_run_says_how_long_each_frame_waited(
+    live: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waits_ms: list[float] = []
+
+    class Listening(RateController):
+        def budget(self, waited_ms: float = 0.0) -> Budget:
+            waits_ms.append(waited_ms)
+            return super().budget(waited_ms)
+
+    monkeypatch.setattr("nurbseg.app.live.tracking.RateController", Listening)
+    source = "synthetic:?width=160&height=120&frames=5"
+    done = live("--replay", source, "--view", "none", "--report", "report.json")
+    assert done.returncode == 0, done.stderr
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert len(waits_ms) == report["frames"]["segmented"]
+    assert report["latency_ms"]["wait"]["max"] == pytest.approx(max(waits_ms), abs=1e-3)
+    assert min(waits_ms) > 0
+
+
+def test_opencv_does_not_compete_with_the_other_threads_of_a_run(live: Live) -> None:
+    cv2.setNumThreads(2)
+    done = live("--replay", "synthetic:?width=160&height=120&frames=1", "--view", "none")
+    assert done.returncode == 0, done.stderr
+    assert cv2.getNumThreads() == 1
 
 
 def test_without_it_labels_are_places_in_the_tree() -> None:
