@@ -35,16 +35,15 @@ def factorize(band: F64) -> bool:
         if not band[n, 0] > 0.0:
             return False
         pivot = np.sqrt(band[n, 0])
-        column = band[n]
         reach = min(width, size - n)
         for k in range(reach):
-            column[k] /= pivot
+            band[n, k] /= pivot
+        # By index: a slice of an array costs as much as ten of these steps.
         for k in range(1, reach):
-            factor = column[k]
+            factor = band[n, k]
             if factor != 0.0:
-                target, source = band[n + k, : reach - k], column[k:reach]
                 for m in range(reach - k):
-                    target[m] -= factor * source[m]
+                    band[n + k, m] -= factor * band[n, k + m]
     return True
 
 
@@ -63,9 +62,9 @@ def substitute(factor: F64, x: F64) -> None:
     for n in range(size):
         reach = min(width, size - n)
         x[n] /= factor[n, 0]
-        value, column, rest = x[n], factor[n, 1:reach], x[n + 1 : n + reach]
-        for k in range(reach - 1):
-            rest[k] -= value * column[k]
+        value = x[n]
+        for k in range(1, reach):
+            x[n + k] -= value * factor[n, k]
     for n in range(size - 1, -1, -1):
         reach = min(width, size - n)
         x[n] = (x[n] - dot(factor[n, 1:reach], x[n + 1 : n + reach])) / factor[n, 0]

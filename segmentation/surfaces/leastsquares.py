@@ -205,11 +205,13 @@ def _add_points(
     for y in range(height):
         marked = mask[y]
         for x in range(width):
-            weight[x] = 1.0 if marked[x] else 0.0
+            weight[x] = np.float64(marked[x])
         for c in range(count):
             image, center, row = images[c, top + y, left : left + width], centers[c], shifted[c]
             for x in range(width):
-                row[x] = np.float64(image[x]) - center if marked[x] else 0.0
+                # Subtracted everywhere, so that the loop has no branch.
+                value = np.float64(image[x]) - center
+                row[x] = value if marked[x] else 0.0
         own = rows.values[y]
         for s in range(spans):
             begin, end = edges[s], edges[s + 1]
@@ -225,9 +227,8 @@ def _add_points(
                     sums[k] = dot(part, products[k, begin:end])
             for k in range(_PRODUCTS):
                 product_v = own[_FIRST[k]] * own[_SECOND[k]]
-                target = matrix[s, k]
                 for m in range(_PRODUCTS):
-                    target[m] += product_v * sums[m]
+                    matrix[s, k, m] += product_v * sums[m]
             for c in range(count):
                 for j in range(4):
                     moments[j] = dot(shifted[c, begin:end], along[j, begin:end])
@@ -237,7 +238,7 @@ def _add_points(
         if y + 1 == height or rows.starts[y + 1] != rows.starts[y]:
             for s in range(spans):
                 origin = rows.starts[y] * steps[0] + columns.starts[edges[s]] * steps[1]
-                _scatter(matrix[s], sides[s], origin, steps, band, right)
+                _scatter(matrix, sides, s, origin, steps, band, right)
             matrix[:] = 0.0
             sides[:] = 0.0
 
@@ -257,7 +258,9 @@ def span_edges(starts: Intp) -> tuple[Intp, int]:
 
 
 @inlined_once
-def _scatter(matrix: F64, sides: F64, origin: int, steps: tuple[int, int], band: F64, right: F64) -> None:
+def _scatter(
+    matrix: F64, sides: F64, span: int, origin: int, steps: tuple[int, int], band: F64, right: F64
+) -> None:
     """Add the sums of one span of rows and columns, whose first control point is number `origin`."""
     step_v, step_u = steps
     for k in range(_PRODUCTS):
@@ -266,15 +269,15 @@ def _scatter(matrix: F64, sides: F64, origin: int, steps: tuple[int, int], band:
             j, q = _FIRST[m], _SECOND[m]
             n = origin + i * step_v + j * step_u
             other = origin + p * step_v + q * step_u
-            band[min(n, other), abs(n - other)] += matrix[k, m]
+            band[min(n, other), abs(n - other)] += matrix[span, k, m]
             if i != p and j != q:
                 n = origin + i * step_v + q * step_u
                 other = origin + p * step_v + j * step_u
-                band[min(n, other), abs(n - other)] += matrix[k, m]
+                band[min(n, other), abs(n - other)] += matrix[span, k, m]
     for c in range(right.shape[0]):
         for i in range(4):
             for j in range(4):
-                right[c, origin + i * step_v + j * step_u] += sides[c, i, j]
+                right[c, origin + i * step_v + j * step_u] += sides[span, c, i, j]
 
 
 @compiled
