@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nurbseg.drivers.compiled import F32, I32, Bool, Intp, compiled
 from nurbseg.segmentation.config import REFERENCE_PIXELS, SegmentationConfig
+from nurbseg.segmentation.labels.boxes import label_sizes
 from nurbseg.segmentation.labels.regions import connected_components, pixel_adjacency
 from nurbseg.segmentation.labels.spreading import spread_in_place
 from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST
@@ -81,15 +82,15 @@ def refine_borders(
     .. [1] J. Besag, "On the statistical analysis of dirty pictures", Journal of the Royal Statistical
        Society B 48(3), 1986.
     """
-    present = _present(labels, len(surfaces))
-    if len(surfaces) < 2 or not present.any():
+    present = label_sizes(labels, len(surfaces) + 1) > 0
+    if len(surfaces) < 2 or not present[1:].any():
         return labels
     deviations = own_deviations(rms_per_m or np.zeros(len(surfaces)), config.extended.inverse_depth_noise)
     refined = _cheapest(labels, inverse_depth, surfaces, deviations, step, sweeps, config)
     severed = _severed(refined, inverse_depth, config) if spread_severed else np.zeros(0, dtype=np.intp)
     if severed.size:
         spread_in_place(refined, severed, inverse_depth, config.extended.inverse_depth_gap)
-    lost = present & ~_present(refined, len(surfaces))
+    lost = present & (label_sizes(refined, len(surfaces) + 1) == 0)
     if lost.any():
         kept = lost[labels]
         refined[kept] = labels[kept]
@@ -206,7 +207,8 @@ def _find_candidates(
     end = 0
     for n in range(pixels.size):
         pixel, first = pixels[n], end
-        row, column = pixel // width, pixel % width
+        row = pixel // width
+        column = pixel - row * width
         for down in range(_SIDE):
             start = pixel + (down - _REACH) * width - _REACH
             for across in range(_SIDE):
@@ -287,20 +289,6 @@ def _near_borders(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
     # Less 1, no label becomes the largest number.
     least = cv2.erode(image - image.dtype.type(1), kernel) + image.dtype.type(1)
     return np.asarray((image > 0) & (largest != least))
-
-
-def _present(labels: NDArray[np.int32], count: int) -> NDArray[np.bool_]:
-    """Return which of the labels from 1 to `count` occur, (count + 1,) bool; False for 0."""
-    present = np.zeros(count + 1, dtype=np.bool_)
-    _mark(np.ascontiguousarray(labels), present)
-    present[0] = False
-    return present
-
-
-@compiled
-def _mark(labels: I32, present: Bool) -> None:
-    for label in labels.flat:
-        present[label] = True
 
 
 def _severed(

@@ -13,6 +13,7 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.border_statistics import border_statistics
 from nurbseg.segmentation.extended.evidence import DIGITS, ITEMS, evidence
 from nurbseg.segmentation.extended.surface_statistics import surface_statistics
+from nurbseg.segmentation.labels.boxes import label_sizes
 from nurbseg.segmentation.points.depth_grid import DepthGrid
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
@@ -163,7 +164,7 @@ def merged_objects(
         len(names),
         config.extended.log_odds_min,
     )
-    counts = np.bincount(labels.ravel(), minlength=len(names) + 1).tolist()
+    counts = label_sizes(labels, len(names) + 1).tolist()
     members: dict[int, list[int]] = {}
     for label in range(1, len(names) + 1):
         members.setdefault(group[label], []).append(label)

@@ -11,8 +11,8 @@ from nurbseg.segmentation.extended.folding import UNFINISHED
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.parts import chain_components, fit_segment
 from nurbseg.segmentation.labels.regions import connected_components
-from nurbseg.segmentation.points.depth_grid import DepthGrid
 from nurbseg.segmentation.segments import Node, depth_first
+from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
@@ -43,16 +43,18 @@ def split_off_protrusions(root: Node, features: GridFeatures, config: Segmentati
     leaves = [node for node in depth_first(root) if not node.children]
     if any(leaf.stop in UNFINISHED for leaf in leaves):
         return
-    labels = _before_surfaces(leaves, features.grid, config)
+    labels = _before_surfaces(leaves, features, config)
     found = connected_components(labels, features.adjacency)
     large = np.flatnonzero(found.sizes >= features.grid_pixels_min(config))
     if not large.size:
         return
+    marked = np.flatnonzero(labels)
+    numbers = found.numbers.reshape(-1)[marked]
     side = max(1, round(_SIDE_PX * features.grid.unit_px / features.grid.step))
     square = np.ones((side, side), dtype=np.uint8)
     protrusions: dict[int, list[NDArray[np.intp]]] = {}
     for number in large.tolist():
-        grid_pixels = np.flatnonzero(found.numbers == number)
+        grid_pixels = marked[numbers == number]
         mask = features.grid.points.window_mask(grid_pixels)[1].astype(np.uint8)
         if cv2.erode(mask, square, borderType=cv2.BORDER_CONSTANT, borderValue=0).any():
             protrusions.setdefault(int(found.labels_of[number]), []).append(grid_pixels)
@@ -60,23 +62,30 @@ def split_off_protrusions(root: Node, features: GridFeatures, config: Segmentati
         _split_off(leaves[label - 1], pieces, features, config)
 
 
-def _before_surfaces(leaves: list[Node], grid: DepthGrid, config: SegmentationConfig) -> NDArray[np.int32]:
-    """Mark grid pixels that are nearer than their leaf's surface by more than the limit, by label."""
+def _before_surfaces(
+    leaves: list[Node], features: GridFeatures, config: SegmentationConfig
+) -> NDArray[np.int32]:
+    """Mark grid pixels that are nearer than their leaf's surface by more than the limit, by label.
+
+    Leaves in which fewer than T_p are have none marked.
+    """
     limit_per_m = config.extended.protrusion_min * config.extended.inverse_depth_noise
+    grid, least = features.grid, features.grid_pixels_min(config)
     labels = np.zeros(grid.valid.shape, dtype=np.int32)
     flat, inverse_depth = labels.reshape(-1), grid.inverse_depth.ravel()
     distances_m = grid.distances_m.ravel()
+    surfaces: list[NurbsSurface | None] = [None] * len(leaves)
     for label, leaf in enumerate(leaves, start=1):
         if leaf.fit.surface is not None:
             at = leaf.grid_pixels
             # A point at distance p, nearer than the surface by r 1/m, is more than r p / d away from it.
-            far = leaf.fit.residuals_m * inverse_depth[at] > limit_per_m * distances_m[at]
-            flat[at[far]] = label
+            far = at[leaf.fit.residuals_m * inverse_depth[at] > limit_per_m * distances_m[at]]
+            if far.size >= least:
+                flat[far], surfaces[label - 1] = label, leaf.fit.surface
     marked = np.flatnonzero(flat)
     rows, columns = np.divmod(marked.astype(np.int32), np.int32(grid.points.shape[1]))
     step = np.int32(grid.step)
-    surfaces = SurfaceTable([leaf.fit.surface for leaf in leaves])
-    explained = surfaces.inverse_depths(flat[marked], rows * step, columns * step)
+    explained = SurfaceTable(surfaces).inverse_depths(flat[marked], rows * step, columns * step)
     flat[marked[inverse_depth[marked] - explained <= limit_per_m]] = 0
     return labels
 

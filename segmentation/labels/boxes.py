@@ -1,11 +1,11 @@
-"""Bounding boxes of the labels of an image."""
+"""Bounding boxes and sizes of the labels of an image."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import I64, U16, compiled
+from nurbseg.drivers.compiled import I32, I64, U16, compiled
 from nurbseg.segmentation.points.grid import Window
 
 
@@ -44,3 +44,34 @@ def _find_boxes(labels: U16, boxes: I64) -> None:
             box[1] = min(box[1], begin)
             box[2] = row + 1
             box[3] = max(box[3], column)
+
+
+def label_sizes(labels: NDArray[np.int32], count: int) -> NDArray[np.int64]:
+    """Count the pixels of each label of an image.
+
+    Parameters
+    ----------
+    labels : (H, W) int32
+        Less than `count`.
+    count : int
+        Number of labels, with 0.
+
+    Returns
+    -------
+    (count,) int64
+        By label.
+    """
+    sizes = np.zeros(count, dtype=np.int64)
+    _count(np.ascontiguousarray(labels).reshape(-1), sizes)
+    return sizes
+
+
+@compiled
+def _count(labels: I32, sizes: I64) -> None:
+    label, begin = np.int32(0), 0
+    for n in range(labels.size):
+        # Run by run of equal labels.
+        if labels[n] != label:
+            sizes[label] += n - begin
+            label, begin = labels[n], n
+    sizes[label] += labels.size - begin

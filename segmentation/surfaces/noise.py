@@ -47,7 +47,7 @@ def noise_floor(
     float
         In the unit of the metric.
     """
-    return float(_floors(grid, window[:2], mask.astype(np.int32), 2, config)[1])
+    return _floors(grid, window[:2], mask.astype(np.int32), 2, config)[1]
 
 
 def noise_floors(
@@ -73,7 +73,7 @@ def noise_floors(
     """
     if config.extended.noise_floor == 0:
         return np.zeros(size)
-    return _floors(grid, (0, 0), labels, size, config)
+    return np.array(_floors(grid, (0, 0), labels, size, config))
 
 
 def _floors(
@@ -82,22 +82,22 @@ def _floors(
     labels: NDArray[np.int32],
     size: int,
     config: SegmentationConfig,
-) -> NDArray[np.float64]:
+) -> list[float]:
     """Return the floor of each label of a window that begins at a row and a column; 0 is no label."""
     deviation_per_m = config.extended.noise_floor * config.extended.inverse_depth_noise
     if config.metric in CURVATURE_METRICS:
         counts = np.bincount(labels.ravel(), minlength=size)
-        return np.array([_curvature_floor(deviation_per_m, int(n), grid, config) for n in counts])
+        return [_curvature_floor(deviation_per_m, int(n), grid, config) for n in counts]
     sums = np.zeros((size, 4))
     limit_m = config.large_error_m if config.metric == "nle" else 0.0
     _noise_sums(grid.inverse_depth, grid.distances_m, labels, *first, deviation_per_m, limit_m, sums)
-    count, total, squares, large = sums.T
     if config.metric == "nle":
-        return large
+        return [large for *_, large in sums.tolist()]
     # The absolute value of a normal variable: its mean, and its variance, in units of the deviation.
     mean, variance = math.sqrt(2.0 / math.pi), 1.0 - 2.0 / math.pi
-    per_point = (total if config.metric == "mae" else squares) / np.maximum(count, 1.0)
-    return per_point * {"mse": 1.0, "mae": mean, "ve": variance}[config.metric]
+    column, factor = {"mse": (2, 1.0), "mae": (1, mean), "ve": (2, variance)}[config.metric]
+    # Numbers of Python: most calls are for one label.
+    return [own[column] / max(own[0], 1.0) * factor for own in sums.tolist()]
 
 
 @compiled
