@@ -1,6 +1,6 @@
 import numpy as np
 
-from nurbseg.segmentation.labels.boxes import bounding_boxes
+from nurbseg.segmentation.labels.boxes import bounding_boxes, label_sizes
 
 
 def test_boxes_are_the_extremes_of_each_labels_rows_and_columns():
@@ -15,3 +15,10 @@ def test_boxes_are_the_extremes_of_each_labels_rows_and_columns():
         )
         assert boxes[label] == extremes
     assert boxes[4] == boxes[9] == (12, 15, 0, 0)
+
+
+def test_sizes_are_the_pixels_of_each_label():
+    labels = np.random.default_rng(1).choice(7, (12, 15), p=[0.4, 0.3, 0.3, 0, 0, 0, 0]).astype(np.int32)
+    labels[0, 0], labels[-1, -3:] = 5, 4
+    for image in (labels, labels[::2, ::3], np.zeros((4, 0), dtype=np.int32)):
+        assert label_sizes(image, 9).tolist() == [np.count_nonzero(image == label) for label in range(9)]
