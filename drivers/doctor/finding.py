@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 from nurbseg.drivers.doctor.host import Host
@@ -32,7 +32,7 @@ class Finding:
     """
 
     code: str
-    severity: Severity
+    severity: Severity = field(default="error", kw_only=True)
     title: str
     reason: str = ""
     steps: tuple[str, ...] = ()

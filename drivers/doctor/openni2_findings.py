@@ -16,7 +16,6 @@ def library_findings(installation: Installation) -> Iterator[Finding]:
         if redist:
             yield Finding(
                 "redist-wrong",
-                "error",
                 f"{REDIST_VARIABLE} names a folder without OpenNI2",
                 f"{REDIST_VARIABLE}={redist} is used instead of the system's library, "
                 f"and there is no {LIBRARY_FILE} in it.",
@@ -28,7 +27,6 @@ def library_findings(installation: Installation) -> Iterator[Finding]:
         else:
             yield Finding(
                 "library-missing",
-                "error",
                 "The OpenNI2 library is not installed",
                 f"There is no {LIBRARY_FILE} in the system's library folders.",
                 (
@@ -40,22 +38,21 @@ def library_findings(installation: Installation) -> Iterator[Finding]:
     if redist:
         yield Finding(
             "redist-set",
-            "note",
             f"{REDIST_VARIABLE} is set",
             f"OpenNI2 and its drivers come from {redist}; the system's are not used.",
+            severity="note",
         )
     if installation.repository:
         yield Finding(
             "drivers-folder-overridden",
-            "warning",
             f"{installation.ini} sends OpenNI2 to another drivers folder",
             f"Repository={installation.repository}: drivers are loaded from there and nowhere else.",
             (f"sudo nano {installation.ini}   (a ; before the line restores the default folder)",),
+            severity="warning",
         )
     if installation.override:
         yield Finding(
             "ini-override",
-            "error",
             f"{installation.ini} makes OpenNI2 open one device only",
             f"Override={installation.override} under [Device] replaces whichever camera is requested.",
             (f"sudo nano {installation.ini}   (put a ; before the line)",),
@@ -63,7 +60,6 @@ def library_findings(installation: Installation) -> Iterator[Finding]:
     if not installation.drivers:
         yield Finding(
             "drivers-folder-empty",
-            "error",
             "OpenNI2 has no drivers to load",
             f"There is no *{installation.suffix} file in {installation.drivers_folder}.",
             (
@@ -86,7 +82,6 @@ def driver_findings(part: Part, installation: Installation) -> Iterator[Finding]
         stem = misnamed[0].split(".so")[0]
         yield Finding(
             "driver-not-loadable",
-            "error",
             f"The driver of {part} has a name that OpenNI2 does not load",
             f"{folder}/{misnamed[0]} is there, but this OpenNI2 loads *{installation.suffix} only.",
             (f"sudo ln -s {misnamed[0]} {folder}/{stem}{installation.suffix}",),
@@ -95,7 +90,6 @@ def driver_findings(part: Part, installation: Installation) -> Iterator[Finding]
     where = f"Debian's {family.package} brings it" if family.package else "Debian has no package of it"
     yield Finding(
         "driver-missing",
-        "error",
         f"The driver of {part} is not installed",
         f"OpenNI2 needs the driver {family.driver} in {folder}. {where}.",
         tuple(step.format(drivers=folder, suffix=installation.suffix) for step in family.install),
@@ -108,11 +102,10 @@ def probe_findings(probe: Probe, found: Sequence[Finding]) -> Iterator[Finding]:
     An error among what was found without asking explains an empty or failed answer.
     """
     for name in probe.cameras:
-        yield Finding("ready", "ok", f"Ready: {name}", "OpenNI2 opens it, and images come.")
+        yield Finding("ready", f"Ready: {name}", "OpenNI2 opens it, and images come.", severity="ok")
     for name, words in probe.refused:
         yield Finding(
             "not-opened",
-            "error",
             f"OpenNI2 lists {name}, but it cannot be used",
             words,
             (
@@ -124,11 +117,10 @@ def probe_findings(probe: Probe, found: Sequence[Finding]) -> Iterator[Finding]:
     if any(each.severity == "error" for each in found) or probe.cameras or probe.refused:
         return
     if probe.error:
-        yield Finding("openni2-failed", "error", "OpenNI2 could not be queried for cameras", probe.error)
+        yield Finding("openni2-failed", "OpenNI2 could not be queried for cameras", probe.error)
     else:
         yield Finding(
             "not-listed",
-            "error",
             "A camera is plugged in, but OpenNI2 does not list it",
             "Its driver is installed, but did not accept it.",
             ("unplug the camera, wait five seconds and plug it in again",),

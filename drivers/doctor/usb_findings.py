@@ -33,17 +33,17 @@ def bus_findings(system: System, cameras: Sequence[Part]) -> Iterator[Finding]:
     if not usb.libusb:
         yield Finding(
             "libusb-missing",
-            "warning" if usb.sysfs else "error",
             "libusb is not installed",
             "Without it, USB devices cannot be probed, and a Kinect's motor cannot be moved.",
             ("sudo apt install libusb-1.0-0",),
+            severity="warning" if usb.sysfs else "error",
         )
     if usb.problem:
         yield Finding(
             "usb-scan-failed",
-            "warning" if usb.devices else "error",
             "USB devices could not be listed",
             f"pyusb says: {usb.problem}",
+            severity="warning" if usb.devices else "error",
         )
     if not usb.bus_folder:
         yield _no_bus(system.host, cameras)
@@ -75,7 +75,7 @@ def _no_bus(host: Host, cameras: Sequence[Part]) -> Finding:
     }[host.kind]
     if cameras:
         reason += f" The kernel lists {cameras[0]}, so the camera itself is plugged in."
-    return Finding("no-usb-bus", "error", title, reason, steps)
+    return Finding("no-usb-bus", title, reason, steps)
 
 
 def camera_findings(part: Part, system: System) -> Iterator[Finding]:
@@ -85,7 +85,6 @@ def camera_findings(part: Part, system: System) -> Iterator[Finding]:
         usb3 = family.speed_min == "super"
         yield Finding(
             "low-speed",
-            "error",
             f"{part} runs at {SPEED_TEXT[device.speed]} only",
             f"It needs {'USB 3' if usb3 else 'USB 2 at full rate'} ({SPEED_TEXT[family.speed_min]}).",
             (
@@ -98,7 +97,6 @@ def camera_findings(part: Part, system: System) -> Iterator[Finding]:
     if "usbfs" in holders or (device.access == "busy" and not holders):
         yield Finding(
             "in-use",
-            "error",
             f"{part} is in use by another program",
             "Only one program at a time can use a camera.",
             ("close that program; to find it: sudo lsof /dev/bus/usb/*/*",),
@@ -107,7 +105,6 @@ def camera_findings(part: Part, system: System) -> Iterator[Finding]:
         if driver != "usbfs":
             yield Finding(
                 "kernel-driver",
-                "error",
                 f"The kernel driver {driver} holds {part}",
                 "It treats the depth camera as a webcam and keeps OpenNI2's driver out.",
                 (
@@ -121,7 +118,6 @@ def camera_findings(part: Part, system: System) -> Iterator[Finding]:
         folder = system.host.installation.drivers_folder or "OpenNI2/Drivers"
         yield Finding(
             "usb3-port",
-            "warning",
             f"{part} is behind a USB 3 controller",
             "Firmware older than 5.8.22 may fail there: 'Failed to set USB interface!', or no frames.",
             (
@@ -129,6 +125,7 @@ def camera_findings(part: Part, system: System) -> Iterator[Finding]:
                 f"or put the lines [Device] and UsbInterface=0 into PS1080.ini in {folder}",
                 "or update the firmware to 5.8.22 with the vendor's updater",
             ),
+            severity="warning",
         )
 
 
@@ -139,7 +136,6 @@ def _access_findings(part: Part, host: Host) -> Iterator[Finding]:
     elif device.access == "no-node":
         yield Finding(
             "no-usb-node",
-            "error",
             f"{part} is plugged in, but its device file is not here",
             f"There is no /dev/bus/usb/{device.bus:03d}/{device.address:03d}. "
             + (
@@ -150,7 +146,6 @@ def _access_findings(part: Part, host: Host) -> Iterator[Finding]:
     elif device.access == "silent":
         yield Finding(
             "not-answering",
-            "error",
             f"{part} does not answer",
             "It is on the bus, but a first request to it failed or timed out.",
             ("unplug it, wait five seconds and plug it in again, without a hub in between",),
@@ -172,7 +167,7 @@ def no_permission(part: Part, host: Host) -> Finding:
     else:
         reason = f"No udev rule names it. The first command adds one to {RULES_FILE}."
         steps = (rule, _APPLY_RULES, "unplug the camera and plug it in again")
-    return Finding("no-permission", "error", f"No permission to open {part}", reason, steps)
+    return Finding("no-permission", f"No permission to open {part}", reason, steps)
 
 
 def power_findings(parts: Sequence[Part]) -> Iterator[Finding]:
@@ -183,7 +178,6 @@ def power_findings(parts: Sequence[Part]) -> Iterator[Finding]:
     if len(cameras) < len(motors):
         yield Finding(
             "kinect-no-power",
-            "error",
             "A Kinect has no 12 V supply",
             f"Its USB-powered motor is there ({motors[-1].device.ids}), but its camera is not.",
             (
@@ -199,14 +193,12 @@ def not_plugged_in(usb: UsbScan, others: Sequence[Part], wanted: Sequence[Family
     if others:
         return Finding(
             "not-plugged-in",
-            "error",
             f"The requested camera is not plugged in, but {others[0]} is",
             f"Requested: {names}.",
             ("use the one that is there: --device any",),
         )
     return Finding(
         "not-plugged-in",
-        "error",
         "No depth camera is plugged in",
         f"Looked through {len(usb.devices)} USB devices for: {names}.",
         (
