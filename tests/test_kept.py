@@ -15,7 +15,7 @@ from recorded_scene import APART, scenes
 
 from nurbseg.app.evaluation.check.check import FolderCheck
 from nurbseg.drivers.errors import BackendMissingError
-from nurbseg.drivers.openni2.library import acquire, release
+from nurbseg.drivers.openni2.library import in_use
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 
@@ -48,7 +48,8 @@ def test_the_recording_is_replayed_as_it_was(kept: Path) -> None:
 
 def test_the_cameras_own_recording_is_replayed_as_it_was(kept: Path) -> None:
     try:
-        release(acquire())
+        with in_use():
+            pass
     except BackendMissingError as err:
         pytest.skip(str(err))
     with open_source(kept / "camera.oni") as source:

@@ -68,8 +68,8 @@ def find_library() -> str:
 class Library:
     """The native library, initialised for as long as anybody uses it.
 
-    Use `acquire` and `release`, which count the users; the last one to go shuts it down, so that the
-    next one finds the cameras that are there by then (some drivers look only once).
+    Use `in_use`, which counts the users; the last one to go shuts it down, so that the next one finds the
+    cameras that are there by then (some drivers look only once).
 
     During a call of a function of `native`, Python's other threads run. A call of `quick` keeps them from
     that and is for functions that are known not to wait: every call through `native` may cost a whole switch
@@ -216,8 +216,9 @@ def _end_all() -> None:
         library.end()
 
 
-def acquire() -> Library:
-    """Return the library, initialised; pair with `release`.
+@contextmanager
+def in_use() -> Iterator[Library]:
+    """Keep the library initialised for a while; the last user shuts it down.
 
     Raises BackendMissingError if it is not installed, or finds no drivers; the message says what to do.
     """
@@ -227,20 +228,8 @@ def acquire() -> Library:
         if library is None:
             library = _loaded[path] = Library(path)
         library._add_user()
-        return library
-
-
-def release(library: Library) -> None:
-    """Release the library; the last user shuts it down."""
-    with _lock:
-        library._remove_user()
-
-
-@contextmanager
-def in_use() -> Iterator[Library]:
-    """Keep the library initialised for a while, as `acquire` and `release` do."""
-    library = acquire()
     try:
         yield library
     finally:
-        release(library)
+        with _lock:
+            library._remove_user()

@@ -12,7 +12,7 @@ from typing import Any
 from nurbseg.drivers.closing import Closing
 from nurbseg.drivers.errors import DeviceNotFoundError, DriverError
 from nurbseg.drivers.openni2.capi import DeviceProperty, OniVersion, Sensor, Status
-from nurbseg.drivers.openni2.library import DeviceListing, Library, acquire, in_use, release
+from nurbseg.drivers.openni2.library import DeviceListing, Library, in_use
 from nurbseg.drivers.openni2.selection import choose, family_of, usb_port
 from nurbseg.drivers.openni2.stream import Stream
 
@@ -33,8 +33,7 @@ class OpenedDevice(Closing):
         self.streams: tuple[Stream, ...] = ()
         self._handle = ctypes.c_void_p()
         self._held = contextlib.ExitStack()
-        self.library: Library = acquire()
-        self._held.callback(release, self.library)
+        self.library: Library = self._held.enter_context(in_use())
         try:
             if on_event is not None:
                 # Before it is opened, so that its going in between is not missed.

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import textwrap
 import threading
+from contextlib import ExitStack
 
 import pytest
 from virtual_camera import native_threads
@@ -13,7 +14,7 @@ from nurbseg.drivers.errors import BackendMissingError, DeviceNotFoundError, Dri
 from nurbseg.drivers.openni2 import library as openni2
 from nurbseg.drivers.openni2.capi import PROTOTYPES, Status
 from nurbseg.drivers.openni2.device import DeviceSource
-from nurbseg.drivers.openni2.library import acquire, find_library, in_use, release
+from nurbseg.drivers.openni2.library import find_library, in_use
 
 
 def run(program, **environment):
@@ -72,13 +73,14 @@ def test_a_folder_without_drivers_is_a_missing_backend(openni2_redist, tmp_path)
 def test_the_last_user_shuts_the_library_down(virtual_cameras):
     virtual_cameras.add()
     before = native_threads()
-    first, second = acquire(), acquire()
-    assert first is second
-    assert [device.uri for device in first.devices()] == ["virtual/one"]
+    first, second = ExitStack(), ExitStack()
+    library = first.enter_context(in_use())
+    assert second.enter_context(in_use()) is library
+    assert [device.uri for device in library.devices()] == ["virtual/one"]
     assert native_threads() > before  # the driver's
-    release(first)
-    assert second.devices()
-    release(second)
+    first.close()
+    assert library.devices()
+    second.close()
     assert native_threads() == before
 
 
