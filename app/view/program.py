@@ -12,7 +12,7 @@ import os
 import signal
 
 from nurbseg.app.view.drawing.frame import ViewFrame
-from nurbseg.app.view.messages import CODEC, Close, Closed, Failed, Line, Open, Opened, Status
+from nurbseg.app.view.messages import CODEC, Close, Closed, Failed, Line, Open, Status
 from nurbseg.app.view.rerun import RerunView
 from nurbseg.app.view.viewer import FILE_PATIENCE_S, ViewError
 from nurbseg.drivers.process.channel import Channel, ChannelClosedError, LogForwarder, connect_to_parent
@@ -33,7 +33,7 @@ def _handle_messages(view: RerunView, channel: Channel) -> float:
     """Handle messages until the last one; return the time limit for completing a file, seconds."""
     sent = Status(0, 0)
     while True:
-        if (status := Status(view.dropped, view.connections)) != sent:
+        if (status := view.status()) != sent:
             channel.send(status)
             sent = status
         view.restart_if_ended()
@@ -70,18 +70,18 @@ def _run(channel: Channel) -> int:
         return 1
     limit_s = FILE_PATIENCE_S
     with contextlib.suppress(ChannelClosedError):
-        channel.send(Opened(view.how_to_look, view.serving))
+        channel.send(view.opened)
         limit_s = _handle_messages(view, channel)
 
     def send_status() -> None:
         with contextlib.suppress(ChannelClosedError):
-            channel.send(Status(view.dropped, view.connections))
+            channel.send(view.status())
 
     try:
         view.close(file_limit_s=limit_s, on_progress=send_status)
     except ViewError as err:
         channel.send(Failed(str(err)))
-    channel.send(Status(view.dropped, view.connections))
+    channel.send(view.status())
     channel.send(Closed())
     return 0
 

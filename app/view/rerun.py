@@ -10,7 +10,7 @@ from pathlib import Path
 
 from nurbseg.app.view.config import bracketed
 from nurbseg.app.view.drawing.frame import ViewFrame
-from nurbseg.app.view.messages import Line, Open
+from nurbseg.app.view.messages import Line, Open, Opened, Status
 from nurbseg.drivers.frame import Calibration
 
 # Rerun reports a lost viewer on stderr once for each entity, and a file without an index; we log the former
@@ -22,23 +22,13 @@ os.environ.setdefault(
 
 import rerun as rr
 
+from nurbseg.app.view import viewer
 from nurbseg.app.view.drawing.blueprint import legend
 from nurbseg.app.view.drawing.entities import LEGEND, FrameEntities, markdown, opening_entities
 from nurbseg.app.view.file import FileSink
 from nurbseg.app.view.live import ViewerSink
 from nurbseg.app.view.serving import WebServer
 from nurbseg.app.view.stream import Opening
-from nurbseg.app.view.viewer import (
-    FILE_CLOSE_S,
-    ViewError,
-    chosen_mode,
-    free_port,
-    is_taken,
-    listens,
-    reachable,
-    start_viewer,
-    warn_beyond_loopback,
-)
 
 logger = logging.getLogger(__name__)
 
@@ -55,11 +45,9 @@ class RerunView:
     def __init__(self, wanted: Open) -> None:
         self._config = config = wanted.config
         self._calibration: Calibration | None = None
-        self._closed = False
         self._server: WebServer | None = None
-        self._files: list[FileSink] = []
-        self._viewers: list[ViewerSink] = []
-        self.how_to_look = ""
+        self._file: FileSink | None = None
+        self._viewer: ViewerSink | None = None
         opening = Opening(
             recording_id=str(uuid.uuid4()),
             name=wanted.name,
@@ -74,26 +62,17 @@ class RerunView:
         )
         try:
             if config.save is not None:
-                self._files.append(FileSink(Path(config.save), opening, index=config.save_index != "off"))
-            self._open_viewer(opening)
+                self._file = FileSink(Path(config.save), opening, index=config.save_index != "off")
+            how_to_look = self._open_viewer(opening)
         except BaseException:
             self.close()
             raise
+        self.opened = Opened(how_to_look, serving=self._server is not None)
 
-    @property
-    def serving(self) -> bool:
-        """Whether a web page is served, which ends with this view."""
-        return self._server is not None
-
-    @property
-    def connections(self) -> int:
-        """How often a viewer was connected to; more than 1 where one was lost and came back."""
-        return sum(viewer.connections for viewer in self._viewers)
-
-    @property
-    def dropped(self) -> int:
-        """Frames that were not shown live because the viewer was slow, frozen or absent."""
-        return sum(viewer.queue.dropped for viewer in self._viewers)
+    def status(self) -> Status:
+        """Return the numbers of frames that were not shown live, and of connections to a viewer."""
+        live = self._viewer
+        return Status(0, 0) if live is None else Status(live.queue.dropped, live.connections)
 
     def show(self, frame: ViewFrame) -> None:
         """Show and save a frame; a slow viewer gets only the newest one, the file gets every one."""
@@ -115,51 +94,50 @@ class RerunView:
             sink.queue.put_note(line)
 
     def close(
-        self, *, file_limit_s: float = FILE_CLOSE_S, on_progress: Callable[[], None] = lambda: None
+        self, *, file_limit_s: float = viewer.FILE_CLOSE_S, on_progress: Callable[[], None] = lambda: None
     ) -> None:
         """Close all sinks within the time, and with the errors, of `IsolatedView.close`."""
-        if self._closed:
-            return
-        self._closed = True
         for sink in self._sinks:
             sink.queue.close()
         try:
-            for file in self._files:
-                file.finish_close(file_limit_s, on_progress)
+            if self._file is not None:
+                self._file.finish_close(file_limit_s, on_progress)
         finally:
-            for viewer in self._viewers:
-                viewer.finish_close(_VIEWER_CLOSE_S)
+            if self._viewer is not None:
+                self._viewer.finish_close(_VIEWER_CLOSE_S)
             if self._server is not None:
                 self._server.close()
 
     @property
-    def _sinks(self) -> tuple[ViewerSink | FileSink, ...]:
-        return (*self._viewers, *self._files)
+    def _sinks(self) -> list[ViewerSink | FileSink]:
+        return [each for each in (self._viewer, self._file) if each is not None]
 
-    def _open_viewer(self, opening: Opening) -> None:
+    def _open_viewer(self, opening: Opening) -> str:
+        """Connect to the viewer or open one; return what the user must do to see it."""
         config = self._config
-        mode = chosen_mode(config)
+        mode = viewer.chosen_mode(config)
         if mode == "connect":
-            self._viewers.append(ViewerSink(config.viewer_url, opening))
+            self._viewer = ViewerSink(config.viewer_url, opening)
         elif mode == "spawn":
             self._spawn(opening)
         elif mode == "serve":
             self._server = WebServer(config)
-            self.how_to_look = self._server.page_url
-            self._viewers.append(ViewerSink(self._server.url, opening, self._server.is_starting))
+            self._viewer = ViewerSink(self._server.url, opening, self._server.is_starting)
+            return self._server.page_url
         elif config.save is not None:
-            self.how_to_look = f"rerun {config.save}"
+            return f"rerun {config.save}"
+        return ""
 
     def _spawn(self, opening: Opening) -> None:
         """Open a viewer's window, or use one that is already open."""
-        port = self._config.port or free_port(self._config.bind)
-        host = reachable(self._config.bind)
+        port = self._config.port or viewer.free_port(self._config.bind)
+        host = viewer.reachable(self._config.bind)
         process = None
-        if not listens(host, port):
-            if is_taken(self._config.bind, port):
-                raise ViewError(f"port {port} is in use by another program; choose another port")
-            process = start_viewer(self._config, port)
-            warn_beyond_loopback(self._config.bind, port)
+        if not viewer.listens(host, port):
+            if viewer.is_taken(self._config.bind, port):
+                raise viewer.ViewError(f"port {port} is in use by another program; choose another port")
+            process = viewer.start_viewer(self._config, port)
+            viewer.warn_beyond_loopback(self._config.bind, port)
 
         logged = False
 
@@ -173,4 +151,4 @@ class RerunView:
                 )
             return process is not None and code is None
 
-        self._viewers.append(ViewerSink(f"rerun+http://{bracketed(host)}:{port}/proxy", opening, starting))
+        self._viewer = ViewerSink(f"rerun+http://{bracketed(host)}:{port}/proxy", opening, starting)
