@@ -8,16 +8,9 @@ import time
 from ipaddress import ip_address
 from urllib.parse import quote
 
+from nurbseg.app.view import viewer
 from nurbseg.app.view.config import ViewConfig, bracketed
 from nurbseg.app.view.page import PageServer
-from nurbseg.app.view.viewer import (
-    ViewError,
-    free_port,
-    is_taken,
-    reachable,
-    start_web_server,
-    warn_beyond_loopback,
-)
 from nurbseg.drivers.process.child import how_it_ended
 
 logger = logging.getLogger(__name__)
@@ -36,22 +29,22 @@ class WebServer:
     def __init__(self, config: ViewConfig) -> None:
         self._config = config
         self._given_up = False
-        self._port = config.port or free_port(config.bind)
-        web_port = config.web_port or free_port(config.bind)
+        self._port = config.port or viewer.free_port(config.bind)
+        web_port = config.web_port or viewer.free_port(config.bind)
         for name, number in (("port", self._port), ("web port", web_port)):
-            if is_taken(config.bind, number):
-                raise ViewError(
+            if viewer.is_taken(config.bind, number):
+                raise viewer.ViewError(
                     f"{name} {number} of {config.bind} is in use; choose another one, or 0 for any"
                 )
-        self._rerun_port = free_port(config.bind)
+        self._rerun_port = viewer.free_port(config.bind)
         self._start()
-        host = reachable(config.bind)
+        host = viewer.reachable(config.bind)
         try:
             self._page = PageServer(config.bind, web_port, (host, self._rerun_port), self._port)
         except OSError as err:
             self._end()
-            raise ViewError(f"web port {web_port} of {config.bind}: {err.strerror}") from err
-        warn_beyond_loopback(config.bind, self._port, web_port, self._rerun_port)
+            raise viewer.ViewError(f"web port {web_port} of {config.bind}: {err.strerror}") from err
+        viewer.warn_beyond_loopback(config.bind, self._port, web_port, self._rerun_port)
         self.url = f"rerun+http://{bracketed(host)}:{self._port}/proxy"
         self.page_url = f"http://{bracketed(host)}:{web_port}/?url={quote(self.url, safe='')}"
         if ip_address(host).is_loopback:
@@ -59,7 +52,7 @@ class WebServer:
             logger.info("from another computer, first: ssh %s %s", ports, socket.gethostname())
 
     def _start(self) -> None:
-        self._process = start_web_server(self._config, self._port, self._rerun_port)
+        self._process = viewer.start_web_server(self._config, self._port, self._rerun_port)
         self._started_s = time.monotonic()
 
     def is_starting(self) -> bool:
@@ -80,7 +73,7 @@ class WebServer:
         logger.warning("the web server %s and is being restarted; reload the page", how_it_ended(code))
         try:
             self._start()
-        except ViewError as err:
+        except viewer.ViewError as err:
             self._given_up = True
             logger.warning("the web server cannot be restarted: %s", err)
 

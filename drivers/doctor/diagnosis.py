@@ -11,17 +11,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from nurbseg.drivers.doctor import openni2_findings, usb_findings
 from nurbseg.drivers.doctor.finding import Finding, Probe, System
 from nurbseg.drivers.doctor.host import read_host
-from nurbseg.drivers.doctor.openni2_findings import driver_findings, library_findings, probe_findings
 from nurbseg.drivers.doctor.usb import scan_usb
-from nurbseg.drivers.doctor.usb_findings import (
-    bus_findings,
-    camera_findings,
-    no_permission,
-    not_plugged_in,
-    power_findings,
-)
 from nurbseg.drivers.openni2.usb_ids import families
 
 _ORDER = ("ok", "error", "warning", "note")
@@ -48,7 +41,7 @@ def diagnose(system: System, wanted: str = "any") -> tuple[Finding, ...]:
     """
     found = list(_findings(system, wanted))
     if system.probe is not None:
-        found += probe_findings(system.probe, found)
+        found += openni2_findings.probe_findings(system.probe, found)
     if is_ready(found):
         found = [replace(each, severity="warning") if each.severity == "error" else each for each in found]
     return tuple(sorted(found, key=lambda each: _ORDER.index(each.severity)))
@@ -80,17 +73,17 @@ def _findings(system: System, wanted: str) -> Iterator[Finding]:
     usb, installation, kinds = system.usb, system.host.installation, families(wanted)
     parts = [part for part in system.parts if part.model.family in kinds]
     cameras = [part for part in parts if part.model.role == "camera"]
-    yield from library_findings(installation)
-    yield from bus_findings(system, cameras)
+    yield from openni2_findings.library_findings(installation)
+    yield from usb_findings.bus_findings(system, cameras)
     for camera in cameras:
-        yield from camera_findings(camera, system)
-        yield from driver_findings(camera, installation)
+        yield from usb_findings.camera_findings(camera, system)
+        yield from openni2_findings.driver_findings(camera, installation)
     for motor in parts:
         if motor.model.role == "motor" and usb.bus_folder and motor.device.access == "denied":
             # The camera works all the same.
-            yield replace(no_permission(motor, system.host), severity="warning")
-    unpowered = list(power_findings(parts))
+            yield replace(usb_findings.no_permission(motor, system.host), severity="warning")
+    unpowered = list(usb_findings.power_findings(parts))
     yield from unpowered
     if not cameras and not unpowered and usb.bus_folder and (usb.libusb or usb.sysfs) and not usb.problem:
         others = [part for part in system.parts if part.model.role == "camera"]
-        yield not_plugged_in(usb, others, kinds)
+        yield usb_findings.not_plugged_in(usb, others, kinds)

@@ -14,15 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from nurbseg.drivers.errors import BackendMissingError, DeviceNotFoundError, DriverError
-from nurbseg.drivers.openni2.capi import (
-    API_VERSION,
-    DeviceCallback,
-    OniDeviceCallbacks,
-    OniDeviceInfo,
-    StateCallback,
-    Status,
-    declare,
-)
+from nurbseg.drivers.openni2 import capi
 
 #: Name of the library file; the one without the number comes only with the development package.
 LIBRARY_FILE = "libOpenNI2.so.0"
@@ -82,8 +74,8 @@ class Library:
         try:
             self.native = ctypes.CDLL(path)
             self.quick = ctypes.PyDLL(path)
-            declare(self.native)
-            declare(self.quick)
+            capi.declare(self.native)
+            capi.declare(self.quick)
         except OSError as err:
             raise BackendMissingError(f"OpenNI2 cannot be loaded ({err}); {_INSTALL_HINT}") from err
         except AttributeError as err:
@@ -96,10 +88,10 @@ class Library:
         self._listeners: dict[object, tuple[str, Callable[[str], None]]] = {}
         # The library calls these from its own threads for as long as it is initialised, and would not
         # keep them alive.
-        self._callbacks = OniDeviceCallbacks(
-            DeviceCallback(),
-            DeviceCallback(self._on_disconnected),
-            StateCallback(self._on_state_changed),
+        self._callbacks = capi.OniDeviceCallbacks(
+            capi.DeviceCallback(),
+            capi.DeviceCallback(self._on_disconnected),
+            capi.StateCallback(self._on_state_changed),
         )
 
     # Called on the library's threads: they only pass on an event, and take no lock.
@@ -134,17 +126,17 @@ class Library:
         Raises DeviceNotFoundError if the library reports that there is no such device; DriverError or
         `error`; the message holds `doing` and the library's own text.
         """
-        if status == Status.OK:
+        if status == capi.Status.OK:
             return
         words = (self.native.oniGetExtendedError() or b"").decode(errors="replace").strip()
-        known = status in Status.__members__.values()
-        name = Status(status).name.lower().replace("_", " ") if known else f"status {status}"
+        known = status in capi.Status.__members__.values()
+        name = capi.Status(status).name.lower().replace("_", " ") if known else f"status {status}"
         message = f"{doing}: OpenNI2 answers {name}" + (f" ({' '.join(words.split())})" if words else "")
-        raise (DeviceNotFoundError if status == Status.NO_DEVICE else error)(message)
+        raise (DeviceNotFoundError if status == capi.Status.NO_DEVICE else error)(message)
 
     def devices(self) -> list[DeviceListing]:
         """Return what is listed now; opened recordings are among it."""
-        listed, count = ctypes.POINTER(OniDeviceInfo)(), ctypes.c_int()
+        listed, count = ctypes.POINTER(capi.OniDeviceInfo)(), ctypes.c_int()
         self.check(self.native.oniGetDeviceList(ctypes.byref(listed), ctypes.byref(count)), "listing devices")
         try:
             return [
@@ -167,8 +159,8 @@ class Library:
 
     def _add_user(self) -> None:
         if self._users == 0:
-            status = self.native.oniInitialize(API_VERSION)
-            if status != Status.OK:
+            status = self.native.oniInitialize(capi.API_VERSION)
+            if status != capi.Status.OK:
                 try:
                     self.check(status, f"initialising OpenNI2 from {self.path}", BackendMissingError)
                 finally:

@@ -10,15 +10,7 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameFormatError
 from nurbseg.drivers.frame import Calibration, RGBDFrame
-from nurbseg.drivers.openni2.capi import (
-    BYTES_PER_PIXEL,
-    OniFrame,
-    OniVideoMode,
-    PixelFormat,
-    Sensor,
-    Status,
-    StreamProperty,
-)
+from nurbseg.drivers.openni2 import capi
 from nurbseg.drivers.openni2.library import Library
 
 
@@ -28,7 +20,7 @@ class VideoMode(NamedTuple):
     width: int
     height: int
     fps: int
-    pixel_format: PixelFormat
+    pixel_format: capi.PixelFormat
 
     def __str__(self) -> str:
         return f"{self.width}x{self.height}@{self.fps} {self.pixel_format.name}"
@@ -50,7 +42,7 @@ class Image(NamedTuple):
 class Stream:
     """A stream of one sensor of an opened device; raises DriverError where the device does not give it."""
 
-    def __init__(self, library: Library, device: ctypes.c_void_p, sensor: Sensor) -> None:
+    def __init__(self, library: Library, device: ctypes.c_void_p, sensor: capi.Sensor) -> None:
         self._library = library
         self.handle = ctypes.c_void_p()
         self.sensor = sensor
@@ -66,15 +58,15 @@ class Stream:
     @property
     def mode(self) -> VideoMode:
         """The mode that is set."""
-        return _mode(self.get(StreamProperty.VIDEO_MODE, OniVideoMode))
+        return _mode(self.get(capi.StreamProperty.VIDEO_MODE, capi.OniVideoMode))
 
     @property
     def horizontal_fov(self) -> float | None:
         """The horizontal field of view, radians; None where the stream does not report it."""
-        fov: float | None = self.find(StreamProperty.HORIZONTAL_FOV, ctypes.c_float)
+        fov: float | None = self.find(capi.StreamProperty.HORIZONTAL_FOV, ctypes.c_float)
         return fov
 
-    def set_mode(self, width: int, height: int, fps: int, formats: tuple[PixelFormat, ...]) -> None:
+    def set_mode(self, width: int, height: int, fps: int, formats: tuple[capi.PixelFormat, ...]) -> None:
         """Choose a mode from what the device lists; of several formats the first one listed.
 
         Raises DriverError if the device lists no such mode, or refuses it.
@@ -84,9 +76,9 @@ class Stream:
             wanted = VideoMode(width, height, fps, pixel_format)
             if wanted not in self.modes:
                 continue
-            value = OniVideoMode(pixel_format, width, height, fps)
+            value = capi.OniVideoMode(pixel_format, width, height, fps)
             self._library.check(
-                self._set(StreamProperty.VIDEO_MODE, value), f"setting the {name} stream to {wanted}"
+                self._set(capi.StreamProperty.VIDEO_MODE, value), f"setting the {name} stream to {wanted}"
             )
             if self.mode != wanted:
                 raise DriverError(f"{name} stream: requested {wanted}, but the camera stays at {self.mode}")
@@ -97,7 +89,7 @@ class Stream:
             f"{' or '.join(each.name for each in formats)}; it lists {listed or 'nothing'}"
         )
 
-    def get(self, name: StreamProperty, kind: type[Any]) -> Any:
+    def get(self, name: capi.StreamProperty, kind: type[Any]) -> Any:
         """Return a property as a ctypes structure, or as a plain value for a simple type.
 
         Raises DriverError if the stream does not report it.
@@ -111,21 +103,21 @@ class Stream:
         )
         return value.value if isinstance(value, ctypes._SimpleCData) else value
 
-    def find(self, name: StreamProperty, kind: type[Any]) -> Any | None:
+    def find(self, name: capi.StreamProperty, kind: type[Any]) -> Any | None:
         """Return a property as `get` does, or None where the stream does not report it."""
         try:
             return self.get(name, kind)
         except DriverError:
             return None
 
-    def try_to_set(self, name: StreamProperty, value: Any) -> bool:
+    def try_to_set(self, name: capi.StreamProperty, value: Any) -> bool:
         """Set a property and read it back; return whether it has the value now."""
-        if self._set(name, value) != Status.OK:
+        if self._set(name, value) != capi.Status.OK:
             return False
         wanted = value.value if isinstance(value, ctypes._SimpleCData) else value
         return bool(self.find(name, type(value)) == wanted)
 
-    def _set(self, name: StreamProperty, value: Any) -> int:
+    def _set(self, name: capi.StreamProperty, value: Any) -> int:
         status: int = self._library.native.oniStreamSetProperty(
             self.handle, name, ctypes.byref(value), ctypes.sizeof(value)
         )
@@ -155,10 +147,10 @@ class Stream:
         may be when a camera is unplugged. Raises DeviceLostError if the library cannot give it, and
         FrameFormatError if it is not what its mode says.
         """
-        frame = ctypes.POINTER(OniFrame)()
+        frame = ctypes.POINTER(capi.OniFrame)()
         # This does not block: an image is waiting, and nobody else takes it.
         status = self._library.quick.oniStreamReadFrame(self.handle, ctypes.byref(frame))
-        if status != Status.OK:
+        if status != capi.Status.OK:
             self._library.check(status, f"reading the {self.sensor.name.lower()} stream", DeviceLostError)
         if not frame:
             return None
@@ -167,8 +159,8 @@ class Stream:
             mode = _mode(head.mode)
             size = head.stride * head.height
             if (
-                mode.pixel_format not in BYTES_PER_PIXEL
-                or head.stride < head.width * BYTES_PER_PIXEL[mode.pixel_format]
+                mode.pixel_format not in capi.BYTES_PER_PIXEL
+                or head.stride < head.width * capi.BYTES_PER_PIXEL[mode.pixel_format]
                 or not 0 < size <= head.data_size
                 or not head.data
             ):
@@ -185,29 +177,29 @@ class Stream:
         return Image(timestamp_us, number, _pixels(copy, shape, width, mode.pixel_format))
 
 
-def _mode(mode: OniVideoMode) -> VideoMode:
+def _mode(mode: capi.OniVideoMode) -> VideoMode:
     try:
-        pixel_format = PixelFormat(mode.pixel_format)
+        pixel_format = capi.PixelFormat(mode.pixel_format)
     except ValueError:
-        pixel_format = PixelFormat.GRAY16  # a format that is never requested
+        pixel_format = capi.PixelFormat.GRAY16  # a format that is never requested
     return VideoMode(mode.width, mode.height, mode.fps, pixel_format)
 
 
-def _pixels(copy: bytes, shape: tuple[int, int], width: int, pixel_format: PixelFormat) -> NDArray[Any]:
+def _pixels(copy: bytes, shape: tuple[int, int], width: int, pixel_format: capi.PixelFormat) -> NDArray[Any]:
     rows = np.frombuffer(copy, np.uint8).reshape(shape)
-    bytes_per_pixel = BYTES_PER_PIXEL[pixel_format]
+    bytes_per_pixel = capi.BYTES_PER_PIXEL[pixel_format]
     rows = rows[:, : width * bytes_per_pixel]
-    if pixel_format in (PixelFormat.DEPTH_1_MM, PixelFormat.DEPTH_100_UM):
+    if pixel_format in (capi.PixelFormat.DEPTH_1_MM, capi.PixelFormat.DEPTH_100_UM):
         return rows.view(np.uint16)
     image = rows.reshape(shape[0], width, bytes_per_pixel)
-    if pixel_format == PixelFormat.RGB888:
+    if pixel_format == capi.PixelFormat.RGB888:
         return image
     import cv2  # late: few cameras need it, and starting to read one must be quick
 
     to_rgb = {
-        PixelFormat.YUV422: cv2.COLOR_YUV2RGB_UYVY,
-        PixelFormat.YUYV: cv2.COLOR_YUV2RGB_YUY2,
-        PixelFormat.GRAY8: cv2.COLOR_GRAY2RGB,
+        capi.PixelFormat.YUV422: cv2.COLOR_YUV2RGB_UYVY,
+        capi.PixelFormat.YUYV: cv2.COLOR_YUV2RGB_YUY2,
+        capi.PixelFormat.GRAY8: cv2.COLOR_GRAY2RGB,
     }
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), to_rgb[pixel_format]), np.uint8)
 
@@ -255,7 +247,7 @@ def wait_for_any(library: Library, streams: tuple[Stream, ...], timeout_s: float
         )
     finally:
         library.waiting -= 1
-    if status == Status.TIME_OUT:
+    if status == capi.Status.TIME_OUT:
         return None
     library.check(status, "waiting for a frame", DeviceLostError)
     return streams[index.value]

@@ -13,18 +13,8 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.view.drawing import palette
 from nurbseg.app.view.drawing.frame import Moment, SurfaceMesh, ViewFrame
-from nurbseg.app.view.drawing.palette import (
-    LABEL_COLORS,
-    NOTHING_COLOR,
-    SERIES_COLORS,
-    SHADES,
-    label_color,
-    packed,
-    residual_colors,
-    shaded,
-    shades_of_surfaces,
-)
 from nurbseg.app.view.drawing.tables import object_table, tree_table
 from nurbseg.app.view.drawing.tree import Entities, tree_entities
 from nurbseg.drivers.frame import Calibration, Intrinsics
@@ -106,18 +96,18 @@ def camera_entities(calibration: Calibration) -> Entities:
 def opening_entities() -> Entities:
     """Return what is valid for the whole recording; logged as static."""
     yield WORLD, rr.ViewCoordinates.RDF
-    things = range(1, LABEL_COLORS + 1)
-    nothing = (_NOTHING, "not found", NOTHING_COLOR)
-    yield WORLD, _colored([*((label, str(label), label_color(label)) for label in things), nothing])
+    things = range(1, palette.LABEL_COLORS + 1)
+    nothing = (_NOTHING, "not found", palette.NOTHING_COLOR)
+    yield WORLD, _colored([*((label, str(label), palette.label_color(label)) for label in things), nothing])
     yield (
         SHADED,
         _colored(
-            (_shaded_class(label, shade), f"surface of {label}", shaded(label, shade))
+            (_shaded_class(label, shade), f"surface of {label}", palette.shaded(label, shade))
             for label in range(1, _SHADED_LABELS + 1)
-            for shade in range(SHADES)
+            for shade in range(palette.SHADES)
         ),
     )
-    scale = residual_colors(np.linspace(0.0, 1.0, 256, dtype=np.float32), 1.0)
+    scale = palette.residual_colors(np.linspace(0.0, 1.0, 256, dtype=np.float32), 1.0)
     rgb = scale.astype(">u4").view(np.uint8).reshape(-1, 4)[:, :3]
     yield RESIDUAL_SCALE, rr.Image(np.tile(rgb, (8, 1, 1)))
     yield RATE, _line("frames per second", 6)
@@ -130,7 +120,7 @@ def opening_entities() -> Entities:
 
 def _shaded_class(label: int, shade: int) -> int:
     """Return the class of a shade of an object's color, as class colors are the same in all frames."""
-    return (label - 1) % _SHADED_LABELS * SHADES + shade + 1
+    return (label - 1) % _SHADED_LABELS * palette.SHADES + shade + 1
 
 
 def _colored(classes: Iterable[tuple[int, str, tuple[int, int, int]]]) -> rr.AnnotationContext:
@@ -153,7 +143,9 @@ def stage_entities(stages: Iterable[str]) -> Entities:
 
 
 def _line(name: str, place: int) -> rr.SeriesLines:
-    return rr.SeriesLines(names=name, colors=SERIES_COLORS[place % len(SERIES_COLORS)], widths=1.8)
+    return rr.SeriesLines(
+        names=name, colors=palette.SERIES_COLORS[place % len(palette.SERIES_COLORS)], widths=1.8
+    )
 
 
 def _pinhole(camera: Intrinsics, color: tuple[int, int, int]) -> rr.Pinhole:
@@ -176,7 +168,7 @@ def _images(frame: ViewFrame, view: ViewConfig) -> Entities:
     if frame.objects is None:
         yield LABELS, rr.SegmentationImage(frame.surfaces, opacity=1.0)
     else:
-        of, shades = frame.object_of_surface, shades_of_surfaces(frame.object_of_surface)
+        of, shades = frame.object_of_surface, palette.shades_of_surfaces(frame.object_of_surface)
         classes = {each: _shaded_class(of[each], shade) for each, shade in shades.items()}
         yield SHADED, rr.SegmentationImage(_relabelled(frame.surfaces, classes), opacity=1.0)
         yield OBJECTS, rr.SegmentationImage(frame.objects, opacity=1.0)
@@ -201,21 +193,21 @@ def _space(frame: ViewFrame, view: ViewConfig) -> Entities:
             ),
         )
     mesh = frame.mesh
-    of, shades = frame.object_of_surface, shades_of_surfaces(frame.object_of_surface)
-    colors = np.full((max(of, default=0) + 1, 3), NOTHING_COLOR, dtype=np.uint8)
+    of, shades = frame.object_of_surface, palette.shades_of_surfaces(frame.object_of_surface)
+    colors = np.full((max(of, default=0) + 1, 3), palette.NOTHING_COLOR, dtype=np.uint8)
     for surface, shade in shades.items():
-        colors[surface] = shaded(of[surface], shade)
+        colors[surface] = palette.shaded(of[surface], shade)
     yield (
         SURFACES,
         rr.Mesh3D(
             vertex_positions=_rounded(mesh.vertices_m),
             vertex_normals=_rounded(mesh.normals, 64),
             triangle_indices=mesh.triangles,
-            vertex_colors=packed(colors)[mesh.labels],
+            vertex_colors=palette.packed(colors)[mesh.labels],
         ),
     )
     yield ISOLINES, rr.LineStrips3D(_strips(mesh), colors=_LINE_COLOR, radii=rr.Radius.ui_points(0.4))
-    residuals = rr.components.ColorBatch(residual_colors(mesh.residuals_m, view.residual_max_m))
+    residuals = rr.components.ColorBatch(palette.residual_colors(mesh.residuals_m, view.residual_max_m))
     archetype, component = RESIDUAL_COLORS.split(":")
     yield SURFACES, rr.DynamicArchetype(archetype, components={component: residuals})
 

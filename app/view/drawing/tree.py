@@ -9,14 +9,8 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
+from nurbseg.app.view.drawing import palette
 from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame
-from nurbseg.app.view.drawing.palette import (
-    DIVISION_COLORS,
-    STOP_COLORS,
-    label_color,
-    shaded,
-    shades_of_surfaces,
-)
 from nurbseg.app.view.drawing.tree_layout import fitted, tree_positions
 from nurbseg.segmentation.vocabulary import Division, display_name
 
@@ -38,12 +32,12 @@ def tree_entities(frame: ViewFrame) -> Entities:
     if frame.objects is not None:
         folded = folded_by_object(frame.tree)
         names = {each.name: _object_name(each) for each in folded}
-        fills = [label_color(each.thing) if each.thing else _node_color(each) for each in folded]
+        fills = [palette.label_color(each.thing) if each.thing else _node_color(each) for each in folded]
         yield from _drawing(OBJECT_TREE, folded, names, fills, {})
     names = {each.name: display_name(each.name) for each in frame.tree}
-    of, shades = frame.object_of_surface, shades_of_surfaces(frame.object_of_surface)
+    of, shades = frame.object_of_surface, palette.shades_of_surfaces(frame.object_of_surface)
     dots = {
-        each.name: (f"label {each.label}", shaded(of[each.label], shades[each.label]))
+        each.name: (f"label {each.label}", palette.shaded(of[each.label], shades[each.label]))
         for each in frame.tree
         if each.label
     }
@@ -115,5 +109,5 @@ def _object_name(node: TreeNode) -> str:
 
 def _node_color(node: TreeNode) -> tuple[int, int, int]:
     if node.stop is not None:
-        return STOP_COLORS[node.stop]
-    return DIVISION_COLORS[node.division or Division.CUT]
+        return palette.STOP_COLORS[node.stop]
+    return palette.DIVISION_COLORS[node.division or Division.CUT]

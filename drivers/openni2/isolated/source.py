@@ -12,17 +12,7 @@ from typing import Any
 
 from nurbseg.drivers.errors import DeviceLostError, DeviceNotFoundError, DriverError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
-from nurbseg.drivers.openni2.isolated.messages import (
-    CODEC,
-    Begin,
-    CameraFrame,
-    Done,
-    Failure,
-    Open,
-    Opened,
-    Record,
-    StopRecording,
-)
+from nurbseg.drivers.openni2.isolated import messages
 from nurbseg.drivers.openni2.options import DeviceOptions, parse_mode
 from nurbseg.drivers.process.channel import ChannelClosedError
 from nurbseg.drivers.process.child import ChildProcess
@@ -80,13 +70,13 @@ class IsolatedCamera(FrameSource):
         self._options = options or DeviceOptions()
         self._index = self._refused = 0
         self._begun = self._is_open = False
-        self._frames: deque[CameraFrame] = deque()
+        self._frames: deque[messages.CameraFrame] = deque()
         self._failure: DriverError | None = None
         self._slots = _slots(self._options)
         self._process = process or begin_process(self._options)
-        self._channel = self._process.connect(CODEC)
+        self._channel = self._process.connect(messages.CODEC)
         level = logging.getLogger("nurbseg.drivers").getEffectiveLevel()
-        self._ask(Open(wanted, self._options, pairing_limit_s, patience_s, level))
+        self._ask(messages.Open(wanted, self._options, pairing_limit_s, patience_s, level))
         if patience_s is None:
             self._wait_until_open()
 
@@ -105,7 +95,7 @@ class IsolatedCamera(FrameSource):
 
         Raises DriverError as on opening.
         """
-        if not self._is_open and isinstance(opened := self._answer(timeout_s), Opened):
+        if not self._is_open and isinstance(opened := self._answer(timeout_s), messages.Opened):
             self.metadata.update(opened.metadata)
             self.calibration = opened.calibration
             self._is_open = True
@@ -123,12 +113,12 @@ class IsolatedCamera(FrameSource):
 
     def start_recording(self, path: Path, *, lossy: bool = False) -> None:
         """Record with OpenNI2's recorder, as `DeviceSource.start_recording` does."""
-        self._ask(Record(str(path.absolute()), lossy))
+        self._ask(messages.Record(str(path.absolute()), lossy))
         self._wait_until_done()
 
     def stop_recording(self) -> None:
         """Finish the recording, as `DeviceSource.stop_recording` does."""
-        self._ask(StopRecording())
+        self._ask(messages.StopRecording())
         self._wait_until_done()
 
     def _ask(self, message: Any) -> None:
@@ -140,9 +130,9 @@ class IsolatedCamera(FrameSource):
         deadline = time.monotonic() + _ANSWER_LIMIT_S
         while time.monotonic() < deadline:
             answer = self._answer(deadline - time.monotonic())
-            if isinstance(answer, Done):
+            if isinstance(answer, messages.Done):
                 return
-            if isinstance(answer, Failure):
+            if isinstance(answer, messages.Failure):
                 raise answer.error()
             if self._failure is not None:
                 raise self._failure
@@ -157,13 +147,13 @@ class IsolatedCamera(FrameSource):
                 code = self._process.end(_ANSWER_LIMIT_S)
                 self._failure = DeviceLostError(f"OpenNI2's driver crashed the camera's process, code {code}")
             return None
-        if isinstance(message, CameraFrame):
+        if isinstance(message, messages.CameraFrame):
             if len(self._frames) < self._slots:
                 self._frames.append(message)
             else:
                 self._refused += 1
             return None
-        if isinstance(message, Failure) and message.fatal:
+        if isinstance(message, messages.Failure) and message.fatal:
             self._failure = message.error()
             return None
         return message
@@ -171,7 +161,7 @@ class IsolatedCamera(FrameSource):
     def _read(self, timeout_s: float) -> RGBDFrame:
         if not self._begun:
             self._begun = True
-            self._ask(Begin())
+            self._ask(messages.Begin())
         deadline = time.monotonic() + timeout_s
         while not self._frames:
             if self._failure is not None:
