@@ -5,15 +5,12 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import ViewError, chosen_mode, is_taken
 from nurbseg.drivers.process.child import ChildProcess
-
-if TYPE_CHECKING:
-    from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import SegmentationConfig
 
 #: Frames in shared memory: one is written while another is read.
 _SLOTS = 2

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl
 
 from nurbseg.drivers.calibration.cameras import CameraFile
@@ -20,9 +19,7 @@ from nurbseg.drivers.errors import CalibrationError, FrameFormatError, Recording
 from nurbseg.drivers.files import read_file
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.limits import FRAME_BYTES_MAX, STAMP_END_NS
-
-if TYPE_CHECKING:
-    from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.options import SourceOptions
 
 #: Where a folder's calibration is looked for; the first found counts.
 _CALIBRATION_PATTERNS = (

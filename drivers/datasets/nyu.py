@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -27,11 +27,9 @@ from nurbseg.drivers.errors import (
 from nurbseg.drivers.files import read_file
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.limits import FRAME_BYTES_MAX
+from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.process.channel import Channel, ChannelClosedError
 from nurbseg.drivers.process.child import ChildProcess, how_it_ended
-
-if TYPE_CHECKING:
-    from nurbseg.drivers.options import SourceOptions
 
 #: The color camera to which the labelled set's depth is registered, as its toolbox gives it.
 NYU_COLOR_CAMERA = Intrinsics(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +12,7 @@ from nurbseg.drivers.datasets.pcd_file import OrganisedCloud, read_pcd
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
 from nurbseg.drivers.errors import CalibrationError, FrameFormatError
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
-
-if TYPE_CHECKING:
-    from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.options import SourceOptions
 
 #: Color of clouds that have none.
 _GRAY = 128

@@ -6,16 +6,13 @@ import bisect
 import logging
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from nurbseg.drivers.datasets.folders import PairSource, Shot, folder_camera
 from nurbseg.drivers.datasets.pairs import ImagePair
 from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.drivers.files import read_file
 from nurbseg.drivers.limits import LIST_BYTES_MAX, LIST_LINES_MAX, STAMP_END_NS
-
-if TYPE_CHECKING:
-    from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.options import SourceOptions
 
 _log = logging.getLogger(__name__)
 

@@ -6,7 +6,9 @@ import logging
 from bisect import bisect_right
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
+
+from mcap.records import Schema
 
 from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, RecordingFormatError
@@ -17,12 +19,8 @@ from nurbseg.drivers.mcap import messages as ros
 from nurbseg.drivers.mcap.file import McapFile, McapMessage
 from nurbseg.drivers.mcap.pairing import Kind, StampedPair, StampPairing
 from nurbseg.drivers.mcap.topics import Topics, TopicSample, choose_topics, recorded_cameras
+from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.source import FrameSource
-
-if TYPE_CHECKING:
-    from mcap.records import Schema
-
-    from nurbseg.drivers.options import SourceOptions
 
 _log = logging.getLogger(__name__)
 

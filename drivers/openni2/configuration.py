@@ -6,20 +6,17 @@ import ctypes
 import logging
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.frame import Calibration
 from nurbseg.drivers.openni2 import nominal
 from nurbseg.drivers.openni2.capi import OniCropping, PixelFormat, StreamProperty
 from nurbseg.drivers.openni2.opened import OpenedDevice
 from nurbseg.drivers.openni2.options import DeviceOptions, parse_mode
 from nurbseg.drivers.openni2.stream import Stream
-
-if TYPE_CHECKING:
-    from nurbseg.drivers.calibration.cameras import CameraFile
 
 logger = logging.getLogger(__name__)
 

@@ -6,8 +6,8 @@ import logging
 import shlex
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.calibration.file import cameras_of_table
 from nurbseg.drivers.errors import (
     BackendMissingError,
@@ -25,11 +25,8 @@ from nurbseg.drivers.openni2.oni.player import Description, PlayedImage
 from nurbseg.drivers.openni2.oni.player_process import OPEN_LIMIT_S, PlayerProcess
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.openni2.stream import frame_of
+from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.source import FrameSource
-
-if TYPE_CHECKING:
-    from nurbseg.drivers.calibration.cameras import CameraFile
-    from nurbseg.drivers.options import SourceOptions
 
 logger = logging.getLogger(__name__)
 
