@@ -100,11 +100,6 @@ class SyntheticSource(SequenceSource):
         """
         return self._scene.poses(self._tick(index))
 
-    def exact_depth_m(self, index: int) -> NDArray[np.float32]:
-        """Return the depth of a frame before any fault, (H, W) float32 metres; inf where there is nothing."""
-        tick = self._tick(index)
-        return self._depth.render(self._scene.world_from_depth(tick), tick).depth_m
-
     def frame(self, index: int) -> RGBDFrame:
         """Return any frame of the sequence, whichever is read next.
 

@@ -10,9 +10,14 @@ from nurbseg.drivers.synthetic.source import SyntheticOptions, SyntheticSource, 
 TINY = {"width": 160, "height": 120}
 
 
+def exact_depth_m(source, index):
+    """Depth before any fault, (H, W); inf where there is nothing."""
+    return source._depth.render(source._scene.world_from_depth(index), index).depth_m
+
+
 def points_m(source, index):
     """Back-projected exact depth, (H, W, 3)."""
-    depth = source.exact_depth_m(index)
+    depth = exact_depth_m(source, index)
     rays = source.calibration.depth.rays()
     return np.concatenate([rays * depth[..., None], depth[..., None]], axis=-1)
 
@@ -122,7 +127,7 @@ def test_the_given_poses_carry_each_objects_points_into_the_next_frame(label):
         col = np.rint(moved[:, 0] / moved[:, 2] * camera.fx + camera.cx).astype(int)
         row = np.rint(moved[:, 1] / moved[:, 2] * camera.fy + camera.cy).astype(int)
         inside = (col >= 0) & (col < 320) & (row >= 0) & (row < 240)
-        depth = source.exact_depth_m(second_index)[row[inside], col[inside]]
+        depth = exact_depth_m(source, second_index)[row[inside], col[inside]]
         seen = depth > moved[inside, 2] - 0.01
         assert (second.labels[row[inside], col[inside]] == label)[seen].mean() > 0.95
         assert seen.mean() > 0.8
