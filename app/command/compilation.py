@@ -13,17 +13,15 @@ from contextlib import contextmanager, suppress
 
 from numba.core import event
 
+from nurbseg.app.command.ahead import GARBAGE_THRESHOLD
 from nurbseg.drivers.process.child import dying_with_parent, python_command
 
 _log = logging.getLogger(__name__)
 
 #: Time between two log lines, seconds.
 _PROGRESS_S = 5.0
-#: Number of new objects between garbage collections while compiling, which creates very many lasting ones: at
-#: Python's default of 700, collections take a twentieth of the time.
-_GARBAGE_THRESHOLD = 100_000
-#: Compiles fits, a quarter of all, on another core; they are needed after a third of the time.
-_BESIDE = python_command("nurbseg.app.command.fits")
+#: Compiles on another core what is called later.
+_BESIDE = python_command("nurbseg.app.command.ahead")
 #: Longest wait for its end after it was killed, seconds.
 _KILLED_S = 5.0
 
@@ -75,13 +73,13 @@ class _Listener(event.Listener):
     def on_start(self, event: event.Event) -> None:
         with self._lock:
             if not self._told_s:
-                _log.info("compiling the inner loops; this takes about 20 s, once per computer")
+                _log.info("compiling the inner loops; this takes about 12 s, once per computer")
                 self._told_s = time.monotonic()
                 self._start_beside()
             if self._depth == 0:
                 self._began_s = time.monotonic()
                 self._thresholds = gc.get_threshold()
-                gc.set_threshold(_GARBAGE_THRESHOLD, *self._thresholds[1:])
+                gc.set_threshold(GARBAGE_THRESHOLD, *self._thresholds[1:])
             self._depth += 1
 
     def on_end(self, event: event.Event) -> None:

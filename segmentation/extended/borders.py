@@ -217,7 +217,7 @@ def _find_candidates(
         for k in range(_AROUND):
             near_votes[k] = votes_across[k] if abs(steps_per_m[k]) >= gaps_per_m[k] else votes[k]
         own = labels[pixel]
-        label, below = own, np.int32(np.iinfo(np.int32).max)
+        label, below = own, np.int32(2**31 - 1)
         while label > 0:
             total, following = np.float32(0.0), np.int32(0)
             for k in range(_AROUND):

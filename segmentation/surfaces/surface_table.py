@@ -159,7 +159,7 @@ def _dot(B: Four, values: F64, first: int, step: int) -> float:
 def _evaluate(splines: _Splines, labels: I32, rows: I32, columns: I32, inverse_depth: F32) -> None:
     u, v, weights, starts = splines
     # Pixels come row by row: a surface along its last row is kept, a curve over the columns.
-    last_row = np.full(u.counts.size, np.iinfo(np.int32).min, dtype=np.int32)
+    last_row = np.full(u.counts.size, -(2**31), dtype=np.int32)
     longest = 0
     for count in u.counts:
         longest = max(longest, count)

@@ -116,14 +116,13 @@ def _evaluate(
     points: F32,
 ) -> None:
     """Fill `points`: for each lattice row a curve of homogeneous points, evaluated at the columns."""
-    widest, most_columns = shapes[:, 1].max(), count[:, 1].max()
     basis_v = np.empty(CUBIC + 1)
-    bases_u = np.empty((most_columns, CUBIC + 1))
-    spans_u = np.empty(most_columns, dtype=np.intp)
-    curve = np.empty((widest, 4))
     at_u = at_v = net = vertex = done = 0
     for surface in range(shapes.shape[0]):
         height, width = shapes[surface]
+        curve = np.empty((width, 4))
+        bases_u = np.empty((count[surface, 1], CUBIC + 1))
+        spans_u = np.empty(count[surface, 1], dtype=np.intp)
         own_u = knots_u[at_u : at_u + width + CUBIC + 1]
         own_v = knots_v[at_v : at_v + height + CUBIC + 1]
         for column in range(count[surface, 1]):
@@ -131,7 +130,7 @@ def _evaluate(
             spans_u[column] = _basis(own_u, u, bases_u[column])
         for row in range(count[surface, 0]):
             span_v = _basis(own_v, first[surface, 0] + row * step[surface, 0], basis_v)
-            curve[:width] = 0.0
+            curve[:] = 0.0
             for a in range(CUBIC + 1):
                 begin = net + (span_v + a) * width
                 for b in range(width):
