@@ -172,9 +172,9 @@ class ExtendedConfig(Settings):
     )
     protrusion_min: float = setting(
         2.5,
-        "points nearer than a surface by more than this many times inverse_depth_noise become a surface of "
-        "their own where they are connected, at least piece_pixels_min and hold a square of 8 pixels; 0 for "
-        "never",
+        "points nearer than a surface by more than this many times inverse_depth_noise, or the root mean "
+        "square of its residuals if that is larger, become a surface of their own where they are connected, "
+        "at least piece_pixels_min and hold a square of 8 pixels; 0 for never",
         least=0.0,
     )
     refine_borders: bool = setting(

@@ -25,6 +25,8 @@ _SHARE_MOST = 0.5
 def split_off_protrusions(root: Node, features: GridFeatures, config: SegmentationConfig) -> None:
     """Split off connected points that are in front of the surface of their leaf by more than noise.
 
+    Noise is that of the setting or, where it is larger, the root mean square of the surface's residuals.
+
     The ratio (eq. 5) compares means over a segment. A thing that is a small share of a large surface hardly
     changes them, however far it protrudes; here each point counts by itself. A protrusion is connected, has
     at least T_p points, and holds a square of 8 pixels. It and what remains of the leaf are fitted anew.
@@ -69,7 +71,10 @@ def _before_surfaces(
 
     Leaves in which fewer than T_p are have none marked.
     """
-    limit_per_m = config.extended.protrusion_min * config.extended.inverse_depth_noise
+    extended = config.extended
+    limits_per_m = extended.protrusion_min * np.maximum(
+        extended.inverse_depth_noise, [0.0, *(leaf.fit.rms_per_m for leaf in leaves)]
+    )
     grid, least = features.grid, features.grid_pixels_min(config)
     labels = np.zeros(grid.valid.shape, dtype=np.int32)
     flat, inverse_depth = labels.reshape(-1), grid.inverse_depth.ravel()
@@ -79,14 +84,14 @@ def _before_surfaces(
         if leaf.fit.surface is not None:
             at = leaf.grid_pixels
             # A point at distance p, nearer than the surface by r 1/m, is more than r p / d away from it.
-            far = at[leaf.fit.residuals_m * inverse_depth[at] > limit_per_m * distances_m[at]]
+            far = at[leaf.fit.residuals_m * inverse_depth[at] > limits_per_m[label] * distances_m[at]]
             if far.size >= least:
                 flat[far], surfaces[label - 1] = label, leaf.fit.surface
     marked = np.flatnonzero(flat)
     rows, columns = np.divmod(marked.astype(np.int32), np.int32(grid.points.shape[1]))
     step = np.int32(grid.step)
     explained = SurfaceTable(surfaces).inverse_depths(flat[marked], rows * step, columns * step)
-    flat[marked[inverse_depth[marked] - explained <= limit_per_m]] = 0
+    flat[marked[inverse_depth[marked] - explained <= limits_per_m[flat[marked]]]] = 0
     return labels
 
 

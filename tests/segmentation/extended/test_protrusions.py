@@ -74,6 +74,13 @@ def test_a_wall_stays_whole(cloud_of, things):
     assert root.children == ()
 
 
+def test_in_front_of_a_surface_that_fits_badly_more_is_needed(cloud_of):
+    noisier = updated(CONFIG, extended={"inverse_depth_noise": 0.3 * NOISE_PER_M})
+    assert split_off(cloud_of, [(THING, 8.0)], noisier)[0].children != ()
+    # Seven times the noise of the setting, but only twice the residuals of the wall.
+    assert split_off(cloud_of, [(THING, 2.0)], noisier)[0].children == ()
+
+
 @pytest.mark.parametrize("stop", [StopReason.SPLITS, StopReason.BUDGET])
 def test_a_tree_that_a_limit_stopped_is_left_as_it_is(cloud_of, stop):
     root, _ = split_off(cloud_of, [(THING, 8.0)], stop=stop)
