@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -217,10 +218,13 @@ class Node:
         return metric_value(self.fit.values, config.metric, self.fit.floor)
 
 
+_HISTORY = ("division", "trial", "stop", "cut", "cuts_above", "measured", "judged")
+_history = attrgetter(*_HISTORY)
+
+
 def history(each: Node | Segment) -> dict[str, Any]:
     """Return the fields that nodes and segments share."""
-    names = ("division", "trial", "stop", "cut", "cuts_above", "measured", "judged")
-    return {name: getattr(each, name) for name in names}
+    return dict(zip(_HISTORY, _history(each), strict=True))
 
 
 def depth_first(root: Node) -> list[Node]:

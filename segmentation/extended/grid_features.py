@@ -43,7 +43,9 @@ class GridFeatures:
 def grid_features(cloud: PointMap, config: SegmentationConfig) -> GridFeatures:
     """Compute inverse depths, adjacency and raw vectors on the grid that is set."""
     grid = depth_grid(cloud, grid_step(cloud.valid, config.decimation))
-    color = lab(cloud.color[:: grid.step, :: grid.step].reshape(-1, 3))
+    # Channel by channel: pixels of three bytes would be copied one by one, four times as slowly.
+    channels = [cloud.color[:: grid.step, :: grid.step, k].ravel() for k in range(3)]
+    color = lab(np.stack(channels, axis=1))
     normals = _normals(grid, 0, 0, *grid.points.shape, config)
     raw = _side_by_side(color, grid.points.coordinates_m, normals)
     adjacency = pixel_adjacency(grid.inverse_depth, grid.valid, config.extended.inverse_depth_gap)

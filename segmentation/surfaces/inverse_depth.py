@@ -30,9 +30,9 @@ _MARGIN_PX = 24.0
 LEAST_PER_M = 1e-2
 #: A control value with less support than this may be changed without harm to the fit.
 _SUPPORTED = 1.0
-#: Factors on the smoothness, tried in turn where a surface would pass through infinity beyond its points even
-#: with a smaller margin.
-_STIFFER = (1e2, 1e4)
+#: Factors on the smoothness, tried in turn where a surface would pass through infinity beyond its points: the
+#: first with the margin, those after it with one grid pixel.
+_STIFFER = (1.0, 1.0, 1e2, 1e4)
 
 
 def fit_window(
@@ -73,8 +73,8 @@ def fit_window(
     top, left, bottom, right = window
     spacing, smoothness = knots_on(grid, config)
     square_most = SQUARE_MOST * config.extended.inverse_depth_noise**2
-    wide = int(np.ceil(_MARGIN_PX * grid.unit_px / grid.step))
-    for margin, stiffer in ((wide, 1.0), (1, 1.0), *((1, each) for each in _STIFFER)):
+    margin = math.ceil(_MARGIN_PX * grid.unit_px / grid.step)
+    for stiffer in _STIFFER:
         rows, knots_v = lattice_basis(top, bottom, margin, spacing)
         columns, knots_u = lattice_basis(left, right, margin, spacing)
         solved, positive, control_per_m, residuals_m, square = fit_inverse_depth(
@@ -92,6 +92,7 @@ def fit_window(
             return Fit(None, np.zeros(0), {}, reason, pixels)
         if positive:
             break
+        margin = 1
     surface = rational_surface(
         control_per_m,
         knots_u * grid.step,

@@ -37,18 +37,24 @@ def lattice_basis(
     # Function number i is not zero between knots i - 3 and i + 1.
     first = int((start - margin) // spacing)
     count = int((stop - 1 + margin) // spacing) - first + CUBIC + 1
-    spans, values = _table(spacing, -(-stop // _TABLE_PIXELS))
-    knots = spacing * np.arange(first - CUBIC, first + count + 1, dtype=np.float64)
+    spans, values, lowest, knots = _table(spacing, margin, -(-stop // _TABLE_PIXELS))
+    before = first - CUBIC - lowest
     starts = spans[start:stop] - first
     starts.flags.writeable = False
-    return SpanBasis(starts, values[start:stop], count), knots
+    return SpanBasis(starts, values[start:stop], count), knots[before : before + count + CUBIC + 1]
 
 
 @lru_cache(maxsize=16)
-def _table(spacing: float, blocks: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Tabulate span and functions at every grid pixel of an image's whole extent."""
-    position = np.arange(blocks * _TABLE_PIXELS, dtype=np.float64) / spacing
+def _table(
+    spacing: float, margin: int, blocks: int
+) -> tuple[NDArray[np.intp], NDArray[np.float64], int, NDArray[np.float64]]:
+    """Tabulate span and functions at every grid pixel of an image's extent; give the lowest knot, and all."""
+    pixels = blocks * _TABLE_PIXELS
+    position = np.arange(pixels, dtype=np.float64) / spacing
     span = np.floor(position)
     values = even_functions(position - span, spacing)
-    values.flags.writeable = False
-    return span.astype(np.intp), values
+    lowest = int(-margin // spacing) - CUBIC
+    knots = spacing * np.arange(lowest, int((pixels - 1 + margin) // spacing) + CUBIC + 2, dtype=np.float64)
+    for table in (values, knots):
+        table.flags.writeable = False
+    return span.astype(np.intp), values, lowest, knots

@@ -62,7 +62,7 @@ class NurbsSurface:
         for name, knots, size in (("knots_u", self.knots_u, m + p + 1), ("knots_v", self.knots_v, n + q + 1)):
             if knots.shape != (size,):
                 raise ValueError(f"{name}: expected ({size},) for degree {self.degree}, got {knots.shape}")
-        if not (self.weights > 0).all():
+        if not self.weights.min() > 0:
             raise ValueError(f"weights: expected positive weights, got {float(self.weights.min())}")
         for array in (self.knots_u, self.knots_v, self.control_points_m, self.weights):
             array.flags.writeable = False

@@ -38,7 +38,7 @@ def test_windows_share_their_knots():
 
 
 def test_what_is_kept_for_other_windows_cannot_be_changed():
-    basis, _ = lattice_basis(3, 20, 5, 25.0)
-    for array in (basis.starts, basis.values):
+    basis, knots = lattice_basis(3, 20, 5, 25.0)
+    for array in (basis.starts, basis.values, knots):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1
