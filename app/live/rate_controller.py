@@ -6,6 +6,7 @@ import logging
 import statistics
 from collections import deque
 from dataclasses import replace
+from itertools import islice
 
 from nurbseg.segmentation.live.updater import Budget
 
@@ -21,8 +22,8 @@ _LATE, _BRIEF, _BRIEF_MOST = 0.15, Budget(refits=2, trials=0, merges=0), 6
 _FULL, _SPARE = 0.9, 0.8
 #: Share of the frame period above which even the first, slow frames make the grid coarser.
 _HOPELESS = 1.25
-#: Number of frames whose median time counts.
-_FRAMES = 30
+#: Number of frames whose median time counts, and that must be slow for a change while the rate holds.
+_FRAMES, _SUSTAINED = 30, 90
 #: Number of frames between two changes: to a coarser and to a finer grid.
 _DOWN_AFTER, _UP_AFTER = 8, 60
 #: Number of frames after which a finer grid is tried regardless of its earlier cost.
@@ -37,7 +38,7 @@ class RateController:
             raise ValueError(f"target_hz: expected more than 0, got {target_hz}")
         self.level = 0
         self._target_hz = target_hz
-        self._took_ms: deque[float] = deque(maxlen=_FRAMES)
+        self._took_ms: deque[float] = deque(maxlen=_SUSTAINED)
         self._since = 0
         self._brief = 0
         # Time per frame before the last change, and by level the factor of the next finer grid.
@@ -70,12 +71,15 @@ class RateController:
         hz = min(self._target_hz, source_hz or self._target_hz)
         period_ms = 1e3 / hz
         # The median ignores single slow frames.
-        usual_ms = statistics.median(self._took_ms)
-        full = len(self._took_ms) == _FRAMES
+        usual_ms = statistics.median(islice(reversed(self._took_ms), _FRAMES))
+        full = len(self._took_ms) >= _FRAMES
         # The first frames take a little longer, which is no reason to change.
         if not (full or self._before_ms or usual_ms > _HOPELESS * period_ms):
             return
-        costs_too_much = usual_ms > _FULL * period_ms and self.level + 1 < len(_COARSER)
+        # A scene can be rich for a second; while the rate holds, only what lasts is a reason.
+        lasts = len(self._took_ms) == _SUSTAINED and statistics.median(self._took_ms) > _FULL * period_ms
+        limit = _FULL if lasts or not full else 1.0
+        costs_too_much = usual_ms > limit * period_ms and self.level + 1 < len(_COARSER)
         if self._was_finer is not None and (full or costs_too_much):
             finer_ms, coarser_ms = sorted((usual_ms, self._before_ms), reverse=True)
             self._finer_costs[self.level + (not self._was_finer)] = finer_ms / coarser_ms

@@ -62,6 +62,23 @@ def test_a_single_slow_frame_changes_nothing() -> None:
     assert controller.level == 0
 
 
+def test_a_rich_scene_changes_nothing_for_a_second_while_the_rate_holds() -> None:
+    controller, levels = RateController(30.0), []
+    for frame in range(600):
+        # A period is 33 ms; in the second half, what takes 32 ms stays.
+        controller.took(32.0 if 100 <= frame < 140 or frame >= 300 else 25.0)
+        levels.append(controller.level)
+    assert set(levels[:330]) == {0}
+    assert min(levels[400:]) > 0
+
+
+def test_a_second_in_which_the_rate_does_not_hold_is_enough() -> None:
+    controller = RateController(30.0)
+    for frame in range(140):
+        controller.took(35.0 if frame >= 100 else 25.0)
+    assert controller.level > 0
+
+
 def test_the_slow_first_frames_change_nothing() -> None:
     controller = RateController(30.0)
     for frame in range(100):
