@@ -262,6 +262,7 @@ def _segment(
         fixed="" if exporter is None else "an export holds results of one run's settings only",
     )
     frames = controlled_frames(config.live.control, controls, capture, progress, interruption)
+    view.every_table = opened.every_frame
     jumps = 0
     with closing(frames):
         for captured in frames:

@@ -44,6 +44,8 @@ _BUSY_S = 10.0
 _END_S = 0.2
 #: Time between two checks whether the view is over, seconds.
 _LOOK_S = 0.5
+#: Least time between two tables of objects that nobody can read any faster, seconds.
+_TABLES_S = 0.1
 #: Frames over which the frame rate is averaged.
 _RATE_FRAMES = 10
 #: A device clock past this (the year 2001) is a date.
@@ -89,6 +91,7 @@ class IsolatedView(View):
         self._dropped_there = 0
         self._known: Calibration | None = None
         self._shown_s: deque[float] = deque(maxlen=_RATE_FRAMES + 1)
+        self._table_s = float("-inf")
         self._moment = Moment(0, None, False)
         self._since_epoch: bool | None = None
         self._file_limit_s = FILE_CLOSE_S
@@ -135,7 +138,10 @@ class IsolatedView(View):
         if self._since_epoch is None:
             self._since_epoch = frame.timestamp_ns > _EPOCH_NS
         self._moment = Moment(frame.index, frame.timestamp_ns, self._since_epoch)
-        self._shown_s.append(time.monotonic())
+        now_s = time.monotonic()
+        self._shown_s.append(now_s)
+        lists_objects = self.every_table or now_s - self._table_s >= _TABLES_S
+        self._table_s = now_s if lists_objects else self._table_s
         draw = partial(
             drawn,
             result,
@@ -144,6 +150,7 @@ class IsolatedView(View):
             moment=self._moment,
             elapsed_ms=dict(result.elapsed_ms),
             rate_hz=self._rate_hz(),
+            lists_objects=lists_objects,
         )
         try:
             self._queue.put(draw, _STUCK_S)

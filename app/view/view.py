@@ -16,6 +16,8 @@ class View:
     shows = False
     #: The metric that is shown for each segment.
     metric: Metric = "mse"
+    #: Whether the table of objects is drawn for each frame, or only as often as it can be read.
+    every_table = True
     #: Whether it serves a web page until it is closed.
     serving = False
 

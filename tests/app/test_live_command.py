@@ -456,3 +456,18 @@ def test_a_live_run_saves_without_an_index(
     assert (verified.returncode == 0) == has_index, verified.stderr
     assert has_index or "Missing RRD footer" in verified.stderr
     assert read_saved_view(path, indexed=has_index).frames("world/camera/image/depth")
+
+
+@pytest.mark.parametrize("speed", ["0", "1"])
+def test_a_live_run_lists_objects_only_as_often_as_they_can_be_read(
+    live: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, speed: str
+) -> None:
+    path = tmp_path / "saved.rrd"
+    monkeypatch.setattr("nurbseg.app.view.isolated._TABLES_S", 60.0)
+    source = "synthetic:?width=160&height=120&frames=3"
+    done = live("--replay", source, "--speed", speed, "--view", "none", "--save", str(path))
+    assert done.returncode == 0, done.stderr
+    saved = read_saved_view(path, indexed=speed == "0")
+    shown = saved.frames("splits")
+    assert len(shown) > 1
+    assert saved.frames("objects") == (shown if speed == "0" else shown[:1])

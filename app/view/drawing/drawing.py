@@ -27,11 +27,12 @@ def drawn(
     elapsed_ms: Mapping[str, float] | None = None,
     rate_hz: float = 0.0,
     known: Calibration | None = None,
+    lists_objects: bool = True,
 ) -> ViewFrame:
     """Return what views show of a frame, in the detail that `view` asks for.
 
     `elapsed_ms` holds the stages so far, if the run goes on adding to those of `result`. The calibration is
-    left out if it is `known` from the previous frame.
+    left out if it is `known` from the previous frame, and the table of objects unless `lists_objects`.
     """
     frame, tree = result.frame, result.tree
     # Meshes need the tree's own labels; the ones shown persist from frame to frame.
@@ -58,7 +59,7 @@ def drawn(
         point_labels=point_labels,
         mesh=replace(mesh, labels=result.surface_of_leaf[mesh.labels]),
         tree=_nodes(result, metric),
-        merges=tuple(_merges(result)),
+        merges=tuple(_merges(result)) if lists_objects else None,
         elapsed_ms=dict(elapsed_ms or result.elapsed_ms),
         rate_hz=rate_hz,
         events=tuple(map(event_text, result.events)),

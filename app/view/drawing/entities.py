@@ -69,7 +69,7 @@ class FrameEntities:
                     *_images(self.frame, self.view),
                     *_space(self.frame, self.view),
                     *tree_entities(self.frame),
-                    (OBJECT_TABLE, markdown(object_table(self.frame))),
+                    *_object_table(self.frame),
                     (TREE_TABLE, markdown(tree_table(self.frame))),
                     *_scalars(self.frame),
                     *_log_lines(self.frame),
@@ -222,6 +222,11 @@ def _strips(mesh: SurfaceMesh) -> Any:
     points = rr.components.Position3DBatch(_rounded(_NEARER * mesh.vertices_m[mesh.isolines]))
     ends = np.cumsum(mesh.isoline_sizes, dtype=np.int32)
     return pa.ListArray.from_arrays(np.append(np.int32(0), ends), points.as_arrow_array(), type=_STRIPS)
+
+
+def _object_table(frame: ViewFrame) -> Entities:
+    if frame.merges is not None:
+        yield OBJECT_TABLE, markdown(object_table(frame))
 
 
 def _scalars(frame: ViewFrame) -> Entities:

@@ -107,8 +107,8 @@ class ViewFrame:
     mesh: SurfaceMesh
     #: Depth first.
     tree: tuple[TreeNode, ...]
-    #: For each object of several surfaces, which were merged and why.
-    merges: tuple[str, ...]
+    #: For each object of several surfaces, which were merged and why; None where objects are not listed.
+    merges: tuple[str, ...] | None
     #: Time of each stage, milliseconds.
     elapsed_ms: Mapping[str, float]
     #: Frames shown per second; 0 if unknown.

@@ -8,6 +8,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -131,6 +132,20 @@ def test_frames_of_another_size_get_room_and_none_is_lost(tmp_path: Path, result
     assert saved.frames("world/surfaces") == list(range(6))
     sizes = [len(saved.by_frame["world/camera/image/depth"]["DepthImage:buffer"][n][0]) for n in range(6)]
     assert sizes == [2 * 160 * 120 if n in (0, 1, 3) else 2 * 320 * 240 for n in range(6)]
+
+
+def test_objects_are_listed_again_after_a_while(
+    tmp_path: Path, result: FrameResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.rrd"
+    with open_view(ViewConfig(mode="none", save=str(path)), CONFIG) as view:
+        view.every_table = False
+        monkeypatch.setattr(view_isolated, "_TABLES_S", 100.0)
+        for index in range(5):
+            clock = SimpleNamespace(monotonic=lambda ahead_s=60.0 * index: time.monotonic() + ahead_s)
+            monkeypatch.setattr(view_isolated, "time", clock)
+            view.show(numbered(result, index))
+    assert read_saved_view(path).frames("objects") == [0, 2, 4]
 
 
 def test_cameras_are_reported_once_and_again_when_they_change(tmp_path: Path, result: FrameResult) -> None:
