@@ -11,7 +11,7 @@ import operator
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import Field, dataclass, field, fields, is_dataclass, replace
-from types import NoneType, UnionType
+from types import MappingProxyType, NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from nurbseg.drivers.errors import quoted
@@ -42,9 +42,10 @@ def setting(
 
     `text` is what it means, for a person. A `unit` in capitals (``FILE``) is a placeholder: it stands for
     what is to be given, in the help only. The value must be at least `least`, at most `most` and more than
-    `above`, or one of the words in `choices`. `symbol` is the literature's name of it, a second name for the
-    flag; `flag` is the flag's name where it is not the field's (``duration`` for ``duration_s``); `formerly`
-    is the field's name in the version before, which is still understood.
+    `above`, or one of the words in `choices`, by default those of the field's Literal. `symbol` is the
+    literature's name of it, a second name for the flag; `flag` is the flag's name where it is not the field's
+    (``duration`` for ``duration_s``); `formerly` is the field's name in the version before, which is still
+    understood.
     """
     return field(
         default=default,
@@ -69,6 +70,14 @@ class Settings:
     """
 
     __slots__ = ()
+
+    def __init_subclass__(cls) -> None:
+        for name, hint in get_type_hints(cls).items():
+            described = vars(cls).get(name)
+            # Of a Literal that may be left unset, too.
+            for words in (hint, *get_args(hint)[:1]):
+                if isinstance(described, Field) and get_origin(words) is Literal:
+                    described.metadata = MappingProxyType({**described.metadata, "choices": get_args(words)})
 
     def __post_init__(self) -> None:
         for each in described_fields(type(self)):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import Field, dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from nurbseg.drivers.settings import Settings, described_fields, setting
 
@@ -35,26 +35,22 @@ class ExportConfig(Settings):
     cloud: CloudForm | None = setting(
         None,
         "also export the point cloud, with color, normal, surface and object",
-        choices=get_args(CloudForm),
         flag="export-cloud",
     )
     mesh: MeshForm | None = setting(
         None,
         "also export the surfaces as triangles, trimmed to their pixels, one part per object",
-        choices=get_args(MeshForm),
         flag="export-mesh",
     )
     cad: CadForm | None = setting(
         None,
         "also export the surfaces as NURBS, one layer per object (needs the extra 'cad')",
-        choices=get_args(CadForm),
         flag="export-cad",
     )
     graph: bool = setting(False, "also export the tree as a graph for Graphviz (DOT)", flag="export-graph")
     names: Naming = setting(
         "number",
         "file names of a frame: its number, or its name in the source",
-        choices=get_args(Naming),
         flag="export-names",
     )
     report: str | None = setting(

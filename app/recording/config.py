@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 from nurbseg.drivers.settings import Settings, setting
 
@@ -50,7 +50,6 @@ class RecordConfig(Settings):
     color: RecordColor = setting(
         "jpeg95",
         "encoding of color: JPEG of quality 95, or lossless PNG or raw (.oni: JPEG or raw)",
-        choices=get_args(RecordColor),
         flag="record-color",
     )
     space_min_mb: int = setting(

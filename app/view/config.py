@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from ipaddress import ip_address
-from typing import Literal, get_args
+from typing import Literal
 from urllib.parse import urlsplit
 
 from nurbseg.drivers.settings import Settings, setting
@@ -29,7 +29,6 @@ class ViewConfig(Settings):
         "auto",
         "where to show: auto (a window if there is a display), spawn a viewer, connect to one, "
         "serve a web page, none",
-        choices=get_args(ViewMode),
         flag="view",
     )
     connect: str | None = setting(
@@ -40,7 +39,6 @@ class ViewConfig(Settings):
         "auto",
         "write an index at the end of the file, for which memory grows by 50 MB a minute; auto: not in "
         "live runs",
-        choices=get_args(SaveIndex),
     )
     bind: str = setting("127.0.0.1", "address that a spawned viewer or the web page listens on", unit="IP")
     port: int = setting(DEFAULT_PORT, "port of the viewer, 0 for any free one", least=0, most=65535)
@@ -48,9 +46,7 @@ class ViewConfig(Settings):
     memory_limit: str = setting(
         "2GB", "memory above which a spawned viewer or the server drops the oldest frames", unit="SIZE"
     )
-    layout: Layout = setting(
-        "full", "amount shown at once: full, or compact for a small screen", choices=get_args(Layout)
-    )
+    layout: Layout = setting("full", "amount shown at once: full, or compact for a small screen")
     jpeg_quality: int = setting(85, "quality of the color images shown and saved", least=1, most=100)
     points_max: int = setting(20_000, "colored points shown per frame", least=0)
     mesh_step_px: int = setting(

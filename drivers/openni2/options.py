@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 from nurbseg.drivers.settings import Settings, setting
 
@@ -47,20 +47,12 @@ class DeviceOptions(Settings):
     color_mode: str = setting(
         "vga", "size and frame rate of the color stream: 640x480@30, vga, qvga, sxga, ..."
     )
-    depth_unit: DepthUnit = setting(
-        "1mm", "unit in which the camera delivers depth", choices=get_args(DepthUnit)
-    )
+    depth_unit: DepthUnit = setting("1mm", "unit in which the camera delivers depth")
     mirror: bool = setting(False, "mirror the images")
-    registration: Registration = setting(
-        "hardware", "who registers depth to the color image", choices=get_args(Registration)
-    )
+    registration: Registration = setting("hardware", "who registers depth to the color image")
     sync: bool = setting(True, "capture depth and color at the same time, if the camera can")
-    auto_exposure: Switch = setting(
-        "keep", "automatic exposure of the color camera", choices=get_args(Switch)
-    )
-    auto_white_balance: Switch = setting(
-        "keep", "automatic white balance of the color camera", choices=get_args(Switch)
-    )
+    auto_exposure: Switch = setting("keep", "automatic exposure of the color camera")
+    auto_white_balance: Switch = setting("keep", "automatic white balance of the color camera")
     exposure: int | None = setting(None, "exposure of the color camera, in its own units", least=0)
     gain: int | None = setting(None, "gain of the color camera, in its own units", least=0)
     silence_limit_s: float = setting(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 from urllib.parse import parse_qsl
 
 import numpy as np
@@ -50,7 +50,6 @@ class SyntheticOptions(Settings):
     labels: LabelKind = setting(
         "objects",
         "what each label stands for: an object, or one of its faces",
-        choices=get_args(LabelKind),
     )
     hide: int = setting(
         0, "frames during which the ball is hidden behind the carton", unit="frames", least=0, most=60
