@@ -33,8 +33,6 @@ class CameraModel:
 
     def __post_init__(self) -> None:
         where = f"{self.path}: {self.field}: expected"
-        if self.matrix.shape != (3, 3):
-            raise CalibrationError(f"{where} a 3 x 3 camera matrix, got {self.matrix.shape}")
         if not self.matrix.any():
             raise CalibrationError(f"{self.path}: {self.field}: the camera is not calibrated (all zeros)")
         if not np.isfinite(self.matrix).all():

@@ -167,13 +167,13 @@ def scene_folders(folder: Path) -> list[Path]:
 
 
 def open_scenes(folder: Path, options: SourceOptions) -> PairSource:
-    """Open a data set with a folder for each scene, as that of the paper (LTTM), one after the other.
+    """Open a data set with a folder for each scene, one at least, as that of the paper (LTTM), one by one.
 
     The folders are called ``scene1`` or ``scene_1`` and so on. Each has its own calibration, and its images,
     ground truth included, under names that `find_pairs` knows.
 
-    Raises RecordingFormatError if there is no scene, or one without a pair of images; CalibrationError if a
-    scene has no calibration, or an unusable one.
+    Raises RecordingFormatError if a scene has no pair of images; CalibrationError if one has no calibration,
+    or an unusable one.
     """
     shots: list[Shot] = []
     for scene in scene_folders(folder):
@@ -184,8 +184,6 @@ def open_scenes(folder: Path, options: SourceOptions) -> PairSource:
         for pair in pairs:
             name = f"{scene.name}_{pair.name}" if pair.name else scene.name
             shots.append(Shot(replace(pair, name=name), camera, len(shots) * FRAME_INTERVAL_NS))
-    if not shots:
-        raise RecordingFormatError(f"{folder}: no scenes; expected the folders scene1, scene2, ...")
     return PairSource(folder, shots, "folder of scenes")
 
 
