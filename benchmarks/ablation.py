@@ -26,7 +26,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nurbseg.app.evaluation.statistics import bootstrap_mean
+from nurbseg.app.evaluation.results import bootstrap_mean
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source

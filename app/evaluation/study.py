@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import PurePath
 from typing import Any
 
 import cv2
@@ -16,7 +18,6 @@ from numpy.typing import NDArray
 
 from nurbseg.app.computer import computer, versions
 from nurbseg.app.evaluation.answers import Answers
-from nurbseg.app.evaluation.categories import category_of
 from nurbseg.app.evaluation.scoring import score_frame, score_objects
 from nurbseg.app.evaluation.store import StudyStore
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, Variant
@@ -29,6 +30,19 @@ from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.points.registration import PointMap, register
 from nurbseg.segmentation.segments import SegmentationTree
+
+#: Last number of each category of the (modified) Object Segmentation Database, as its README lists them.
+_OSD = {
+    "learn": ((16, "boxes"), (24, "stacked boxes"), (32, "occluded objects"), (44, "cylindric objects")),
+    "test": (
+        (15, "boxes"),
+        (23, "stacked boxes"),
+        (30, "occluded objects"),
+        (42, "cylindric objects"),
+        (54, "mixed objects"),
+        (65, "complex scene"),
+    ),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,3 +245,20 @@ def outline(tree: SegmentationTree, variant: Variant) -> bytes:
         for each in tree.segments
     ]
     return json.dumps({"segments": segments}).encode()
+
+
+def category_of(name: str, uri: str) -> str:
+    """Return a frame's category.
+
+    Frames of the Object Segmentation Database (``learn12``, ``test3``) have those of the data set; frames
+    named ``scene2...`` have one for each scene, as in the paper's tables; others have one for each source.
+    """
+    match = re.fullmatch(r"(learn|test)(\d+)", name)
+    if match:
+        for last, category in _OSD[match[1]]:
+            if int(match[2]) <= last:
+                return category
+    match = re.match(r"scene[_ ]?(\d+)", name)
+    if match:
+        return f"scene {int(match[1])}"
+    return PurePath(uri.partition("?")[0]).stem or uri

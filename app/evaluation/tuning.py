@@ -11,8 +11,8 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.app.evaluation.results import Estimate, bootstrap_mean
 from nurbseg.app.evaluation.scoring import score_frame
-from nurbseg.app.evaluation.statistics import Estimate, bootstrap_mean
 from nurbseg.app.evaluation.study import FrameRef, Study, frame_refs, read_frame
 from nurbseg.app.workers import in_order, open_workers
 from nurbseg.drivers.errors import FrameFormatError

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
+
+from nurbseg.drivers.closing import Closing
 
 if TYPE_CHECKING:
     from nurbseg.app.result import FrameResult
     from nurbseg.segmentation.config import Metric
 
 
-class View:
+class View(Closing):
     """A context manager that shows each frame's result; this one shows nothing."""
 
     #: Whether it does anything with a result.
@@ -39,9 +41,3 @@ class View:
 
     def close(self) -> None:
         """Close within 2 s, with files complete; may be called twice."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

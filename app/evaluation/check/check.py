@@ -8,16 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from nurbseg.app.evaluation.check.exported import ExportedFrame, Finding
-from nurbseg.app.evaluation.check.floors import check_floors
-from nurbseg.app.evaluation.check.history import History
+from nurbseg.app.evaluation.check.exported import ExportedFrame, ExportedTrial, Finding
 from nurbseg.app.evaluation.check.merges import check_merges
 from nurbseg.app.evaluation.check.reading import DamagedExportError, read_frame, read_settings
 from nurbseg.app.evaluation.check.splits import check_splits
 from nurbseg.app.evaluation.check.stops import check_live_stops, check_stops
 from nurbseg.app.evaluation.check.structure import check_names, check_partition
 from nurbseg.app.evaluation.check.surfaces import check_measured, check_surfaces
-from nurbseg.app.evaluation.check.values import check_values
+from nurbseg.app.evaluation.check.values import check_floors, check_values
 from nurbseg.app.export.exporter import SETTINGS_FILE, differences
 from nurbseg.drivers.calibration.cameras import calibration_table
 from nurbseg.drivers.datasets.sequence import natural_key
@@ -31,6 +29,35 @@ from nurbseg.segmentation.points.registration import register
 
 #: By how much a rotation may differ from a rigid one, which is what recordings keep of it.
 _RIGID = 1e-3
+
+
+class History:
+    """Values and trials of the frames that were checked so far."""
+
+    def __init__(self) -> None:
+        #: Number of values and trials from frames that are not in the export.
+        self.unchecked = 0
+        self._values: dict[int, set[tuple[float | None, int]]] = {}
+        self._trials: dict[int, set[ExportedTrial | None]] = {}
+
+    def check(self, frame: ExportedFrame) -> Iterator[Finding]:
+        """Check values and trials from earlier frames, and remember those of this frame."""
+        for name, each in frame.segments.items():
+            for field, number, known, found in (
+                ("value", each.measured, self._values, (each.value, each.points)),
+                ("trial", each.judged, self._trials, each.trial),
+            ):
+                if number == frame.tree.frame or found in known.get(number, ()):
+                    continue
+                if number > frame.tree.frame or number in known:
+                    yield frame.wrong(name, field, f"one of frame {number}, as the file says", found)
+                else:
+                    self.unchecked += 1
+        own = frame.segments.values()
+        self._values[frame.tree.frame] = {
+            (each.value, each.points) for each in own if each.measured == frame.tree.frame
+        }
+        self._trials[frame.tree.frame] = {each.trial for each in own if each.judged == frame.tree.frame}
 
 
 class FolderCheck:

@@ -7,9 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from nurbseg.app.evaluation.report.tables import digits, interval
-from nurbseg.app.evaluation.results import StudyResults
+from nurbseg.app.evaluation.results import StudyResults, bootstrap_mean
 from nurbseg.app.evaluation.scoring import SCORES
-from nurbseg.app.evaluation.statistics import bootstrap_mean
 
 
 def means_of(results: StudyResults) -> dict[str, dict[str, float]]:

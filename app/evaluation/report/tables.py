@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from nurbseg.app.evaluation.results import StudyResults
+from nurbseg.app.evaluation.results import Estimate, StudyResults
 from nurbseg.app.evaluation.scoring import SCORES
-from nurbseg.app.evaluation.statistics import Estimate
 from nurbseg.segmentation.scoring.objects import ObjectScores
 
 

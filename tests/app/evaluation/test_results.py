@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nurbseg.app.evaluation.statistics import bootstrap_mean
+from nurbseg.app.evaluation.results import bootstrap_mean
 
 
 def test_the_interval_is_that_of_the_means_of_resampled_frames() -> None:
