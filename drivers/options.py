@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 ASSOCIATION_LIMIT_S = 0.02
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class SourceOptions:
     """What a user may specify besides a URI or path.
 
