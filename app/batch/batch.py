@@ -14,7 +14,6 @@ from nurbseg.app.atomic_file import write_json
 from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, ExportError, refuse_other_results, run_settings
 from nurbseg.app.frames import Reader, survey
-from nurbseg.app.live.parallel import segment_alone
 from nurbseg.app.workers import Workers, in_order
 from nurbseg.drivers.errors import DriverError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.options import SourceOptions
@@ -22,8 +21,8 @@ from nurbseg.segmentation.config import SegmentationConfig
 
 #: The file with the progress of an export.
 PROGRESS_FILE = "progress.json"
-#: Frames of one task: a quarter of a second of work or more, by which workers may differ at the end.
-_TASK_FRAMES = 8
+#: Frames of one task: an eighth of a second of work or more, by which workers may differ at the end.
+_TASK_FRAMES = 4
 
 #: The reader of each thread: a worker of a Dask cluster may have several.
 _kept = threading.local()
@@ -204,6 +203,9 @@ def segment_run(
 
     Raises DriverError if the recording cannot be read, or ends early.
     """
+    # Late: with workers, the process that writes the files does not load it.
+    from nurbseg.app.live.parallel import segment_alone
+
     outcomes: list[_Outcome] = []
     for frame in _reader().read(task.uri, options, task.run):
         if isinstance(frame, FrameFormatError):

@@ -82,8 +82,8 @@ def _run(given: argparse.Namespace) -> int:
     warn_of_unread(config, [config.method])
     count = process_count("auto" if given.workers == "auto" else _number(given.workers))
     began_s = time.monotonic()
-    # Processes import their module, which takes half a second, while this one does.
-    with open_workers(count, given.scheduler, module="nurbseg.app.batch.batch") as workers:
+    # Processes import the segmentation, which takes half a second, while this one looks at the recordings.
+    with open_workers(count, given.scheduler, module="nurbseg.app.live.parallel") as workers:
         return _run_with(workers, count, given, config, options, began_s)
 
 
@@ -96,18 +96,21 @@ def _run_with(
     began_s: float,
 ) -> int:
     from nurbseg.app.batch.batch import Batch, recordings_of, run_batch
+    from nurbseg.app.computer import computer, versions
     from nurbseg.drivers.files import create_folder
 
     forms = {key.removeprefix("export."): value for key, value in vars(given).items() if "export." in key}
     batch = Batch(given.export, config, options, ExportConfig(**forms))
     recordings = recordings_of(given.recordings, given.export)
     create_folder(given.export)
+    by = {"scheduler": given.scheduler} if given.scheduler else {"workers": count}
+    # Here, while processes import the segmentation.
+    by |= {"computer": computer(), "versions": versions()}
     ended = "interrupted"
     try:
         run_batch(batch, recordings, workers, _tell)
         ended = "done"
     finally:
-        by = {"scheduler": given.scheduler} if given.scheduler else {"workers": count}
         _write_report(given.export / REPORT_FILE, ended, time.monotonic() - began_s, recordings, by)
     failed = [each for each in recordings if each.failure]
     if failed:
@@ -147,7 +150,6 @@ def _write_report(
     path: Path, ended: str, seconds: float, recordings: Sequence[Recording], by: dict[str, Any]
 ) -> None:
     from nurbseg.app.atomic_file import write_json
-    from nurbseg.app.computer import computer, versions
 
     segmented = sum(each.segmented for each in recordings)
     document = {
@@ -160,7 +162,5 @@ def _write_report(
         "frames_per_s": round(segmented / seconds, 3),
         "bytes_per_frame": round(sum(each.bytes for each in recordings) / max(segmented, 1)),
         "recordings": [asdict(each) for each in recordings],
-        "computer": computer(),
-        "versions": versions(),
     }
     write_json(path, document)

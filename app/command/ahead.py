@@ -25,8 +25,8 @@ def functions() -> Iterator[tuple[Any, tuple[types.Type, ...]]]:
     for line in _LIST.read_text(encoding="utf-8").splitlines():
         path, _, arguments = line.partition(": ")
         module, _, name = path.rpartition(".")
-        function = getattr(importlib.import_module(f"nurbseg.{module}"), name)
-        yield function, _types(f"{arguments},", vars(importlib.import_module(f"nurbseg.{module}")))
+        names = vars(importlib.import_module(f"nurbseg.{module}"))
+        yield names[name], _types(f"{arguments},", names)
 
 
 def _types(written: str, names: dict[str, Any]) -> tuple[types.Type, ...]:

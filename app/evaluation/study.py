@@ -21,7 +21,7 @@ from nurbseg.app.evaluation.answers import Answers
 from nurbseg.app.evaluation.scoring import score_frame, score_objects
 from nurbseg.app.evaluation.store import StudyStore
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, Variant
-from nurbseg.app.export.exporter import png
+from nurbseg.app.export.frame_files import png
 from nurbseg.app.frames import survey
 from nurbseg.app.workers import WorkerLostError, in_order, open_workers
 from nurbseg.drivers.errors import FrameFormatError

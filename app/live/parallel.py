@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 
 from nurbseg.app.export.config import ExportConfig
-from nurbseg.app.export.exporter import frame_files
+from nurbseg.app.export.frame_files import frame_files
 from nurbseg.app.live.capture import Captured
 from nurbseg.app.live.tracking import process_frame
 from nurbseg.app.result import FrameResult

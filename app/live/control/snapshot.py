@@ -11,7 +11,8 @@ from typing import Any
 import cv2
 
 from nurbseg.app.export.config import ExportConfig
-from nurbseg.app.export.exporter import Exporter, ExportError, png
+from nurbseg.app.export.exporter import Exporter, ExportError
+from nurbseg.app.export.frame_files import png
 from nurbseg.app.result import FrameResult
 
 _log = logging.getLogger(__name__)

@@ -264,7 +264,7 @@ def test_a_recording_that_fails_midway_is_whole_up_to_there(tmp_path: Path) -> N
     batch = Batch(tmp_path, SegmentationConfig())
     run_batch(batch, recordings, FailingWorkers(16), lambda each: told.append(each.uri))
     failed, whole = recordings
-    assert failed.failure == "frames 16 to 23: WorkerLostError: gone"
+    assert failed.failure == "frames 16 to 19: WorkerLostError: gone"
     assert (failed.done, whole.done, whole.failure) == (16, 10, "")
     assert sorted(results(Path(failed.directory))) == [f"{place:06d}_tree.json" for place in range(16)]
     assert told == ["synthetic:?frames=60", "synthetic:?frames=10"]
@@ -273,5 +273,5 @@ def test_a_recording_that_fails_midway_is_whole_up_to_there(tmp_path: Path) -> N
 def test_a_recording_that_fails_at_its_first_frame_leaves_no_folder(tmp_path: Path) -> None:
     recordings = recordings_of(["synthetic:?frames=20"], tmp_path)
     run_batch(Batch(tmp_path, SegmentationConfig()), recordings, FailingWorkers(0))
-    assert "frames 0 to 7: WorkerLostError: gone" in recordings[0].failure
+    assert "frames 0 to 3: WorkerLostError: gone" in recordings[0].failure
     assert list(tmp_path.iterdir()) == []

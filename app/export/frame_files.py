@@ -1,0 +1,69 @@
+"""The files of a frame's result."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.app.export.cad import cad_file
+from nurbseg.app.export.cloud import cloud_file
+from nurbseg.app.export.config import ExportConfig
+from nurbseg.app.export.mesh import mesh_file
+from nurbseg.app.export.objects import objects_document
+from nurbseg.app.export.surfaces import surfaces_npz
+from nurbseg.app.export.tree import tree_document, tree_graph
+from nurbseg.app.result import FrameResult
+from nurbseg.app.view.drawing.palette import LABEL_COLORS, label_colors
+from nurbseg.segmentation.config import Metric
+
+
+def frame_files(result: FrameResult, metric: Metric, export: ExportConfig) -> dict[str, bytes]:
+    """Return the files of a frame by name, the tree last; `metric` decided the splits."""
+    tree = result.tree
+    files = {"labels.png": png(result.labels())}
+    if tree.objects:
+        files["surfaces.png"] = png(result.labels("surfaces"))
+        files["objects.png"] = png(result.labels("objects"))
+    if export.preview:
+        files["preview.png"] = _preview(result)
+    if export.surfaces:
+        files["surfaces.npz"] = surfaces_npz(tree)
+    if export.cloud is not None:
+        files[f"cloud.{export.cloud}"] = cloud_file(result, export.cloud)
+    if export.mesh is not None:
+        files[f"mesh.{export.mesh}"] = mesh_file(result, export.mesh)
+    if export.cad is not None:
+        files[f"surfaces.{export.cad}"] = cad_file(result)
+    if export.graph:
+        files["tree.dot"] = tree_graph(result, metric).encode()
+    if export.objects:
+        files["objects.json"] = _json(objects_document(result))
+    files["tree.json"] = _json(tree_document(result, metric))
+    stem = f"{result.frame.index:06d}"
+    if export.names == "source" and result.frame.name:
+        stem = re.sub(r"[^\w.-]", "_", result.frame.name)
+    return {f"{stem}_{name}": content for name, content in files.items()}
+
+
+def _json(document: Mapping[str, Any]) -> bytes:
+    return (json.dumps(document, indent=1) + "\n").encode()
+
+
+def _preview(result: FrameResult) -> bytes:
+    """Return the colored labels over the gray frame."""
+    labels = result.labels()
+    colors = np.vstack([np.zeros((1, 3), dtype=np.uint8), label_colors()])
+    painted = colors[np.where(labels > 0, (labels - 1) % LABEL_COLORS + 1, 0)]
+    gray = cv2.cvtColor(cv2.cvtColor(result.cloud.color, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
+    return png(cv2.cvtColor(cv2.addWeighted(painted, 0.65, gray, 0.35, 0.0), cv2.COLOR_RGB2BGR))
+
+
+def png(image: NDArray[Any]) -> bytes:
+    """Encode an image, BGR if it is in color."""
+    return cv2.imencode(".png", image)[1].tobytes()
