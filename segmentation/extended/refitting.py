@@ -17,7 +17,7 @@ from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 #: A surface is fitted again if this share of its grid pixels was added or removed.
-_MOVED_SHARE = 0.1
+_MOVED_SHARE = 0.03
 #: Sweeps on the grid; those on every pixel follow.
 _SWEEPS = 2
 

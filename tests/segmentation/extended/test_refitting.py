@@ -10,13 +10,13 @@ from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 # Stiff surfaces bend far beyond a strip.
 CONFIG = SegmentationConfig(extended=ExtendedConfig(knot_spacing_px=50.0, smoothness=1.0))
 #: First row of the image that sees the floor before the wall.
-EDGE = 120
+EDGE = 240
 
 
 @pytest.fixture
 def concave_corner(cloud_of, request):
     """Return the grid of a wall above a floor with some noise, and the inverse depth of the floor."""
-    rows = np.mgrid[:240, :320][0]
+    rows = np.mgrid[:480, :320][0]
     floor = 1.0 + 8e-3 * (rows - EDGE)
     noise = 1e-3 * np.random.default_rng(0).standard_normal(floor.shape)
     depth = 1.0 / (np.maximum(1.0, floor) + noise)
@@ -58,7 +58,7 @@ def test_a_surface_bent_by_a_strip_of_its_neighbor_is_fitted_again(concave_corne
     assert rms_per_m == [fits[0].rms_per_m, again.rms_per_m]
 
 
-@pytest.mark.parametrize("concave_corner", [100], indirect=True)
+@pytest.mark.parametrize("concave_corner", [220], indirect=True)
 def test_borders_that_hardly_move_leave_the_fits_as_they_are(concave_corner):
     grid, _ = concave_corner
     cut = parted_at(grid, EDGE // 2 - 1)
