@@ -33,7 +33,6 @@ def setting(
     least: float | None = None,
     most: float | None = None,
     above: float | None = None,
-    choices: tuple[str, ...] = (),
     symbol: str = "",
     flag: str = "",
     formerly: str = "",
@@ -42,10 +41,9 @@ def setting(
 
     `text` is what it means, for a person. A `unit` in capitals (``FILE``) is a placeholder: it stands for
     what is to be given, in the help only. The value must be at least `least`, at most `most` and more than
-    `above`, or one of the words in `choices`, by default those of the field's Literal. `symbol` is the
-    literature's name of it, a second name for the flag; `flag` is the flag's name where it is not the field's
-    (``duration`` for ``duration_s``); `formerly` is the field's name in the version before, which is still
-    understood.
+    `above`; a Literal must be one of its words. `symbol` is the literature's name of it, a second name for
+    the flag; `flag` is the flag's name where it is not the field's (``duration`` for ``duration_s``);
+    `formerly` is the field's name in the version before, which is still understood.
     """
     return field(
         default=default,
@@ -55,7 +53,7 @@ def setting(
             "least": least,
             "most": most,
             "above": above,
-            "choices": choices,
+            "choices": (),
             "symbol": symbol,
             "flag": flag,
             "formerly": formerly,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal, get_args
+from typing import ClassVar, Literal
 
 from nurbseg.drivers.settings import Settings, setting
 
@@ -48,7 +48,6 @@ class DepthConfig(Settings):
     smoothing: DepthSmoothing = setting(
         "none",
         "filter of 5x5 pixels: their median, or their mean weighted by closeness in inverse depth",
-        choices=get_args(DepthSmoothing),
         flag="depth-smoothing",
     )
     average_frames: int = setting(
@@ -99,13 +98,11 @@ class Stag15Config(Settings):
     control_points: ControlPoints = setting(
         "adaptive",
         "whether smaller segments get fewer control points, or all the same number (Pagnutti 2014)",
-        choices=get_args(ControlPoints),
     )
     least_squares: LeastSquares = setting(
         "auto",
         "least-squares solver: svd gives the minimum-norm solution, as in the paper; ridge is faster and "
         "regularizes weakly determined directions; auto is svd if a curvature metric decides, else ridge",
-        choices=get_args(LeastSquares),
     )
 
 
@@ -117,7 +114,6 @@ class ExtendedConfig(Settings):
         "objects",
         "what a label stands for: a surface (leaf of the tree), an object (merged leaves) or a thing (an "
         "object whose pieces are joined across an occluder)",
-        choices=get_args(Level),
     )
     inverse_depth_noise: float = setting(
         2.5e-3,
@@ -200,11 +196,8 @@ class SegmentationConfig(Settings):
         "nurbseg",
         "segmentation method: the paper's (stag15), or the extended one, which merges surfaces into "
         "objects (nurbseg)",
-        choices=get_args(Method),
     )
-    metric: Metric = setting(
-        "mse", "surface fit metric that decides a split (eq. 7-22)", choices=get_args(Metric)
-    )
+    metric: Metric = setting("mse", "surface fit metric that decides a split (eq. 7-22)")
     ratio_max: float = setting(
         1.0, "T: a split is kept if its metric ratio is below this (eq. 5)", above=0.0, symbol="threshold"
     )
@@ -226,7 +219,6 @@ class SegmentationConfig(Settings):
     splitting_point: SplittingPoint = setting(
         "zero",
         "where the second eigenvector is cut: at zero, by 2-means, or at least Ncut",
-        choices=get_args(SplittingPoint),
     )
     depth_max: int = setting(8, "T_d: maximum depth of the tree", least=0, most=64)
     splits_max: int = setting(60, "T_s: maximum number of splits", least=0, most=10_000)

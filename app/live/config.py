@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 from nurbseg.app.live.control.console import Control
 from nurbseg.drivers.settings import Settings, setting
@@ -19,7 +19,6 @@ class LiveConfig(Settings):
         "auto",
         "whether a frame continues the previous one, so segments keep their labels: on, off, or auto (on, "
         "except when every frame is replayed with --speed 0)",
-        choices=get_args(Temporal),
     )
     target_fps: float = setting(
         30.0,
@@ -38,7 +37,6 @@ class LiveConfig(Settings):
     control: Control = setting(
         "auto",
         "commands while it runs: keys if it runs in a terminal (auto), lines of standard input, or off",
-        choices=get_args(Control),
     )
 
     def follows(self, *, every_frame: bool) -> bool:
