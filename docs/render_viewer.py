@@ -35,7 +35,7 @@ def opened(recording: Path, wait_s: float, size: str) -> Iterator[ViewerClient]:
     Raises
     ------
     RuntimeError
-        If the viewer does not start.
+        If the viewer does not start, or shows nothing of the recording.
     """
     port = free_port(_HOST)
     process = start_viewer(ViewConfig(), port, headless=True, size=size)
@@ -48,6 +48,10 @@ def opened(recording: Path, wait_s: float, size: str) -> Iterator[ViewerClient]:
         viewer = ViewerClient.connect(f"rerun+http://{_HOST}:{port}/proxy")
         viewer.open(str(recording.resolve()))
         time.sleep(wait_s)
+        if not viewer.get_state().views:
+            raise RuntimeError(
+                f"{recording}: the viewer shows nothing of it; is it complete, or --wait too short?"
+            )
         yield viewer
     finally:
         process.kill()
