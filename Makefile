@@ -11,7 +11,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 OUT ?= out
 
-SOURCES := $(shell find app drivers segmentation recordings -name '*.py' -o -name '*.mcap' -o -name py.typed)
+SOURCES := $(shell find app drivers segmentation recordings -name '*.py' -o -name '*.txt' -o -name '*.mcap' -o -name py.typed)
 
 # Tests find more real recordings here; they skip what needs them where there are none.
 ifneq ($(wildcard ../shared/data),)
