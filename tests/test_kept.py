@@ -12,12 +12,13 @@ import cv2
 import numpy as np
 import pytest
 from recorded_scene import APART, scenes
+from virtual_camera import openni2_redist, virtual_cameras
 
 from nurbseg.app.evaluation.check.check import FolderCheck
-from nurbseg.drivers.errors import BackendMissingError
-from nurbseg.drivers.openni2.library import in_use
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
+
+__all__ = ["openni2_redist", "virtual_cameras"]
 
 VERSIONS = sorted((Path(__file__).parent / "kept").iterdir())
 
@@ -46,12 +47,9 @@ def test_the_recording_is_replayed_as_it_was(kept: Path) -> None:
         np.testing.assert_allclose(frame.calibration.color_from_depth, APART.color_from_depth, atol=1e-9)
 
 
+# With the same library as other tests: a process loads only one.
+@pytest.mark.usefixtures("virtual_cameras")
 def test_the_cameras_own_recording_is_replayed_as_it_was(kept: Path) -> None:
-    try:
-        with in_use():
-            pass
-    except BackendMissingError as err:
-        pytest.skip(str(err))
     with open_source(kept / "camera.oni") as source:
         frames = list(source)
         assert source.metadata["serial"] == "VC0001"
