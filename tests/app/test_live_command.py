@@ -458,13 +458,14 @@ def test_a_live_run_saves_without_an_index(
     assert read_saved_view(path, indexed=has_index).frames("world/camera/image/depth")
 
 
-@pytest.mark.parametrize("speed", ["0", "1"])
+# In real time a busy computer drops most frames, but not all of three seconds.
+@pytest.mark.parametrize(("speed", "frames"), [("0", 3), ("1", 90)])
 def test_a_live_run_lists_objects_only_as_often_as_they_can_be_read(
-    live: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, speed: str
+    live: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, speed: str, frames: int
 ) -> None:
     path = tmp_path / "saved.rrd"
     monkeypatch.setattr("nurbseg.app.view.isolated._TABLES_S", 60.0)
-    source = "synthetic:?width=160&height=120&frames=3"
+    source = f"synthetic:?width=160&height=120&frames={frames}"
     done = live("--replay", source, "--speed", speed, "--view", "none", "--save", str(path))
     assert done.returncode == 0, done.stderr
     saved = read_saved_view(path, indexed=speed == "0")
