@@ -45,7 +45,7 @@ def split_off_protrusions(root: Node, features: GridFeatures, config: Segmentati
     leaves = [node for node in depth_first(root) if not node.children]
     if any(leaf.stop in UNFINISHED for leaf in leaves):
         return
-    labels = _before_surfaces(leaves, features, config)
+    labels = _in_front_of_surfaces(leaves, features, config)
     found = connected_components(labels, features.adjacency)
     large = np.flatnonzero(found.sizes >= features.grid_pixels_min(config))
     if not large.size:
@@ -64,7 +64,7 @@ def split_off_protrusions(root: Node, features: GridFeatures, config: Segmentati
         _split_off(leaves[label - 1], pieces, features, config)
 
 
-def _before_surfaces(
+def _in_front_of_surfaces(
     leaves: list[Node], features: GridFeatures, config: SegmentationConfig
 ) -> NDArray[np.int32]:
     """Mark grid pixels that are nearer than their leaf's surface by more than the limit, by label.
