@@ -1,7 +1,5 @@
 """The entry points of the installed commands, which import everything else."""
 
-from __future__ import annotations
-
 import signal
 from importlib import import_module
 from typing import Any

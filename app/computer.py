@@ -1,7 +1,5 @@
 """The processor, BLAS kernels and library versions that results depend on."""
 
-from __future__ import annotations
-
 import os
 import platform
 from collections.abc import Iterable, MutableMapping

@@ -4,8 +4,6 @@ A section's fields are its keys in the configuration file and its flags on the c
 a new field; a new section is a new dataclass and a new field of `AppConfig`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection
 from dataclasses import Field, dataclass, field

@@ -1,7 +1,5 @@
 """Reads frames of a recording by their positions, in any process."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError

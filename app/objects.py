@@ -1,7 +1,5 @@
 """Measures the objects of a frame: position, size, orientation, color, and errors of their surfaces."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

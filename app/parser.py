@@ -1,7 +1,5 @@
 """The argument parsers of the commands."""
 
-from __future__ import annotations
-
 import argparse
 import difflib
 import sys

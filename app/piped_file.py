@@ -1,7 +1,5 @@
 """A file behind a pipe, for a library that cannot handle a full disk."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl

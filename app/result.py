@@ -1,7 +1,5 @@
 """The result of a frame: points, segments and times."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The program of a worker process of `nurbseg.app.workers`."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import pickle

@@ -1,7 +1,5 @@
 """Distributes tasks to processes of this computer or of a Dask cluster."""
 
-from __future__ import annotations
-
 import os
 import queue
 import socket

@@ -1,7 +1,5 @@
 """Loops over pixels as machine code: compiled when first called, kept on disk, run without Python's lock."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil

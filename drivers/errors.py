@@ -1,7 +1,5 @@
 """The errors of frame sources."""
 
-from __future__ import annotations
-
 import reprlib
 
 

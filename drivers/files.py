@@ -1,7 +1,5 @@
 """Opens and reads untrusted files, regular ones of limited size only; creates private ones and folders."""
 
-from __future__ import annotations
-
 import errno
 import os
 import stat

@@ -4,8 +4,6 @@ They are far above what depth cameras produce, and low enough for a computer wit
 can declare any size.
 """
 
-from __future__ import annotations
-
 #: Pixels of one image, or points of one cloud: 4096 x 4096. The color images of an Azure Kinect, the largest
 #: of such cameras, have 4096 x 3072.
 PIXELS_MAX = 1 << 24

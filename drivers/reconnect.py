@@ -1,7 +1,5 @@
 """Reopens a lost camera when it is back, so that frames continue."""
 
-from __future__ import annotations
-
 import dataclasses
 import logging
 import time

@@ -4,8 +4,6 @@ The command line, the configuration file and the checks are all made from these 
 by the fields' types.
 """
 
-from __future__ import annotations
-
 import math
 import operator
 import sys

@@ -1,7 +1,5 @@
 """The base class of frame sources, and the pacing of a replay."""
 
-from __future__ import annotations
-
 import logging
 import math
 import time

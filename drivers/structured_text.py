@@ -4,8 +4,6 @@ Neither recursion nor references can make a small text large: YAML has no aliase
 Every fault is a ValueError with a short message; the caller names the file.
 """
 
-from __future__ import annotations
-
 import tomllib
 from typing import Any
 from xml.etree import ElementTree

@@ -1,7 +1,5 @@
 """BLAS limited to one thread, so that results do not depend on the number of threads."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache

@@ -4,8 +4,6 @@ Each field carries what a person needs to set it (text, unit, bounds), so that t
 the configuration file and the checks are made from this one place. The section says who reads it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal

@@ -1,7 +1,5 @@
 """The growth of a tree of segments, by either method: the worst segment is split first."""
 
-from __future__ import annotations
-
 import heapq
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Segmentation by the method that is set."""
 
-from __future__ import annotations
-
 import time
 
 from nurbseg.segmentation.blas import one_blas_thread

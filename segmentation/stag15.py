@@ -5,8 +5,6 @@ the metrics and their ratios (eq. 7-22) in `surfaces/metrics.py` and `surfaces/c
 criteria (eq. 6) in `growth.py`.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Stop reasons, divisions and names of segments, without heavy imports."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 
 

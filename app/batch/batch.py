@@ -1,7 +1,5 @@
 """Segments every frame of many recordings, and resumes where it was interrupted."""
 
-from __future__ import annotations
-
 import json
 import threading
 from collections.abc import Callable, Iterator, Sequence

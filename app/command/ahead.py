@@ -1,7 +1,5 @@
 """Compiles functions into the cache on disk before the run that started it calls them."""
 
-from __future__ import annotations
-
 import gc
 import importlib
 from collections.abc import Iterator

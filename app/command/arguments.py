@@ -1,7 +1,5 @@
 """The command line of nurbseg-live: every setting is a flag, and flags override the configuration file."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import Field, dataclass

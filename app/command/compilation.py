@@ -1,7 +1,5 @@
 """Logs the progress of compiling, which the first run on a computer waits for."""
 
-from __future__ import annotations
-
 import gc
 import logging
 import os

@@ -1,7 +1,5 @@
 """Reads and writes the configuration file: TOML with a table for each section."""
 
-from __future__ import annotations
-
 import difflib
 import json
 import logging

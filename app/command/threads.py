@@ -1,7 +1,5 @@
 """Limits the threads of numeric libraries."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import MutableMapping
 

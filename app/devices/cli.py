@@ -1,7 +1,5 @@
 """The command nurbseg-devices, which lists and diagnoses cameras, and moves a Kinect's motor."""
 
-from __future__ import annotations
-
 import argparse
 import logging
 import os

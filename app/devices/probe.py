@@ -1,7 +1,5 @@
 """Lists OpenNI2's cameras in another process, because its drivers may crash or hang."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

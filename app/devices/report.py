@@ -1,7 +1,5 @@
 """Output of nurbseg-devices, as text of at most 80 columns or as JSON."""
 
-from __future__ import annotations
-
 import json
 import textwrap
 from collections.abc import Iterable, Sequence

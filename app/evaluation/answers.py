@@ -1,7 +1,5 @@
 """The labels of each variant on one frame; work that variants share is done once."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Hashable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Source options and settings from the arguments of nurbseg-eval and nurbseg-batch."""
 
-from __future__ import annotations
-
 import argparse
 import logging
 from collections.abc import Collection

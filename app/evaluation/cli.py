@@ -1,7 +1,5 @@
 """The command nurbseg-eval, which scores segmentations of labelled frames."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The commands of nurbseg-eval."""
 
-from __future__ import annotations
-
 import argparse
 import shlex
 import sys

@@ -1,7 +1,5 @@
 """The scores of one segmentation of one frame."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Stores the results of a study by frame, so that a killed run can be resumed."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path

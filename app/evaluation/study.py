@@ -1,7 +1,5 @@
 """Runs variants on labelled frames in parallel, and stores each finished frame on disk."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import re

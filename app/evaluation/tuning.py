@@ -1,7 +1,5 @@
 """Searches for the settings that score best on labelled frames, and estimates the gain."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass

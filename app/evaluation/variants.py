@@ -1,7 +1,5 @@
 """The methods and settings that are compared, and grids of settings."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import json

@@ -1,7 +1,5 @@
 """The surfaces of a frame as NURBS in a Rhino file, which CAD programs read."""
 
-from __future__ import annotations
-
 import tempfile
 from importlib import import_module
 from pathlib import Path

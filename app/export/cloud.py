@@ -1,7 +1,5 @@
 """The points of a frame as a PLY or PCD file: color, normal, surface and object of each."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Settings of the files written for each frame and for the run."""
 
-from __future__ import annotations
-
 from dataclasses import Field, dataclass
 from typing import Any, Literal
 

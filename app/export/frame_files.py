@@ -1,7 +1,5 @@
 """The files of a frame's result."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping

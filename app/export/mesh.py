@@ -1,7 +1,5 @@
 """The surfaces of a frame as triangles, by object: GLB, OBJ or PLY."""
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The table of the objects of all frames."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Mapping, Sequence

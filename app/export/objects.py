@@ -1,7 +1,5 @@
 """The objects of a frame as JSON."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

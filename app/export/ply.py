@@ -1,7 +1,5 @@
 """PLY files: elements of records, binary and little endian."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

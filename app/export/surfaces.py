@@ -1,7 +1,5 @@
 """The surfaces of a frame as an NPZ file."""
 
-from __future__ import annotations
-
 import io
 from typing import Any
 

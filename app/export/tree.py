@@ -1,7 +1,5 @@
 """The tree of a frame as JSON or DOT."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict
 from typing import Any

@@ -1,7 +1,5 @@
 """Settings of live segmentation, in which each frame continues the previous one."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

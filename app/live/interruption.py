@@ -1,7 +1,5 @@
 """Ctrl-C, SIGTERM and a closed terminal (SIGHUP), which end a run cleanly."""
 
-from __future__ import annotations
-
 import signal
 import time
 from collections.abc import Callable

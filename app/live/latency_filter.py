@@ -1,7 +1,5 @@
 """Latency filter: holds back results that are too late to be shown live."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable

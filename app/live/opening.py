@@ -1,7 +1,5 @@
 """Opens the source of a run, or a fallback if no camera is found."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Collection
 from contextlib import suppress

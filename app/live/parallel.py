@@ -1,7 +1,5 @@
 """Segments frames independently in several processes; results come in the order of frames."""
 
-from __future__ import annotations
-
 import copyreg
 import time
 from collections.abc import Generator, Iterable, Mapping

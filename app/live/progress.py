@@ -1,7 +1,5 @@
 """Reports the progress of a run: log lines every few seconds, or the status line of a terminal."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections import deque

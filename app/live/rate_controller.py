@@ -1,7 +1,5 @@
 """Rate controller: coarsens the grid until the target frame rate is reached."""
 
-from __future__ import annotations
-
 import logging
 import statistics
 from collections import deque

@@ -1,7 +1,5 @@
 """Replays that are repeated or limited."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import replace

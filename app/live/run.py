@@ -1,7 +1,5 @@
 """One run: opens source and outputs, segments frames, and closes everything in order."""
 
-from __future__ import annotations
-
 import gc
 import logging
 import time

@@ -1,7 +1,5 @@
 """Segmentation of single frames, and of sequences in which each frame continues the previous one."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import replace

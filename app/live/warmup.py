@@ -1,7 +1,5 @@
 """Warm-up: loads compiled functions while the source and the view are being opened."""
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

@@ -1,7 +1,5 @@
 """Settings of recordings."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 from typing import Literal

@@ -1,7 +1,5 @@
 """Sizes of files and free disk space."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterable
 from pathlib import Path

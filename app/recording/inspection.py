@@ -1,7 +1,5 @@
 """Inspects recordings: which frames they contain, what is missing, and whether Rerun opens them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Recording to .oni by OpenNI2's recorder, which gets the images from the driver."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

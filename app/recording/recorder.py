@@ -1,7 +1,5 @@
 """The recordings of a run: how they are started, ended and logged."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager

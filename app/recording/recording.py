@@ -1,7 +1,5 @@
 """The base class of recordings made during a run."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Writes a complete copy of a truncated or damaged recording."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

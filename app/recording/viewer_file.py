@@ -1,7 +1,5 @@
 """Checks and rewrites files of Rerun's viewer (.rrd) with Rerun's own program."""
 
-from __future__ import annotations
-
 import subprocess
 import warnings
 from pathlib import Path

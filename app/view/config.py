@@ -1,7 +1,5 @@
 """Settings of the viewer: where to show and save, and in which detail."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from ipaddress import ip_address
 from typing import Literal

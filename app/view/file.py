@@ -1,7 +1,5 @@
 """The saved recording: a thread writes every frame to a file."""
 
-from __future__ import annotations
-
 import contextlib
 import threading
 import time

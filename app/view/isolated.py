@@ -1,7 +1,5 @@
 """A view that shows and saves frames in another process."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import threading

@@ -1,7 +1,5 @@
 """The live view: a thread sends the newest frame to a viewer."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import threading

@@ -1,7 +1,5 @@
 """Messages between a run and the process that shows and saves its frames."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

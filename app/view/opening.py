@@ -1,7 +1,5 @@
 """Opens the view that a configuration asks for, and starts its process early."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping
 from dataclasses import replace

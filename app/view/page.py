@@ -1,7 +1,5 @@
 """The served page: Rerun's viewer for a browser, without connections to other hosts."""
 
-from __future__ import annotations
-
 import http.client
 import re
 import shutil

@@ -3,8 +3,6 @@
 It ends on request, or when the other process has ended, after the frames received until then.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import logging

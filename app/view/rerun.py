@@ -1,7 +1,5 @@
 """The view with Rerun: its sinks, the process of the viewer or server, and the program's log."""
 
-from __future__ import annotations
-
 import logging
 import os
 import uuid

@@ -1,7 +1,5 @@
 """Rerun's web server as a process, and the page in front of it."""
 
-from __future__ import annotations
-
 import logging
 import socket
 import time

@@ -1,7 +1,5 @@
 """The content of a stream of a recording: how it begins, then frames and log lines."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Viewers as processes and peers: how they are started, found and disconnected."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import logging

@@ -4,8 +4,6 @@ It reads our TOML, OpenCV's XML or YAML, ROS's ``camera_info`` YAML, and a 3 x 3
 data sets have; the form is recognised by the content. It writes TOML.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """OpenCV's model of lens distortion."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

@@ -3,8 +3,6 @@
 A ``camera_info`` is the file of a camera driver, or a message printed by ``ros2 topic echo``.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Folders of image pairs: a color and a depth image for each frame, perhaps with ground truth."""
 
-from __future__ import annotations
-
 import os
 import re
 from dataclasses import dataclass, replace

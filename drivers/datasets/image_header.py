@@ -1,7 +1,5 @@
 """Reads the size of an encoded image from its header, before anything is decoded."""
 
-from __future__ import annotations
-
 import re
 import struct
 

@@ -1,7 +1,5 @@
 """Decodes color, depth and label images, and reports what is wrong with one that cannot be used."""
 
-from __future__ import annotations
-
 import zlib
 from typing import Any
 

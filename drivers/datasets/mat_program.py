@@ -3,8 +3,6 @@
 On damaged or malicious files, the libraries that read them may crash or take any amount of memory.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import resource

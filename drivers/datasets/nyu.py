@@ -4,8 +4,6 @@ Reads the labelled set as it is distributed (``nyu_depth_v2_labeled.mat``, HDF5,
 and single frames in MATLAB 5 files, which have a ``data`` structure with ``rgb`` and ``realDepth``.
 """
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Any

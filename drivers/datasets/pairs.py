@@ -1,7 +1,5 @@
 """Finds the pairs of color and depth images in a folder by their usual names."""
 
-from __future__ import annotations
-
 import glob
 import logging
 import re

@@ -1,7 +1,5 @@
 """Point clouds of a depth camera as depth and color images: PCD files, one or a folder of them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

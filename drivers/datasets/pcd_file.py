@@ -1,7 +1,5 @@
 """Reads organised point clouds from PCD files, ascii, binary or compressed."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

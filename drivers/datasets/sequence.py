@@ -1,7 +1,5 @@
 """Recordings whose frames can be loaded by number."""
 
-from __future__ import annotations
-
 import re
 from abc import abstractmethod
 from pathlib import Path

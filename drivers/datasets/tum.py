@@ -1,7 +1,5 @@
 """Recordings in the layout of the TUM RGB-D benchmark: rgb.txt and depth.txt list images by time."""
 
-from __future__ import annotations
-
 import bisect
 import logging
 from decimal import Decimal, InvalidOperation

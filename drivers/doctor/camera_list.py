@@ -1,7 +1,5 @@
 """The cameras that OpenNI2 finds, each started for a moment to see what it can do."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from nurbseg.drivers.doctor.usb import Speed, UsbDevice, read_sysfs

@@ -3,8 +3,6 @@
 `diagnose` is a pure function of a described system; `describe` describes this computer.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace

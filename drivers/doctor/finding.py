@@ -1,7 +1,5 @@
 """The values of a diagnosis: the findings, and the system that was examined."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 

@@ -1,7 +1,5 @@
 """The host's state, as its files show it: container, udev rules, OpenNI2's installation."""
 
-from __future__ import annotations
-
 import configparser
 import re
 import sysconfig

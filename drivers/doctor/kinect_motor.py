@@ -1,7 +1,5 @@
 """The motor, the light and the accelerometer of a Kinect v1, over USB control transfers."""
 
-from __future__ import annotations
-
 import errno
 import struct
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What can be wrong with OpenNI2: its library, its settings, its drivers, and what it answers."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 from nurbseg.drivers.doctor.finding import Finding, Part, Probe

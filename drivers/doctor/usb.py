@@ -5,8 +5,6 @@ without USB traffic; pyusb shows whether this user may open a device. Either may
 or where libusb is not installed, and the other is then used alone.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import time

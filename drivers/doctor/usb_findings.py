@@ -1,7 +1,5 @@
 """What can be wrong between a camera and OpenNI2: the bus, permission, power, speed, other programs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 from nurbseg.drivers.doctor.finding import Finding, Part, System

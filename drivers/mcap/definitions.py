@@ -1,7 +1,5 @@
 """What recordings are read and written with: ROS 2 definitions, and names of topics and frames."""
 
-from __future__ import annotations
-
 import functools
 from itertools import zip_longest
 from typing import Any

@@ -8,8 +8,6 @@ References
 .. [1] MCAP file format specification, https://mcap.dev/spec
 """
 
-from __future__ import annotations
-
 import logging
 import math
 import shlex

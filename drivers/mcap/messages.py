@@ -1,7 +1,5 @@
 """Converts the ROS 2 messages of a recording to arrays and calibrations, and back."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Pairs the depth and color messages of a recording by their stamps as they come."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass
 from typing import Literal

@@ -1,7 +1,5 @@
 """Replays recordings: MCAP files of ROS 2 messages, our own and others'."""
 
-from __future__ import annotations
-
 import logging
 from bisect import bisect_right
 from dataclasses import replace

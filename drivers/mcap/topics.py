@@ -1,7 +1,5 @@
 """Finds which topics of a recording are the depth images, the color images, their cameras and labels."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Writes recordings: MCAP files of ROS 2 messages, which Rerun, Foxglove and ``ros2 bag`` open too."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, Literal, get_args

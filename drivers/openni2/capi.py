@@ -5,8 +5,6 @@ References
 .. [1] OpenNI 2.2, ``OniCAPI.h``, ``OniCTypes.h``, ``OniCEnums.h`` and ``OniCProperties.h``.
 """
 
-from __future__ import annotations
-
 import ctypes
 from ctypes import POINTER, c_char, c_char_p, c_int, c_uint16, c_uint64, c_void_p
 from enum import IntEnum

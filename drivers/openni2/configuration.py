@@ -1,7 +1,5 @@
 """Applies a user's settings to a running camera, and reports which of them it took."""
 
-from __future__ import annotations
-
 import ctypes
 import logging
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A depth camera through OpenNI2, as a source of frames."""
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

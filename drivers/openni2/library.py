@@ -1,7 +1,5 @@
 """Finds, loads and initialises the OpenNI2 library, and turns its status codes into our errors."""
 
-from __future__ import annotations
-
 import atexit
 import ctypes
 import os

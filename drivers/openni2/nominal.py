@@ -1,7 +1,5 @@
 """Calibrations made from what a camera reports, and otherwise from PrimeSense's nominal values."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

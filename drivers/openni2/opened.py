@@ -1,7 +1,5 @@
 """An opened device: the library in use, the device's handle and properties, and its two streams."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import logging

@@ -1,7 +1,5 @@
 """A camera's settings."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from typing import Literal

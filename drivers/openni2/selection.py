@@ -1,7 +1,5 @@
 """Selects a camera: by kind, USB ids, vendor and name, URI, serial number or USB port."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable
 from pathlib import Path

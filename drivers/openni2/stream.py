@@ -1,7 +1,5 @@
 """One stream of an opened device: its modes, its settings and its images."""
 
-from __future__ import annotations
-
 import ctypes
 from typing import Any, NamedTuple
 

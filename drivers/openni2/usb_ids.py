@@ -1,7 +1,5 @@
 """Which USB ids belong to which depth camera, and which OpenNI2 driver each camera needs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """A bounded queue between threads, with a policy for when it is full."""
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from collections.abc import Callable

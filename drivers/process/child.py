@@ -1,7 +1,5 @@
 """Starts other programs, connects to our own, and ends them."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

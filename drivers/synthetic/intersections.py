@@ -3,8 +3,6 @@
 A shape is a kind and up to four sizes, in its own frame.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The light of the synthetic scene: a lamp and the sky on textured surfaces."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from typing import Any

@@ -1,7 +1,5 @@
 """The rays of a camera cast at the shapes of the synthetic scene, row by row."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

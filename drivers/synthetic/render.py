@@ -1,7 +1,5 @@
 """Ray casting of the synthetic scene: depth, ground truth and color as an ideal camera sees them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -3,8 +3,6 @@
 World frame: x to the right, y away from the viewer, z up, metres; the table top is z = 0.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -4,8 +4,6 @@ The faults of the PrimeSense design: noise that grows with distance, depth in st
 of the projector, ragged and missing edges, surfaces seen too obliquely, and limits of range.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2

@@ -1,7 +1,5 @@
 """Shapes that rays meet exactly: what the synthetic scene is made of."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The synthetic source: a rendered scene with exact ground truth, as a depth camera would deliver it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """Textures of the synthetic scene, drawn from noise and simple shapes."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import cv2

@@ -1,7 +1,5 @@
 """Gaussian affinities of points to landmarks."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Removal of small components from a cut: they go to the other side."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

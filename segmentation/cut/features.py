@@ -1,7 +1,5 @@
 """Feature vectors: normalized CIELab color and position of every point (eq. 1-3)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

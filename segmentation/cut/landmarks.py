@@ -1,7 +1,5 @@
 """The landmarks of the Nystrom method, and the inverse Cholesky factor of their affinities."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """The 2-way normalized cut, by Nystrom approximation."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Statistics of the border of two surfaces: whether they touch, and how concave the crease is."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Refinement of borders at full resolution: pixels go to the surface that explains them best."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Evidence for and against two surfaces being one object: features of a pair, and their weights."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Leaves of different branches that meet smoothly, and that one surface explains as well, are merged."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from operator import attrgetter

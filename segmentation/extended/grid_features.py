@@ -1,7 +1,5 @@
 """Features of a frame on the grid: points, their adjacency, and raw vectors."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

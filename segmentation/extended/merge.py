@@ -1,7 +1,5 @@
 """Objects: surfaces merged by the evidence along their borders."""
 
-from __future__ import annotations
-
 import heapq
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Parts of a split: their fits, the ratio that judges them, and their nodes in the tree."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Things in front of a large surface that are too small to raise its error: each becomes a surface."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

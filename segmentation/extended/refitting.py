@@ -1,7 +1,5 @@
 """A second fit of the surfaces, after their borders have moved on the grid."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The default method: surfaces by normalized cuts, refined borders, and objects of merged surfaces."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Size, center and plane of each surface."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

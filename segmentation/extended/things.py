@@ -1,7 +1,5 @@
 """Things: objects that others separate in the image, joined if one surface explains both."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from functools import partial

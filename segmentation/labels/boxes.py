@@ -1,7 +1,5 @@
 """Bounding boxes and sizes of the labels of an image."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

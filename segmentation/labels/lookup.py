@@ -1,7 +1,5 @@
 """Lookup tables for labels."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

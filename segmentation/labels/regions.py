@@ -1,7 +1,5 @@
 """Connected components of labels; a gap in depth separates neighbours."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

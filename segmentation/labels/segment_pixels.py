@@ -1,7 +1,5 @@
 """Pixels sorted by label, and finished segments with their pixels."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Labels spread to unlabelled pixels from their neighbours."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

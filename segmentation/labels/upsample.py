@@ -1,7 +1,5 @@
 """Labels of every pixel from those on a coarser grid: by the cuts of a tree, or by depth."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Appearance of segments, by which they are recognized after they were hidden."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Labels of every pixel, from those on the grid and those of the pixels before."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

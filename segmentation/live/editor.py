@@ -1,7 +1,5 @@
 """Editing of the live tree: leaves are added, removed and merged."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Following leaves into the next frame: surfaces are moved, labels grow into unlabelled pixels."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

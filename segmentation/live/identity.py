@@ -1,7 +1,5 @@
 """Identities: which segment of a frame is which of the frame before."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal

@@ -1,7 +1,5 @@
 """Leaves of the live tree, and how well their surfaces still explain them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 

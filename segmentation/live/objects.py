@@ -1,7 +1,5 @@
 """Objects from frame to frame: evidence is filtered over time, so that merges do not flicker."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

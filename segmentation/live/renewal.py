@@ -1,7 +1,5 @@
 """Renewal of the live tree's values, ratios and stop reasons, in each frame or in turn."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The live tree: a segmentation that is continued from frame to frame, and updated where necessary."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Updates of the live tree in a frame, the worst first, within a budget."""
 
-from __future__ import annotations
-
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from itertools import count

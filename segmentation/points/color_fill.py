@@ -1,7 +1,5 @@
 """Colors for points that the color camera did not see."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Grids of points with their inverse depths, which is what a triangulating camera measures."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Preparation of depth images: range, crop, smoothing, averaging, filling of holes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

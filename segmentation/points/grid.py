@@ -1,7 +1,5 @@
 """The grid on which splits are decided: every pixel of the image, or every few rows and columns."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

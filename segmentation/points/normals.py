@@ -1,7 +1,5 @@
 """Surface normals by planes fitted to the inverse depth around each point."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The ray through each pixel as a polynomial of its coordinates."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

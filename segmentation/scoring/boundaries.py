@@ -1,7 +1,5 @@
 """How well the boundaries between segments lie on those of a ground truth."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import cv2

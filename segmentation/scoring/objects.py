@@ -1,7 +1,5 @@
 """How well objects are found: overlap and boundaries of the best one-to-one assignment to true objects."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import cv2

@@ -1,7 +1,5 @@
 """Symmetric banded systems: Cholesky factor and solution."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from nurbseg.drivers.compiled import F64, compiled, inlined_once

@@ -1,7 +1,5 @@
 """B-splines along one axis: knots for rows of pixels, basis functions and their derivatives."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Principal curvatures of NURBS surfaces, and all nine metrics of a fit."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

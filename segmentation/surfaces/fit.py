@@ -1,7 +1,5 @@
 """The paper's fit of a surface to a segment, and how well a surface explains one."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType

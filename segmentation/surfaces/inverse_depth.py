@@ -5,8 +5,6 @@ NURBS surface: its weights are the control values of d, its weighted control poi
 n . p = 1 has d = n . ray, linear in the pixel. Triangulating sensors measure d, with constant noise.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

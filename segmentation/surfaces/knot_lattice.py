@@ -1,7 +1,5 @@
 """Cubic bases of one window, on evenly spaced knots that all segments of an image share."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

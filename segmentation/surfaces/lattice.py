@@ -1,7 +1,5 @@
 """Inverse depths of all surfaces of a frame, on and between the grid pixels."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Least-squares B-spline fits to values on part of a pixel grid, through separable normal equations."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.linalg import LinAlgError
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """The nine metrics of a surface fit and their acceptance ratios (section 4)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import get_args
 

@@ -1,7 +1,5 @@
 """Least-squares B-spline fits of least norm, by the singular values of a reduced design matrix."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.linalg import LinAlgError
 from numpy.typing import NDArray

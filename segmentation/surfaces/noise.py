@@ -1,7 +1,5 @@
 """Sensor noise, constant in inverse depth for triangulating cameras: effect on metrics, and estimation."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """NURBS surfaces over the image: their points, derivatives and normals."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache

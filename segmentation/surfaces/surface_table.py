@@ -1,7 +1,5 @@
 """Inverse depths of many surfaces at scattered pixels."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

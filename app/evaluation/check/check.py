@@ -1,7 +1,5 @@
 """Checks a folder of exports for consistency with itself, its settings and its recording."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The files of an export as they are read back, and findings on them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property

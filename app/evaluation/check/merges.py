@@ -1,7 +1,5 @@
 """Checks objects: the sum of evidence, the lengths of borders, and the merges that follow from them."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from fractions import Fraction

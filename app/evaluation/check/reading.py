@@ -1,7 +1,5 @@
 """Reads the files of an export, strictly."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from collections.abc import Mapping

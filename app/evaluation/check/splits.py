@@ -1,7 +1,5 @@
 """Checks that each split follows from the settings, the sizes and the values (eq. 5)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 

@@ -1,7 +1,5 @@
 """Checks the reason why each leaf stopped, by growing the tree again in its order (eq. 6)."""
 
-from __future__ import annotations
-
 import heapq
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Checks that a tree, its label images and its objects agree on names, sizes and labels."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Checks surfaces and the pixels they were fitted to, and evaluates surfaces with SciPy."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

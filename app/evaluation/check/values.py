@@ -1,7 +1,5 @@
 """Checks that values and floors of metrics follow from the surfaces and the recording's points."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 
 import numpy as np

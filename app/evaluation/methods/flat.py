@@ -4,8 +4,6 @@ A baseline for the recursive method: the same vectors and Nystrom normalized cut
 into a given number of segments instead of a tree of fits.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from operator import itemgetter
 

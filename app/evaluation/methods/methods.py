@@ -1,7 +1,5 @@
 """The methods to compare with, as functions ``method(cloud, rng) -> labels``, registered in `METHODS`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path

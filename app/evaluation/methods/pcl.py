@@ -3,8 +3,6 @@
 Needs Debian's libpcl-dev, cmake and a C++ compiler.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil

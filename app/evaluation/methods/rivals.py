@@ -1,7 +1,5 @@
 """Methods from scikit-image and scikit-learn as functions ``(cloud, rng) -> labels``."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Findings of a study as sentences."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

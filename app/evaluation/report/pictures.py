@@ -1,7 +1,5 @@
 """Pictures of frames and segmentations as PNG and JPEG."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Plots of scores and trees as PNG, with a color for each method and a line style for each metric."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping, Sequence
 from typing import Any, get_args

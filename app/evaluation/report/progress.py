@@ -1,7 +1,5 @@
 """Progress and remaining time of a command."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The report of a study: a self-contained HTML file, and its pictures as PNG."""
 
-from __future__ import annotations
-
 import base64
 import json
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Tables as in the paper: a row for each variant, a column for each category, and the mean."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 

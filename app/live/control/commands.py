@@ -1,7 +1,5 @@
 """The commands of a run: lines, keys and help."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

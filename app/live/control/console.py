@@ -1,7 +1,5 @@
 """Reads commands during a run: keys of a terminal, or lines of standard input."""
 
-from __future__ import annotations
-
 import logging
 import os
 import queue

@@ -1,7 +1,5 @@
 """Effects of the commands on a run."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Takes frames from the queue, and executes commands between them."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Generator, Iterator

@@ -1,7 +1,5 @@
 """Writes a snapshot: all files of one frame, in a new folder."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping
 from datetime import datetime

@@ -1,7 +1,5 @@
 """The status line at the bottom of a terminal, below the log."""
 
-from __future__ import annotations
-
 import logging
 import os
 import threading

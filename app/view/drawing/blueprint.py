@@ -1,7 +1,5 @@
 """Layout of the viewer, and its legend."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Turns a frame's result into what views show."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Entity paths in Rerun, and their contents for a frame."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field

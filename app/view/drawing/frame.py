@@ -1,7 +1,5 @@
 """The part of a frame's result that views show: images, points, a mesh and texts."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

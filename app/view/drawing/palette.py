@@ -1,7 +1,5 @@
 """Colors of labels, tree nodes and residuals, which mean the same in every frame."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """The fitted surfaces of a frame as one triangle mesh, trimmed to the pixels of their segments."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

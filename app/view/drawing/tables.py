@@ -1,7 +1,5 @@
 """Tables of a frame, as Markdown: its objects, and the segments of its tree."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The tree of a frame as Rerun's graphs: of all segments, and folded by object."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Positions of a tree's nodes: leaves side by side, parents centered above their children."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ camera there would often be late, and OpenNI2 keeps only the newest image. Here 
 driver that crashes or hangs stops only this process.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os

@@ -1,7 +1,5 @@
 """A camera that is read by a process of its own, as a source of frames."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import time

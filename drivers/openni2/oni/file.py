@@ -5,8 +5,6 @@ without decoding how many frames there are and when they were taken, which OpenN
 of a recording that was cut short, and keeps most damaged files away from its driver.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Iterator

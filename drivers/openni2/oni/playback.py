@@ -1,7 +1,5 @@
 """Replays .oni files: the structure is read here, the pixels come from OpenNI2 in a process of its own."""
 
-from __future__ import annotations
-
 import logging
 import shlex
 import time

@@ -4,8 +4,6 @@ This runs as a program of its own, because a damaged file may crash the driver o
 `nurbseg.drivers.openni2.oni.player_process` is the other end.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import sys

@@ -1,7 +1,5 @@
 """The other end of `nurbseg.drivers.openni2.oni.player`: starts it, and bounds every wait for it."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

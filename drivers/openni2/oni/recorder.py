@@ -1,7 +1,5 @@
 """Records a camera with OpenNI2's own recorder, and works around its faults."""
 
-from __future__ import annotations
-
 import ctypes
 import logging
 import os
