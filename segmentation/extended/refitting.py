@@ -21,19 +21,11 @@ _SWEEPS = 2
 
 
 class RefitSurfaces(NamedTuple):
-    """Surfaces by which borders and contacts are judged.
+    """Surfaces by which borders and contacts are judged."""
 
-    Parameters
-    ----------
-    labels : (h, w) int32
-        Of the grid pixels, with borders that have moved.
-    surfaces : list of NurbsSurface or None
-        That of each label.
-    rms_per_m : list of float
-        Root mean square residual of each surface, 1/m.
-    """
-
+    #: (h, w) of the grid pixels, with borders that have moved.
     labels: NDArray[np.int32]
+    #: That of each label, and its root mean square residual, 1/m.
     surfaces: list[NurbsSurface | None]
     rms_per_m: list[float]
 
@@ -44,18 +36,8 @@ def refit_surfaces(
     """Refine the borders on the grid, and fit surfaces again that changed much.
 
     Cuts often leave a strip along a border on the wrong side, which distorts the surface. A second fit tells
-    better where two surfaces meet. The tree keeps the fits that decided it.
-
-    Parameters
-    ----------
-    labels : (h, w) int32
-        Of the grid pixels, 1 to the number of fits; 0 where there is no point.
-    fits : sequence of Fit
-        Of each label.
-    grid : DepthGrid
-        The points.
-    config : SegmentationConfig
-        As for `refine_borders` and `fit_window`.
+    better where two surfaces meet. The tree keeps the fits that decided it. `labels`, (h, w) of the grid
+    pixels, are 1 to the number of fits; 0 where there is no point.
     """
     surfaces, rms_per_m = [fit.surface for fit in fits], [fit.rms_per_m for fit in fits]
     moved = refine_borders(
