@@ -73,7 +73,7 @@ def surfaces_of(number: int, frame: RGBDFrame, config: SegmentationConfig) -> Su
     for label, leaf in enumerate(leaves, start=1):
         rows, columns = np.divmod(leaf.fit.pixels, labels.shape[1])
         on_grid[rows // grid.step, columns // grid.step] = label
-    surfaces = refit_surfaces(on_grid, [leaf.fit for leaf in leaves], grid, config).surfaces
+    _, surfaces, _ = refit_surfaces(on_grid, [leaf.fit for leaf in leaves], grid, config)
     borders = border_statistics(labels, surfaces, grid.rays, gap_per_m=extended.inverse_depth_gap)
     measured = surface_statistics(labels[:: grid.step, :: grid.step], len(leaves), grid)
     common = np.zeros((len(leaves) + 1, int(truth.max()) + 1), dtype=np.int64)

@@ -88,18 +88,12 @@ class Library:
         # keep them alive.
         self._callbacks = capi.OniDeviceCallbacks(
             capi.DeviceCallback(),
-            capi.DeviceCallback(self._on_disconnected),
-            capi.StateCallback(self._on_state_changed),
+            capi.DeviceCallback(lambda device, _: self._notify(device, "disconnected")),
+            capi.StateCallback(lambda device, state, _: self._notify(device, f"state {state}")),
         )
 
-    # Called on the library's threads: they only pass on an event, and take no lock.
-    def _on_disconnected(self, device: Any, _cookie: object) -> None:
-        self._notify(device, "disconnected")
-
-    def _on_state_changed(self, device: Any, state: int, _cookie: object) -> None:
-        self._notify(device, f"state {state}")
-
     def _notify(self, device: Any, event: str) -> None:
+        # Called on the library's threads: it only passes on an event, and takes no lock.
         uri = os.fsdecode(device.contents.uri)
         for watched, listener in tuple(self._listeners.values()):
             if watched == uri:

@@ -87,6 +87,3 @@ def evidence(
     items[touch, 1:-1] = (weights * (pair_features(borders, surfaces, noise_per_m) - neutral))[touch]
     items[~touch, -1] = GAP
     return np.round(items, DIGITS)
-
-
-__all__ = ["BASE", "DIGITS", "GAP", "ITEMS", "TERMS", "Term", "evidence", "pair_features"]

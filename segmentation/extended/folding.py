@@ -208,6 +208,3 @@ def _parts(node: Node) -> list[Node]:
         else:
             found.append(part)
     return found
-
-
-__all__ = ["BORDER_LEAST", "UNFINISHED", "fold_leaves", "remove_node"]

@@ -183,13 +183,3 @@ def _in_words(weighed: Mapping[str, float], log_odds: float, samples: int, touch
     most = [by_weight[-1], by_weight[0]] if by_weight else []
     terms = " and ".join(f"{name} {item:+.1f}" for item, name in most)
     return f"log odds of {log_odds:+.2f}, of which {terms}" if terms else f"log odds of {log_odds:+.2f}"
-
-
-__all__ = [
-    "Contact",
-    "SceneObject",
-    "WeighedBorders",
-    "agglomerate",
-    "merge_surfaces",
-    "merged_objects",
-]

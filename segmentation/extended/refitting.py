@@ -1,7 +1,6 @@
 """A second fit of the surfaces, after their borders have moved on the grid."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,24 +19,15 @@ _MOVED_SHARE = 0.03
 _SWEEPS = 2
 
 
-class RefitSurfaces(NamedTuple):
-    """Surfaces by which borders and contacts are judged."""
-
-    #: (h, w) of the grid pixels, with borders that have moved.
-    labels: NDArray[np.int32]
-    #: That of each label, and its root mean square residual, 1/m.
-    surfaces: list[NurbsSurface | None]
-    rms_per_m: list[float]
-
-
 def refit_surfaces(
     labels: NDArray[np.int32], fits: Sequence[Fit], grid: DepthGrid, config: SegmentationConfig
-) -> RefitSurfaces:
+) -> tuple[NDArray[np.int32], list[NurbsSurface | None], list[float]]:
     """Refine the borders on the grid, and fit surfaces again that changed much.
 
     Cuts often leave a strip along a border on the wrong side, which distorts the surface. A second fit tells
     better where two surfaces meet. The tree keeps the fits that decided it. `labels`, (h, w) of the grid
-    pixels, are 1 to the number of fits; 0 where there is no point.
+    pixels, are 1 to the number of fits; 0 where there is no point. Returns those of borders that have moved,
+    and the surface of each label and its root mean square residual, 1/m, by which borders are judged.
     """
     surfaces, rms_per_m = [fit.surface for fit in fits], [fit.rms_per_m for fit in fits]
     moved = refine_borders(
@@ -61,7 +51,4 @@ def refit_surfaces(
         again = fit_window(grid, box, moved[top:bottom, left:right] == label, config)
         if again.surface is not None:
             surfaces[label - 1], rms_per_m[label - 1] = again.surface, again.rms_per_m
-    return RefitSurfaces(moved, surfaces, rms_per_m)
-
-
-__all__ = ["RefitSurfaces", "refit_surfaces"]
+    return moved, surfaces, rms_per_m

@@ -83,6 +83,3 @@ def _sum(
             own[8] += v * d
             for axis in range(3):
                 own[9 + axis] += coordinates_m[axis, r, c]
-
-
-__all__ = ["SurfaceStatistics", "surface_statistics"]

@@ -240,6 +240,3 @@ def _between(
         float(np.count_nonzero(seen & (found > expected + margin)) / total),
         float(np.count_nonzero(seen & (found < expected - margin)) / total),
     )
-
-
-__all__ = ["Join", "join_objects"]

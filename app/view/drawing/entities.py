@@ -67,10 +67,8 @@ class FrameEntities:
                     *_images(self.frame, self.view),
                     *_space(self.frame, self.view),
                     *tree_entities(self.frame),
-                    *_object_table(self.frame),
-                    (TREE_TABLE, markdown(tree_table(self.frame))),
+                    *_texts(self.frame),
                     *_scalars(self.frame),
-                    *_log_lines(self.frame),
                 ]
             return self._built
 
@@ -222,9 +220,15 @@ def _strips(mesh: SurfaceMesh) -> Any:
     return pa.ListArray.from_arrays(np.append(np.int32(0), ends), points.as_arrow_array(), type=_STRIPS)
 
 
-def _object_table(frame: ViewFrame) -> Entities:
+def _texts(frame: ViewFrame) -> Entities:
+    """Return the tables, and log lines on events of segments and a reset of the tree."""
     if frame.merges is not None:
         yield OBJECT_TABLE, markdown(object_table(frame))
+    yield TREE_TABLE, markdown(tree_table(frame))
+    if frame.events:
+        yield LOG, rr.TextLog("; ".join(frame.events), level="INFO")
+    if frame.reset_reason:
+        yield LOG, rr.TextLog(f"segmented from scratch: {frame.reset_reason}", level="INFO")
 
 
 def _scalars(frame: ViewFrame) -> Entities:
@@ -242,11 +246,3 @@ def _scalars(frame: ViewFrame) -> Entities:
     if frame.grid_step is not None:
         yield GRID_STEP, rr.Scalars(frame.grid_step)
     yield EVENTS, rr.Scalars(len(frame.events))
-
-
-def _log_lines(frame: ViewFrame) -> Entities:
-    """Return log lines on events of segments and a reset of the tree."""
-    if frame.events:
-        yield LOG, rr.TextLog("; ".join(frame.events), level="INFO")
-    if frame.reset_reason:
-        yield LOG, rr.TextLog(f"segmented from scratch: {frame.reset_reason}", level="INFO")
