@@ -1,6 +1,6 @@
 """Which USB ids belong to which depth camera, and which OpenNI2 driver each camera needs."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 Role = Literal["camera", "motor", "audio"]
@@ -59,14 +59,8 @@ _PS1080 = Family(
     package=_DEBIAN,
     usb3_trouble=True,
 )
-_PSLINK = Family(
-    "pslink",
-    "PrimeSense PSLink camera",
-    "PSLink",
-    "libpslink",
-    _REINSTALL,
-    package=_DEBIAN,
-    usb3_trouble=True,
+_PSLINK = replace(
+    _PS1080, key="pslink", name="PrimeSense PSLink camera", driver="PSLink", file_stem="libpslink"
 )
 _KINECT1 = Family(
     "kinect1",

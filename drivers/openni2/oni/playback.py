@@ -19,8 +19,7 @@ from nurbseg.drivers.openni2.capi import PixelFormat, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate
 from nurbseg.drivers.openni2.isolated.messages import Failure
 from nurbseg.drivers.openni2.oni.file import OniFile, StoredFrame, read_structure
-from nurbseg.drivers.openni2.oni.player import Description, PlayedImage
-from nurbseg.drivers.openni2.oni.player_process import OPEN_LIMIT_S, PlayerProcess
+from nurbseg.drivers.openni2.oni.player import OPEN_LIMIT_S, Description, PlayedImage, PlayerProcess
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.openni2.stream import frame_of
 from nurbseg.drivers.options import SourceOptions

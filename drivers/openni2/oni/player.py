@@ -1,23 +1,26 @@
 """Plays an .oni file with OpenNI2's file driver and sends each image to another process.
 
 This runs as a program of its own, because a damaged file may crash the driver or make it hang;
-`nurbseg.drivers.openni2.oni.player_process` is the other end.
+`PlayerProcess` starts it, and bounds every wait for it.
 """
 
 import contextlib
 import ctypes
 import sys
+import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
-from nurbseg.drivers.errors import DriverError
+from nurbseg.drivers.errors import DriverError, RecordingFormatError
 from nurbseg.drivers.openni2.capi import DeviceProperty, DeviceState, PixelFormat, Sensor, StreamProperty
 from nurbseg.drivers.openni2.isolated.messages import Failure
 from nurbseg.drivers.openni2.opened import OpenedDevice
 from nurbseg.drivers.openni2.stream import Stream, wait_for_any
 from nurbseg.drivers.process.channel import Channel, ChannelClosedError, connect_to_parent
+from nurbseg.drivers.process.child import ChildProcess
 from nurbseg.drivers.process.messages import Codec
 
 #: Step by step: the driver advances to the next image only when one is waited for, so none is lost.
@@ -26,6 +29,12 @@ _STEPWISE = -1.0
 _WAIT_S = 5.0
 #: Longest wait for the file's name, and for this process to end; seconds.
 _BEGIN_S, _END_S = 30.0, 2.0
+#: The player must describe what it plays within this time, seconds; starting Python is most of it.
+OPEN_LIMIT_S = 30.0
+#: And must send an image within this time, seconds, or it hangs.
+_HANG_LIMIT_S = 10.0
+#: Images that may wait.
+_SLOTS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +81,44 @@ class End:
 
 
 CODEC = Codec(Play, Description, PlayedImage, End, Failure)
+
+
+class PlayerProcess:
+    """The process that plays a file."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._process = ChildProcess("nurbseg.drivers.openni2.oni.player", slots=_SLOTS)
+        self._channel = self._process.connect(CODEC)
+        self._channel.send(Play(str(path.absolute())))
+
+    def receive(self, timeout_s: float, limit_s: float | None = None) -> Any | None:
+        """Return the next message, or None if it does not come in time.
+
+        Raises RecordingFormatError if the player has died, or has sent nothing for `limit_s`.
+        """
+        deadline = time.monotonic() + timeout_s
+        try:
+            while True:
+                left_s = deadline - time.monotonic()
+                message = self._channel.receive(max(0.0, left_s))
+                if message is not None:
+                    return message
+                if self._channel.silent_s >= (_HANG_LIMIT_S if limit_s is None else limit_s):
+                    raise RecordingFormatError(
+                        f"{self._path}: OpenNI2's file driver hangs on it; the file is damaged"
+                    )
+                if left_s <= 0:
+                    return None
+        except ChannelClosedError:
+            code = self._process.end(OPEN_LIMIT_S)
+            raise RecordingFormatError(
+                f"{self._path}: OpenNI2's file driver stopped with code {code}; the file is damaged"
+            ) from None
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.close()
 
 
 def _description(stream: Stream) -> StreamDescription:

@@ -14,8 +14,7 @@ from nurbseg.drivers.files import create_private
 from nurbseg.drivers.openni2.capi import Sensor, StreamProperty
 from nurbseg.drivers.openni2.isolated.messages import Failure
 from nurbseg.drivers.openni2.oni.file import correct_header, finish, has_begun, read_structure
-from nurbseg.drivers.openni2.oni.player import End, PlayedImage
-from nurbseg.drivers.openni2.oni.player_process import PlayerProcess
+from nurbseg.drivers.openni2.oni.player import End, PlayedImage, PlayerProcess
 from nurbseg.drivers.openni2.opened import OpenedDevice
 from nurbseg.drivers.openni2.stream import Image
 

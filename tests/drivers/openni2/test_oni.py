@@ -25,7 +25,7 @@ from nurbseg.drivers.errors import (
 from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.drivers.openni2 import open_uri
 from nurbseg.drivers.openni2.device import DeviceSource
-from nurbseg.drivers.openni2.oni import player_process, recorder
+from nurbseg.drivers.openni2.oni import player, recorder
 from nurbseg.drivers.openni2.oni.file import correct_header, has_begun, read_structure, write_end
 from nurbseg.drivers.openni2.oni.playback import OniSource
 from nurbseg.drivers.openni2.options import DeviceOptions
@@ -391,7 +391,7 @@ def test_files_without_frames_are_refused(virtual_cameras, tmp_path, content, me
 
 def test_garbage_never_crashes_or_hangs(recording, rng, monkeypatch):
     """A byte here and there, a block, and the whole of the frames: an error of ours, or frames."""
-    monkeypatch.setattr(player_process, "_HANG_LIMIT_S", 2.0)
+    monkeypatch.setattr(player, "_HANG_LIMIT_S", 2.0)
     sound = recording.read_bytes()
     for trial in range(30):
         content = bytearray(sound)
@@ -424,7 +424,7 @@ def test_a_player_that_crashes_is_a_damaged_file(recording):
 
 
 def test_a_player_that_hangs_times_out_and_is_then_given_up(recording, monkeypatch):
-    monkeypatch.setattr(player_process, "_HANG_LIMIT_S", 0.6)
+    monkeypatch.setattr(player, "_HANG_LIMIT_S", 0.6)
     with OniSource(recording) as source:
         source.read()
         os.kill(own_children()[0].pid, signal.SIGSTOP)
