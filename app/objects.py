@@ -82,9 +82,21 @@ class MeasuredObject:
 def measure_objects(
     cloud: PointMap, tree: SegmentationTree, object_of_leaf: NDArray[np.uint16]
 ) -> tuple[MeasuredObject, ...]:
-    """Measure the objects of a frame that have pixels, in the order of their labels.
+    """Measure the objects of a frame that have pixels.
 
-    `object_of_leaf` is the label of each leaf's object, by the leaf's position from 1 on; 0 at position 0.
+    Parameters
+    ----------
+    cloud : PointMap
+        The frame's points.
+    tree : SegmentationTree
+        Its segments.
+    object_of_leaf : (L + 1,) uint16
+        Label of each leaf's object, by the leaf's position from 1 on; 0 at position 0.
+
+    Returns
+    -------
+    tuple of MeasuredObject
+        In the order of their labels.
     """
     leaf_image = tree.labels("surfaces")
     labels = apply_lookup_table(object_of_leaf, leaf_image).ravel()

@@ -38,8 +38,14 @@ class Reconnecting(FrameSource):
     and raises DriverError while it is disconnected; `abandon` is called on closing, to cancel what `reopen`
     has begun.
 
-    It was reopened `reconnections` times. `recorded_files` are those of the recording that is being made, or
-    was made last, and `recording_failure` says why that ended before it was stopped, if it did.
+    Attributes
+    ----------
+    reconnections : int
+        How often it was reopened.
+    recorded_files : tuple of Path
+        The files of the recording that is being made, or was made last.
+    recording_failure : str
+        Why that recording ended before it was stopped; empty where it did not.
     """
 
     live = True

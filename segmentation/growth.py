@@ -28,10 +28,19 @@ def grow(
 ) -> None:
     """Split segments, the one with the largest metric first (section 3.3).
 
-    `root` is the whole frame, fitted, with children if the frame has several components. Descendants are
-    added to it, and every leaf gets its stop reason. `split` splits a segment and returns True, or sets its
-    `stop` and returns False; once `time_is_over` returns True, nothing more is cut. `points_min` is T_p, in
-    points of the grid.
+    Parameters
+    ----------
+    root : Node
+        The whole frame, fitted, with children if the frame has several components. Descendants are added to
+        it, and every leaf gets its stop reason.
+    split : callable
+        Splits a segment and returns True, or sets its `stop` and returns False.
+    points_min : float
+        T_p, in points of the grid.
+    config : SegmentationConfig
+        The metric, T_d and T_s.
+    time_is_over : callable
+        Called before each cut; once it returns True, nothing more is cut.
     """
     waiting: list[tuple[float, str, Node]] = []
     splits, grown = 0, [root]
@@ -52,7 +61,17 @@ def grow(
 def stop_without_cut(
     node: Node, splits: int, points_min: float, config: SegmentationConfig
 ) -> StopReason | None:
-    """Return why no cut of a segment is tried after so many splits (eq. 6), None if one is."""
+    """Return why no cut of a segment is tried (eq. 6), None if one is.
+
+    Parameters
+    ----------
+    node : Node
+        The segment.
+    splits : int
+        Splits so far.
+    points_min, config
+        As for `grow`.
+    """
     if node.grid_pixels.size == 0:
         return StopReason.NO_POINTS
     if node.grid_pixels.size <= 2.0 * points_min:  # eq. 6: |P| <= 2 T_p

@@ -23,15 +23,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """A split that was tried: the metric before and after it (eq. 5)."""
+    """A split that was tried: the metric before and after it (eq. 5).
 
-    #: The deciding one of the nine; its value for the segment, no less than its floor, and the number of
-    #: points that it was measured on.
+    Parameters
+    ----------
+    metric : str
+        The deciding one of the nine.
+    value, points : float, int
+        Metric of the segment, no less than its floor, and the number of points that it was measured on.
+    parts : tuple of (float, int)
+        The same for each part: two in the paper; in the default method the connected components of both
+        sides of the cut; where the live tree judges a split again, the leaves below it.
+    kept : bool
+        Whether the split was kept.
+    """
+
     metric: Metric
     value: float
     points: int
-    #: The same for each part: two in the paper; in the default method the connected components of both sides
-    #: of the cut; where the live tree judges a split again, the leaves below it.
     parts: tuple[tuple[float, int], ...]
     kept: bool
 

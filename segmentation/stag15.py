@@ -39,9 +39,23 @@ def cut_in_two(
 ) -> tuple[Cut, NDArray[np.bool_]]:
     """Cut a segment in two, and give small components of either side to the other (section 3.1).
 
-    `vectors` are those of all grid pixels (eq. 3); the random sample depends on the segment's name and the
-    seed only. Returns the cut, without parts but with a reason if there is none, and which of the two parts
-    each of the segment's grid pixels belongs to.
+    Parameters
+    ----------
+    grid : PixelGrid
+        The points.
+    node : Node
+        The segment; its random sample depends on its name and the seed only.
+    vectors : (h * w, 6) float32
+        Vector of each grid pixel (eq. 3).
+    config : SegmentationConfig
+        Settings of the cut, and T_p.
+
+    Returns
+    -------
+    cut : Cut
+        Without parts, but with a reason, if there is none.
+    side : (N,) bool
+        Which of the two parts each of the segment's grid pixels belongs to.
     """
     cut = normalized_cut(
         vectors[node.grid_pixels],
@@ -58,7 +72,17 @@ def cut_in_two(
 
 
 def fit_segment(grid: PixelGrid, grid_pixels: NDArray[np.intp], config: SegmentationConfig) -> Fit:
-    """Fit a surface to flat grid pixels, ascending (section 3.2), and compute the metric that decides."""
+    """Fit a surface to a segment (section 3.2), and compute the metric that decides (section 4).
+
+    Parameters
+    ----------
+    grid : PixelGrid
+        The points.
+    grid_pixels : (N,) intp
+        Flat indices into the grid, ascending.
+    config : SegmentationConfig
+        How surfaces are fitted, and the metric.
+    """
     fit = fit_on_grid(grid, grid_pixels, config)  # eq. 4; eq. 7, 9, 11 and NLE
     if config.metric in CURVATURE_METRICS:
         fit = replace(fit, values=all_metrics(fit, grid.image_shape[1], config))  # eq. 14-19 and NLC
@@ -76,9 +100,17 @@ def segment_stag15(
 ) -> SegmentationTree:
     """Segment a frame by the paper's method; `config.method` is ignored.
 
-    Parameters and result are those of `nurbseg.segmentation.methods.segment`; `cut` and `fit` are the two
-    expensive steps, replaceable by versions that cache the results of a frame. The paper is G. Pagnutti and
-    P. Zanuttigh, "Scene segmentation based on NURBS surface fitting metrics", STAG 2015.
+    Parameters
+    ----------
+    cloud, config, clock
+        As for `nurbseg.segmentation.methods.segment`, which also describes the result.
+    cut, fit : callable
+        The two expensive steps, replaceable by versions that cache the results of a frame.
+
+    References
+    ----------
+    .. [1] G. Pagnutti and P. Zanuttigh, "Scene segmentation based on NURBS surface fitting metrics",
+       STAG 2015.
     """
     time_is_over = time_limit(config, clock)
     step = grid_step(cloud.valid, config.decimation)

@@ -27,10 +27,23 @@ class Estimate:
 
 
 def bootstrap_mean(values: NDArray[np.float64], *, draws: int = 2000) -> Estimate:
-    """Compute a mean over frames and its 95 % percentile bootstrap interval from so many draws.
+    """Compute a mean over frames and its 95 % percentile bootstrap interval.
 
-    NaN is left out; without any other value, the result is NaN (B. Efron, R. Tibshirani, "An introduction to
-    the bootstrap", 1993, chapter 13).
+    Parameters
+    ----------
+    values : (N,) float64
+        One value per frame; NaN is left out.
+    draws : int
+        Number of resamples.
+
+    Returns
+    -------
+    Estimate
+        NaN if there is no value.
+
+    References
+    ----------
+    .. [1] B. Efron, R. Tibshirani, "An introduction to the bootstrap", 1993, chapter 13.
     """
     values = values[np.isfinite(values)]
     if values.size == 0:

@@ -39,9 +39,22 @@ def score_objects(
 ) -> ObjectScores:
     """Score the objects of a segmentation, over pixels that have depth and ground truth.
 
-    In labels and truth, (H, W), 0 is none, as NaN in points. The largest segment, and those coplanar with it,
-    are the background. A ground-truth label divided by `pieces`, rounded down, is an object, and 0 is the
-    background; with 1, labels are objects, and the largest region is the background.
+    Parameters
+    ----------
+    labels : (H, W) integer
+        Segments; 0 is none. The largest, and those coplanar with it, are the background.
+    truth : (H, W) integer
+        Ground truth; 0 is none.
+    points_m : (H, W, 3) float32
+        Points, metres; NaN if there is none.
+    pieces : int
+        A ground-truth label divided by this, rounded down, is an object, and 0 is the background. With 1,
+        labels are objects, and the largest region is the background.
+
+    Returns
+    -------
+    ObjectScores
+        Of all objects but the background.
     """
     counted = np.isfinite(points_m[..., 2]) & (truth > 0)
     known = np.where(counted, truth.astype(np.int64), 0)
@@ -65,9 +78,22 @@ def score_frame(
 ) -> FrameScores:
     """Score a segmentation against the ground truth, over pixels that have depth and ground truth.
 
-    In both, (H, W), 0 is none. Pixels that have depth and ground truth but no label count as one more
-    segment, so that leaving pixels out does not raise the scores. Raises ValueError if the shapes differ or
-    no pixel counts.
+    Pixels that have both but no label (0) count as one more segment, so that leaving pixels out does not
+    raise the scores.
+
+    Parameters
+    ----------
+    labels : (H, W) integer
+        Segments; 0 is none.
+    truth : (H, W) integer
+        Ground truth; 0 is none.
+    valid : (H, W) bool
+        Where there is depth.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ or no pixel counts.
     """
     if labels.shape != truth.shape:
         raise ValueError(f"labels: expected the ground truth's {truth.shape}, got {labels.shape}")

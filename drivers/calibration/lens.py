@@ -10,11 +10,21 @@ _ITERATIONS = 50
 def undistort(
     points: NDArray[np.float64], distortion: NDArray[np.float64], tolerance: float
 ) -> NDArray[np.float64]:
-    """Return the undistorted image coordinates, x / z and y / z, of distorted ones, (N, 2).
+    """Return the undistorted image coordinates, x / z and y / z, of distorted ones.
 
-    `distortion` are OpenCV's coefficients (k1, k2, p1, p2, k3, ...). A point that is distorted again is off
-    by no more than `tolerance`; NaN where none such is found, as in the far corners of a model that folds
-    over.
+    Parameters
+    ----------
+    points : (N, 2) float64
+        As seen through the lens.
+    distortion : (K,) float64
+        OpenCV's coefficients (k1, k2, p1, p2, k3, ...), dimensionless.
+    tolerance : float
+        Largest error of a point that is distorted again, in the unit of the coordinates.
+
+    Returns
+    -------
+    (N, 2) float64
+        NaN where none is found within the tolerance, as in the far corners of a model that folds over.
     """
     none, identity = np.zeros(3), np.eye(3)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, _ITERATIONS, tolerance / 10)
@@ -31,12 +41,26 @@ def undistort(
 def lens_terms(
     distortion: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], float, NDArray[np.float64]]:
-    """Return what a projection through the lens computes with, of any number of OpenCV's coefficients.
+    """Return what a projection through the lens computes with.
 
-    All 14 coefficients, 0 where there is none; the distance from the axis up to which the radial distortion
-    grows with it, inf if it always does, as the model would bring points beyond back into the image; and the
-    homography, (3, 3), of a sensor that is tilted behind its lens. The model is described in OpenCV's "Camera
-    Calibration and 3D Reconstruction".
+    Parameters
+    ----------
+    distortion : (K,) float64
+        OpenCV's coefficients; may be empty.
+
+    Returns
+    -------
+    coefficients : (14,) float64
+        The same, 0 where there is none.
+    fold_radius : float
+        Distance from the axis up to which the radial distortion grows with it; inf if it always does. The
+        model would bring points beyond back into the image.
+    tilt : (3, 3) float64
+        The homography of a sensor that is tilted behind its lens.
+
+    References
+    ----------
+    .. [1] OpenCV, "Camera Calibration and 3D Reconstruction", the detailed description of the model.
     """
     k = np.zeros(14)
     k[: distortion.size] = distortion

@@ -133,9 +133,19 @@ def decode_labels(content: bytes, name: str) -> NDArray[np.uint16]:
 
 
 def millimetres(depth: NDArray[Any], *, units_per_metre: float) -> NDArray[np.uint16]:
-    """Turn depth in any unit into the sensor's millimetres, uint16.
+    """Turn depth in any unit into the sensor's millimetres.
 
-    It is 0 where there is none, which in `depth` may be 0, negative or not finite, or where it does not fit.
+    Parameters
+    ----------
+    depth : (H, W) number
+        Depth; 0, negative or not finite where there is none.
+    units_per_metre : float
+        How many of its units are a metre.
+
+    Returns
+    -------
+    (H, W) uint16
+        Depth, millimetres; 0 where there is none or it does not fit.
     """
     if units_per_metre == 1000.0 and depth.dtype == np.uint16:
         return np.array(depth)

@@ -20,11 +20,22 @@ _POINTS_FOR_FIT = 100
 
 
 def fit_camera(points_m: NDArray[np.float32], name: str) -> Intrinsics:
-    """Find the pinhole camera on whose pixel grid an organised cloud, (H, W, 3), NaN for no point, lies.
+    """Find the pinhole camera on whose pixel grid an organised cloud lies.
 
     Least squares of ``u = fx x / z + cx`` and ``v = fy y / z + cy``, which is exact for clouds made from
-    depth images. Raises CalibrationError, which calls the cloud `name`, if there are too few points, or they
-    do not lie on a camera's rays.
+    depth images.
+
+    Parameters
+    ----------
+    points_m : (H, W, 3) float32
+        Metres, NaN where there is no point.
+    name : str
+        What an error calls the cloud.
+
+    Raises
+    ------
+    CalibrationError
+        If there are too few points, or they do not lie on a camera's rays.
     """
     height, width = points_m.shape[:2]
     valid = points_m[..., 2] > 0

@@ -23,10 +23,16 @@ def cast(
 ) -> None:
     """Cast the rays of a camera at many shapes, each within its window of rows and columns.
 
-    The S shapes have four `sizes` and a pose, (4, 4), each, and a window: first row, row after the last,
-    first column, column after the last. `x` and `y` are the rays' x / z and y / z. `depth` along the optical
-    axis, metres, is lowered to what is met nearer; there the number of the shape + 1, and its face, are
-    written.
+    Parameters
+    ----------
+    kinds, sizes, object_from_camera, windows : (S,) int64, (S, 4) float32, (S, 4, 4) float32, (S, 4) int64
+        The shapes, their poses, and first row, row after the last, first column, column after the last.
+    x, y : (H, W) float32
+        The rays' x / z and y / z.
+    depth : (H, W) float32
+        Along the optical axis, metres; lowered to what is met nearer.
+    objects, faces : (H, W) uint8
+        Number of the shape that is met + 1, and its face; written where it is nearer.
     """
     for number in range(kinds.size):
         kind, size, m = kinds[number], sizes[number], object_from_camera[number]
@@ -90,9 +96,18 @@ def surfaces_seen(
 ) -> None:
     """Find the normal and the texture coordinates of what each pixel shows.
 
-    Parameters are as for `cast`. `atlas_windows` are first column and row of each shape's texture in the
-    atlas, and the size less one; for `runs` see `runs_of`. Sets `normals`, (3, H, W), to unit vectors in the
-    camera's frame, and `atlas_px`, (2, H, W), to columns and rows.
+    Parameters
+    ----------
+    kinds, sizes, object_from_camera, x, y, depth, objects, faces
+        See `cast`.
+    atlas_windows : (S, 4) float32
+        First column and row of each shape's texture in the atlas, and the size less one.
+    runs : (R, 3) int64
+        See `runs_of`.
+    normals : (3, H, W) float32
+        Set to unit normals in the camera's frame.
+    atlas_px : (2, H, W) float32
+        Set to columns and rows.
     """
     for row, first, end in runs:
         part = slice(first, end)

@@ -38,8 +38,10 @@ _NEAREST, _FARTHEST = (np.float32(each) for each in RANGE_M)
 def axial_noise_m(depth_m: Any) -> Any:
     """Return the standard deviation of depth at a distance, metres.
 
-    That of C. V. Nguyen, S. Izadi and D. Lovell, "Modeling Kinect sensor noise for improved 3D reconstruction
-    and tracking", 3DIMPVT 2012.
+    References
+    ----------
+    .. [1] C. V. Nguyen, S. Izadi and D. Lovell, "Modeling Kinect sensor noise for improved 3D
+       reconstruction and tracking", 3DIMPVT 2012.
     """
     beyond = depth_m - np.float32(0.4)
     return np.float32(0.0012) + np.float32(0.0019) * (beyond * beyond)
@@ -49,17 +51,26 @@ def axial_noise_m(depth_m: Any) -> Any:
 def quantised(depth_m: Any) -> Any:
     """Return depth at the nearest step of disparity, metres; infinity stays.
 
-    See K. Khoshelham and S. O. Elberink, "Accuracy and resolution of Kinect depth data for indoor mapping
-    applications", Sensors 12(2), 2012.
+    References
+    ----------
+    .. [1] K. Khoshelham and S. O. Elberink, "Accuracy and resolution of Kinect depth data for indoor
+       mapping applications", Sensors 12(2), 2012.
     """
     return _ONE / (np.rint(_ONE / (depth_m * _STEP)) * _STEP)
 
 
 def projector_shadow(depth_m: NDArray[np.float32], camera: Intrinsics) -> NDArray[np.bool_]:
-    """Return where the projector's light does not reach what the camera sees; depth is inf for nothing.
+    """Return where the projector's light does not reach what the camera sees.
 
-    Along a row, a point is in the dark if one to its right, nearer, takes the same ray of the projector or
-    one farther left.
+    Along a row, a point is in the dark if one to its right, nearer, takes the same ray of the projector
+    or one farther left.
+
+    Parameters
+    ----------
+    depth_m : (H, W) float32
+        Perfect depth; inf where there is nothing.
+    camera : Intrinsics
+        The depth camera.
     """
     dark = np.empty(depth_m.shape, dtype=np.uint8)
     _shadow(np.float32(1) / depth_m, np.float32(camera.fx * PROJECTOR_OFFSET_M), dark)
@@ -67,7 +78,15 @@ def projector_shadow(depth_m: NDArray[np.float32], camera: Intrinsics) -> NDArra
 
 
 class SensorModel:
-    """Adds a depth camera's faults to perfect depth images; the same seed and frame give the same faults."""
+    """Adds a depth camera's faults to perfect depth images.
+
+    Parameters
+    ----------
+    camera : Intrinsics
+        The depth camera.
+    seed : int
+        Draws the noise; the same seed and frame give the same faults.
+    """
 
     def __init__(self, camera: Intrinsics, seed: int) -> None:
         self._camera, self._seed = camera, seed
@@ -81,9 +100,14 @@ class SensorModel:
         self._lost = rng.random(bank, dtype=np.float32) < _EDGE_LOSS
 
     def measure(self, depth_m: NDArray[np.float32], index: int) -> NDArray[np.uint16]:
-        """Return what the sensor would deliver of a frame's perfect depth, millimetres; 0 for nothing.
+        """Return what the sensor would deliver of perfect depth, millimetres, 0 where it measures nothing.
 
-        Perfect depth is inf where there is nothing.
+        Parameters
+        ----------
+        depth_m : (H, W) float32
+            Inf where there is nothing.
+        index : int
+            Number of the frame.
         """
         cuts = np.random.default_rng((self._seed, 2, index)).integers(0, _BANK_MARGIN + 1, (3, 2))
         inverse, around = np.float32(1) / depth_m, np.ones((3, 3), np.uint8)

@@ -24,8 +24,21 @@ def affinity(
 ) -> NDArray[np.float32]:
     """Compute the Gaussian affinities of points to landmarks, exp(-|f - s|^2 / (2 scale^2)).
 
-    Points f, (N, D), and landmarks s, (M, D), have (n, M) affinities in [exp(-40), 1], to rounding: those of
-    the `rows` of points that are named, or of all.
+    Parameters
+    ----------
+    vectors : (N, D) float32
+        Points f.
+    landmarks : (M, D) float32
+        Landmarks s.
+    scale : float
+        Sigma of the Gaussian, in the unit of the vectors.
+    rows : (n,) intp, optional
+        Rows to compute; all if None.
+
+    Returns
+    -------
+    (n, M) float32
+        In [exp(-40), 1], to rounding.
     """
     rows = np.arange(vectors.shape[0]) if rows is None else rows
     if rows.size == 0 or landmarks.shape[0] == 0:

@@ -16,9 +16,20 @@ def remove_small_components(
     """Give every connected component of a side that is too small to the other side (section 3.1).
 
     First the True side's, then those of the new False side, so that adjacent ones are not just swapped.
-    `mask`, (h, w), marks the segment that is cut, and `side` tells the side of its pixels. Components of
-    fewer than `pixels_min` pixels (T_p) are too small; one that does not touch the other side stays. The new
-    side is False outside of `mask`.
+
+    Parameters
+    ----------
+    mask : (h, w) bool
+        Pixels of the segment that is cut.
+    side : (h, w) bool
+        Side of each pixel; it matters only where `mask` is set.
+    pixels_min : float
+        Components of fewer pixels are too small (T_p). One that does not touch the other side stays.
+
+    Returns
+    -------
+    (h, w) bool
+        The new side, False outside of `mask`.
     """
     side = side & mask
     for value in (False, True):

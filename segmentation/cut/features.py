@@ -40,19 +40,32 @@ class Normalization:
     """Normalization of color and position: ``vector = (raw - mean) * factor``.
 
     Subtracting the mean changes no distance; it keeps single precision accurate far from the camera.
+
+    Parameters
+    ----------
+    mean : (D,) float32
+        Mean of L, a, b (CIELab units), x, y, z (metres) and, where there are normals, their x, y, z.
+    factor : (D,) float32
+        Each weight over its deviation, three times: 1 / sigma_c, lambda / sigma_g and so on; 0 where the
+        deviation is 0.
     """
 
-    #: (D,) mean of L, a, b (CIELab units), x, y, z (metres) and, where there are normals, their x, y, z.
     mean: NDArray[np.float32]
-    #: (D,) each weight over its deviation, three times: 1 / sigma_c, lambda / sigma_g and so on; 0 where the
-    #: deviation is 0.
     factor: NDArray[np.float32]
 
 
 def lab(color: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Convert sRGB colors, (N, 3), to CIELab (eq. 1).
+    """Convert sRGB colors to CIELab (eq. 1).
 
-    L is in 0 to 100, a and b are in about -127 to 127, for the white point D65; exact to 0.01.
+    Parameters
+    ----------
+    color : (N, 3) uint8
+        RGB.
+
+    Returns
+    -------
+    (N, 3) float32
+        L in 0 to 100, a and b in about -127 to 127, for the white point D65; exact to 0.01.
     """
     # OpenCV's is less exact, and takes a tenth of a second for its tables in every process.
     color = np.ascontiguousarray(color).view()
@@ -78,7 +91,20 @@ def _lab(color: U8, linear: F32, to_xyz: F32, function: F32) -> F32:
 
 
 def raw_vectors(cloud: PointMap, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
-    """Return L, a, b and x, y, z in metres (eq. 1, 2) of some flat pixels that have a point, (N, 6)."""
+    """Return color and position of some pixels (eq. 1, 2).
+
+    Parameters
+    ----------
+    cloud : PointMap
+        The frame.
+    pixels : (N,) intp
+        Flat indices of pixels that have a point.
+
+    Returns
+    -------
+    (N, 6) float32
+        L, a, b and x, y, z in metres.
+    """
     vectors = np.empty((pixels.size, 6), dtype=np.float32)
     vectors[:, :3] = lab(cloud.color.reshape(-1, 3)[pixels])
     vectors[:, 3:] = cloud.points_m.reshape(-1, 3)[pixels]
@@ -95,9 +121,21 @@ def normalization(
 ) -> Normalization:
     """Compute the normalization of color and position (eq. 3), and of normals if given.
 
-    `raw`, (N, 6) or (N, 9), holds L, a, b, x, y, z, and the unit normal's x, y, z; its given rows are used,
-    or all. `geometry_weight` is the paper's lambda. sigma_c is the mean of the deviations of L, a, b; sigma_g
-    of those of x, y, z.
+    Parameters
+    ----------
+    raw : (N, 6) or (N, 9) float32
+        L, a, b, x, y, z, and the unit normal's x, y, z.
+    geometry_weight : float
+        The paper's lambda.
+    color_weight, normal_weight : float
+        Weights of color and normals.
+    rows : (M,) intp, optional
+        Rows of `raw` to use; all if None.
+
+    Returns
+    -------
+    Normalization
+        sigma_c is the mean of the deviations of L, a, b; sigma_g of those of x, y, z.
     """
     rows = np.arange(raw.shape[0]) if rows is None else rows
     return Normalization(*_normalization(raw, rows, (color_weight, geometry_weight, normal_weight)))
@@ -158,10 +196,25 @@ def _normalized(
 
 
 def features(cloud: PointMap, config: SegmentationConfig) -> NDArray[np.float32]:
-    """Build the vector of every point of a frame (eq. 3), (N, 6) in the order of the valid pixels.
+    """Build the vector of every point of a frame (eq. 3).
 
-    It is Lab color over sigma_c, and position times lambda over sigma_g, where lambda is the
-    `geometry_weight`. The mean of all vectors is at zero; a constant color or position gives zeros.
+    Parameters
+    ----------
+    cloud : PointMap
+        The frame.
+    config : SegmentationConfig
+        Its `geometry_weight` is lambda.
+
+    Returns
+    -------
+    (N, 6) float32
+        Lab color over sigma_c, position times lambda over sigma_g, in the order of the valid pixels, with
+        the mean of all vectors at zero. A constant color or position gives zeros.
+
+    References
+    ----------
+    .. [1] G. Pagnutti and P. Zanuttigh, "Scene segmentation based on NURBS surface fitting metrics",
+       STAG 2015, section 3.1.
     """
     raw = raw_vectors(cloud, np.flatnonzero(cloud.valid))
     return normalized(raw, normalization(raw, config.geometry_weight))

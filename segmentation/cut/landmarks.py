@@ -12,15 +12,28 @@ _UNEXPLAINED = 1e-4
 def choose_landmarks(
     samples: NDArray[np.float32], scale: float, most: int
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Choose the samples that explain the affinities of all best, greedily.
+    """Choose the samples that explain the affinities of all best, greedily [1]_.
 
-    By incomplete Cholesky factorization with pivots (S. Fine and K. Scheinberg, "Efficient SVM training using
-    low-rank kernel representations", Journal of Machine Learning Research 2, 2001). The affinities of
-    samples, (N, D), are Gaussian in their distance, with sigma `scale`.
+    Parameters
+    ----------
+    samples : (N, D) float32
+        Points whose affinities are Gaussian in their distance.
+    scale : float
+        Sigma of the Gaussian, in the unit of the points.
+    most : int
+        Number of landmarks, at most; fewer if these explain the others.
 
-    Returns the numbers of those chosen, at most `most` and fewer if they explain the others, each the one
-    that those before it explain least; and the inverse of the lower Cholesky factor of their affinities, in
-    this order.
+    Returns
+    -------
+    chosen : (M,) intp
+        Numbers of those chosen, each the one that those before it explain least.
+    inverse : (M, M) float64
+        Inverse of the lower Cholesky factor of their affinities, in this order.
+
+    References
+    ----------
+    .. [1] S. Fine and K. Scheinberg, "Efficient SVM training using low-rank kernel representations", Journal
+       of Machine Learning Research 2, 2001 (incomplete Cholesky factorization with pivots).
     """
     exponents = _square_distances(samples)
     exponents *= -0.5 / scale**2

@@ -139,11 +139,27 @@ def normalized_cuts(
     splitting_point: SplittingPoint = "zero",
     points: int | None = None,
 ) -> Iterator[Cut]:
-    """Yield the cuts by the second eigenvector, the third, and so on, lazily; at most `count`.
+    """Yield the cuts by the second eigenvector, the third, and so on, lazily.
 
-    Where the second eigenvector separates a few outliers, one of the next often separates the surfaces. The
-    first cut, the other parameters and the errors are those of `normalized_cut`. A cut without parts has a
-    reason; no others follow if the points are indistinguishable.
+    Where the second eigenvector separates a few outliers, one of the next often separates the surfaces.
+
+    Parameters
+    ----------
+    vectors, samples, rng, landmarks, affinity_scale, splitting_point, points
+        As for `normalized_cut`.
+    count : int
+        Number of cuts, at most; the first is that of `normalized_cut`.
+
+    Yields
+    ------
+    Cut
+        Without parts, but with a reason, if there is none; no others follow if the points are
+        indistinguishable.
+
+    Raises
+    ------
+    ValueError
+        As `normalized_cut`.
     """
     if vectors.ndim != 2 or not np.isfinite(vectors).all():
         raise ValueError(f"vectors: expected finite (N, D) values, got shape {vectors.shape}")

@@ -30,19 +30,28 @@ Evaluation = Callable[[NDArray[np.int32], _Values, _Values], tuple[_Values, _Val
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BorderStatistics:
-    """Statistics of the common borders of P pairs of labels."""
+    """Statistics of the common borders of P pairs of labels.
 
-    #: (P, 2) of each pair, the smaller one first; pairs ascend.
+    Parameters
+    ----------
+    labels : (P, 2) int64
+        Of each pair, the smaller one first; pairs ascend.
+    samples : (P,) float64
+        Grid pixels along the border where a row or column crosses it.
+    touching : (P,) float64
+        Samples where the tangent planes of both surfaces, extrapolated to the border, agree.
+    concavity, concavity_square : (P,) float64
+        Sums over the touching samples of the angle between the normals, about radians, and of its square;
+        the angle is positive at a concave crease, negative at a convex one.
+    apart : (P,) float64
+        Sum over all samples of the distance of the tangent planes, in gaps, at most 4.
+    """
+
     labels: NDArray[np.int64]
-    #: (P,) grid pixels along the border where a row or column crosses it.
     samples: NDArray[np.float64]
-    #: (P,) samples where the tangent planes of both surfaces, extrapolated to the border, agree.
     touching: NDArray[np.float64]
-    #: (P,) sums over the touching samples of the angle between the normals, about radians, and of its square;
-    #: the angle is positive at a concave crease, negative at a convex one.
     concavity: NDArray[np.float64]
     concavity_square: NDArray[np.float64]
-    #: (P,) sum over all samples of the distance of the tangent planes, in gaps, at most 4.
     apart: NDArray[np.float64]
 
     @property
@@ -61,11 +70,24 @@ def border_statistics(
 ) -> BorderStatistics:
     """Measure every common border of two labels.
 
-    `labels`, (H, W), are 1 to the number of surfaces, 0 where there is no point; one without a surface
-    touches nothing. Tangent planes that differ by less than `gap_per_m` of inverse depth at the border agree.
-    `evaluate` takes labels, columns and rows, (N,) each, and returns inverse depth and its slopes along both,
-    NaN where a label has no surface; by default the surfaces themselves are evaluated. Samples are pixels of
-    this image.
+    Parameters
+    ----------
+    labels : (H, W) int32
+        1 to the number of surfaces; 0 where there is no point.
+    surfaces : sequence of NurbsSurface or None
+        That of each label; a label without one touches nothing.
+    rays : Rays
+        Of the camera.
+    gap_per_m : float
+        Tangent planes that differ by less inverse depth at the border agree, 1/m.
+    evaluate : callable, optional
+        Takes labels, columns and rows (pixels), (N,) each; returns inverse depth and its slopes along both,
+        NaN where a label has no surface. By default the surfaces themselves are evaluated.
+
+    Returns
+    -------
+    BorderStatistics
+        Of all pairs of labels whose borders meet. Samples are pixels of this image.
     """
     unit = labels.shape[1] / REFERENCE_WIDTH
     crossings = np.empty((5, 2 * labels.size), dtype=np.int32)

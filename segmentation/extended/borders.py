@@ -47,15 +47,38 @@ def refine_borders(
 
     The cost of a label at a pixel is minus twice the logarithm of a normal likelihood, with a limited squared
     residual of inverse depth, less the votes of the neighbours, which weigh one over their distance, and less
-    across a gap in depth. In a few sweeps, pixels with neighbours of another label take the cheapest of their
-    labels: iterated conditional modes (J. Besag, "On the statistical analysis of dirty pictures", Journal of
-    the Royal Statistical Society B 48(3), 1986).
+    across a gap in depth. In a few sweeps, pixels with neighbours of another label take the cheapest of
+    their labels (iterated conditional modes [1]_).
 
-    `labels`, (H, W), are 1 to the number of surfaces, 0 where there is no point, on every `step`-th row and
-    column of the image; one without a surface explains nothing. The deviation of a surface is its root mean
-    square residual, `rms_per_m`, where that is known and larger than the noise. Small components that a
-    border cuts off go to their neighbours if `spread_severed`. A label that would lose its last pixel keeps
-    all.
+    Parameters
+    ----------
+    labels : (H, W) int32
+        1 to the number of surfaces; 0 where there is no point.
+    inverse_depth : (H, W) float32
+        Inverse depth, 1/m.
+    surfaces : sequence of NurbsSurface or None
+        That of each label; a label without one explains nothing.
+    config : SegmentationConfig
+        Noise, gap and smallest component.
+    rms_per_m : sequence of float, optional
+        Root mean square residual of each surface, 1/m: its deviation, if larger than the noise. By default
+        all have the noise's.
+    step : int
+        Pixels of the image from one row or column of the labels to the next.
+    sweeps : int
+        Largest number of sweeps.
+    spread_severed : bool
+        Whether small components that a border cuts off go to their neighbours.
+
+    Returns
+    -------
+    (H, W) int32
+        The new labels. A label that would lose its last pixel keeps all.
+
+    References
+    ----------
+    .. [1] J. Besag, "On the statistical analysis of dirty pictures", Journal of the Royal Statistical
+       Society B 48(3), 1986.
     """
     present = label_sizes(labels, len(surfaces) + 1) > 0
     if len(surfaces) < 2 or not present[1:].any():
@@ -73,11 +96,17 @@ def refine_borders(
 
 
 class Deviations(NamedTuple):
-    """Deviations of residuals by label; 0 is none."""
+    """Deviations of residuals by label; 0 is none.
 
-    #: (labels + 1,) one over the deviation of inverse depth, metres.
+    Parameters
+    ----------
+    precision_m : (labels + 1,) float32
+        One over the deviation of inverse depth, metres.
+    penalty : (labels + 1,) float32
+        Twice the logarithm of the deviation over that of the noise.
+    """
+
     precision_m: NDArray[np.float32]
-    #: (labels + 1,) twice the logarithm of the deviation over that of the noise.
     penalty: NDArray[np.float32]
 
 
@@ -133,15 +162,22 @@ def _cheapest(
 
 
 class _Candidates(NamedTuple):
-    """Labels that N pixels could have: those around them and their own."""
+    """Labels that pixels could have: those around them and their own.
 
-    #: (N,) where those of each pixel end.
+    Parameters
+    ----------
+    ends : (N,) intp
+        Where those of each pixel end.
+    label, row, column : (25 N,) int32
+        Which label, and the pixel.
+    votes : (25 N,) float32
+        Sum of the votes of the neighbours that have it.
+    """
+
     ends: NDArray[np.intp]
-    #: (25 N,) which label, and the pixel.
     label: NDArray[np.int32]
     row: NDArray[np.int32]
     column: NDArray[np.int32]
-    #: (25 N,) sum of the votes of the neighbours that have it.
     votes: NDArray[np.float32]
 
 

@@ -48,7 +48,22 @@ _CONCAVITY_MOST, _DEVIATION_MOST = 1.0, 0.6
 def pair_features(
     borders: BorderStatistics, surfaces: SurfaceStatistics, noise_per_m: float
 ) -> NDArray[np.float64]:
-    """Compute the features of all P pairs of surfaces whose borders meet, (P, 6) in the order of `TERMS`."""
+    """Compute the features of every pair of surfaces whose borders meet.
+
+    Parameters
+    ----------
+    borders : BorderStatistics
+        Of P pairs.
+    surfaces : SurfaceStatistics
+        By label.
+    noise_per_m : float
+        Standard deviation of inverse depth, 1/m.
+
+    Returns
+    -------
+    (P, 6) float64
+        In the order of `TERMS`.
+    """
     pair = borders.labels
     lengths = np.bincount(pair.ravel(), np.repeat(borders.samples, 2), minlength=surfaces.pixels.size)
     first_is_larger = surfaces.pixels[pair[:, 0]] > surfaces.pixels[pair[:, 1]]
@@ -77,8 +92,15 @@ def evidence(
 ) -> NDArray[np.float64]:
     """Weigh the evidence for and against each pair of surfaces being one object.
 
-    Returns the terms of each pair in the order of `ITEMS`, (P, 8); its log odds are their sum. If surfaces do
-    not touch, only the gap counts.
+    Parameters
+    ----------
+    borders, surfaces, noise_per_m
+        As for `pair_features`.
+
+    Returns
+    -------
+    (P, 8) float64
+        Of each pair, by `ITEMS`; its log odds are their sum. If surfaces do not touch, only the gap counts.
     """
     weights, neutral = (np.array([each[n] for each in TERMS]) for n in (1, 2))
     items = np.zeros((len(borders.labels), len(ITEMS)))

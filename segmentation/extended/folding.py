@@ -48,8 +48,14 @@ def fold_leaves(root: Node, features: GridFeatures, config: SegmentationConfig) 
     the larger one. The segments above them are fitted and judged again; if the ratio rejects one of their
     splits, the two are not merged. The pair with the largest ratio comes first.
 
-    The tree of `root` is changed, unless a limit stopped it; `features` has the normals of all its grid
-    pixels.
+    Parameters
+    ----------
+    root : Node
+        Of a grown tree, which is changed; one that a limit stopped is not.
+    features : GridFeatures
+        The frame, with the normals of all its grid pixels.
+    config : SegmentationConfig
+        The metric, T and T_d.
     """
     leaves = dict(enumerate((node for node in depth_first(root) if not node.children), start=1))
     if any(leaf.stop in UNFINISHED for leaf in leaves.values()):
@@ -81,7 +87,10 @@ def fold_leaves(root: Node, features: GridFeatures, config: SegmentationConfig) 
 def remove_node(root: Node, gone: Node) -> tuple[Node, Node]:
     """Remove a node from a tree: its sibling takes the place of their parent.
 
-    Returns the sibling, which is no longer in the tree, and the parent that has its fields now.
+    Returns
+    -------
+    (Node, Node)
+        The sibling, which is no longer in the tree, and the parent that has its fields now.
     """
     parent = next(node for node in depth_first(root) if gone in node.children)
     (sibling,) = (child for child in parent.children if child is not gone)

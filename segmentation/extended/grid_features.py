@@ -17,12 +17,20 @@ from nurbseg.segmentation.points.registration import PointMap
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GridFeatures:
-    """A frame on the grid on which splits are decided."""
+    """A frame on the grid on which splits are decided.
+
+    Parameters
+    ----------
+    grid : DepthGrid
+        Points and inverse depths.
+    adjacency : PixelAdjacency
+        Neighbours without a gap between them.
+    raw : (h * w, 9) float32
+        Lab color, position and normal of every grid pixel that has a point.
+    """
 
     grid: DepthGrid
-    #: Neighbours without a gap between them.
     adjacency: PixelAdjacency
-    #: (h * w, 9) Lab color, position and normal of every grid pixel that has a point.
     raw: NDArray[np.float32]
 
     def grid_pixels_min(self, config: SegmentationConfig) -> float:
@@ -79,7 +87,22 @@ def _normals(
 def segment_normalization(
     raw: NDArray[np.float32], grid_pixels: NDArray[np.intp], config: SegmentationConfig
 ) -> Normalization:
-    """Compute the normalization of the vectors at a segment's grid pixels, with the weights that are set."""
+    """Compute the normalization of a segment's vectors, with the weights that are set.
+
+    Parameters
+    ----------
+    raw : (N, 9) float32
+        As `GridFeatures.raw`.
+    grid_pixels : (M,) intp
+        Of the segment.
+    config : SegmentationConfig
+        The weights.
+
+    Returns
+    -------
+    Normalization
+        Of the vectors at these grid pixels.
+    """
     return normalization(
         raw,
         config.geometry_weight,
@@ -92,7 +115,17 @@ def segment_normalization(
 def with_features_at(
     cloud: PointMap, features: GridFeatures, grid_pixels: NDArray[np.intp], config: SegmentationConfig
 ) -> GridFeatures:
-    """Return features whose raw vectors are known only at some flat grid pixels, ascending."""
+    """Return features whose raw vectors are known only at the grid pixels that are to be split.
+
+    Parameters
+    ----------
+    cloud, features : PointMap, GridFeatures
+        The frame.
+    grid_pixels : (N,) intp
+        Flat indices of grid pixels, ascending.
+    config : SegmentationConfig
+        Windows and weights.
+    """
     grid, half = features.grid, _half_window(features.grid, config)
     raw = np.zeros((grid.valid.size, 9), dtype=np.float32)
     raw[grid_pixels, :6] = raw_vectors(cloud, grid.points.pixels(grid_pixels))

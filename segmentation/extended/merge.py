@@ -18,40 +18,66 @@ from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 @dataclass(frozen=True, slots=True)
 class SceneObject:
-    """Surfaces that were merged."""
+    """Surfaces that were merged.
 
-    #: Names of its leaves, in the order of the tree.
+    Parameters
+    ----------
+    leaves : tuple of str
+        Names of its leaves, in the order of the tree.
+    """
+
     leaves: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Two leaves, by their names, whose borders meet, and whether they were merged."""
+    """Two leaves whose borders meet, and whether they were merged.
+
+    Parameters
+    ----------
+    first, second : str
+        Names of the leaves.
+    merged : bool
+        Whether they are in the same object.
+    reason : str
+        Why, or why not.
+    samples, touching : int
+        Grid pixels along the border, and those where the surfaces agree.
+    log_odds : float
+        That the two are one object, from this pair alone.
+    evidence : mapping of str to float
+        Terms of the log odds, by name, but for those that are 0.
+    """
 
     first: str
     second: str
-    #: Whether they are in the same object, and why, or why not.
     merged: bool
     reason: str
-    #: Grid pixels along the border, and those where the surfaces agree.
     samples: int
     touching: int
-    #: That the two are one object, from this pair alone.
     log_odds: float
-    #: Terms of the log odds, by name, but for those that are 0.
     evidence: Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WeighedBorders:
-    """Evidence for and against merging P pairs of surfaces."""
+    """Evidence for and against merging P pairs of surfaces.
 
-    #: (P, 2) of each pair, the smaller one first.
+    Parameters
+    ----------
+    labels : (P, 2) int64
+        Of each pair, the smaller one first.
+    samples, touching : (P,) int64
+        Grid pixels along each border, the weight of its log odds, and those where the surfaces agree.
+    items : (P, N) float64
+        Terms of the log odds, to `DIGITS` digits.
+    names : tuple of str
+        Of the terms.
+    """
+
     labels: NDArray[np.int64]
-    #: (P,) grid pixels along each border, the weight of its log odds, and those where the surfaces agree.
     samples: NDArray[np.int64]
     touching: NDArray[np.int64]
-    #: (P, N) terms of the log odds, to `DIGITS` digits, and their names.
     items: NDArray[np.float64]
     names: tuple[str, ...] = ITEMS
 
@@ -72,12 +98,32 @@ def merge_surfaces(
 
     Each pair that meets has log odds of being one object (see `evidence`). The pair with the largest is
     merged, and its log odds with others are averaged, weighted by the lengths of the borders, until no pair
-    is likely enough (A. Bailoni et al., "GASP, a generalized framework for agglomerative clustering of signed
-    graphs", CVPR 2022).
+    is likely enough [1]_.
 
-    `labels`, (H, W), are 1 to the number of surfaces, 0 where there is no point; `names` are those of the
-    leaves. Returns the objects, the largest first, and the contacts of all leaves whose borders meet; nothing
-    if merging is off.
+    Parameters
+    ----------
+    labels : (H, W) int32
+        1 to the number of surfaces; 0 where there is no point.
+    grid : DepthGrid
+        The points.
+    names : sequence of str
+        Of the leaf of each label.
+    surfaces : sequence of NurbsSurface or None
+        That of each label.
+    config : SegmentationConfig
+        Whether to merge, the least log odds, noise and gap.
+
+    Returns
+    -------
+    objects : tuple of SceneObject
+        Largest first; empty if merging is off.
+    contacts : tuple of Contact
+        Of all leaves whose borders meet.
+
+    References
+    ----------
+    .. [1] A. Bailoni et al., "GASP, a generalized framework for agglomerative clustering of signed graphs",
+       CVPR 2022.
     """
     if not config.extended.merge_surfaces:
         return (), ()
@@ -91,9 +137,23 @@ def merge_surfaces(
 def merged_objects(
     borders: WeighedBorders, labels: NDArray[np.int32], names: Sequence[str], config: SegmentationConfig
 ) -> tuple[tuple[SceneObject, ...], tuple[Contact, ...]]:
-    """Merge surfaces by the evidence along their borders, and return what `merge_surfaces` does.
+    """Merge surfaces by the evidence along their borders.
 
-    `labels`, (H, W), may be those of all pixels, or evenly of some of them.
+    Parameters
+    ----------
+    borders : WeighedBorders
+        Of every two labels whose borders meet.
+    labels : (H, W) int32
+        1 to the number of surfaces; on all pixels, or evenly on some of them.
+    names : sequence of str
+        Of the leaf of each label.
+    config : SegmentationConfig
+        The least log odds.
+
+    Returns
+    -------
+    objects, contacts
+        As those of `merge_surfaces`.
     """
     group = agglomerate(
         borders.labels.tolist(),
@@ -121,10 +181,24 @@ def agglomerate(
 ) -> list[int]:
     """Merge the most likely pair of groups, as long as it is likely enough.
 
-    Labels are 1 to `count`. Each pair that meets is given once, the smaller one first, with its log odds, to
-    `DIGITS` digits, and the length of the border, more than 0: its weight in the average over the borders of
-    two groups. Of equally likely pairs, that of the smallest labels is first. Returns the smallest label of
-    each label's group; 0 of 0.
+    Parameters
+    ----------
+    pairs : sequence of (int, int)
+        Labels that meet, the smaller one first, each pair once.
+    log_odds : sequence of float
+        Of each pair, to `DIGITS` digits.
+    samples : sequence of int
+        Length of each border, more than 0: its weight in the average over the borders of two groups.
+    count : int
+        Number of labels, from 1 on.
+    log_odds_min : float
+        Groups are merged if theirs are more than this.
+
+    Returns
+    -------
+    list of int
+        The smallest label of each label's group; 0 of 0. Of equally likely pairs, that of the smallest
+        labels is first.
     """
     group, scale = list(range(count + 1)), 10**DIGITS
     # Sums of whole numbers do not depend on the order in which they are added.

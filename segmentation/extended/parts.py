@@ -74,7 +74,17 @@ def at_noise_floor(fit: Fit, config: SegmentationConfig) -> bool:
 def children_of(node: Node, sides: tuple[list[Part], list[Part]]) -> tuple[Node, Node]:
     """Make two nodes of the parts of a cut's sides, or of the components of the only side.
 
-    There are at least two parts; the nodes may have children themselves.
+    Parameters
+    ----------
+    node : Node
+        That is split.
+    sides : (list of Part, list of Part)
+        Together at least two parts.
+
+    Returns
+    -------
+    (Node, Node)
+        Its children, which may have children themselves.
     """
     first, second = sides
     if not (first and second):

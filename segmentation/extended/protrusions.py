@@ -29,8 +29,16 @@ def split_off_protrusions(root: Node, features: GridFeatures, config: Segmentati
     changes them, however far it protrudes; here each point counts by itself. A protrusion is connected, has
     at least T_p points, and holds a square of 8 pixels. It and what remains of the leaf are fitted anew.
 
-    A tree that a limit stopped is left as it is. A leaf with protrusions gets two parts: what remains, and
-    the protrusion, or a node without a surface that chains several.
+    Parameters
+    ----------
+    root : Node
+        Of a tree that has grown, which is changed. One that a limit stopped is left as it is. A leaf with
+        protrusions gets two parts: what remains, and the protrusion, or a node without a surface that
+        chains several.
+    features : GridFeatures
+        The frame.
+    config : SegmentationConfig
+        The limit `protrusion_min`, the noise and T_p.
     """
     leaves = [node for node in depth_first(root) if not node.children]
     if any(leaf.stop in UNFINISHED for leaf in leaves):

@@ -25,9 +25,25 @@ def refit_surfaces(
     """Refine the borders on the grid, and fit surfaces again that changed much.
 
     Cuts often leave a strip along a border on the wrong side, which distorts the surface. A second fit tells
-    better where two surfaces meet. The tree keeps the fits that decided it. `labels`, (h, w) of the grid
-    pixels, are 1 to the number of fits; 0 where there is no point. Returns those of borders that have moved,
-    and the surface of each label and its root mean square residual, 1/m, by which borders are judged.
+    better where two surfaces meet. The tree keeps the fits that decided it.
+
+    Parameters
+    ----------
+    labels : (h, w) int32
+        Of the grid pixels, 1 to the number of fits; 0 where there is no point.
+    fits : sequence of Fit
+        Of each label.
+    grid : DepthGrid
+        The points.
+    config : SegmentationConfig
+        As for `refine_borders` and `fit_window`.
+
+    Returns
+    -------
+    labels : (h, w) int32
+        With borders that have moved.
+    surfaces, rms_per_m : list of NurbsSurface or None, list of float
+        Of each label, by which borders and contacts are judged, and its root mean square residual, 1/m.
     """
     surfaces, rms_per_m = [fit.surface for fit in fits], [fit.rms_per_m for fit in fits]
     moved = refine_borders(

@@ -40,8 +40,17 @@ def segment_nurbseg(
 
     The paper's tree of normalized cuts decided by surface fits, with normals in the vectors, surfaces fitted
     to inverse depth, cuts divided into connected components, floors of the metrics, borders refined on every
-    pixel, and surfaces merged into objects. Its leaves are surfaces; its objects, none if merging is off, are
-    merged leaves. Parameters are those of `nurbseg.segmentation.methods.segment`.
+    pixel, and surfaces merged into objects.
+
+    Parameters
+    ----------
+    cloud, config, clock
+        As for `nurbseg.segmentation.methods.segment`.
+
+    Returns
+    -------
+    SegmentationTree
+        Its leaves are surfaces; its objects, none if merging is off, are merged leaves.
     """
     time_is_over = time_limit(config, clock)
     config = replace(config, decimation=grid_step(cloud.valid, config.decimation))
@@ -76,8 +85,20 @@ def segment_nurbseg(
 def grown_tree(features: GridFeatures, config: SegmentationConfig, time_is_over: Callable[[], bool]) -> Node:
     """Grow the tree of surfaces on the grid, merge what one surface explains, and split off protrusions.
 
-    Returns the root. Components of the frame, or of a side of a cut, are chained by nodes without a surface,
-    so that every segment has two parts or none.
+    Parameters
+    ----------
+    features : GridFeatures
+        The frame.
+    config : SegmentationConfig
+        Thresholds and choices.
+    time_is_over : callable
+        As for `grow`.
+
+    Returns
+    -------
+    Node
+        The root. Components of the frame, or of a side of a cut, are chained by nodes without a surface, so
+        that every segment has two parts or none.
     """
 
     def split(node: Node) -> bool:
@@ -106,9 +127,23 @@ def best_split(
 ) -> tuple[tuple[list[Part], list[Part]], Cut | None]:
     """Try the cuts of a node in turn; if none is kept, the node gets a stop reason.
 
-    It gets the trial of the split that is kept, or else of the best one. From `thin_from` grid pixels on, it
-    is cut on every second row and column of the grid. Returns the connected components of both sides of the
-    cut, and the cut, None if no split is kept.
+    Parameters
+    ----------
+    features : GridFeatures
+        The frame; its vectors are read at the node's grid pixels.
+    node : Node
+        Gets the trial of the split that is kept or else of the best one and, if none is kept, the reason.
+    config : SegmentationConfig
+        Thresholds and choices.
+    thin_from : int
+        From this many grid pixels on, a segment is cut on every second row and column of the grid.
+
+    Returns
+    -------
+    sides : (list of Part, list of Part)
+        Connected components of both sides of the cut.
+    cut : Cut or None
+        None if no split is kept.
     """
     points = features.grid.points
     drawn = points.every_second(node.grid_pixels) if node.grid_pixels.size >= thin_from else node.grid_pixels

@@ -14,20 +14,39 @@ _RIDGE = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceStatistics:
-    """Size, center and plane of the surfaces, by label from 0 on, which is none."""
+    """Size, center and plane of the surfaces, by label from 0 on, which is none.
 
-    #: (L,) in pixels of a 640-wide image.
+    Parameters
+    ----------
+    pixels : (L,) float64
+        In pixels of a 640-wide image.
+    center_m : (L, 3) float64
+        Mean of its points, metres.
+    normal : (L, 3) float64
+        Unit normal of the plane of inverse depth that fits its points best, towards the camera.
+    """
+
     pixels: NDArray[np.float64]
-    #: (L, 3) mean of its points, metres.
     center_m: NDArray[np.float64]
-    #: (L, 3) unit normal of the plane of inverse depth that fits its points best, towards the camera.
     normal: NDArray[np.float64]
 
 
 def surface_statistics(labels: NDArray[np.int32], count: int, grid: DepthGrid) -> SurfaceStatistics:
-    """Measure every surface; a label without a pixel has zeros.
+    """Measure every surface.
 
-    `labels`, (h, w) of the grid pixels, are 1 to `count`; 0 where there is no point.
+    Parameters
+    ----------
+    labels : (h, w) int32
+        Of the grid pixels, 1 to `count`; 0 where there is no point.
+    count : int
+        Number of labels.
+    grid : DepthGrid
+        The points.
+
+    Returns
+    -------
+    SurfaceStatistics
+        A label without a pixel has zeros.
     """
     sums = np.zeros((count + 1, 12))
     _sum(np.ascontiguousarray(labels), grid.inverse_depth, grid.points.coordinates_m, sums)

@@ -39,20 +39,29 @@ _TERMS = (3, 6)
 
 @dataclass(frozen=True, slots=True)
 class Join:
-    """Two surfaces of objects that do not meet in the image, and the evidence that they are one thing."""
+    """Two surfaces of objects that do not meet in the image, and the evidence that they are one thing.
 
-    #: Names of the leaves.
+    Parameters
+    ----------
+    first, second : str
+        Names of the leaves.
+    ratio : float
+        Root mean square residual on the surface fitted to both, over that on a surface fitted to one
+        alone: the larger one.
+    continued : float
+        Root mean square residual on the continuation of the other, in standard deviations of the noise: the
+        smaller one.
+    color : float
+        Difference of their median colors, CIELab.
+    nearer : float
+        Share of the pixels between them that are nearer than the surface fitted to both.
+    """
+
     first: str
     second: str
-    #: Root mean square residual on the surface fitted to both, over that on a surface fitted to one alone:
-    #: the larger one.
     ratio: float
-    #: Root mean square residual on the continuation of the other, in standard deviations of the noise: the
-    #: smaller one.
     continued: float
-    #: Difference of their median colors, CIELab.
     color: float
-    #: Share of the pixels between them that are nearer than the surface fitted to both.
     nearer: float
 
 
@@ -94,14 +103,32 @@ def join_objects(
     """Join objects that others separate in the image.
 
     Two objects that do not meet are joined if a plane or a quadric of inverse depth fitted to the largest
-    surfaces of both explains each as well as one fitted to it alone, if one continues the other, if their
-    colors agree, and if what lies between them in the image is nearer than that surface. Nothing is joined
-    unless the level is things. For the `kept` pairs of leaves, which were joined in the previous frame, the
-    limits are eased.
+    surfaces of both explains each as well as one fitted to it alone, if one continues the other, if
+    their colors agree, and if what lies between them in the image is nearer than that surface.
 
-    `labels`, (h, w) of the grid pixels, are the index of the leaf plus one, 0 where there is no point;
-    `color` is the image's, RGB. Returns the objects, the one with most grid pixels first, and a join for each
-    pair of groups that was joined, in order, the smallest ratio first.
+    Parameters
+    ----------
+    objects, contacts
+        As `merge_surfaces` returns them.
+    labels : (h, w) int32
+        Of the grid pixels: the index of the leaf plus one; 0 where there is no point.
+    names : sequence of str
+        Of the leaf of each label.
+    grid : DepthGrid
+        The points.
+    color : (H, W, 3) uint8
+        RGB of the image.
+    config : SegmentationConfig
+        Level and noise; nothing is joined unless the level is things.
+    kept : collection of frozenset of str
+        Pairs of leaves that were joined in the previous frame, for which the limits are eased.
+
+    Returns
+    -------
+    objects : tuple of SceneObject
+        The one with most grid pixels first.
+    joins : tuple of Join
+        One for each pair of groups that was joined, in order; the smallest ratio first.
     """
     if config.extended.level != "things":
         return tuple(objects), ()

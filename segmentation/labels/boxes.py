@@ -8,9 +8,19 @@ from nurbseg.segmentation.points.grid import Window
 
 
 def bounding_boxes(labels: NDArray[np.uint16], count: int) -> list[Window]:
-    """Find the first row and column of each label below `count`, and one past the last of each.
+    """Find the first row and column of each label, and one past the last of each.
 
-    It is (H, W, 0, 0) for a label without pixels.
+    Parameters
+    ----------
+    labels : (H, W) uint16
+        Less than `count`.
+    count : int
+        Number of labels, with 0.
+
+    Returns
+    -------
+    list of (int, int, int, int)
+        By label; (H, W, 0, 0) for one without pixels.
     """
     boxes = np.empty((count, 4), dtype=np.int64)
     _find_boxes(np.ascontiguousarray(labels), boxes)
@@ -35,7 +45,20 @@ def _find_boxes(labels: U16, boxes: I64) -> None:
 
 
 def label_sizes(labels: NDArray[np.int32], count: int) -> NDArray[np.int64]:
-    """Count the pixels of each label of an image, (count,); all labels are less than `count`."""
+    """Count the pixels of each label of an image.
+
+    Parameters
+    ----------
+    labels : (H, W) int32
+        Less than `count`.
+    count : int
+        Number of labels, with 0.
+
+    Returns
+    -------
+    (count,) int64
+        By label.
+    """
     sizes = np.zeros(count, dtype=np.int64)
     _count(np.ascontiguousarray(labels).reshape(-1), sizes)
     return sizes

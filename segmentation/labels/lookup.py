@@ -7,7 +7,20 @@ from nurbseg.drivers.compiled import U16, Bool, compiled
 
 
 def apply_lookup_table(table: NDArray[np.uint16], labels: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Look up each label of an image in a table of new labels; those beyond the table become 0."""
+    """Look up each label of an image.
+
+    Parameters
+    ----------
+    table : (N,) uint16
+        New labels for 0, 1, ...
+    labels : (H, W) uint16
+        The image.
+
+    Returns
+    -------
+    (H, W) uint16
+        0 for labels beyond the table.
+    """
     found = np.empty(labels.shape, dtype=np.uint16)
     _look_up(table, read_only(labels), found.reshape(-1))
     return found

@@ -11,21 +11,35 @@ from nurbseg.segmentation.labels.spreading import spread_in_place
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PixelAdjacency:
-    """Which neighbours on a pixel grid have no gap in depth between them."""
+    """Which neighbours on a pixel grid have no gap in depth between them.
 
-    #: (h, w) whether a grid pixel is connected to the one to its right; False in the last column.
+    Parameters
+    ----------
+    right : (h, w) bool
+        Whether a grid pixel is connected to the one to its right; False in the last column.
+    down : (h, w) bool
+        Whether it is connected to the one below; False in the last row.
+    """
+
     right: NDArray[np.bool_]
-    #: (h, w) whether it is connected to the one below; False in the last row.
     down: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Components:
-    """Connected components of equal label, numbered from 1 in the order of their first grid pixels."""
+    """Connected components of equal label, numbered from 1 in the order of their first grid pixels.
 
-    #: (h, w) number of each grid pixel's component; 0 where the label is 0.
+    Parameters
+    ----------
+    numbers : (h, w) int32
+        Number of each grid pixel's component; 0 where the label is 0.
+    labels_of : (count + 1,) int32
+        Label of each component; 0 for number 0.
+    sizes : (count + 1,) intp
+        Grid pixels of each component; 0 for number 0.
+    """
+
     numbers: NDArray[np.int32]
-    #: (count + 1,) label and grid pixels of each component; 0 for number 0.
     labels_of: NDArray[np.int32]
     sizes: NDArray[np.intp]
 
@@ -44,7 +58,22 @@ class Components:
 def pixel_adjacency(
     inverse_depth: NDArray[np.float32], valid: NDArray[np.bool_], gap_per_m: float
 ) -> PixelAdjacency:
-    """Connect neighbours that both have a point if their inverse depths, 1/m, differ by less than a gap."""
+    """Connect neighbours whose inverse depths differ by less than a gap.
+
+    Parameters
+    ----------
+    inverse_depth : (h, w) float32
+        One over depth, 1/m.
+    valid : (h, w) bool
+        Where there is a point.
+    gap_per_m : float
+        Smallest gap, 1/m.
+
+    Returns
+    -------
+    PixelAdjacency
+        Between points only.
+    """
     adjacency = PixelAdjacency(np.empty(valid.shape, dtype=np.bool_), np.empty(valid.shape, dtype=np.bool_))
     _connect_neighbors(
         np.ascontiguousarray(inverse_depth),
@@ -74,7 +103,20 @@ def _connect_neighbors(
 
 
 def connected_components(labels: NDArray[np.int32], adjacency: PixelAdjacency) -> Components:
-    """Find all components of equal label, but 0, that are connected through adjacent grid pixels."""
+    """Find the components of equal label that are connected through adjacent grid pixels.
+
+    Parameters
+    ----------
+    labels : (h, w) int32
+        0 belongs to no component.
+    adjacency : PixelAdjacency
+        Of the same grid.
+
+    Returns
+    -------
+    Components
+        All of them, however small.
+    """
     grid_pixels = np.flatnonzero(labels > 0)
     return _connected(
         grid_pixels, labels.reshape(-1).take(grid_pixels).astype(np.int32, copy=False), adjacency
@@ -173,9 +215,25 @@ def large_components(
 ) -> tuple[list[NDArray[np.intp]], list[int]]:
     """Find the connected components that are large enough, and spread them over the small ones.
 
-    `grid_pixels` are flat indices, ascending, at least one, and `labels` those of each, more than 0;
-    adjacency and inverse depth are those of the whole grid. Returns the grid pixels of each component kept,
-    ascending, and the label of each; nothing if none is large enough.
+    Parameters
+    ----------
+    grid_pixels : (N,) intp
+        Flat indices of grid pixels, ascending; at least one.
+    labels : (N,) int32
+        Label of each, more than 0.
+    adjacency, inverse_depth : PixelAdjacency, (h, w) float32
+        Of the whole grid.
+    gap_per_m : float
+        Smallest gap, 1/m.
+    grid_pixels_min : float
+        Smallest number of grid pixels of a component.
+
+    Returns
+    -------
+    components : list of (n,) intp
+        Grid pixels of each component kept, ascending; empty if none is large enough.
+    labels_of : list of int
+        Label of each component.
     """
     # Only the rows that hold grid pixels are looked at.
     width = adjacency.right.shape[1]

@@ -13,10 +13,21 @@ from nurbseg.segmentation.surfaces.fit import Fit
 
 
 def by_label(labels: NDArray[np.integer], count: int) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-    """Sort the pixels of an image by label, 0 to ``count - 1``.
+    """Sort the pixels of an image by label.
 
-    Returns the pixels of label 0, of label 1, and so on, ascending within each; and where those of each label
-    begin among them, and their number, (count + 1,).
+    Parameters
+    ----------
+    labels : (N,) uint16 or int32
+        0 to ``count - 1``.
+    count : int
+        Number of labels.
+
+    Returns
+    -------
+    order : (N,) intp
+        The pixels of label 0, of label 1, and so on, ascending within each.
+    bounds : (count + 1,) int64
+        Where those of each label begin in `order`, and its length.
     """
     order, bounds = np.empty(labels.size, dtype=np.intp), np.zeros(count + 1, dtype=np.int64)
     _sort_by_label(labels.astype(np.uint16, copy=False), order, bounds)
@@ -48,9 +59,19 @@ def _sort_by_label(labels: U16, order: Intp, bounds: I64) -> None:
 def finished_segments(
     nodes: list[Node], leaves: list[Node], labels: NDArray[np.uint16]
 ) -> tuple[Segment, ...]:
-    """Make segments of nodes, depth first: with all pixels below, inside the windows of their surfaces.
+    """Make segments of nodes: with all pixels below, inside the windows of their surfaces.
 
-    `labels`, (H, W), are the index of each pixel's leaf plus one; 0 where there is no point.
+    Parameters
+    ----------
+    nodes, leaves : list of Node
+        Depth first.
+    labels : (H, W) uint16
+        Index of each pixel's leaf plus one; 0 where there is no point.
+
+    Returns
+    -------
+    tuple of Segment
+        In the order of the nodes.
     """
     order, bounds = by_label(labels.reshape(-1), len(leaves) + 1)
     label = {leaf.name: number for number, leaf in enumerate(leaves, start=1)}

@@ -19,8 +19,22 @@ def spread_labels(
 ) -> NDArray[np.int32]:
     """Give unlabelled pixels the label of the neighbour nearest in inverse depth, from the border inwards.
 
-    All are (h, w); the label 0 is none. Wanted grid pixels that are not connected to a label take that of the
-    nearest labelled one. Labels cross gaps of at least `gap_per_m` only where there is no other way.
+    Parameters
+    ----------
+    labels : (h, w) int32
+        0 is no label.
+    wanted : (h, w) bool
+        Grid pixels to label, unlabelled so far. Those not connected to a label take that of the nearest
+        labelled grid pixel.
+    inverse_depth : (h, w) float32
+        One over depth, 1/m.
+    gap_per_m : float
+        Smallest gap, 1/m; labels cross gaps only where there is no other way.
+
+    Returns
+    -------
+    (h, w) int32
+        The labels, with those of the wanted grid pixels.
     """
     spread = np.array(labels, dtype=np.int32, order="C")
     grid_pixels = np.flatnonzero(wanted)
@@ -35,9 +49,16 @@ def spread_in_place(
     inverse_depth: NDArray[np.float32],
     gap_per_m: float,
 ) -> None:
-    """Do what `spread_labels` does to contiguous labels, in place.
+    """Do what `spread_labels` does, in place.
 
-    `grid_pixels` are flat indices of those to label, whose order is not kept.
+    Parameters
+    ----------
+    labels : (h, w) int32
+        As for `spread_labels`; contiguous.
+    grid_pixels : (N,) intp
+        Flat indices to label; their order is not kept.
+    inverse_depth, gap_per_m
+        As for `spread_labels`.
     """
     labels.reshape(-1)[grid_pixels] = _OPEN
     islands = _spread(labels, np.ascontiguousarray(inverse_depth), grid_pixels, np.float32(gap_per_m))

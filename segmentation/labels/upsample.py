@@ -18,13 +18,19 @@ _LEAVES_MAX = np.iinfo(np.uint16).max - 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Split:
-    """A kept split: leaves `first` to ``middle - 1`` are below part 0, `middle` to ``end - 1`` below 1."""
+    """A kept split: leaves ``first`` to ``middle - 1`` are below part 0, ``middle`` to ``end - 1`` below 1.
 
-    #: Numbers of leaves in depth-first order.
+    Parameters
+    ----------
+    first, middle, end : int
+        Numbers of leaves in depth-first order.
+    cut : Cut
+        Says which part a vector belongs to.
+    """
+
     first: int
     middle: int
     end: int
-    #: Says which part a vector belongs to.
     cut: Cut
 
 
@@ -41,10 +47,28 @@ def upsample_labels(
     separate these leaves classify the pixel's own vector. Only the leaves around it are candidates, so that
     small components that were removed do not come back.
 
-    `leaves` holds the flat grid pixels of each, depth first; `splits` are the kept ones, a segment before its
-    parts; `vectors_of` returns the (N, D) feature vectors of some flat pixels of the image. Returns the
-    number of each flat pixel's leaf, ``len(leaves)`` where there is no point. Raises ValueError if there are
-    more leaves than labels of 16 bits.
+    Parameters
+    ----------
+    cloud : PointMap
+        The frame.
+    grid : PixelGrid
+        The grid on which the tree was decided.
+    leaves : sequence of (N,) intp
+        Flat indices of each leaf's grid pixels, in depth-first order.
+    splits : sequence of Split
+        The kept splits, a segment before its parts.
+    vectors_of : callable
+        Returns the (N, D) float32 feature vectors of some flat pixels of the image.
+
+    Returns
+    -------
+    (H * W,) uint16
+        Number of each pixel's leaf; ``len(leaves)`` where there is no point.
+
+    Raises
+    ------
+    ValueError
+        If there are more leaves than labels of 16 bits.
     """
     none = len(leaves)
     if none > _LEAVES_MAX:
@@ -125,10 +149,24 @@ def upsample_by_depth(
     valid: NDArray[np.bool_],
     config: SegmentationConfig,
 ) -> NDArray[np.int32]:
-    """Give every pixel that has a point a label, from labels on every few rows and columns, 0 for none.
+    """Give every pixel that has a point a label, from labels on every few rows and columns.
 
-    It is that of the grid pixel at or before the pixel or, across a gap in depth, that of the neighbour
-    nearest in inverse depth.
+    Parameters
+    ----------
+    on_grid : (h, w) int32
+        Labels on the grid, 0 for none.
+    grid_inverse_depth : (h, w) float32
+        Inverse depth on the grid, 1/m.
+    inverse_depth, valid : (H, W) float32 and bool
+        Inverse depth of every pixel, 1/m, and where there is a point.
+    config : SegmentationConfig
+        The grid's step and the gap in depth.
+
+    Returns
+    -------
+    (H, W) int32
+        The label of the grid pixel at or before the pixel, or, across a gap in depth, that of the neighbour
+        nearest in inverse depth. 0 only where there is no point.
     """
     labels = np.empty(valid.shape, dtype=np.int32)
     open_pixels = np.empty(valid.shape, dtype=np.bool_)

@@ -24,15 +24,26 @@ _SIZE_KEPT = 0.97
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Appearance:
-    """By which a segment is recognized after it was hidden."""
+    """By which a segment is recognized after it was hidden.
 
-    #: Mean of its points, metres, their mean color, CIELab, and their number on the grid.
+    Parameters
+    ----------
+    center_m : (3,) float64
+        Mean of its points, metres.
+    color_lab : (3,) float64
+        Its mean color, CIELab.
+    pixels : int
+        Number of its pixels on the grid.
+    unseen : int
+        Frames since it was seen; 0 while visible.
+    motion_m : (3,) float64
+        Its motion from frame to frame, metres.
+    """
+
     center_m: NDArray[np.float64]
     color_lab: NDArray[np.float64]
     pixels: int
-    #: Frames since it was seen; 0 while visible.
     unseen: int = 0
-    #: Its motion from frame to frame, metres.
     motion_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
     def distance_m(self, center_m: NDArray[np.float64]) -> float:
@@ -57,7 +68,19 @@ def updated(before: Appearance | None, now: Appearance) -> Appearance:
 def appearances_of(
     labels: NDArray[np.uint16], wanted: Sequence[int] | NDArray[np.intp], cloud: PointMap, step: int
 ) -> dict[int, Appearance]:
-    """Describe the wanted segments, ascending, that occur on every few rows and columns of a frame."""
+    """Describe the segments of some labels by every few rows and columns of a frame.
+
+    Parameters
+    ----------
+    labels : (H, W) uint16
+        Of the frame.
+    wanted : sequence of int
+        Labels, ascending; those that do not occur are left out.
+    cloud : PointMap
+        The frame.
+    step : int
+        Pixels from one row or column to the next.
+    """
     sums = np.zeros((len(wanted), 7))
     index = np.full(int(max(wanted, default=0)) + 1, -1)
     index[wanted] = np.arange(len(wanted))

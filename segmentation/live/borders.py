@@ -17,9 +17,21 @@ _SWEEPS = 2
 def spread_to_pixels(
     before: NDArray[np.uint16], on_grid: NDArray[np.int32], inverse_depth: NDArray[np.float32], step: int
 ) -> NDArray[np.uint16]:
-    """Apply changes of labels on every `step`-th row and column to all pixels; the others keep their label.
+    """Apply changes of labels on the grid to its pixels; the others keep their label.
 
-    `before` is the label that each pixel had; pixels whose inverse depth is 0 have no point, and so no label.
+    Parameters
+    ----------
+    before : (H, W) uint16
+        Label that each pixel had.
+    on_grid : (h, w) int32
+        Labels on every `step`-th row and column.
+    inverse_depth : (H, W) float32
+        Inverse depth, 1/m; 0 where there is no point, and so no label.
+
+    Returns
+    -------
+    (H, W) uint16
+        The labels.
     """
     labels = np.empty_like(before)
     _spread(before, on_grid, inverse_depth, step, labels)
@@ -37,9 +49,27 @@ def relax_borders(
 ) -> NDArray[np.uint16]:
     """Give every pixel at a border the cheapest of its own label, the largest and the smallest next to it.
 
-    In a few sweeps of iterated conditional modes, as in `refine_borders`; later frames continue them.
-    `labels` are 0 where not known yet, and inverse depths where there is no point. The lattice and the
-    deviations are those of the labels' surfaces.
+    Sweeps of iterated conditional modes, as in `refine_borders`; later frames continue them.
+
+    Parameters
+    ----------
+    labels : (H, W) uint16
+        Labels of pixels that have a point, 0 where not known yet.
+    inverse_depth : (H, W) float32
+        Inverse depth, 1/m; 0 where there is no point.
+    lattice : SurfaceLattice
+        Of the labels' surfaces.
+    deviations : Deviations
+        Of these surfaces.
+    gap_per_m : float
+        Smallest gap, 1/m.
+    sweeps : int
+        How often pixels are judged, at most.
+
+    Returns
+    -------
+    (H, W) uint16
+        The new labels.
     """
     relaxed = labels.copy()
     _relax(relaxed, inverse_depth, lattice.samples, lattice.step, deviations, gap_per_m, sweeps)

@@ -22,41 +22,59 @@ NOT_CUT = "divided without a cut"
 
 @dataclass(slots=True)
 class UpdateReport:
-    """What was done to the tree for a frame."""
+    """What was done to the tree for a frame.
 
-    #: Why the frame was segmented from scratch; empty if the tree was continued.
+    Parameters
+    ----------
+    reset : str
+        Why the frame was segmented from scratch; empty if the tree was continued.
+    unexplained : float
+        Share of the points that the moved surfaces did not explain.
+    refits, trials, splits, appeared, merges, judged : int
+        Numbers of surfaces fitted again, leaves tried for a split, splits made, leaves that came into view,
+        merges of leaves, and splits judged again.
+    oldest, oldest_trial : int
+        Frames since the oldest value or ratio of a split was found, and since the oldest trial of a leaf.
+    waiting : int
+        Leaves that are to be tried in later frames.
+    step : int
+        Pixels from one grid pixel to the next.
+    """
+
     reset: str = ""
-    #: Share of the points that the moved surfaces did not explain.
     unexplained: float = 0.0
-    #: Numbers of surfaces fitted again, leaves tried for a split, splits made, leaves that came into view,
-    #: merges of leaves, and splits judged again.
     refits: int = 0
     trials: int = 0
     splits: int = 0
     appeared: int = 0
     merges: int = 0
     judged: int = 0
-    #: Frames since the oldest value or ratio of a split was found, and since the oldest trial of a leaf.
     oldest: int = 0
     oldest_trial: int = 0
-    #: Leaves that are to be tried in later frames.
     waiting: int = 0
-    #: Pixels from one grid pixel to the next.
     step: int = 1
 
 
 @dataclass(slots=True, eq=False)
 class TreeUpdate:
-    """The result of an update of a tree."""
+    """The result of an update of a tree.
 
-    #: Of the labels 1, 2, ... from now on.
+    Parameters
+    ----------
+    leaves : list of LiveLeaf
+        Of the labels 1, 2, ... from now on.
+    before, on_grid : (h, w) int32
+        Labels on the grid before, and working numbers after it.
+    final : (numbers,) uint16
+        Label from now on of each working number.
+    report : UpdateReport
+        What was done so far.
+    """
+
     leaves: list[LiveLeaf]
-    #: (h, w) labels on the grid before, and working numbers after it.
     before: NDArray[np.int32]
     on_grid: NDArray[np.int32]
-    #: (numbers,) label from now on of each working number.
     final: NDArray[np.uint16] = field(default_factory=lambda: np.zeros(1, dtype=np.uint16))
-    #: What was done so far.
     report: UpdateReport = field(default_factory=UpdateReport)
 
     def relabelled(
@@ -92,8 +110,25 @@ def _relabel(
 class TreeEditor:
     """Edits a tree; the working numbers of leaves are their labels so far, and further ones for new leaves.
 
-    The tree of `root` is changed. `labels` is an image, (h, w), of the working number of every grid pixel,
-    and `done` what was done so far.
+    Parameters
+    ----------
+    root : Node
+        Of the tree, which is changed.
+    leaves : sequence of LiveLeaf
+        Of the labels 1, 2, ...
+    on_grid : (h, w) int32
+        Labels on the grid.
+    make_leaf : callable
+        Makes a leaf of a node.
+
+    Attributes
+    ----------
+    by_number : dict of int to LiveLeaf
+        The leaves.
+    labels : (h, w) int32
+        Working number of every grid pixel.
+    done : TreeUpdate
+        What was done so far.
     """
 
     def __init__(

@@ -30,9 +30,25 @@ def moved_surfaces(
     """Move every surface by the linear change of its points' inverse depth.
 
     Splines represent linear functions exactly, so that the knots stay. This follows any motion of a plane,
-    and small motions of other surfaces. Grid pixels next to another label do not count. The surfaces, of the
-    labels 1, 2, ..., and their lattice are those of the frame before; `labels` and inverse depths, 1/m, are
-    on this frame's grid.
+    and small motions of other surfaces. Grid pixels next to another label do not count.
+
+    Parameters
+    ----------
+    surfaces : sequence of NurbsSurface or None
+        Of the labels 1, 2, ... in the frame before.
+    lattice : SurfaceLattice
+        Of these surfaces.
+    labels : (h, w) int32
+        Labels on the grid.
+    inverse_depth : (h, w) float32
+        Inverse depth of this frame on the grid, 1/m.
+    noise_per_m : float
+        Standard deviation of inverse depth, 1/m.
+
+    Returns
+    -------
+    list of NurbsSurface or None
+        The moved ones.
     """
     # First the mean change, then a linear change of the pixels that agree with it.
     count = len(surfaces) + 1
@@ -72,10 +88,23 @@ def explained_labels(
     lattice: SurfaceLattice,
     limits_per_m: NDArray[np.float32],
 ) -> NDArray[np.int32]:
-    """Remove the labels, on the grid, of pixels that their surfaces do not explain; 0 is none.
+    """Remove the labels of grid pixels that their surfaces do not explain.
 
-    `limits_per_m`, (labels + 1,), are the residuals from which a label's surface does not explain a grid
-    pixel.
+    Parameters
+    ----------
+    labels : (h, w) int32
+        Labels on the grid; 0 is none.
+    inverse_depth : (h, w) float32
+        Inverse depth, 1/m.
+    lattice : SurfaceLattice
+        Of the labels' surfaces.
+    limits_per_m : (labels + 1,) float32
+        Residual from which a label's surface does not explain a grid pixel, 1/m.
+
+    Returns
+    -------
+    (h, w) int32
+        The labels, 0 where removed.
     """
     is_own = np.abs(lattice.image(labels) - inverse_depth) < limits_per_m.take(labels)
     return np.where(is_own, labels, 0)
@@ -102,8 +131,21 @@ def new_components(
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Give small components to their neighbours; number the large unlabelled ones.
 
-    `labels`, (h, w) on the grid, are 1 to `count`, 0 for none. Returns these, each with at least its largest
-    component, and the numbers of new components, 0 elsewhere.
+    Parameters
+    ----------
+    labels : (h, w) int32
+        Labels on the grid, 1 to `count`; 0 is none.
+    features : GridFeatures
+        The frame.
+    count : int
+        Number of labels.
+    config : SegmentationConfig
+        The smallest component, and the gap in depth.
+
+    Returns
+    -------
+    labels, new : (h, w) int32
+        The labels, each with at least its largest component; and the numbers of new components, 0 elsewhere.
     """
     grid, open_label = features.grid, count + 1
     marked = np.where(grid.valid & (labels == 0), np.int32(open_label), labels)

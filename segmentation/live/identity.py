@@ -23,9 +23,18 @@ _GRID_WIDTH = 160
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """What happened to an identity between two frames."""
+    """What happened to an identity between two frames.
 
-    #: "split": `identity` was split from `other`; "merge": `identity` was merged into `other`.
+    Parameters
+    ----------
+    kind : {"new", "lost", "back", "split", "merge"}
+        "split": `identity` was split from `other`; "merge": `identity` was merged into `other`.
+    identity : int
+        The identity.
+    other : int or None
+        The second one of a split or a merge.
+    """
+
     kind: Literal["new", "lost", "back", "split", "merge"]
     identity: int
     other: int | None = None
@@ -45,21 +54,36 @@ def event_text(event: Event) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identities:
-    """The identities of a frame's segments, and of those seen shortly before."""
+    """The identities of a frame's segments, and of those seen shortly before.
 
-    #: Identity of each label of the frame's label image.
+    Parameters
+    ----------
+    of_label : mapping of int to int
+        Identity of each label of the frame's label image.
+    grid : (h, w) uint16
+        Identity of every few pixels, for the comparison with the next frame.
+    appearances : mapping of int to Appearance
+        Of every identity that is visible, or was recently.
+    events : tuple of Event
+        What changed since the frame before.
+    next_identity : int
+        The next unused one.
+    """
+
     of_label: Mapping[int, int]
-    #: (h, w) identity of every few pixels, for the comparison with the next frame.
     grid: NDArray[np.uint16]
-    #: Of every identity that is visible, or was recently.
     appearances: Mapping[int, Appearance] = field(default_factory=dict)
-    #: What changed since the frame before.
     events: tuple[Event, ...] = ()
-    #: The next unused one.
     next_identity: int = 1
 
     def image(self, labels: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Return the identities of a label image of the frame; 0 stays 0."""
+        """Return a label image of identities.
+
+        Parameters
+        ----------
+        labels : (H, W) uint16
+            The frame's labels; 0 stays 0.
+        """
         table = np.zeros(max(self.of_label, default=0) + 1, dtype=np.uint16)
         for label, identity in self.of_label.items():
             table[label] = identity
@@ -78,8 +102,26 @@ def track_identities(
 
     Segments are matched by the assignment with the greatest total overlap in the image. Those without a match
     are compared with unmatched and recently lost ones by position, motion, size and color; those that
-    resemble none are new. `before` holds the labels of the frame before, warped to this one, 0 for none; by
-    default segments are assumed not to have moved. Lost identities are kept for `remembered` frames.
+    resemble none are new.
+
+    Parameters
+    ----------
+    previous : Identities or None
+        Of the frame before; None for the first.
+    labels : (H, W) uint16
+        Labels of this frame; 0 is no segment.
+    cloud : PointMap
+        This frame.
+    before : (H, W) uint16, optional
+        Labels of the frame before, warped to this one; 0 is none. By default segments are assumed not to
+        have moved.
+    remembered : int
+        Frames for which a lost identity is kept.
+
+    Returns
+    -------
+    Identities
+        Of this frame.
     """
     step = max(1, round(labels.shape[1] / _GRID_WIDTH))
     coarse = np.ascontiguousarray(labels[::step, ::step])

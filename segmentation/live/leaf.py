@@ -37,21 +37,38 @@ class Attempt:
 
 @dataclass(slots=True, eq=False)
 class LiveLeaf:
-    """A leaf of the live tree: its node, and a number that is the same in all frames."""
+    """A leaf of the live tree.
+
+    Parameters
+    ----------
+    node : Node
+        Its node of the tree.
+    number : int
+        Its number, the same in all frames.
+
+    Attributes
+    ----------
+    surface : NurbsSurface or None
+        Its surface, moved since it was fitted.
+    age : int
+        Frames since it was fitted.
+    level : float
+        Mean squared residual after the last fit, in units of the noise; NaN if unknown.
+    tried : float
+        The same at the last trial of a split, or when the leaf was made; NaN if unknown.
+    rms_per_m : float
+        Root mean square residual of inverse depth, 1/m.
+    attempt : Attempt or None
+        The last attempt to split it, if not out of date.
+    """
 
     node: Node
     number: int
-    #: Its surface, moved since it was fitted.
     surface: NurbsSurface | None = field(init=False)
-    #: Frames since it was fitted.
     age: int = 0
-    #: Mean squared residual after the last fit, and at the last trial of a split, or when the leaf was made,
-    #: in units of the noise; NaN if unknown.
     level: float = float("nan")
     tried: float = float("nan")
-    #: Root mean square residual of inverse depth, 1/m.
     rms_per_m: float = 0.0
-    #: The last attempt to split it, if not out of date.
     attempt: Attempt | None = None
 
     def __post_init__(self) -> None:
@@ -70,20 +87,41 @@ class LiveLeaf:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Misfit:
-    """How well surfaces explain their labels, by label; 0 is none."""
+    """How well surfaces explain their labels, by label; 0 is none.
 
-    #: (labels + 1,) number of grid pixels.
+    Parameters
+    ----------
+    counts : (labels + 1,) int64
+        Number of grid pixels.
+    mean_squared : (labels + 1,) float64
+        Mean of the limited squared residuals, in units of the noise: 1 is expected.
+    unreached : (labels + 1,) float64
+        Share of grid pixels that the surface does not reach.
+    """
+
     counts: NDArray[np.int64]
-    #: (labels + 1,) mean of the limited squared residuals, in units of the noise: 1 is expected.
     mean_squared: NDArray[np.float64]
-    #: (labels + 1,) share of grid pixels that the surface does not reach.
     unreached: NDArray[np.float64]
 
 
 def misfit(
     labels: NDArray[np.int32], lattice: SurfaceLattice, grid: DepthGrid, noise_per_m: float, leaves: int
 ) -> Misfit:
-    """Measure how well the surfaces of labels on the grid, (h, w), 1 to `leaves`, explain them."""
+    """Measure how well surfaces explain their labels.
+
+    Parameters
+    ----------
+    labels : (h, w) int32
+        Labels on the grid, 1 to `leaves`; 0 is none.
+    lattice : SurfaceLattice
+        Of the labels' surfaces.
+    grid : DepthGrid
+        The points.
+    noise_per_m : float
+        Standard deviation of inverse depth, 1/m.
+    leaves : int
+        Number of labels.
+    """
     size = leaves + 1
     # Of the rim and of the inner pixels: count, count not reached, sum of squares.
     sums = np.zeros((size, 2, 3))
@@ -124,8 +162,23 @@ def update_residuals(
 ) -> list[LiveLeaf]:
     """Update each leaf's grid pixels, and the residuals and metrics of its moved surface.
 
-    The leaves are those of the labels 1, 2, ... on the grid. Returns the ones whose surface does not reach
-    all of their grid pixels; they have no fit.
+    Parameters
+    ----------
+    leaves : sequence of LiveLeaf
+        Of the labels 1, 2, ...
+    labels : (h, w) int32
+        Labels on the grid.
+    lattice : SurfaceLattice
+        Of their surfaces.
+    grid : DepthGrid
+        The points.
+    config : SegmentationConfig
+        The deciding metric, and limits of the metrics.
+
+    Returns
+    -------
+    list of LiveLeaf
+        Leaves whose surface does not reach all of their grid pixels; they have no fit.
     """
     size = len(leaves) + 1
     order, bounds = by_label(labels.reshape(-1), size)

@@ -23,11 +23,22 @@ def resized(image: NDArray[np.uint8], shape: tuple[int, ...]) -> NDArray[np.uint
 
 
 def flow_back(now: NDArray[np.uint8], before: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Find where each pixel of a gray image, (h, w) uint8, was in that of the frame before.
+    """Find by dense inverse search where each pixel was in the frame before.
 
-    By dense inverse search (T. Kroeger et al., "Fast optical flow using dense inverse search", ECCV 2016).
-    Returns (h, w, 2) columns and rows from a pixel of this frame to its position in the one before; 0 if the
-    images are too small.
+    Parameters
+    ----------
+    now, before : (h, w) uint8
+        Gray images.
+
+    Returns
+    -------
+    (h, w, 2) float32
+        Columns and rows from a pixel of this frame to its position in the one before; 0 if the images are too
+        small.
+
+    References
+    ----------
+    .. [1] T. Kroeger et al., "Fast optical flow using dense inverse search", ECCV 2016.
     """
     if min(now.shape) < 32:
         return np.zeros((*now.shape, 2), dtype=np.float32)
@@ -37,10 +48,19 @@ def flow_back(now: NDArray[np.uint8], before: NDArray[np.uint8]) -> NDArray[np.f
 
 
 def warped(image: NDArray[np.uint16], flow: NDArray[np.float32]) -> NDArray[np.uint16]:
-    """Warp the values of the frame before, (H, W), to this frame.
+    """Warp the values of the frame before to this frame.
 
-    The flow is that of `flow_back`, on an image of this size or smaller. Returns the nearest value at each
-    pixel's position; 0 for what comes into view.
+    Parameters
+    ----------
+    image : (H, W) uint16
+        Of the frame before.
+    flow : (h, w, 2) float32
+        As of `flow_back`, on an image of this size or smaller.
+
+    Returns
+    -------
+    (H, W) uint16
+        The nearest value at each pixel's position; 0 for what comes into view.
     """
     found = np.empty_like(image)
     _warp(np.ascontiguousarray(image), np.ascontiguousarray(flow), found)

@@ -60,8 +60,23 @@ class ObjectMemory:
     ) -> tuple[tuple[SceneObject, ...], tuple[Contact, ...]]:
         """Merge the leaves of a frame by the filtered evidence along their borders.
 
-        The leaves are those of the labels 1, 2, ... on the grid. Returns objects and contacts as
-        `merge_surfaces`; evidence has one more term, ``kept``, the hysteresis.
+        Parameters
+        ----------
+        leaves : sequence of LiveLeaf
+            Of the labels 1, 2, ...
+        on_grid : (h, w) int32
+            Labels of the grid pixels.
+        lattice : SurfaceLattice
+            Of their surfaces.
+        grid : DepthGrid
+            The points.
+        config : SegmentationConfig
+            Whether to merge, the least log odds, noise and gap.
+
+        Returns
+        -------
+        objects, contacts
+            As those of `merge_surfaces`; evidence has one more term, ``kept``, the hysteresis.
         """
         if not config.extended.merge_surfaces:
             return (), ()

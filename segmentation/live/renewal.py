@@ -24,12 +24,20 @@ _JUDGED_PIXELS = 4_000
 
 @dataclass(frozen=True, slots=True)
 class Renewal:
-    """What was judged again in a frame: a number of splits."""
+    """What was judged again in a frame.
+
+    Parameters
+    ----------
+    judged : int
+        Number of splits.
+    rejected : tuple of Node
+        Those that the ratio no longer keeps, by surfaces that were moved since they were fitted.
+    oldest : int
+        Frames since the oldest value or ratio of a split was found.
+    """
 
     judged: int
-    #: Splits that the ratio no longer keeps, by surfaces that were moved since they were fitted.
     rejected: tuple[Node, ...]
-    #: Frames since the oldest value or ratio of a split was found.
     oldest: int
 
 
@@ -46,10 +54,30 @@ def renew_splits(
     """Judge splits again by the ratio (eq. 5), the least recently judged ones first.
 
     One surface is fitted to the whole segment and compared with those of the leaves below it. A segment that
-    is not fitted in this frame has no surface, as its last one belongs to another frame; with
-    `every_surface`, every segment that was cut gets its surface of this frame, and the same splits are
-    judged. Leaves are those of the labels 1, 2, ... on the grid, as measured in this frame. Rejected splits
-    are undone in the next frame; until then they have the trial by which they were kept last.
+    is not fitted in this frame has no surface, as its last one belongs to another frame.
+
+    Parameters
+    ----------
+    root : Node
+        Of the tree, whose splits get fits and trials.
+    leaves : sequence of LiveLeaf
+        Of the labels 1, 2, ..., as measured in this frame.
+    labels : (h, w) int32
+        Labels on the grid.
+    features : GridFeatures
+        The frame.
+    frame : int
+        Its number.
+    config : SegmentationConfig
+        The metric, and T.
+    every_surface : bool
+        Whether every segment that was cut gets its surface of this frame; the same splits are judged.
+
+    Returns
+    -------
+    Renewal
+        Rejected splits are undone in the next frame; until then they have the trial by which they were kept
+        last.
     """
     label = {id(leaf.node): number for number, leaf in enumerate(leaves, start=1)}
     reach: dict[int, tuple[int, int]] = {}
@@ -97,7 +125,18 @@ def set_stop_reasons(
 ) -> None:
     """Give every leaf its stop reason, by its measurements in this frame and its last trial.
 
-    `cuts` is the number of cuts in the tree.
+    Parameters
+    ----------
+    leaves : sequence of LiveLeaf
+        As measured in this frame.
+    cuts : int
+        Number of cuts in the tree.
+    grid_pixels_min : float
+        Fewest grid pixels of a segment.
+    frame : int
+        Number of the frame.
+    config : SegmentationConfig
+        T_d, T_s, the metric and T.
     """
     for leaf in leaves:
         node, attempt = leaf.node, leaf.attempt

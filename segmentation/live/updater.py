@@ -43,15 +43,23 @@ _WEAR = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """How much of the tree is updated in one frame."""
+    """How much of the tree is updated in one frame.
 
-    #: Leaves that are fitted again, the worst first.
+    Parameters
+    ----------
+    refits : int
+        Leaves that are fitted again, the worst first.
+    trials : int
+        Leaves that are cut to try a split, the worst first; a large one counts as all.
+    merges : int
+        Pairs of leaves that are compared with one surface for both.
+    coarser : int
+        Pixels by which the grid step exceeds the usual one.
+    """
+
     refits: int = 6
-    #: Leaves that are cut to try a split, the worst first; a large one counts as all.
     trials: int = 3
-    #: Pairs of leaves that are compared with one surface for both.
     merges: int = 2
-    #: Pixels by which the grid step exceeds the usual one.
     coarser: int = 0
 
 
@@ -89,11 +97,35 @@ class TreeUpdater:
     ) -> TreeUpdate:
         """Update a tree, the worst first, within the budget.
 
-        Raw vectors of `features` are made of the cloud where they are needed. On the grid, `on_grid` are
-        labels, 1 to the number of leaves, and `appeared` the numbers of components that no leaf explains; 0
-        is none. `measures` say how well surfaces explain labels, `same_object` has the numbers of adjacent
-        leaves of one object, the smaller first, and `rejected` the segments whose split the ratio no longer
-        keeps, by the surfaces of the frame before. Returns the leaves in their new order, and their labels.
+        Parameters
+        ----------
+        cloud, features : PointMap, GridFeatures
+            The frame; raw vectors are made of it where they are needed.
+        on_grid : (h, w) int32
+            Labels on the grid, 1 to the number of leaves; 0 for none.
+        appeared : (h, w) int32
+            Numbers of components that no leaf explains; 0 elsewhere.
+        root : Node
+            Of the tree, which is changed.
+        leaves : sequence of LiveLeaf
+            Of the labels.
+        measures : Misfit
+            How well their surfaces explain them.
+        same_object : container of (int, int)
+            Numbers of adjacent leaves of one object, the smaller first.
+        rejected : sequence of Node
+            Segments whose split the ratio no longer keeps, by the surfaces of the frame before.
+        frame : int
+            Number of the frame.
+        budget : Budget
+            How much is done.
+        config : SegmentationConfig
+            Thresholds and choices.
+
+        Returns
+        -------
+        TreeUpdate
+            The leaves in their new order, and their labels.
         """
         self._turn += 1
         editor = TreeEditor(root, leaves, on_grid, self.leaf)

@@ -25,9 +25,20 @@ def fill_colors(
 
     What hides a point from the color camera is in front of it, so its color is never taken. Sources at the
     point's own depth are preferred to farther ones. Where row and column hold none, the known pixel that is
-    next behind in depth serves, or else the farthest. `color` is filled in place. `missing` and `known` are
-    disjoint, and depth is finite in both; points whose inverse depths differ by at most `tolerance_per_m` are
-    at the same depth.
+    next behind in depth serves, or else the farthest.
+
+    Parameters
+    ----------
+    color : (H, W, 3) uint8
+        RGB, filled in place where `missing`.
+    known : (H, W) bool
+        Where `color` may be taken from.
+    missing : (H, W) bool
+        Where a color is wanted; disjoint from `known`.
+    depth_m : (H, W) float32
+        Metres; finite where `known` or `missing`.
+    tolerance_per_m : float
+        Largest difference of inverse depth of points at the same depth, 1/m.
     """
     if not missing.any() or not known.any():
         return

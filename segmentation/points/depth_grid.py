@@ -14,13 +14,26 @@ from nurbseg.segmentation.points.registration import PointMap
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DepthGrid:
-    """A grid of points with their inverse depths."""
+    """A grid of points with their inverse depths.
+
+    Parameters
+    ----------
+    points : PixelGrid
+        The points.
+    inverse_depth : (h, w) float32
+        Inverse depth, 1/m; 0 where there is no point.
+    rays : Rays
+        Of the camera.
+
+    Attributes
+    ----------
+    distances_m : (h, w) float32
+        From the camera, metres; 0 or NaN where there is no point.
+    """
 
     points: PixelGrid
-    #: (h, w) inverse depth, 1/m; 0 where there is no point.
     inverse_depth: NDArray[np.float32]
     rays: Rays
-    #: (h, w) from the camera, metres; 0 or NaN where there is no point.
     distances_m: NDArray[np.float32] = field(init=False)
 
     def __post_init__(self) -> None:

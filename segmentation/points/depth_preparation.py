@@ -19,8 +19,14 @@ _NOISE_DEVIATIONS = 3.0
 class DepthPreparation:
     """Prepares depth images in the order of their frames, as `DepthConfig` says.
 
-    Color, ground truth and image size stay. Pixels that are left out get depth 0. The noise is the standard
-    deviation of inverse depth, 1/m.
+    Color, ground truth and image size stay. Pixels that are left out get depth 0.
+
+    Parameters
+    ----------
+    config : DepthConfig
+        What to do.
+    inverse_depth_noise : float
+        Standard deviation of inverse depth, 1/m.
     """
 
     def __init__(self, config: DepthConfig, inverse_depth_noise: float) -> None:

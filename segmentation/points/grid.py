@@ -17,14 +17,23 @@ Window = tuple[int, int, int, int]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PixelGrid:
-    """Points on every `step`-th row and column of an image, laid out for matrix products."""
+    """Points on every `step`-th row and column of an image, laid out for matrix products.
+
+    Parameters
+    ----------
+    step : int
+        Distance of neighbours on the grid, pixels.
+    image_shape : (int, int)
+        Rows and columns of the full image.
+    coordinates_m : (3, h, w) float32
+        x, y, z in metres; 0, or NaN on a full grid, where there is no point.
+    valid : (h, w) bool
+        Where there is a point.
+    """
 
     step: int
-    #: Rows and columns of the full image.
     image_shape: tuple[int, int]
-    #: (3, h, w) x, y, z in metres; 0, or NaN on a full grid, where there is no point.
     coordinates_m: NDArray[np.float32]
-    #: (h, w) where there is a point.
     valid: NDArray[np.bool_]
 
     @property
@@ -163,8 +172,17 @@ def full_grid(cloud: PointMap) -> PixelGrid:
 def grid_step(valid: NDArray[np.bool_], decimation: int) -> int:
     """Return the step of the grid on which splits are decided, pixels.
 
-    That is the setting or, if it is 0, 2, and 1 for small images; also 1 if that grid would hold no point
-    although the image does.
+    Parameters
+    ----------
+    valid : (H, W) bool
+        Pixels that have a point.
+    decimation : int
+        The setting: the step, or 0 for 2, and 1 for small images.
+
+    Returns
+    -------
+    int
+        1 if that grid would hold no point although the image does.
     """
     step = decimation or (1 if valid.shape[1] <= _SMALL_IMAGE_PX else _USUAL_STEP)
     return step if valid[::step, ::step].any() or not valid.any() else 1

@@ -28,11 +28,30 @@ def facet_slopes(
 
     A plane is fitted in the window around each grid pixel. A point then takes, of nine windows that hold it,
     the plane with the least residual among those that explain the point: next to an edge, one that does not
-    reach across it (R. M. Haralick and L. Watson, "A facet model for image data", Computer Graphics and Image
-    Processing 15(2), 1981). The side of a window, grid pixels, is odd.
+    reach across it [1]_.
 
-    Returns the change of inverse depth from one grid pixel to the next along columns and along rows, and the
-    inverse depth of the plane at the point, (h, w) each, 1/m.
+    Parameters
+    ----------
+    inverse_depth : (h, w) float32
+        One over depth, 1/m; read only where `valid`.
+    valid : (h, w) bool
+        Where there is a point.
+    window : int
+        Side of the windows, grid pixels; odd.
+    noise_per_m : float
+        Standard deviation of the inverse depth, 1/m.
+
+    Returns
+    -------
+    slope_u, slope_v : (h, w) float32
+        Change of inverse depth from one grid pixel to the next along columns and rows, 1/m.
+    smoothed : (h, w) float32
+        Inverse depth of the plane at the point, 1/m.
+
+    References
+    ----------
+    .. [1] R. M. Haralick and L. Watson, "A facet model for image data", Computer Graphics and Image
+       Processing 15(2), 1981.
     """
     inverse_depth, valid = np.ascontiguousarray(inverse_depth), np.ascontiguousarray(valid)
     if not valid.any():
@@ -187,9 +206,25 @@ def facet_normals(
     window: int,
     noise_per_m: float,
 ) -> NDArray[np.float32]:
-    """Return the unit normal of every point of a grid, (h, w, 3), towards the camera; 0 for no point.
+    """Return the unit normal of every point of a grid.
 
-    The grid is every `step`-th row and column of the image; the side of a window is in grid pixels.
+    Parameters
+    ----------
+    inverse_depth, valid : (h, w) float32 and bool
+        One over depth, 1/m, and where there is a point, on every `step`-th row and column of the image.
+    rays : Rays
+        Of the camera.
+    step : int
+        Pixels from one grid pixel to the next.
+    window : int
+        Side of the windows, grid pixels.
+    noise_per_m : float
+        Standard deviation of the inverse depth, 1/m.
+
+    Returns
+    -------
+    (h, w, 3) float32
+        Unit vectors towards the camera; 0 where there is no point.
     """
     height, width = valid.shape
     slope_u, slope_v, smoothed = facet_slopes(inverse_depth, valid, window=window, noise_per_m=noise_per_m)
@@ -209,11 +244,24 @@ def plane_normals(
     ray_y: NDArray[np.float64],
     focal_px: tuple[float, float],
 ) -> NDArray[Any]:
-    """Return the unit normals, (..., 3), of planes of inverse depth, towards the camera.
+    """Return the unit normals of planes of inverse depth.
 
     The plane n . p = 1 has the inverse depth n . (ray_x, ray_y, 1). So n is the slope times the focal length
-    along u and v, and along z what remains of the inverse depth. Slopes and focal lengths are in the same
-    pixels. Normals are 0 where the inverse depth is 0.
+    along u and v, and along z what remains of the inverse depth.
+
+    Parameters
+    ----------
+    inverse_depth, slope_u, slope_v : (...) float32 or float64
+        At some pixels, 1/m, and its change from pixel to pixel along rows and along columns.
+    ray_x, ray_y : (...) float64
+        x / z and y / z of the pixels' rays.
+    focal_px : (float, float)
+        Focal lengths in the pixels of the slopes.
+
+    Returns
+    -------
+    (..., 3) float32 or float64
+        Unit vectors towards the camera; 0 where the inverse depth is 0.
     """
     normals = np.empty((*inverse_depth.shape, 3), dtype=inverse_depth.dtype)
     slopes, rays = (slope_u.ravel(), slope_v.ravel()), (ray_x.ravel(), ray_y.ravel())

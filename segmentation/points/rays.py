@@ -18,15 +18,27 @@ _POWERS = tuple((a, b) for a in range(_DEGREE + 1) for b in range(_DEGREE + 1 - 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rays:
-    """Directions (x / z, y / z) of pixels: linear functions, or polynomials for a lens with distortion."""
+    """Directions (x / z, y / z) of pixels: linear functions, or polynomials for a lens with distortion.
 
-    #: ``coefficients[k, a, b]``, (2, 6, 6), belongs to ``s**a * t**b`` of x / z (k = 0) and y / z (k = 1),
-    #: where ``s = (u - center[0]) / scale`` and ``t = (v - center[1]) / scale``.
+    Parameters
+    ----------
+    coefficients : (2, 6, 6) float64
+        ``coefficients[k, a, b]`` belongs to ``s**a * t**b`` of x / z (k = 0) and y / z (k = 1), where
+        ``s = (u - center[0]) / scale`` and ``t = (v - center[1]) / scale``.
+    center : (float, float)
+        Origin of s and t, pixels (u, v).
+    scale : float
+        Unit of s and t, pixels.
+
+    Attributes
+    ----------
+    linear : bool
+        Whether they are linear functions.
+    """
+
     coefficients: NDArray[np.float64]
-    #: Origin, (u, v), and unit of s and t, pixels.
     center: tuple[float, float]
     scale: float
-    #: Whether they are linear functions.
     linear: bool = field(init=False)
 
     def __post_init__(self) -> None:
@@ -73,9 +85,19 @@ class Rays:
 
 
 def rays_through(points_m: NDArray[np.float32], valid: NDArray[np.bool_]) -> Rays:
-    """Estimate the rays of a camera from points on its pixel grid, (H, W, 3), by least squares.
+    """Estimate the rays of a camera from points on them, by least squares.
 
-    They are linear if that explains the points to rounding, else of the fifth degree.
+    Parameters
+    ----------
+    points_m : (H, W, 3) float32
+        Points on the pixel grid, metres.
+    valid : (H, W) bool
+        Where there is a point.
+
+    Returns
+    -------
+    Rays
+        Linear if that explains the points to rounding, else of the fifth degree.
     """
     height, width = valid.shape
     center, scale = ((width - 1) / 2, (height - 1) / 2), max(height, width) / 2

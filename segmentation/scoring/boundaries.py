@@ -17,12 +17,28 @@ class BoundaryScores(NamedTuple):
 def boundary_scores(
     labels: NDArray[np.integer], truth: NDArray[np.integer], *, tolerance_px: float = 2.0
 ) -> BoundaryScores:
-    """Compare the boundaries of two label maps, (H, W), in which 0 is no label.
+    """Compare the boundaries of two label maps.
 
     A boundary pixel has another label than its right or lower neighbour, both being labelled. It is matched
     if a boundary of the other map is within the tolerance, and does not count if an unlabelled pixel of the
-    other map is. Raises ValueError if the maps are not (H, W) of the same shape, or the tolerance is
-    negative.
+    other map is.
+
+    Parameters
+    ----------
+    labels, truth : (H, W) integers
+        Segments and ground-truth regions; 0 is neither.
+    tolerance_px : float
+        Largest distance of a match, pixels.
+
+    Returns
+    -------
+    BoundaryScores
+        `precision` of the segments' boundaries, `recall` of the ground truth's.
+
+    Raises
+    ------
+    ValueError
+        If the maps are not (H, W) of the same shape, or the tolerance is negative.
     """
     labels, truth = np.asarray(labels), np.asarray(truth)
     if labels.ndim != 2 or labels.shape != truth.shape:

@@ -33,16 +33,31 @@ class ObjectScores(NamedTuple):
 
 
 def object_scores(objects: NDArray[np.integer], truth: NDArray[np.integer]) -> ObjectScores:
-    """Compare objects with true objects, (H, W) each, in which 0 is the background.
+    """Compare objects with true objects.
 
     Objects are assigned to true ones so that the sum of the F measures of their overlaps is greatest. Over
     all assigned pairs, precision is the common pixels over those of all objects, recall over those of all
     true objects. Boundaries are compared in the same way: pixels near the other boundary count as common.
-    Without an object precision is 1, without a true object recall is 1; F is 1 where both are missing. Raises
-    ValueError if the maps are not (H, W) of the same shape.
 
-    The scores are those of C. Xie, Y. Xiang, A. Mousavian, D. Fox, "Unseen object instance segmentation for
-    robotic environments", IEEE Transactions on Robotics 37(5), 2021, section VI.
+    Parameters
+    ----------
+    objects, truth : (H, W) integers
+        Labels; 0 is background in both.
+
+    Returns
+    -------
+    ObjectScores
+        Without an object precision is 1, without a true object recall is 1; F is 1 where both are missing.
+
+    Raises
+    ------
+    ValueError
+        If the maps are not (H, W) of the same shape.
+
+    References
+    ----------
+    .. [1] C. Xie, Y. Xiang, A. Mousavian, D. Fox, "Unseen object instance segmentation for robotic
+       environments", IEEE Transactions on Robotics 37(5), 2021, section VI.
     """
     objects, truth = np.asarray(objects), np.asarray(truth)
     if objects.ndim != 2 or objects.shape != truth.shape:
@@ -77,9 +92,14 @@ def object_scores(objects: NDArray[np.integer], truth: NDArray[np.integer]) -> O
 
 
 def without_background(labels: NDArray[np.integer], points_m: NDArray[np.float32]) -> NDArray[np.integer]:
-    """Set the largest segment, and all in the same plane, to 0.
+    """Set the largest segment, and all segments in the same plane, to 0.
 
-    `labels`, (H, W), are 0 for none, and `points_m`, (H, W, 3), NaN.
+    Parameters
+    ----------
+    labels : (H, W) integers
+        Segments; 0 is none.
+    points_m : (H, W, 3) float32
+        Points, metres; NaN where there is none.
     """
     known = (labels > 0) & (points_m[..., 2] > 0)
     if not known.any():

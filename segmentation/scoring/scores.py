@@ -12,6 +12,11 @@ from numpy.typing import NDArray
 class Contingency:
     """Contingency table of segments and ground-truth regions, and the scores that follow from it.
 
+    Attributes
+    ----------
+    pixels : (S, R) int64
+        Common pixels: a row for each segment, a column for each region.
+
     References
     ----------
     .. [1] W. M. Rand, "Objective criteria for the evaluation of clustering methods", JASA 66, 1971.
@@ -19,15 +24,22 @@ class Contingency:
     .. [3] M. Meila, "Comparing clusterings: an axiomatic view", ICML 2005.
     """
 
-    #: (S, R) common pixels: a row for each segment, a column for each region.
     pixels: NDArray[np.int64]
 
     @classmethod
     def between(cls, labels: NDArray[np.integer], truth: NDArray[np.integer]) -> Contingency:
-        """Count the common pixels of two label maps of the same shape, in which 0 is no label.
+        """Count the common pixels of two label maps.
 
-        Raises ValueError if the shapes differ, a map is not of integers, a label is negative, or no pixel is
-        labelled in both maps.
+        Parameters
+        ----------
+        labels, truth : integer arrays of the same shape
+            Segments and ground-truth regions; 0 is neither.
+
+        Raises
+        ------
+        ValueError
+            If the shapes differ, a map is not of integers, a label is negative, or no pixel is labelled
+            in both maps.
         """
         labels, truth = np.asarray(labels), np.asarray(truth)
         if labels.shape != truth.shape:

@@ -16,9 +16,17 @@ def dot(a: F64, b: F64) -> float:
 
 @inlined_once
 def factorize(band: F64) -> bool:
-    """Replace a symmetric band by its Cholesky factor; False where the matrix is not positive definite.
+    """Replace a symmetric band by its Cholesky factor.
 
-    Entry ``[n, k]`` of the band is that of row ``n + k`` and column ``n``.
+    Parameters
+    ----------
+    band : (N, W) float64
+        Entry ``[n, k]`` is that of row ``n + k`` and column ``n``; replaced by the factor's.
+
+    Returns
+    -------
+    bool
+        False where the matrix is not positive definite.
     """
     size, width = band.shape
     for n in range(size):
@@ -39,7 +47,15 @@ def factorize(band: F64) -> bool:
 
 @inlined_once
 def substitute(factor: F64, x: F64) -> None:
-    """Replace the right-hand side x of a system by its solution, with the factor as `factorize` leaves it."""
+    """Solve a system in place.
+
+    Parameters
+    ----------
+    factor : (N, W) float64
+        As `factorize` leaves it.
+    x : (N,) float64
+        The right-hand side, replaced by the solution.
+    """
     size, width = factor.shape
     for n in range(size):
         reach = min(width, size - n)

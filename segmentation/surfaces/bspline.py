@@ -18,9 +18,29 @@ Four = tuple[float, float, float, float]
 def averaged_knots(parameters: NDArray[np.float64], count: int, degree: int = CUBIC) -> NDArray[np.float64]:
     """Choose knots for a least-squares fit, so that all knot spans hold about as many parameters.
 
-    Those of Piegl and Tiller, "The NURBS Book", 2nd ed., 1997, eq. 9.68 and 9.69, for `count` control points
-    and ascending parameters of the points; the ends are repeated ``degree + 1`` times. For a single parameter
-    the domain is one unit long. Raises ValueError if there is none, or `count` is less than ``degree + 1``.
+    Parameters
+    ----------
+    parameters : (M,) float64
+        Parameters of the points to fit, ascending.
+    count : int
+        Number of control points, at least ``degree + 1``.
+    degree : int
+        Of the basis functions.
+
+    Returns
+    -------
+    (count + degree + 1,) float64
+        Knot vector whose ends are repeated ``degree + 1`` times. For a single parameter the domain is one
+        unit long.
+
+    Raises
+    ------
+    ValueError
+        If there is no parameter, or `count` is less than ``degree + 1``.
+
+    References
+    ----------
+    .. [1] L. Piegl and W. Tiller, "The NURBS Book", 2nd ed., 1997, eq. 9.68 and 9.69.
     """
     if parameters.size == 0:
         raise ValueError("parameters: expected at least one, got none")
@@ -41,10 +61,27 @@ def averaged_knots(parameters: NDArray[np.float64], count: int, degree: int = CU
 def basis_matrix(
     knots: NDArray[np.float64], degree: int, parameters: NDArray[np.float64], derivative: int = 0
 ) -> NDArray[np.float64]:
-    """Evaluate every basis function, or a derivative of it, at every parameter, (M, count).
+    """Evaluate every basis function, or a derivative of it, at every parameter.
 
-    Outside of the domain the end spans are extrapolated (Piegl and Tiller, "The NURBS Book", 2nd ed., 1997,
-    eq. 2.5 and 2.7).
+    Parameters
+    ----------
+    knots : (count + degree + 1,) float64
+        Ascending knot vector.
+    degree : int
+        Of the basis functions.
+    parameters : (M,) float64
+        Where to evaluate. Outside of the domain the end spans are extrapolated.
+    derivative : int
+        Order of the derivative, 0 for the functions themselves.
+
+    Returns
+    -------
+    (M, count) float64
+        Values, in one over the parameter's unit to the power of `derivative`.
+
+    References
+    ----------
+    .. [1] L. Piegl and W. Tiller, "The NURBS Book", 2nd ed., 1997, eq. 2.5 and 2.7.
     """
     count = knots.size - degree - 1
     if degree == CUBIC and derivative <= 1:
@@ -90,10 +127,21 @@ def _even_basis(
 
 
 def even_functions(t: NDArray[np.float64], spacing: float, derivative: int = 0) -> NDArray[np.float64]:
-    """Evaluate the four cubic functions on a span of evenly spaced knots, or their slopes, (M, 4).
+    """Evaluate the four cubic functions on a span of evenly spaced knots.
 
-    They are in the order in which they begin; positions on the span are in units of the spacing from its
-    beginning.
+    Parameters
+    ----------
+    t : (M,) float64
+        Positions on the span, in units of the spacing from its beginning.
+    spacing : float
+        Distance of the knots.
+    derivative : int
+        0 for the functions, 1 for their slopes.
+
+    Returns
+    -------
+    (M, 4) float64
+        In the order in which the functions begin.
     """
     values = np.empty((t.size, CUBIC + 1))
     _fill_even(t, 1.0 / spacing, derivative, values)
@@ -141,7 +189,9 @@ def knot_span(knots: F64, start: int, count: int, t: float) -> int:
 def cubic_functions(knots: F64, span: int, t: float) -> tuple[Four, Four]:
     """Evaluate the four cubic functions on a span between any knots, and their slopes.
 
-    By algorithm A2.2 and eq. 2.7 of Piegl and Tiller, "The NURBS Book", 2nd ed., 1997.
+    References
+    ----------
+    .. [1] L. Piegl and W. Tiller, "The NURBS Book", 2nd ed., 1997, algorithm A2.2 and eq. 2.7.
     """
     after_1, after_2, after_3 = knots[span + 1] - t, knots[span + 2] - t, knots[span + 3] - t
     before_1, before_2, before_3 = t - knots[span], t - knots[span - 1], t - knots[span - 2]
@@ -167,13 +217,20 @@ def pixel_knots(size: int, count: int) -> NDArray[np.float64]:
 
 
 class SpanBasis(NamedTuple):
-    """The four cubic basis functions that are not zero at each of some parameters along an axis."""
+    """The four cubic basis functions that are not zero at each of some parameters along an axis.
 
-    #: (M,) number of the first of the four functions, ascending; read-only.
+    Parameters
+    ----------
+    starts : (M,) intp
+        Number of the first of the four functions, ascending; read-only.
+    values : (M, 4) float64
+        Of the four functions; read-only.
+    size : int
+        Number of functions.
+    """
+
     starts: NDArray[np.intp]
-    #: (M, 4) of the four functions; read-only.
     values: NDArray[np.float64]
-    #: Number of functions.
     size: int
 
 

@@ -38,7 +38,22 @@ def principal_curvatures(
 def curvatures_at_pixels(
     surface: NurbsSurface, pixels: NDArray[np.intp], width: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Do what `principal_curvatures` does at flat pixels, faster, on a lattice of rows and columns."""
+    """Return the principal curvatures of a surface at some pixels.
+
+    Parameters
+    ----------
+    surface : NurbsSurface
+        The surface.
+    pixels : (N,) intp
+        Flat indices into the image.
+    width : int
+        Columns of the image.
+
+    Returns
+    -------
+    k1, k2 : (N,) float64
+        As of `principal_curvatures`, computed faster, on a lattice of rows and columns.
+    """
     rows, columns = np.divmod(pixels, width)
     v, row = np.unique(rows, return_inverse=True)
     u, column = np.unique(columns, return_inverse=True)

@@ -91,9 +91,19 @@ def fit_surface(cloud: PointMap, pixels: NDArray[np.intp], config: SegmentationC
 
 
 def fit_on_grid(grid: PixelGrid, grid_pixels: NDArray[np.intp], config: SegmentationConfig) -> Fit:
-    """Fit a surface to some flat pixels of a grid, ascending, whose step may be larger than a pixel.
+    """Fit a surface to some pixels of a grid, whose step may be larger than a pixel.
 
-    Its parameters and window are pixels of the full image.
+    Parameters
+    ----------
+    grid, config : PixelGrid, SegmentationConfig
+        The points; and the settings, as for `fit_surface`.
+    grid_pixels : (N,) intp
+        Flat indices into the grid, ascending.
+
+    Returns
+    -------
+    Fit
+        As of `fit_surface`; parameters and window are pixels of the full image.
     """
     if grid_pixels.size == 0:
         return Fit(None, np.zeros(0), {}, "0 points, 1 needed", grid_pixels)
@@ -123,7 +133,15 @@ def fit_on_grid(grid: PixelGrid, grid_pixels: NDArray[np.intp], config: Segmenta
 def has_least_norm(config: SegmentationConfig) -> bool:
     """Return whether fits are the least-squares solutions of least norm, by SVD, not by a ridge.
 
-    Curvature takes second derivatives, which a ridge changes much more than residuals.
+    Parameters
+    ----------
+    config : SegmentationConfig
+        Its `least_squares`, and where that is "auto", its metric.
+
+    Returns
+    -------
+    bool
+        Curvature takes second derivatives, which a ridge changes much more than residuals.
     """
     if config.stag15.least_squares == "auto":
         return config.metric in CURVATURE_METRICS
@@ -133,8 +151,18 @@ def has_least_norm(config: SegmentationConfig) -> bool:
 def control_point_count(extent: int, image_extent: int, config: SegmentationConfig) -> int:
     """Return the number of control points for a segment, in proportion to its extent (section 3.2).
 
-    At least 4, which a cubic needs, and beyond that no more than there are pixels. The setting
-    `control_points_max` is for a segment that spans the image or, if `control_points` is "fixed", for all.
+    Parameters
+    ----------
+    extent, image_extent : int
+        Of the segment and of the image in one direction, in the same unit.
+    config : SegmentationConfig
+        Its `control_points_max` is for a segment that spans the image or, if its `control_points` is "fixed",
+        for every segment.
+
+    Returns
+    -------
+    int
+        At least 4, which a cubic needs, and beyond that no more than there are pixels.
     """
     share = 1.0 if config.stag15.control_points == "fixed" else extent / image_extent
     wanted = int(np.floor(config.stag15.control_points_max * share + 0.5))
@@ -153,10 +181,25 @@ def spline_distances(
     rows: SpanBasis,
     columns: SpanBasis,
 ) -> NDArray[np.float64]:
-    """Return the distance, metres, of each marked point of a window to a spline at the point's parameters.
+    """Return the distance of each marked point of a window to a spline at the point's own parameters.
 
-    The spline has (3, rows.size, columns.size) control points; `points_m`, (3, H, W), is read only where
-    `mask` is set, from row and column `corner` on.
+    Parameters
+    ----------
+    control_m : (3, rows.size, columns.size) float64
+        Control points, metres.
+    points_m : (3, H, W) float32
+        Points, metres; read only where `mask` is set.
+    mask : (h, w) bool
+        Pixels of the window.
+    corner : (int, int)
+        First row and column of the window.
+    rows, columns : SpanBasis
+        At the rows and columns of the window.
+
+    Returns
+    -------
+    (N,) float64
+        Metres, in the order of pixels.
     """
     return _distances(points_m, np.ascontiguousarray(mask), corner, control_m, rows, columns)
 

@@ -41,11 +41,30 @@ def fit_window(
     *,
     floor: float = 0.0,
 ) -> Fit:
-    """Fit a surface to the marked pixels of a window of the grid, at least one, each of which has a point.
+    """Fit a surface to the marked pixels of a window of the grid.
 
-    It is a smoothing spline (P. Eilers and B. Marx, "Flexible smoothing with B-splines and penalties",
-    Statistical Science 11(2), 1996) whose parameters are pixels of the full image. `floor` is that of the
-    deciding metric.
+    Parameters
+    ----------
+    grid : DepthGrid
+        The points.
+    window : (int, int, int, int)
+        First row and column of the grid, and one past the last of each.
+    mask : (h, w) bool
+        Pixels of the window to fit, at least one, each of which has a point.
+    config : SegmentationConfig
+        Knot spacing and smoothness.
+    floor : float
+        Floor of the deciding metric.
+
+    Returns
+    -------
+    Fit
+        The surface, residuals in space and metrics, parameters being pixels of the full image.
+
+    References
+    ----------
+    .. [1] P. Eilers and B. Marx, "Flexible smoothing with B-splines and penalties", Statistical Science
+       11(2), 1996.
     """
     mask = np.ascontiguousarray(mask)
     pixels = grid.points.pixels_of_window(window, mask)
@@ -171,10 +190,23 @@ def rational_surface(
     rays: Rays,
     window: Window,
 ) -> NurbsSurface:
-    """Express a spline of inverse depth as a NURBS surface, whose points are ray(u, v) / d(u, v), exactly.
+    """Express a spline of inverse depth as a NURBS surface.
 
-    The control values of inverse depth, more than 0, are its weights; those of the rays, with 1 for z, its
-    weighted control points. Knots and window are in pixels.
+    Parameters
+    ----------
+    control_per_m : (n, m) float64
+        Control values of the inverse depth, 1/m, more than 0: they are the surface's weights.
+    knots_u, knots_v : (m + 4,), (n + 4,) float64
+        Knot vectors, pixels.
+    rays : Rays
+        Of the camera; their control values, with 1 for z, are the surface's weighted control points.
+    window : (int, int, int, int)
+        Pixels that the surface spans.
+
+    Returns
+    -------
+    NurbsSurface
+        Whose point at (u, v) is ray(u, v) / d(u, v), exactly.
     """
     points_m = np.empty((*control_per_m.shape, 3))
     _divide(ray_control_values(rays, knots_u, knots_v), control_per_m, points_m)
@@ -201,11 +233,24 @@ def _divide(rays: F64, control_per_m: F64, points_m: F64) -> None:
 def ray_control_values(
     rays: Rays, knots_u: NDArray[np.float64], knots_v: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the control values of cubic splines that interpolate the rays, (2, n, m) for x / z and y / z.
+    """Return the control values of cubic splines that interpolate the rays.
 
-    They agree with the rays at the Greville abscissae, the means of three successive knots: exactly if the
-    rays are linear, else to the fourth order in the knot spacing (C. de Boor, "A Practical Guide to Splines",
-    1978, chapter 13).
+    Parameters
+    ----------
+    rays : Rays
+        Of the camera.
+    knots_u, knots_v : (m + 4,), (n + 4,) float64
+        Knot vectors, pixels.
+
+    Returns
+    -------
+    (2, n, m) float64
+        Of x / z and y / z. The splines agree with the rays at the Greville abscissae, the means of three
+        successive knots: exactly if the rays are linear, else to the fourth order in the knot spacing.
+
+    References
+    ----------
+    .. [1] C. de Boor, "A Practical Guide to Splines", 1978, chapter 13.
     """
     if rays.linear:
         # The control values of a linear function lie on it.

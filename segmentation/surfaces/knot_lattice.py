@@ -14,11 +14,23 @@ _TABLE_PIXELS = 160
 def lattice_basis(
     start: int, stop: int, margin: int, spacing: float
 ) -> tuple[SpanBasis, NDArray[np.float64]]:
-    """Return the functions that reach a window or a margin around it, at the window's grid pixels.
+    """Return the functions that reach a window or a margin around it.
 
-    The window is from `start` to before `stop`, the splines extend beyond it by `margin` on both sides, and
-    knots are the multiples of `spacing`, all in grid pixels. The second value is the knot vector, (count +
-    4,).
+    Parameters
+    ----------
+    start, stop : int
+        First grid pixel of the window along the axis, and one past the last.
+    margin : int
+        How far splines of these functions extend beyond the window on both sides, grid pixels.
+    spacing : float
+        Distance of the knots, grid pixels; the knots are its multiples.
+
+    Returns
+    -------
+    basis : SpanBasis
+        At the grid pixels of the window alone.
+    knots : (count + 4,) float64
+        Knot vector, grid pixels.
     """
     # Function number i is not zero between knots i - 3 and i + 1.
     first = int((start - margin) // spacing)

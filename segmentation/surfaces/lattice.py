@@ -15,22 +15,38 @@ _ROUNDING = 1e-9
 
 
 class Samples(NamedTuple):
-    """Inverse depths of surfaces on their windows, as compiled functions take them."""
+    """Inverse depths of surfaces on their windows, as compiled functions take them.
 
-    #: (N,) inverse depths, 1/m, window after window in row order.
+    Parameters
+    ----------
+    values : (N,) float32
+        Inverse depths, 1/m, window after window in row order.
+    windows : (labels + 1, 5) int32
+        Of each label: first row and column of the grid that its surface reaches, one past the last of each,
+        and the index of the first in `values`. Empty for 0, which is no label.
+    """
+
     values: NDArray[np.float32]
-    #: (labels + 1, 5) of each label: first row and column of the grid that its surface reaches, one past the
-    #: last of each, and the index of the first in `values`. Empty for 0, which is no label.
     windows: NDArray[np.int32]
 
 
 class SurfaceLattice:
-    """Inverse depths of surfaces, each on the part of a grid of some step that it reaches.
+    """Inverse depths of surfaces, each on the part of a grid that it reaches.
 
-    All are in one array, `samples`, as a call for each of fifty surfaces would cost more than the arithmetic.
-    The surfaces are those of the labels 1, 2, ..., as fitted to inverse depth: cubic on evenly spaced knots,
-    with weights that are control values of inverse depth. A label without a surface has no inverse depth
-    anywhere.
+    All are in one array, as a call for each of fifty surfaces would cost more than the arithmetic.
+
+    Parameters
+    ----------
+    surfaces : sequence of NurbsSurface or None
+        Of the labels 1, 2, ..., as fitted to inverse depth: cubic on evenly spaced knots, with weights that
+        are control values of inverse depth. A label without a surface has no inverse depth anywhere.
+    step : int
+        Pixels from one grid pixel to the next.
+
+    Attributes
+    ----------
+    samples : Samples
+        The inverse depths.
     """
 
     def __init__(self, surfaces: Sequence[NurbsSurface | None], step: int) -> None:

@@ -24,11 +24,29 @@ def fit_control_points(
 ) -> NDArray[np.float64]:
     """Fit the control points of a bicubic spline to values on part of a window of pixels.
 
-    The parameters are the pixels' positions in the window, which begins at row and column `corner`; `values`,
-    (C, H, W), are read only where `mask`, (h, w), is set, at one pixel at least. `counts` are those along u
-    (columns) and v (rows). Returns control values, (C, nv, nu); where the data are not sufficient, those of
-    least norm about the image's mean over the mask, approached by a small ridge. Raises LinAlgError if the
-    values are not finite.
+    The parameters are the pixels' positions in the window.
+
+    Parameters
+    ----------
+    values : (C, H, W) float32
+        Images to fit; read only where `mask` is set.
+    mask : (h, w) bool
+        Pixels of the window that have a value, at least one.
+    corner : (int, int)
+        First row and column of the window.
+    counts : (int, int)
+        Control points along u (columns of the image) and v (rows of the image).
+
+    Returns
+    -------
+    (C, nv, nu) float64
+        Control values. Where the data are not sufficient, those of least norm about the image's mean over
+        the mask, approached by a small ridge.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the values are not finite, so that there is no solution.
     """
     height, width = mask.shape
     return fit_splines(values, mask, corner, pixel_basis(height, counts[1]), pixel_basis(width, counts[0]))[0]
@@ -48,11 +66,27 @@ def fit_splines(
     products of two basis functions along each axis. On a row of a span of columns these are ten sums, and
     four for each image; each is used with the ten products of the row's own functions.
 
-    Images are as for `fit_control_points`, and the bases are at the rows and columns of the window.
-    `smoothness` weighs the squared second differences of the control values along both axes against the
-    squared residuals. On even knots linear functions have none, so that splines extrapolate linearly. Returns
-    the control values, and the support of each: the sum of its basis function's square over the pixels.
-    Raises LinAlgError if there is no finite solution.
+    Parameters
+    ----------
+    values, mask, corner
+        As for `fit_control_points`.
+    rows, columns : SpanBasis
+        At the rows and columns of the window.
+    smoothness : float
+        Weight of the squared second differences of the control values along both axes, against the squared
+        residuals. On even knots linear functions have none, so that splines extrapolate linearly.
+
+    Returns
+    -------
+    control : (C, rows.size, columns.size) float64
+        Control values; where the data are not sufficient, about each image's mean over the mask.
+    held : (rows.size, columns.size) float64
+        Support of each control value: the sum of its basis function's square over the pixels.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If there is no finite solution.
     """
     solved, control, held = solve_splines(
         values, np.ascontiguousarray(mask), corner, rows, columns, smoothness

@@ -23,8 +23,18 @@ SQUARE_MOST = OUTLIER_DEVIATIONS**2
 def residual_metrics(residuals_m: NDArray[np.float64], config: SegmentationConfig) -> dict[Metric, float]:
     """Compute the metrics of residuals (eq. 7, 9, 11 and section 4.4).
 
-    ``mse`` and ``ve`` are in square metres, ``mae`` in metres, ``nle`` counts those above T_l. Residuals that
-    are no more than the rounding of the points count as 0, all together or not at all.
+    Parameters
+    ----------
+    residuals_m : (N,) float64
+        Distances of the points to the surface, metres.
+    config : SegmentationConfig
+        Its `large_error_m` is T_l.
+
+    Returns
+    -------
+    dict
+        ``mse`` and ``ve`` in square metres, ``mae`` in metres, ``nle`` a count. Residuals that are no
+        more than the rounding of the points count as 0, all together or not at all.
     """
     if residuals_m.size == 0:
         return {"mse": 0.0, "mae": 0.0, "ve": 0.0, "nle": 0.0}
@@ -52,9 +62,19 @@ def _sums(residuals_m: F64, large_m: float) -> tuple[float, float, float, int]:
 def curvature_metrics(
     k1: NDArray[np.float64], k2: NDArray[np.float64], config: SegmentationConfig
 ) -> dict[Metric, float]:
-    """Compute the metrics of principal curvatures, NaN left out (eq. 14, 15, 17, 19 and section 4.9).
+    """Compute the metrics of curvature (eq. 14, 15, 17, 19 and section 4.9).
 
-    ``vmxc`` and ``vmec`` are in 1/m^2, ``vgc`` in 1/m^4, ``mmxc`` in 1/m, ``nlc`` counts those above T_c.
+    Parameters
+    ----------
+    k1, k2 : (N,) float64
+        Principal curvatures at the points, 1/m; NaN is left out.
+    config : SegmentationConfig
+        Its `large_curvature_per_m` is T_c.
+
+    Returns
+    -------
+    dict
+        ``vmxc`` and ``vmec`` in 1/m^2, ``vgc`` in 1/m^4, ``mmxc`` in 1/m, ``nlc`` a count.
     """
     defined = np.isfinite(k1) & np.isfinite(k2)
     k1, k2 = k1[defined], k2[defined]
@@ -73,8 +93,17 @@ def curvature_metrics(
 def acceptance_ratio(metric: Metric, parent: tuple[float, int], *parts: tuple[float, int]) -> float:
     """Compare a metric after a split with the one before it (eq. 5, 8, 10, 12, 13, 16, 18, 20-22).
 
-    The segment and its parts, two in the paper, are given by value and number of points. The ratio is below 1
-    if the split improves the metric, and inf if the segment's value is 0, which no split can improve.
+    Parameters
+    ----------
+    metric : str
+        Which of the nine.
+    parent, *parts : (float, int)
+        Value and number of points of the segment and of each of its parts, two in the paper.
+
+    Returns
+    -------
+    float
+        Below 1 if the split improves the metric; inf if the parent's value is 0, which no split can improve.
     """
     if not parent[0] > 0 or parent[1] == 0:
         return float(np.inf)
@@ -85,5 +114,15 @@ def acceptance_ratio(metric: Metric, parent: tuple[float, int], *parts: tuple[fl
 
 
 def metric_value(values: Mapping[Metric, float], metric: Metric, floor: float = 0.0) -> float:
-    """Return the value of a metric in the ratio, at least its floor; a missing one counts as 0."""
+    """Return the value of a metric in the ratio: at least its floor.
+
+    Parameters
+    ----------
+    values : mapping of metric to float
+        Of the fit; a missing one counts as 0.
+    metric : str
+        Which of the nine.
+    floor : float
+        See `noise_floor`; 0 in the paper.
+    """
     return max(values.get(metric, 0.0), floor)

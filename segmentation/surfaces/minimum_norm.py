@@ -19,11 +19,30 @@ def minimum_norm_control_points(
     Householder reflections make it of the pixels of one row of one span, of one span of rows and columns, and
     of one span of rows, as no others share their control points.
 
-    Parameters are as for `nurbseg.segmentation.surfaces.leastsquares.fit_control_points`, but `counts` beyond
-    4 are at most the number of pixels, so that every knot span holds one; ValueError says that they are not.
-    The solution is that of least norm about each image's mean over the mask. Singular values count as 0 below
-    the machine epsilon times the greater of the numbers of pixels and of control points, times the largest
-    (G. H. Golub and C. F. Van Loan, "Matrix Computations", 4th ed., 2013, sections 5.2 and 5.5).
+    Parameters
+    ----------
+    values, mask, corner
+        As for `nurbseg.segmentation.surfaces.leastsquares.fit_control_points`.
+    counts : (int, int)
+        As there; beyond 4 at most the number of pixels, so that every knot span holds one.
+
+    Returns
+    -------
+    (C, nv, nu) float64
+        Control values: the least-squares solution of least norm about each image's mean
+        over the mask. Singular values count as 0 below the machine epsilon times the greater of the
+        numbers of pixels and of control points, times the largest.
+
+    Raises
+    ------
+    ValueError
+        If there are too many control points.
+    numpy.linalg.LinAlgError
+        If the values are not finite, so that there is no solution.
+
+    References
+    ----------
+    .. [1] G. H. Golub and C. F. Van Loan, "Matrix Computations", 4th ed., 2013, sections 5.2 and 5.5.
     """
     height, width = mask.shape
     if counts[0] > max(width, CUBIC + 1) or counts[1] > max(height, CUBIC + 1):

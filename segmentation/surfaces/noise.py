@@ -32,6 +32,18 @@ def noise_floor(
     The floor times the number of points (for counts, the floor) is a sum over points. No point contributes
     less in a part than in the whole, since rim points remain at the rim. So the ratio of any split is at
     least the floor of the whole over its value.
+
+    Parameters
+    ----------
+    grid, window, mask
+        As for `nurbseg.segmentation.surfaces.inverse_depth.fit_window`.
+    config : SegmentationConfig
+        The metric, T_l and T_c, the noise and its factor `noise_floor`, and the knots of the surfaces.
+
+    Returns
+    -------
+    float
+        In the unit of the metric.
     """
     return _floors(grid, window[:2], mask.astype(np.int32), 2, config)[1]
 
@@ -39,7 +51,24 @@ def noise_floor(
 def noise_floors(
     grid: DepthGrid, labels: NDArray[np.int32], size: int, config: SegmentationConfig
 ) -> NDArray[np.float64]:
-    """Return what `noise_floor` does for every label below `size`; 0 where it has no grid pixel."""
+    """Return the floor of every label at once.
+
+    Parameters
+    ----------
+    grid : DepthGrid
+        The points.
+    labels : (h, w) int32
+        Labels on the grid, less than `size`; those above 0 have a point.
+    size : int
+        One more than the largest label.
+    config : SegmentationConfig
+        As for `noise_floor`.
+
+    Returns
+    -------
+    (size,) float64
+        As of `noise_floor`, by label; 0 where a label has no grid pixel.
+    """
     if config.extended.noise_floor == 0:
         return np.zeros(size)
     return np.array(_floors(grid, (0, 0), labels, size, config))
@@ -147,8 +176,19 @@ def _second_derivative_variance(spacing: float, smoothness: float) -> float:
 
     In an isotropic field these are three to one, so that this is the variance of d_uv. Far from borders the
     normal equations are a convolution, diagonal in frequency: with G the products of the basis functions and
-    P the penalty, control values have the covariance G / (G + P)^2. The spacing of the knots is in grid
-    pixels, and the mean over positions between them in one over grid pixels to the fourth power.
+    P the penalty, control values have the covariance G / (G + P)^2.
+
+    Parameters
+    ----------
+    spacing : float
+        Distance of the knots, grid pixels.
+    smoothness : float
+        Weight of the squared second differences of the control values.
+
+    Returns
+    -------
+    float
+        Mean over positions between knots, in one over grid pixels to the fourth power.
     """
     cosines = np.cos(np.outer(np.arange(4), 2.0 * np.pi * np.arange(64) / 64))
     # Integrals of products of cubic B-splines and of their first and second derivatives, 0 to 3 knots apart.
@@ -164,18 +204,28 @@ def _second_derivative_variance(spacing: float, smoothness: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class NoiseEstimate:
-    """The noise of a depth sensor, from the largest planes of some frames."""
+    """The noise of a depth sensor, from the largest planes of some frames.
 
-    #: Root mean square residual of inverse depth on the planes, 1/m: a value for the setting of that name.
+    Parameters
+    ----------
+    inverse_depth_noise : float
+        Root mean square residual of inverse depth on the planes, 1/m: a value for the setting of that name.
+    nearest_per_m, farthest_per_m : float
+        The same for the nearest and the farthest third of the points; very different values mean that the
+        noise is not constant in inverse depth.
+    nearest_m, farthest_m : float
+        Mean depths of these thirds, metres.
+    points : int
+        Points on the planes.
+    frames : int
+        Frames that had a plane.
+    """
+
     inverse_depth_noise: float
-    #: The same for the nearest and the farthest third of the points; very different values mean that the
-    #: noise is not constant in inverse depth.
     nearest_per_m: float
     farthest_per_m: float
-    #: Mean depths of these thirds, metres.
     nearest_m: float
     farthest_m: float
-    #: Points on the planes, and frames that had one.
     points: int
     frames: int
 
@@ -193,9 +243,29 @@ def measure_noise(clouds: Iterable[PointMap], *, seed: int = 0) -> NoiseEstimate
     """Measure a sensor's noise on the largest plane of each frame: a table, a floor or a flat wall.
 
     A plane is linear in inverse depth. The largest is found by random sampling, then fitted by trimmed least
-    squares; its residuals are the noise, and any unevenness of the real surface (K. Khoshelham and S. O.
-    Elberink, "Accuracy and resolution of Kinect depth data for indoor mapping applications", Sensors 12(2),
-    2012). Raises ValueError if no frame has a plane that holds a tenth of its points.
+    squares; its residuals are the noise, and any unevenness of the real surface.
+
+    Parameters
+    ----------
+    clouds : iterable of PointMap
+        Frames of one sensor.
+    seed : int
+        Of the random sampling.
+
+    Returns
+    -------
+    NoiseEstimate
+        Over all frames that have a plane.
+
+    Raises
+    ------
+    ValueError
+        If no frame has a plane that holds a tenth of its points.
+
+    References
+    ----------
+    .. [1] K. Khoshelham and S. O. Elberink, "Accuracy and resolution of Kinect depth data for indoor
+       mapping applications", Sensors 12(2), 2012.
     """
     residuals, inverse_depths, frames = [], [], 0
     for cloud in clouds:

@@ -109,7 +109,13 @@ def evaluate(
 def evaluate_lattice(
     surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64], du: int = 0, dv: int = 0
 ) -> NDArray[np.float64]:
-    """Do what `evaluate` does on the lattice of rows v (H,) and columns u (W,): (H, W, 3)."""
+    """Evaluate a surface or its derivative on the lattice of rows v (H,) and columns u (W,), as `evaluate`.
+
+    Returns
+    -------
+    (H, W, 3) float64
+        As of `evaluate`.
+    """
     u, v = np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64)
 
     def at(net: NDArray[np.float64], k: int, m: int) -> NDArray[np.float64]:

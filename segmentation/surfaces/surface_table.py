@@ -35,9 +35,15 @@ class _Splines(NamedTuple):
 class SurfaceTable:
     """Surfaces of inverse depth, to be evaluated at many pixels that belong to different ones.
 
-    They are those of the labels 1, 2, ..., as fitted to inverse depth; a label without one has no inverse
-    depth. Raises ValueError if a surface is not bicubic on even knots, or its weights are not proportional to
-    inverse depth.
+    Parameters
+    ----------
+    surfaces : sequence of NurbsSurface or None
+        Of the labels 1, 2, ..., as fitted to inverse depth; a label without one has no inverse depth.
+
+    Raises
+    ------
+    ValueError
+        If a surface is not bicubic on even knots, or its weights are not proportional to inverse depth.
     """
 
     def __init__(self, surfaces: Sequence[NurbsSurface | None]) -> None:
@@ -52,9 +58,17 @@ class SurfaceTable:
     def inverse_depths(
         self, labels: NDArray[np.int32], rows: NDArray[np.int32], columns: NDArray[np.int32]
     ) -> NDArray[np.float32]:
-        """Return the inverse depth of each label's surface at a pixel, 1/m; NaN where it has none.
+        """Return the inverse depth of each label's surface at a pixel.
 
-        Beyond its knots a surface is extrapolated.
+        Parameters
+        ----------
+        labels, rows, columns : (N,) int32
+            Which surface, and where. Beyond its knots it is extrapolated.
+
+        Returns
+        -------
+        (N,) float32
+            In 1/m; NaN where a label has no surface.
         """
         inverse_depth = np.empty(labels.size, dtype=np.float32)
         _evaluate(self._splines, labels, rows, columns, inverse_depth)
@@ -63,9 +77,19 @@ class SurfaceTable:
     def slopes(
         self, labels: NDArray[np.int32], u: NDArray[np.float64], v: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return the inverse depth of each label's surface at column u and row v, 1/m, and its slopes.
+        """Return the inverse depth of each label's surface between pixels, and its slopes.
 
-        Slopes are the change by one pixel along u and v. All are NaN where a label has no surface.
+        Parameters
+        ----------
+        labels : (N,) int32
+            Which surface.
+        u, v : (N,) float64
+            Columns and rows, pixels.
+
+        Returns
+        -------
+        inverse_depth, slope_u, slope_v : (N,) float64
+            Inverse depth in 1/m and its change by one pixel along u and v; NaN where a label has no surface.
         """
         found = np.empty((3, labels.size))
         _evaluate_slopes(self._splines, labels, u, v, found)

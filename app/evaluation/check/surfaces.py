@@ -101,10 +101,25 @@ def malformed(surface: ExportedSurface) -> tuple[str, str, str] | None:
 def derivatives(
     surface: ExportedSurface, rows: NDArray[np.int64], columns: NDArray[np.int64], *, order: int
 ) -> dict[tuple[int, int], NDArray[np.float64]]:
-    """Evaluate a surface and its derivatives up to order 0 or 2 at some pixels (eq. 4), (N, 3) each.
+    """Evaluate a surface and its partial derivatives at some pixels (eq. 4).
 
-    They are by the order along u, the column, and v, the row: metres, per pixel to the power of the order (L.
-    Piegl and W. Tiller, "The NURBS Book", 2nd ed., 1997, eq. 4.20).
+    Parameters
+    ----------
+    surface : ExportedSurface
+        The surface; its parameters are u, the column, and v, the row.
+    rows, columns : (N,) int64
+        The pixels.
+    order : int
+        Up to which order, 0 or 2.
+
+    Returns
+    -------
+    dict of (int, int) to (N, 3) float64
+        By the order along u and v: metres, per pixel to the power of the order.
+
+    References
+    ----------
+    .. [1] L. Piegl and W. Tiller, "The NURBS Book", 2nd ed., 1997, eq. 4.20.
     """
     weights = surface.weights[..., np.newaxis]
     net = np.concatenate([surface.control_points_m * weights, weights], axis=-1)

@@ -100,9 +100,21 @@ def _along_rays(
 def residual_bounds(
     residuals_m: NDArray[np.float64], off_m: NDArray[np.float64], config: SegmentationConfig
 ) -> dict[str, Bounds]:
-    """Recompute the metrics of residuals (eq. 7, 9, 11 and section 4.4) as bounds.
+    """Recompute the metrics of residuals (eq. 7, 9, 11 and section 4.4).
 
-    Residuals are distances of points to their surface points, each of which may be off by `off_m`.
+    Parameters
+    ----------
+    residuals_m : (N,) float64
+        Distance of each point to its surface point, metres.
+    off_m : (N,) float64
+        By how much each may be off, metres.
+    config : SegmentationConfig
+        Its `large_error_m` is T_l.
+
+    Returns
+    -------
+    dict of str to (float, float)
+        Bounds of ``mse``, ``mae``, ``ve`` and ``nle``.
     """
     low, high = np.maximum(residuals_m - off_m, 0.0), residuals_m + off_m
     # A standard deviation changes by no more than the root mean square of what is added.
@@ -124,8 +136,21 @@ def curvature_values(
 ) -> dict[str, float]:
     """Recompute the metrics of curvature (eq. 14 to 19 and section 4.9) by the two fundamental forms.
 
-    They are those of M. do Carmo, "Differential Geometry of Curves and Surfaces", 1976, section 3-3, of the
-    derivatives up to the second order at the measured pixels.
+    Parameters
+    ----------
+    S : mapping of (int, int) to (N, 3) float64
+        Derivatives up to the second order at the measured pixels.
+    config : SegmentationConfig
+        Its `large_curvature_per_m` is T_c.
+
+    Returns
+    -------
+    dict of str to float
+        ``vmxc``, ``vmec``, ``vgc``, ``mmxc`` and ``nlc``.
+
+    References
+    ----------
+    .. [1] M. do Carmo, "Differential Geometry of Curves and Surfaces", 1976, section 3-3.
     """
     normal = np.cross(S[1, 0], S[0, 1])
     area = np.linalg.norm(normal, axis=1)

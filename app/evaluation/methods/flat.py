@@ -34,10 +34,27 @@ def spectral_embedding(
 ) -> NDArray[np.float32]:
     """Embed points by the leading eigenvectors of their normalized affinity matrix, by Nystrom.
 
-    As C. Fowlkes et al., "Spectral grouping using the Nystrom method", IEEE TPAMI 26(2), 2004. There are at
-    least two feature vectors, (N, D). The affinities of `samples` points, which `rng` draws, are computed
-    exactly, Gaussian with sigma `affinity_scale`. Rows of the result have unit length, and `dimensions`
-    columns, or fewer if the sample has a lower rank.
+    Parameters
+    ----------
+    vectors : (N, D) float32
+        Feature vectors, dimensionless; N at least 2.
+    dimensions : int
+        Number of eigenvectors; fewer are returned if the sample has a lower rank.
+    samples : int
+        Number of points whose affinities are computed exactly.
+    rng : numpy.random.Generator
+        Draws the sample.
+    affinity_scale : float
+        Sigma of the Gaussian affinity.
+
+    Returns
+    -------
+    (N, E) float32
+        Rows of unit length, E at most `dimensions`.
+
+    References
+    ----------
+    .. [1] C. Fowlkes et al., "Spectral grouping using the Nystrom method", IEEE TPAMI 26(2), 2004.
     """
     landmarks = vectors[rng.choice(len(vectors), size=min(samples, len(vectors)), replace=False)]
     A = affinity(landmarks, landmarks, affinity_scale).astype(np.float64)
@@ -59,11 +76,28 @@ def spectral_embedding(
 def flat_clusters(
     cloud: PointMap, config: SegmentationConfig, *, clusters: int, rng: np.random.Generator
 ) -> NDArray[np.uint16]:
-    """Cluster a frame into a given number of segments, 1 to `clusters`; 0 without a point.
+    """Cluster a frame into a given number of segments.
 
-    As C. Dal Mutto, P. Zanuttigh, G. M. Cortelazzo, "Fusion of geometry and color information for scene
-    segmentation", IEEE JSTSP 6(5), 2012. Of the settings, lambda, samples and affinity scale are used; `rng`
-    draws the sample and the initial centers.
+    Parameters
+    ----------
+    cloud : PointMap
+        The frame.
+    config : SegmentationConfig
+        Its lambda, samples and affinity scale are used.
+    clusters : int
+        Number of segments.
+    rng : numpy.random.Generator
+        Draws the sample and the initial centers.
+
+    Returns
+    -------
+    (H, W) uint16
+        1 to `clusters`; 0 without a point.
+
+    References
+    ----------
+    .. [1] C. Dal Mutto, P. Zanuttigh, G. M. Cortelazzo, "Fusion of geometry and color information for
+       scene segmentation", IEEE JSTSP 6(5), 2012.
     """
     labels = np.zeros(cloud.valid.shape, np.uint16)
     vectors = features(cloud, config)
@@ -87,7 +121,19 @@ def unsupervised_quality(labels: NDArray[np.uint16], cloud: PointMap) -> float:
 
     Both are computed for color and for position, in units of the frame's deviations (sigma_c, sigma_g), and
     averaged over the two and over segments, weighted by size. The surroundings of a segment are the other
-    points in a band around it. Greater is better; -inf with fewer than two segments.
+    points in a band around it.
+
+    Parameters
+    ----------
+    labels : (H, W) uint16
+        0 for no segment.
+    cloud : PointMap
+        The frame.
+
+    Returns
+    -------
+    float
+        Dimensionless, greater is better; -inf with fewer than two segments.
     """
     vectors = np.zeros((*labels.shape, 6), np.float32)
     vectors[cloud.valid] = features(cloud, SegmentationConfig())
@@ -118,7 +164,23 @@ def best_lambda(
 ) -> tuple[float, NDArray[np.uint16]]:
     """Choose, of `LAMBDAS`, the first whose flat clustering has the best unsupervised quality.
 
-    Returns it, and the clustering with it. Each candidate has random numbers of the same seed.
+    Parameters
+    ----------
+    cloud : PointMap
+        The frame.
+    config : SegmentationConfig
+        Settings of the clustering; its lambda is replaced.
+    clusters : int
+        Number of segments.
+    seed : int
+        Seed of the random numbers of each candidate.
+
+    Returns
+    -------
+    lambda_ : float
+        The chosen weight of geometry.
+    labels : (H, W) uint16
+        The clustering with this weight.
     """
     tried = []
     for candidate in LAMBDAS:

@@ -47,21 +47,32 @@ class TreeNode:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceMesh:
-    """Triangles on the fitted surfaces of all leaves."""
+    """Triangles on the fitted surfaces of all leaves.
 
-    #: (V, 3) points on the surfaces, metres, in the depth camera's frame.
+    Parameters
+    ----------
+    vertices_m : (V, 3) float32
+        Points on the surfaces, metres, in the depth camera's frame.
+    normals : (V, 3) float32
+        Unit normals that look towards the camera.
+    triangles : (T, 3) uint32
+        Rows of `vertices_m`.
+    residuals_m : (V,) float32
+        Mean distance of the data around each vertex to the surface, metres.
+    labels : (V,) uint16
+        Label of the segment that each vertex belongs to.
+    isolines : (N,) uint32
+        Rows of `vertices_m` on lines of constant parameter, line after line.
+    isoline_sizes : (L,) intp
+        Vertices of each line.
+    """
+
     vertices_m: NDArray[np.float32]
-    #: (V, 3) unit normals that look towards the camera.
     normals: NDArray[np.float32]
-    #: (T, 3) rows of `vertices_m`.
     triangles: NDArray[np.uint32]
-    #: (V,) mean distance of the data around each vertex to the surface, metres.
     residuals_m: NDArray[np.float32]
-    #: (V,) label of the segment that each vertex belongs to.
     labels: NDArray[np.uint16]
-    #: (N,) rows of `vertices_m` on lines of constant parameter, line after line.
     isolines: NDArray[np.uint32]
-    #: (L,) vertices of each line.
     isoline_sizes: NDArray[np.intp]
 
 

@@ -85,9 +85,12 @@ _RESIDUAL_STOPS = ((38, 70, 200), (30, 165, 200), (70, 185, 85), (245, 215, 60),
 def label_colors() -> NDArray[np.uint8]:
     """Return the colors of the labels 1, 2, ..., as (LABEL_COLORS, 3) RGB.
 
-    Each color is the one farthest from all previous ones in a perceptual space (B. Ottosson, "A perceptual
-    color space for image processing", 2020). So the first few, which most frames use, differ most, and a
-    label's color never depends on others.
+    Each color is the one farthest, in the perceptual space OKLab, from all previous ones. So the first few,
+    which most frames use, differ most, and a label's color never depends on others.
+
+    References
+    ----------
+    .. [1] B. Ottosson, "A perceptual color space for image processing", 2020.
     """
     levels = np.linspace(0, 255, 18).round().astype(np.uint8)
     rgb = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -15,7 +15,19 @@ _ISOLINE_EVERY = 4
 def surface_mesh(tree: SegmentationTree, labels: NDArray[np.uint16], step_px: float) -> SurfaceMesh:
     """Sample the surface of every leaf on a lattice and keep the triangles that lie on its segment.
 
-    `labels` is the tree's label image; leaves without a surface are left out.
+    Parameters
+    ----------
+    tree : SegmentationTree
+        The segments; leaves without a surface are left out.
+    labels : (H, W) uint16
+        The tree's label image.
+    step_px : float
+        Distance of the lattice's rows and columns, pixels.
+
+    Returns
+    -------
+    SurfaceMesh
+        Empty where no leaf has a surface.
     """
     shown = [
         (label, leaf.fit, leaf.fit.surface)
@@ -60,9 +72,21 @@ def isolines(
 ) -> tuple[NDArray[np.uint32], NDArray[np.intp]]:
     """Return the lines of constant v, then those of constant u, interrupted where a surface is trimmed.
 
-    `row_of` is the row of each lattice vertex among the kept vertices, -1 for the others. Lines are `every`
-    so many rows or columns; a smaller lattice has one line near its middle. Returns the rows of the kept
-    vertices, line after line, and the number of vertices of each line, at least two.
+    Parameters
+    ----------
+    lattices : Lattices
+        Of the surfaces.
+    row_of : (V,) int64
+        Row of each lattice vertex among the kept vertices; -1 for the others.
+    every : int
+        Distance of lines in rows or columns of a lattice; a smaller lattice has one line near its middle.
+
+    Returns
+    -------
+    rows : (N,) uint32
+        Rows of the kept vertices, line after line.
+    sizes : (L,) intp
+        Number of vertices of each line, at least two.
     """
     rows, columns = lattices.count.T
     surface = np.repeat(np.arange(rows.size), rows * columns)

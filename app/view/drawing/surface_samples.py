@@ -19,14 +19,23 @@ from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lattices:
-    """Evenly spaced rows and columns over the windows of surfaces."""
+    """Evenly spaced rows and columns over the windows of surfaces.
 
-    #: (L, 2) first row and column of each surface's lattice, pixels.
+    Parameters
+    ----------
+    first : (L, 2) float64
+        First row and column of each surface's lattice, pixels.
+    step : (L, 2) float64
+        Distance of its rows and of its columns, pixels.
+    count : (L, 2) intp
+        Number of its rows and of its columns.
+    start : (L,) intp
+        Where its vertices begin among those of all; they count row by row.
+    """
+
     first: NDArray[np.float64]
-    #: (L, 2) distance of its rows and of its columns, pixels, and their number.
     step: NDArray[np.float64]
     count: NDArray[np.intp]
-    #: (L,) where its vertices begin among those of all; they count row by row.
     start: NDArray[np.intp]
 
     @classmethod
@@ -48,10 +57,30 @@ class Lattices:
 def evaluate_vertices(
     surfaces: Sequence[NurbsSurface], lattices: Lattices, wanted: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
-    """Evaluate bicubic surfaces at the wanted vertices of their lattices, (N, 3) metres.
+    """Evaluate bicubic surfaces at vertices of their lattices.
 
-    By algorithms A2.2 and A4.3 of L. Piegl and W. Tiller, "The NURBS Book", 2nd ed., 1997. Raises ValueError
-    if a surface is not bicubic.
+    Parameters
+    ----------
+    surfaces : sequence of NurbsSurface
+        Bicubic.
+    lattices : Lattices
+        Of these surfaces.
+    wanted : (V,) bool
+        Which of the lattices' vertices.
+
+    Returns
+    -------
+    (N, 3) float32
+        Points, metres, of the wanted vertices in their order.
+
+    Raises
+    ------
+    ValueError
+        If a surface is not bicubic.
+
+    References
+    ----------
+    .. [1] L. Piegl and W. Tiller, "The NURBS Book", 2nd ed., 1997, algorithms A2.2 and A4.3.
     """
     for surface in surfaces:
         if surface.degree != (CUBIC, CUBIC):
