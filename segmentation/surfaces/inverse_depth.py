@@ -19,7 +19,7 @@ from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, basis_matrix
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.knot_lattice import lattice_basis
 from nurbseg.segmentation.surfaces.leastsquares import solve_splines
-from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST, residual_metrics
+from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST, metrics_of_sums, residual_sums
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 #: How far the knots of a surface extend beyond its segment, pixels of a 640-wide image.
@@ -68,22 +68,21 @@ def fit_window(
     """
     mask = np.ascontiguousarray(mask)
     pixels = grid.points.pixels_of_window(window, mask)
-    top, left, bottom, right = window
+    top, left = window[:2]
     spacing, smoothness = knots_on(grid, config)
     square_most = SQUARE_MOST * config.extended.inverse_depth_noise**2
     margin = math.ceil(_MARGIN_PX * grid.unit_px / grid.step)
     for stiffer in _STIFFER:
-        rows, knots_v = lattice_basis(top, bottom, margin, spacing)
-        columns, knots_u = lattice_basis(left, right, margin, spacing)
-        solved, positive, control_per_m, residuals_m, square = fit_inverse_depth(
+        solved, positive, control_per_m, knots_u, knots_v, residuals_m, square, sums = fit_inverse_depth(
             grid.inverse_depth[np.newaxis],
             grid.distances_m,
             mask,
             (top, left),
-            rows,
-            columns,
+            margin,
+            spacing,
             stiffer * smoothness,
             square_most,
+            config.large_error_m,
         )
         if not solved:
             reason = "no least-squares solution: the normal equations have no finite solution"
@@ -98,9 +97,8 @@ def fit_window(
         grid.rays,
         grid.points.full_window(window),
     )
-    metrics = residual_metrics(residuals_m, config)
     rms_per_m = math.sqrt(square / max(pixels.size, 1))
-    return Fit(surface, residuals_m, metrics, "", pixels, floor, rms_per_m)
+    return Fit(surface, residuals_m, metrics_of_sums(pixels.size, sums), "", pixels, floor, rms_per_m)
 
 
 def knots_on(grid: DepthGrid, config: SegmentationConfig) -> tuple[float, float]:
@@ -117,21 +115,24 @@ def fit_inverse_depth(
     distances_m: F32,
     mask: Bool,
     corner: tuple[int, int],
-    rows: SpanBasis,
-    columns: SpanBasis,
+    margin: int,
+    spacing: float,
     smoothness: float,
     square_most: float,
-) -> tuple[bool, bool, F64, F64, float]:
+    large_m: float,
+) -> tuple[bool, bool, F64, F64, F64, F64, float, tuple[float, float, float, int]]:
     """Fit a spline to the inverse depth of the marked grid pixels, and raise control values to the least.
 
     Returns whether there is a solution; whether it is positive where points hold it; the control values; the
-    distances at the marked grid pixels, metres; and the sum of the squared residuals of inverse depth, each
-    limited, 1/m^2.
+    knots along columns and rows, grid pixels; the distances at the marked grid pixels, metres; the sum of the
+    squared residuals of inverse depth, each limited, 1/m^2; and the sums of the distances.
     """
+    rows, knots_v = lattice_basis(corner[0], corner[0] + mask.shape[0], margin, spacing)
+    columns, knots_u = lattice_basis(corner[1], corner[1] + mask.shape[1], margin, spacing)
     solved, controls, held = solve_splines(images, mask, corner, rows, columns, smoothness)
     control = controls[0]
     if not solved:
-        return False, False, control, np.empty(0), 0.0
+        return False, False, control, knots_u, knots_v, np.empty(0), 0.0, (0.0, 0.0, 0.0, 0)
     positive = True
     for a in range(rows.size):
         for b in range(columns.size):
@@ -140,7 +141,8 @@ def fit_inverse_depth(
     residuals_m, squares = _residuals(
         images[0], distances_m, mask, corner, control, rows, columns, square_most
     )
-    return True, positive, control, residuals_m, squares
+    sums = residual_sums(residuals_m, large_m)
+    return True, positive, control, knots_u, knots_v, residuals_m, squares, sums
 
 
 @inlined_once

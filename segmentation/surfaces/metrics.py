@@ -36,19 +36,22 @@ def residual_metrics(residuals_m: NDArray[np.float64], config: SegmentationConfi
         ``mse`` and ``ve`` in square metres, ``mae`` in metres, ``nle`` a count. Residuals that are no
         more than the rounding of the points count as 0, all together or not at all.
     """
-    if residuals_m.size == 0:
-        return {"mse": 0.0, "mae": 0.0, "ve": 0.0, "nle": 0.0}
-    largest, squares, total, large = _sums(residuals_m, config.large_error_m)
+    return metrics_of_sums(residuals_m.size, residual_sums(residuals_m, config.large_error_m))
+
+
+def metrics_of_sums(points: int, sums: tuple[float, float, float, int]) -> dict[Metric, float]:
+    """Do what `residual_metrics` does, given the number of residuals and their sums."""
+    largest, squares, total, large = sums
     if largest <= ROUNDING_M:
         return {"mse": 0.0, "mae": 0.0, "ve": 0.0, "nle": 0.0}
-    mse = squares / residuals_m.size  # eq. 7
-    mae = total / residuals_m.size  # eq. 9
+    mse = squares / points  # eq. 7
+    mae = total / points  # eq. 9
     ve = max(mse - mae * mae, 0.0)  # eq. 11, the mean of the squares less the square of the mean
     return {"mse": mse, "mae": mae, "ve": ve, "nle": float(large)}  # NLE: section 4.4
 
 
 @compiled
-def _sums(residuals_m: F64, large_m: float) -> tuple[float, float, float, int]:
+def residual_sums(residuals_m: F64, large_m: float) -> tuple[float, float, float, int]:
     """Largest residual, sum of squares, sum, and how many are large."""
     largest, squares, total, large = 0.0, 0.0, 0.0, 0
     for residual in residuals_m:

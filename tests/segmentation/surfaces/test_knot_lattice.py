@@ -35,10 +35,3 @@ def test_the_knots_reach_a_margin_beyond_the_window(start, stop, margin):
 def test_windows_share_their_knots():
     one, other = lattice_basis(10, 60, 5, 25.0)[1], lattice_basis(33, 300, 5, 25.0)[1]
     assert_allclose(np.intersect1d(one, other), one[one >= other[0]])
-
-
-def test_what_is_kept_for_other_windows_cannot_be_changed():
-    basis, knots = lattice_basis(3, 20, 5, 25.0)
-    for array in (basis.starts, basis.values, knots):
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = 1
