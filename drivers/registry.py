@@ -76,7 +76,7 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
     if head.startswith(MCAP_MAGIC):
         return _open_with("mcap.reader:RecordingReader", path, options)
     if head.startswith(ONI_MAGIC):
-        return _open_with("openni2.oni.playback:open_path", path, options)
+        return _open_with("openni2.oni.playback:OniSource", path, options)
     if _is_pcd(head):
         return _open_with("datasets.pcd:PcdSource", path, options)
     if any(head[offset:].startswith(HDF5_MAGIC) for offset in HDF5_OFFSETS):

@@ -27,9 +27,9 @@ def open_uri(rest: str, options: SourceOptions) -> FrameSource:
     from nurbseg.drivers.reconnect import Reconnecting
 
     if rest.lower().endswith(".oni"):
-        from nurbseg.drivers.openni2.oni.playback import open_path
+        from nurbseg.drivers.openni2.oni.playback import OniSource
 
-        return open_path(Path(rest), options)
+        return OniSource(Path(rest), options)
     settings, limit_s = options.device or DeviceOptions(), options.association_limit_s
     camera = IsolatedCamera(rest, settings, pairing_limit_s=limit_s)
     if not settings.reconnect:

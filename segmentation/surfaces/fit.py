@@ -118,7 +118,7 @@ def fit_on_grid(grid: PixelGrid, grid_pixels: NDArray[np.intp], config: Segmenta
     except LinAlgError as error:
         return Fit(None, np.zeros(0), {}, f"no least-squares solution: {error}", grid.pixels(grid_pixels))
     rows, columns = pixel_basis(bottom - top, counts[1]), pixel_basis(right - left, counts[0])
-    residuals = spline_distances(control, grid.coordinates_m, mask, (top, left), rows, columns)
+    residuals = _distances(grid.coordinates_m, mask, (top, left), control, rows, columns)
     surface = NurbsSurface(
         degree=(CUBIC, CUBIC),
         knots_u=_full_image_knots(right - left, counts[0], left, grid.step),
@@ -173,41 +173,15 @@ def _full_image_knots(size: int, count: int, first: int, step: int) -> NDArray[n
     return (pixel_knots(size, count) + first) * step
 
 
-def spline_distances(
-    control_m: NDArray[np.float64],
-    points_m: NDArray[np.float32],
-    mask: NDArray[np.bool_],
-    corner: tuple[int, int],
-    rows: SpanBasis,
-    columns: SpanBasis,
-) -> NDArray[np.float64]:
-    """Return the distance of each marked point of a window to a spline at the point's own parameters.
-
-    Parameters
-    ----------
-    control_m : (3, rows.size, columns.size) float64
-        Control points, metres.
-    points_m : (3, H, W) float32
-        Points, metres; read only where `mask` is set.
-    mask : (h, w) bool
-        Pixels of the window.
-    corner : (int, int)
-        First row and column of the window.
-    rows, columns : SpanBasis
-        At the rows and columns of the window.
-
-    Returns
-    -------
-    (N,) float64
-        Metres, in the order of pixels.
-    """
-    return _distances(points_m, np.ascontiguousarray(mask), corner, control_m, rows, columns)
-
-
 @compiled
 def _distances(
     points_m: F32, mask: Bool, corner: tuple[int, int], control_m: F64, rows: SpanBasis, columns: SpanBasis
 ) -> F64:
+    """Return the distance of each marked point of a window to a spline at the point's own parameters.
+
+    Points, (3, H, W), and control points, (3, rows.size, columns.size), are in metres. The corner is the
+    first row and column of the window, (h, w) as the mask, and the bases are at its rows and columns.
+    """
     height, width = mask.shape
     top, left = corner
     count = 0

@@ -48,18 +48,17 @@ def fit_control_points(
     numpy.linalg.LinAlgError
         If the values are not finite, so that there is no solution.
     """
-    height, width = mask.shape
-    return fit_splines(values, mask, corner, pixel_basis(height, counts[1]), pixel_basis(width, counts[0]))[0]
+    rows, columns = pixel_basis(mask.shape[0], counts[1]), pixel_basis(mask.shape[1], counts[0])
+    solved, control, _ = solve_splines(values, np.ascontiguousarray(mask), corner, rows, columns, 0.0)
+    if not solved:
+        raise LinAlgError("the normal equations have no finite solution")
+    return control
 
 
-def fit_splines(
-    values: NDArray[np.float32],
-    mask: NDArray[np.bool_],
-    corner: tuple[int, int],
-    rows: SpanBasis,
-    columns: SpanBasis,
-    smoothness: float = 0.0,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+@compiled
+def solve_splines(
+    images: F32, mask: Bool, corner: tuple[int, int], rows: SpanBasis, columns: SpanBasis, smoothness: float
+) -> tuple[bool, F64, F64]:
     """Fit the control values of bicubic splines to images on part of a window.
 
     The normal matrix has an entry for every two control points whose functions overlap: a sum over pixels of
@@ -68,7 +67,7 @@ def fit_splines(
 
     Parameters
     ----------
-    values, mask, corner
+    images, mask, corner
         As for `fit_control_points`.
     rows, columns : SpanBasis
         At the rows and columns of the window.
@@ -78,29 +77,13 @@ def fit_splines(
 
     Returns
     -------
+    solved : bool
+        Whether there is a finite solution.
     control : (C, rows.size, columns.size) float64
         Control values; where the data are not sufficient, about each image's mean over the mask.
     held : (rows.size, columns.size) float64
         Support of each control value: the sum of its basis function's square over the pixels.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If there is no finite solution.
     """
-    solved, control, held = solve_splines(
-        values, np.ascontiguousarray(mask), corner, rows, columns, smoothness
-    )
-    if not solved:
-        raise LinAlgError("the normal equations have no finite solution")
-    return control, held
-
-
-@compiled
-def solve_splines(
-    images: F32, mask: Bool, corner: tuple[int, int], rows: SpanBasis, columns: SpanBasis, smoothness: float
-) -> tuple[bool, F64, F64]:
-    """Do what `fit_splines` does; also return whether there is a finite solution."""
     count, nv, nu = images.shape[0], rows.size, columns.size
     # Numbering control points along the direction that has fewer gives the narrower band.
     step_v, step_u = (nu, 1) if nu <= nv else (1, nv)

@@ -5,7 +5,6 @@ import shlex
 import time
 from pathlib import Path
 
-from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.calibration.file import cameras_of_table
 from nurbseg.drivers.errors import (
     BackendMissingError,
@@ -31,10 +30,11 @@ logger = logging.getLogger(__name__)
 class OniSource(FrameSource):
     """Frames of an .oni recording.
 
-    Of the options, ``calibration``, ``mirror`` and ``registration`` count. The last one decides whether depth
-    is registered to color where the file has no note of it, as in other programs' recordings. `cameras`
-    counts before the recording's calibration, where the options name no file. `half_pairs` images have no
-    other half, no more than `pairing_limit_s` away, and are in no frame; ``metadata["dropped"]`` says so too.
+    Of the camera's options, ``calibration``, ``mirror`` and ``registration`` count. The last one decides
+    whether depth is registered to color where the file has no note of it, as in other programs' recordings.
+    Cameras given otherwise count before the recording's calibration, where no file is named. `half_pairs`
+    images have no other half within the association limit, and are in no frame; ``metadata["dropped"]`` says
+    so too.
 
     Raises BackendMissingError if OpenNI2 is not installed, and RecordingFormatError if the file is damaged,
     or OpenNI2's driver crashes or hangs on it.
@@ -42,18 +42,12 @@ class OniSource(FrameSource):
 
     seekable = True
 
-    def __init__(
-        self,
-        path: Path,
-        options: DeviceOptions | None = None,
-        *,
-        pairing_limit_s: float = 0.02,
-        cameras: CameraFile | None = None,
-    ) -> None:
+    def __init__(self, path: Path, options: SourceOptions | None = None) -> None:
         super().__init__()
+        options = options or SourceOptions()
         self._path = path
-        self._options = options or DeviceOptions()
-        self._cameras = cameras
+        self._options = options.device or DeviceOptions()
+        self._cameras = options.given_cameras()
         file = read_structure(path)
         if not file.counts_all:
             raise RecordingFormatError(
@@ -63,7 +57,7 @@ class OniSource(FrameSource):
         if not file.complete:
             logger.warning("%s is truncated: its recording was cut short; it is replayed up to there", path)
         self._delay_us = int(file.note.get("color_delay_us", 0))
-        self._pairs = self._pair(file, pairing_limit_s)
+        self._pairs = self._pair(file, options.association_limit_s)
         counted = len(file.depth.frames) + len(file.color.frames)
         self.half_pairs = counted - 2 * len(self._pairs)
         self._next = 0
@@ -193,16 +187,3 @@ class OniSource(FrameSource):
 
     def _close(self) -> None:
         self._player.close()
-
-
-def open_path(path: Path, options: SourceOptions) -> OniSource:
-    """Open an .oni recording.
-
-    Raises BackendMissingError if OpenNI2 is not installed, and RecordingFormatError if the file is damaged.
-    """
-    return OniSource(
-        path,
-        options.device,
-        pairing_limit_s=options.association_limit_s,
-        cameras=options.given_cameras(),
-    )

@@ -46,7 +46,7 @@ def record(path, options=None, frames=12, lossy=False):
 
 
 def replay(path, **options):
-    with OniSource(path, DeviceOptions(**options)) as source:
+    with OniSource(path, SourceOptions(device=DeviceOptions(**options))) as source:
         return list(source)
 
 
