@@ -1,8 +1,7 @@
 """Boxes around points."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import Self
 
 import cv2
 import numpy as np
@@ -37,7 +36,7 @@ class OrientedBox:
     size_m: NDArray[np.float64]
 
     @classmethod
-    def around(cls, points_m: NDArray[np.floating]) -> OrientedBox:
+    def around(cls, points_m: NDArray[np.floating]) -> Self:
         """Return the box of points, (N, 3) metres, at least one; of many, that of a random sample."""
         points_m = np.asarray(points_m)
         if len(points_m) > _POINTS:

@@ -1,9 +1,7 @@
 """The values a depth camera delivers: intrinsics, calibration and frames."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,7 +98,7 @@ class Intrinsics:
         """Return what a projection computes with, see `nurbseg.drivers.calibration.lens.lens_terms`."""
         return lens_terms(self.distortion)
 
-    def scaled_to(self, width: int, height: int) -> Intrinsics:
+    def scaled_to(self, width: int, height: int) -> Self:
         """Return the same camera for an image of another size, pixel centres being at integers."""
         sx, sy = width / self.width, height / self.height
         return replace(
@@ -150,7 +148,7 @@ class Calibration:
         object.__setattr__(self, "color_from_depth", transform)
 
     @classmethod
-    def registered(cls, camera: Intrinsics) -> Calibration:
+    def registered(cls, camera: Intrinsics) -> Self:
         """Return the calibration of frames whose depth is registered to color: one camera for both."""
         return cls(depth=camera, color=camera)
 
@@ -241,7 +239,7 @@ class RGBDFrame:
         index: int = 0,
         timestamp_ns: int = 0,
         name: str = "",
-    ) -> RGBDFrame:
+    ) -> Self:
         """Return the frame of a depth image that is registered to its color image; both are copied.
 
         Parameters

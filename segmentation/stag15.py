@@ -191,8 +191,7 @@ def _cleaned(
     _, mask = grid.window_mask(grid_pixels)
     image = np.zeros_like(mask)
     image[mask] = side
-    cleaned: NDArray[np.bool_] = remove_small_components(mask, image, points_min)[mask]
-    return cleaned
+    return remove_small_components(mask, image, points_min)[mask]
 
 
 def _kept_splits(nodes: list[Node], leaves: list[Node]) -> list[Split]:

@@ -1,11 +1,9 @@
 """The scores of a study, by frame and variant, and their means with confidence intervals."""
 
-from __future__ import annotations
-
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +68,7 @@ class StudyResults:
     skipped: tuple[dict[str, Any], ...]
 
     @classmethod
-    def load(cls, store: StudyStore, variants: Sequence[Variant], keys: Container[str]) -> StudyResults:
+    def load(cls, store: StudyStore, variants: Sequence[Variant], keys: Container[str]) -> Self:
         """Read the frames with these keys that are finished for all these variants."""
         frames, skipped = [], []
         for frame in store.frames():

@@ -1,7 +1,5 @@
 """Recording to .mcap: a queue and a thread between the camera and the file."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import threading
@@ -27,6 +25,44 @@ _WAIT_S = 0.5
 _DRAIN_S, _INTERRUPTED_DRAIN_S = 60.0, 1.2
 #: Longest wait for the frame that is being written, seconds.
 _LAST_FRAME_S = 10.0
+
+
+class PartedWriter:
+    """Writes frames to a file and, every `split_s` seconds of their timestamps, to a new one.
+
+    Raises OSError if the file cannot be created.
+    """
+
+    def __init__(
+        self, path: Path, open_file: Callable[[Path], RecordingWriter], split_s: float | None = None
+    ) -> None:
+        self.files: tuple[Path, ...] = (path,)
+        self._open_file = open_file
+        self._split_ns = None if split_s is None else round(split_s * 1e9)
+        self._first_ns: int | None = None
+        self._writer = open_file(path)
+
+    def write(self, frame: RGBDFrame) -> None:
+        """Write a frame.
+
+        Raises OSError if that fails, and DriverError if the file was deleted, as its disk space would not be
+        free until it is closed.
+        """
+        if not self.files[-1].exists():
+            raise DriverError(f"{self.files[-1]} was deleted or moved")
+        if self._first_ns is None:
+            self._first_ns = frame.timestamp_ns
+        elif self._split_ns is not None and frame.timestamp_ns - self._first_ns >= self._split_ns:
+            self._writer.close()
+            part = part_after(self.files[0], len(self.files))
+            self._writer = self._open_file(part)
+            self.files += (part,)
+            self._first_ns = frame.timestamp_ns
+        self._writer.write(frame)
+
+    def close(self) -> None:
+        """Finish the current file; raises OSError if it cannot be written."""
+        self._writer.close()
 
 
 class QueuedRecording(Recording):
@@ -128,41 +164,3 @@ class QueuedRecording(Recording):
     def __exit__(self, *exception: object) -> None:
         interrupted = isinstance(exception[1], KeyboardInterrupt)
         self.close(_INTERRUPTED_DRAIN_S if interrupted else _DRAIN_S)
-
-
-class PartedWriter:
-    """Writes frames to a file and, every `split_s` seconds of their timestamps, to a new one.
-
-    Raises OSError if the file cannot be created.
-    """
-
-    def __init__(
-        self, path: Path, open_file: Callable[[Path], RecordingWriter], split_s: float | None = None
-    ) -> None:
-        self.files: tuple[Path, ...] = (path,)
-        self._open_file = open_file
-        self._split_ns = None if split_s is None else round(split_s * 1e9)
-        self._first_ns: int | None = None
-        self._writer = open_file(path)
-
-    def write(self, frame: RGBDFrame) -> None:
-        """Write a frame.
-
-        Raises OSError if that fails, and DriverError if the file was deleted, as its disk space would not be
-        free until it is closed.
-        """
-        if not self.files[-1].exists():
-            raise DriverError(f"{self.files[-1]} was deleted or moved")
-        if self._first_ns is None:
-            self._first_ns = frame.timestamp_ns
-        elif self._split_ns is not None and frame.timestamp_ns - self._first_ns >= self._split_ns:
-            self._writer.close()
-            part = part_after(self.files[0], len(self.files))
-            self._writer = self._open_file(part)
-            self.files += (part,)
-            self._first_ns = frame.timestamp_ns
-        self._writer.write(frame)
-
-    def close(self) -> None:
-        """Finish the current file; raises OSError if it cannot be written."""
-        self._writer.close()

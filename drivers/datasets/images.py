@@ -85,8 +85,7 @@ def decode_color(content: bytes, name: str) -> NDArray[np.uint8]:
     Raises FrameFormatError, which calls the image `name`, if it is cut off, damaged or of an unknown form.
     """
     bgr = _decode(content, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION, name)
-    color: NDArray[np.uint8] = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB).astype(np.uint8, copy=False)
-    return color
+    return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB).astype(np.uint8, copy=False)
 
 
 def decode_depth(content: bytes, name: str, *, units_per_metre: float = 1000.0) -> NDArray[np.uint16]:
@@ -116,8 +115,7 @@ def decode_depth(content: bytes, name: str, *, units_per_metre: float = 1000.0) 
     if content.startswith(b"P5") and _is_swapped_disparity(image):
         return _from_disparity(image.byteswap())
     if _is_rotated(image):
-        rotated: NDArray[np.uint16] = ((image >> 3) | (image << 13)).astype(np.uint16)
-        return rotated
+        return ((image >> 3) | (image << 13)).astype(np.uint16)
     return millimetres(image, units_per_metre=units_per_metre)
 
 
@@ -152,8 +150,7 @@ def millimetres(depth: NDArray[Any], *, units_per_metre: float) -> NDArray[np.ui
     with np.errstate(over="ignore", invalid="ignore"):
         scaled = np.rint(np.nan_to_num(depth * (1000.0 / units_per_metre), nan=0.0, posinf=0.0, neginf=0.0))
     scaled[(scaled < 0) | (scaled > 65535)] = 0
-    depth_mm: NDArray[np.uint16] = scaled.astype(np.uint16)
-    return depth_mm
+    return scaled.astype(np.uint16)
 
 
 def _is_swapped_disparity(image: NDArray[np.uint16]) -> bool:
@@ -164,8 +161,7 @@ def _from_disparity(disparity: NDArray[np.uint16]) -> NDArray[np.uint16]:
     # The constants of the NYU Depth v2 toolbox for its sensor: depth in metres = 351.3 / (1092.5 - d).
     depth_mm = 351_300.0 / (1092.5 - np.minimum(disparity, 1092))
     depth_mm[(disparity == 0) | (depth_mm > _RAW_DEPTH_MAX_MM)] = 0
-    rounded: NDArray[np.uint16] = np.rint(depth_mm).astype(np.uint16)
-    return rounded
+    return np.rint(depth_mm).astype(np.uint16)
 
 
 def _is_rotated(image: NDArray[np.uint16]) -> bool:

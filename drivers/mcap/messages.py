@@ -159,10 +159,7 @@ def color_of(message: Any, schema: str, name: str) -> NDArray[np.uint8]:
         return decode_color(bytes(message.data), name)
     pixels = _pixels(message, COLOR_ENCODINGS, name)
     *_, code = _PIXELS[message.encoding]
-    color: NDArray[np.uint8] = (
-        np.array(pixels) if code is None else cv2.cvtColor(pixels, code).astype(np.uint8)
-    )
-    return color
+    return np.array(pixels) if code is None else cv2.cvtColor(pixels, code).astype(np.uint8)
 
 
 def labels_of(message: Any, schema: str, name: str) -> NDArray[np.uint16]:

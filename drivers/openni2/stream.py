@@ -61,8 +61,7 @@ class Stream:
     @property
     def horizontal_fov(self) -> float | None:
         """The horizontal field of view, radians; None where the stream does not report it."""
-        fov: float | None = self.find(capi.StreamProperty.HORIZONTAL_FOV, ctypes.c_float)
-        return fov
+        return self.find(capi.StreamProperty.HORIZONTAL_FOV, ctypes.c_float)
 
     def set_mode(self, width: int, height: int, fps: int, formats: tuple[capi.PixelFormat, ...]) -> None:
         """Choose a mode from what the device lists; of several formats the first one listed.

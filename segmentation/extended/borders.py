@@ -162,22 +162,15 @@ def _cheapest(
 
 
 class _Candidates(NamedTuple):
-    """Labels that pixels could have: those around them and their own.
+    """Labels that N pixels could have: those around them and their own."""
 
-    Parameters
-    ----------
-    ends : (N,) intp
-        Where those of each pixel end.
-    label, row, column : (25 N,) int32
-        Which label, and the pixel.
-    votes : (25 N,) float32
-        Sum of the votes of the neighbours that have it.
-    """
-
+    #: (N,) where those of each pixel end.
     ends: NDArray[np.intp]
+    #: (25 N,) which label, and the pixel.
     label: NDArray[np.int32]
     row: NDArray[np.int32]
     column: NDArray[np.int32]
+    #: (25 N,) sum of the votes of the neighbours that have it.
     votes: NDArray[np.float32]
 
 

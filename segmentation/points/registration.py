@@ -1,7 +1,5 @@
 """Registration of a depth image and its color image to a map of colored points."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TypeAlias
@@ -131,11 +129,6 @@ def _values(camera: Intrinsics) -> tuple[float | bytes, ...]:
     return (*size, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion.tobytes())
 
 
-@lru_cache(maxsize=4)
-def _prepared(key: _Key) -> _Registration:
-    return _Registration(key.calibration)
-
-
 class _Registration:
     """What registration needs of a calibration, cached for those used last."""
 
@@ -182,6 +175,11 @@ class _Registration:
         colored, missing = _seen(points, nearness, cell, buffer, np.float32(self._hiding_per_m), color)
         fill_colors(color, colored, missing, points[..., 2], min(self._hiding_per_m, 0.05))
         return PointMap(points, color, colored, self._rays)
+
+
+@lru_cache(maxsize=4)
+def _prepared(key: _Key) -> _Registration:
+    return _Registration(key.calibration)
 
 
 def _numbers(values: NDArray[np.float64]) -> Numbers:

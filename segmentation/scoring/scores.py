@@ -1,8 +1,7 @@
 """Scores of a segmentation against a ground truth; pixels that are 0 in either map never count."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +26,7 @@ class Contingency:
     pixels: NDArray[np.int64]
 
     @classmethod
-    def between(cls, labels: NDArray[np.integer], truth: NDArray[np.integer]) -> Contingency:
+    def between(cls, labels: NDArray[np.integer], truth: NDArray[np.integer]) -> Self:
         """Count the common pixels of two label maps.
 
         Parameters

@@ -176,19 +176,8 @@ def _second_derivative_variance(spacing: float, smoothness: float) -> float:
 
     In an isotropic field these are three to one, so that this is the variance of d_uv. Far from borders the
     normal equations are a convolution, diagonal in frequency: with G the products of the basis functions and
-    P the penalty, control values have the covariance G / (G + P)^2.
-
-    Parameters
-    ----------
-    spacing : float
-        Distance of the knots, grid pixels.
-    smoothness : float
-        Weight of the squared second differences of the control values.
-
-    Returns
-    -------
-    float
-        Mean over positions between knots, in one over grid pixels to the fourth power.
+    P the penalty, control values have the covariance G / (G + P)^2. The spacing of the knots is in grid
+    pixels, and the mean over positions between them in one over grid pixels to the fourth power.
     """
     cosines = np.cos(np.outer(np.arange(4), 2.0 * np.pi * np.arange(64) / 64))
     # Integrals of products of cubic B-splines and of their first and second derivatives, 0 to 3 knots apart.

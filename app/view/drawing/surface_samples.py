@@ -4,10 +4,9 @@ A call for each of fifty small surfaces costs more than the arithmetic does; her
 in a few arrays, and one compiled loop goes through them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +38,7 @@ class Lattices:
     start: NDArray[np.intp]
 
     @classmethod
-    def over(cls, surfaces: Sequence[NurbsSurface], step_px: float) -> Lattices:
+    def over(cls, surfaces: Sequence[NurbsSurface], step_px: float) -> Self:
         """Lay a lattice over each surface's window, its border included, with steps near `step_px` pixels."""
         windows = np.array([surface.window for surface in surfaces], dtype=np.float64).reshape(-1, 4)
         first = np.ascontiguousarray(windows[:, :2])

@@ -1,8 +1,7 @@
 """The messages between a camera's process and the one that reads from it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,7 +64,7 @@ class Failure:
     fatal: bool = False
 
     @classmethod
-    def of(cls, error: DriverError, *, fatal: bool = False) -> Failure:
+    def of(cls, error: DriverError, *, fatal: bool = False) -> Self:
         """Return the message for an error."""
         return cls(type(error).__name__, str(error), fatal)
 
