@@ -42,9 +42,12 @@ class ViewerSink:
         self._thread = threading.Thread(target=self._run, name="view-live", daemon=True)
         self._thread.start()
 
-    def put(self, frame: FrameEntities) -> None:
-        """Show a frame; one that still waits is dropped."""
-        self.queue.put(frame)
+    def put(self, item: Item) -> None:
+        """Show a frame, for which one that still waits is dropped, or a log line."""
+        if isinstance(item, FrameEntities):
+            self.queue.put(item)
+        else:
+            self.queue.put_note(item)
 
     def finish_close(self, limit_s: float) -> None:
         """Give the viewer so many seconds to take what is queued, then disconnect."""

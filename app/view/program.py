@@ -34,9 +34,9 @@ def _handle_messages(view: RerunView, channel: Channel) -> float:
         if (status := view.status()) != sent:
             channel.send(status)
             sent = status
-        view.restart_if_ended()
         message = channel.receive(_LOOK_S)
         try:
+            view.look_after()
             if isinstance(message, ViewFrame):
                 view.show(message)
             elif isinstance(message, Line):
@@ -70,13 +70,8 @@ def _run(channel: Channel) -> int:
     with contextlib.suppress(ChannelClosedError):
         channel.send(view.opened)
         limit_s = _handle_messages(view, channel)
-
-    def send_status() -> None:
-        with contextlib.suppress(ChannelClosedError):
-            channel.send(view.status())
-
     try:
-        view.close(file_limit_s=limit_s, on_progress=send_status)
+        view.close(file_limit_s=limit_s)
     except ViewError as err:
         channel.send(Failed(str(err)))
     channel.send(view.status())

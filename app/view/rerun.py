@@ -3,7 +3,6 @@
 import logging
 import os
 import uuid
-from collections.abc import Callable
 from pathlib import Path
 
 from nurbseg.app.view.config import bracketed
@@ -35,7 +34,7 @@ _VIEWER_CLOSE_S = 0.3
 
 
 class RerunView:
-    """Shows and saves frames; each sink has its own thread and its own stream of the same recording.
+    """Shows and saves frames; each sink has its own stream of the same recording.
 
     Runs in the process `nurbseg.app.view.program`. Errors are those of `IsolatedView`.
     """
@@ -81,25 +80,25 @@ class RerunView:
         for sink in self._sinks:
             sink.put(entities)
 
-    def restart_if_ended(self) -> None:
-        """Restart the web server if it has ended; call from the thread that made this object."""
+    def look_after(self) -> None:
+        """Restart the web server if it has ended, and flush the file; call from the thread that made this."""
         if self._server is not None:
             self._server.restart_if_ended()
+        if self._file is not None:
+            self._file.flush_if_due()
 
     def show_line(self, line: Line) -> None:
-        """Show a log line; never waits."""
+        """Show and save a log line."""
         for sink in self._sinks:
-            sink.queue.put_note(line)
+            sink.put(line)
 
-    def close(
-        self, *, file_limit_s: float = viewer.FILE_CLOSE_S, on_progress: Callable[[], None] = lambda: None
-    ) -> None:
+    def close(self, *, file_limit_s: float = viewer.FILE_CLOSE_S) -> None:
         """Close all sinks within the time, and with the errors, of `IsolatedView.close`."""
-        for sink in self._sinks:
-            sink.queue.close()
+        if self._viewer is not None:
+            self._viewer.queue.close()
         try:
             if self._file is not None:
-                self._file.finish_close(file_limit_s, on_progress)
+                self._file.close(file_limit_s)
         finally:
             if self._viewer is not None:
                 self._viewer.finish_close(_VIEWER_CLOSE_S)
