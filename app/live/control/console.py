@@ -2,13 +2,12 @@
 
 import logging
 import os
-import queue
 import select
 import string
 import sys
 import termios
-import threading
 import tty
+from collections import deque
 from contextlib import AbstractContextManager, nullcontext, suppress
 from typing import Literal, Self
 
@@ -19,12 +18,9 @@ _log = logging.getLogger(__name__)
 
 Control = Literal["auto", "lines", "off"]
 
-#: Time between two checks whether the console is closed, seconds.
-_LOOK_S = 0.2
-
 
 class Console:
-    """Reads commands from a file descriptor on its own thread.
+    """Reads commands from a file descriptor.
 
     With `keys` it is a terminal in which each key is a command; otherwise each line is one.
     """
@@ -32,56 +28,47 @@ class Console:
     def __init__(self, descriptor: int, *, keys: bool) -> None:
         self._descriptor = descriptor
         self._keys = keys
-        self._commands: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="console", daemon=True)
+        self._commands: deque[str] = deque()
+        self._unfinished = ""
+        self._ended = False
 
     def __enter__(self) -> Self:
         if self._keys:
             self._before = termios.tcgetattr(self._descriptor)
             # Keeps keys that were pressed before.
             tty.setcbreak(self._descriptor, termios.TCSADRAIN)
-        self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._thread.join(5.0 * _LOOK_S)
         if self._keys and in_foreground(self._descriptor):
             termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
 
     def take(self) -> str | None:
         """Return the next command, or None; never waits."""
-        with suppress(queue.Empty):
-            return self._commands.get_nowait()
-        return None
+        if not self._commands and not self._ended:
+            self._read()
+        return self._commands.popleft() if self._commands else None
 
-    def _run(self) -> None:
-        unfinished = ""
-        while not self._stop.is_set():
-            if self._keys and not in_foreground(self._descriptor):
-                self._stop.wait(_LOOK_S)
+    def _read(self) -> None:
+        if self._keys and not in_foreground(self._descriptor):
+            return
+        if not select.select([self._descriptor], [], [], 0.0)[0]:
+            return
+        text = ""
+        with suppress(OSError):
+            text = os.read(self._descriptor, 1024).decode(errors="replace")
+        self._ended = not text
+        if not self._keys:
+            *lines, self._unfinished = (self._unfinished + text).split("\n")
+            self._commands.extend(filter(None, map(str.strip, lines)))
+            return
+        for key in text:
+            if key in string.digits:
+                self._unfinished += key
                 continue
-            if not select.select([self._descriptor], [], [], _LOOK_S)[0]:
-                continue
-            try:
-                text = os.read(self._descriptor, 1024).decode(errors="replace")
-            except OSError:
-                return
-            if not text:
-                return
-            if self._keys:
-                for key in text:
-                    if key in string.digits:
-                        unfinished += key
-                        continue
-                    if command := KEYS.get(key):
-                        self._commands.put(command + unfinished if command.endswith(" ") else command)
-                    unfinished = ""
-            else:
-                *lines, unfinished = (unfinished + text).split("\n")
-                for line in filter(None, map(str.strip, lines)):
-                    self._commands.put(line)
+            if command := KEYS.get(key):
+                self._commands.append(command + self._unfinished if command.endswith(" ") else command)
+            self._unfinished = ""
 
 
 def open_console(control: Control) -> Console | None:
