@@ -40,8 +40,8 @@ _COMPILE_S = 120.0
 _BUSY_S = 10.0
 #: Time that the process has to end before it is killed, seconds.
 _END_S = 0.2
-#: Time between two checks whether the view is over, seconds.
-_LOOK_S = 0.5
+#: Time between two checks for messages of the process, seconds.
+_LOOK_S = 0.1
 #: Least time between two tables of objects that nobody can read any faster, seconds.
 _TABLES_S = 0.1
 #: Frames over which the frame rate is averaged.
@@ -53,8 +53,8 @@ _EPOCH_NS = 1_000_000_000 * 10**9
 class IsolatedView(View):
     """Shows and saves frames with `nurbseg.app.view.rerun.RerunView` in another process.
 
-    One thread draws and sends frames, another receives messages. If a file is saved, it gets every frame, and
-    `show` waits while the process is behind; otherwise the oldest queued frame is dropped.
+    A thread draws and sends frames. If a file is saved, it gets every frame, and `show` waits while the
+    process is behind; otherwise the oldest queued frame is dropped.
 
     `process` comes from `begin_view` and ends with this view. The recording is called `name` and contains the
     settings of the segmentation and the device's metadata; messages of `logger` are shown, too. Raises
@@ -98,13 +98,9 @@ class IsolatedView(View):
         except BaseException:
             process.close()
             raise
-        # Daemons: a program that never closes the view still ends, which closes the file.
-        self._threads = [
-            threading.Thread(target=target, name=f"view-{target.__name__.strip('_')}", daemon=True)
-            for target in (self._send, self._listen)
-        ]
-        for thread in self._threads:
-            thread.start()
+        # A daemon: a program that never closes the view still ends, which closes the file.
+        self._thread = threading.Thread(target=self._run, name="view", daemon=True)
+        self._thread.start()
         self._handler = _LogHandler(self)
         logger.addHandler(self._handler)
 
@@ -178,8 +174,7 @@ class IsolatedView(View):
             self._over = True
             self._changed.notify_all()
         self._process.end(_END_S)
-        for thread in self._threads:
-            thread.join()
+        self._thread.join()
         self._process.close()
         self._check()
 
@@ -235,22 +230,32 @@ class IsolatedView(View):
     def _how_it_ended(self) -> str:
         return f"the view process {how_it_ended(self._process.end(_END_S))}"
 
-    def _send(self) -> None:
-        """Draw and send what is queued, then ask the process to end."""
-        # The other thread reports a closed channel.
-        with contextlib.suppress(ChannelClosedError):
+    def _run(self) -> None:
+        """Draw and send what is queued, then ask the process to end; handle its messages meanwhile."""
+        try:
             while not self._queue.finished:
+                while self._channel.is_waiting():
+                    self._handle(self._channel.receive(0.0))
                 with contextlib.suppress(TimeoutError):
                     item = self._queue.take(_LOOK_S)
                     if item is not None and not self._problem:
                         self._send_item(item)
             self._channel.send(Close(self._file_limit_s))
+            while not self._over:
+                self._handle(self._channel.receive(_LOOK_S))
+        except ChannelClosedError:
+            if not self._over:
+                self._fail(self._how_it_ended())
+        with self._changed:
+            self._over = True
+            self._changed.notify_all()
 
     def _send_item(self, item: partial[ViewFrame] | Line) -> None:
         try:
             message = item if isinstance(item, Line) else self._drawn(item)
-            while not self._over and not self._channel.send(message, _LOOK_S):
-                pass
+            while not self._over and not self._channel.send(message, 0.0):
+                # Until the process has taken a frame before.
+                self._handle(self._channel.receive(_LOOK_S))
         except ChannelClosedError:
             raise
         except Exception as err:
@@ -263,17 +268,6 @@ class IsolatedView(View):
             self._known = frame.calibration or self._known
             self._changed.notify_all()
         return frame
-
-    def _listen(self) -> None:
-        try:
-            while True:
-                self._handle(self._channel.receive(_LOOK_S))
-        except ChannelClosedError:
-            if not self._over:
-                self._fail(self._how_it_ended())
-        with self._changed:
-            self._over = True
-            self._changed.notify_all()
 
     def _handle(self, message: Any) -> None:
         if isinstance(message, Failed):
