@@ -1,10 +1,15 @@
 """The entry points of the installed commands, which import everything else."""
 
+import errno
+import os
 import signal
+import sys
+from contextlib import suppress
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
-_INTERRUPTED = 130
+_FAILED, _INTERRUPTED = 1, 130
 
 
 def live() -> int:
@@ -35,10 +40,29 @@ def record() -> int:
 def _run(module: str, function: str = "main", *, on_interrupt: Any = signal.default_int_handler) -> int:
     """Run a command; Ctrl-C ends the process silently during imports, and then as `on_interrupt` says."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    _open_closed_streams()
     run = getattr(import_module(module), function)
     try:
         signal.signal(signal.SIGINT, on_interrupt)
         code: int = run()
+        sys.stdout.flush()
     except KeyboardInterrupt:
         return _INTERRUPTED
+    except OSError as err:
+        if err.errno not in (errno.EPIPE, errno.ENOSPC):
+            raise
+        # The reader of standard output, such as `head`, has ended, or its disk is full.
+        if err.errno == errno.ENOSPC:
+            with suppress(OSError):
+                print(f"{Path(sys.argv[0]).name}: error: standard output: {err.strerror}", file=sys.stderr)
+        # The flush at exit would fail again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _FAILED
     return code
+
+
+def _open_closed_streams() -> None:
+    """Open standard streams that are closed: files would take their numbers, and get what is printed."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))

@@ -34,13 +34,7 @@ def main(words: Sequence[str] | None = None) -> int:
     arguments = _parser().parse_args(words)
     run: Callable[[argparse.Namespace], int] = arguments.run
     try:
-        code = run(arguments)
-        sys.stdout.flush()
-        return code
-    except BrokenPipeError:
-        # The reader, such as `head`, has ended; the flush at exit would fail again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return NOT_READY
+        return run(arguments)
     except DriverError as err:
         print(f"nurbseg-devices: error: {err}", file=sys.stderr)
         if isinstance(err, DeviceNotFoundError):

@@ -88,7 +88,7 @@ class RunReport:
     def summary(self) -> str:
         """Return numbers of frames in one line."""
         if self.recorded_only and not self.segmented:
-            return f"{self.recorded_only} frame{'s' * (self.recorded_only != 1)} recorded"
+            return f"{self.recorded_only} frame{'s' * (self.recorded_only != 1)} read"
         text = f"{self.segmented} frame{'s' * (self.segmented != 1)} segmented"
         text += f", {self.frames_per_s:.2f} frames/s" if self.segmented > 1 else ""
         capture = self.capture

@@ -52,7 +52,6 @@ def main(words: Sequence[str] | None = None) -> int:
         worst = max(worst, WHOLE if inspection.whole else NOT_WHOLE)
     if given.json:
         print(json.dumps(found, indent=2))
-    sys.stdout.flush()
     return worst
 
 
@@ -98,7 +97,8 @@ def _text(found: Inspection) -> str:
     if found.first_ns is not None and found.last_ns is not None:
         span_s = (found.last_ns - found.first_ns) * 1e-9
     rate = f", {(found.frames - 1) / span_s:.1f} frames/s" if span_s > 0 else ""
-    lines = [f"{found.file}: {'whole' if found.whole else 'NOT whole'}, {found.frames} frames{rate}"]
+    frames = f"{found.frames} frame{'s' * (found.frames != 1)}{rate}"
+    lines = [f"{found.file}: {'whole' if found.whole else 'NOT whole'}, {frames}"]
     if found.last_ns is not None:
         lines.append(f"  last frame: {span_s:.3f} s after the first, stamp {found.last_ns * 1e-9:.6f} s")
     if found.gaps:

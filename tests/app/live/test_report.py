@@ -34,9 +34,9 @@ def test_every_frame_is_accounted_for() -> None:
         "5 dropped by the slow viewer"
     )
     report.segmented, report.recorded_only = 0, 4
-    assert report.summary() == "4 frames recorded"
+    assert report.summary() == "4 frames read"
     report.recorded_only = 1
-    assert report.summary() == "1 frame recorded"
+    assert report.summary() == "1 frame read"
 
 
 def test_latencies_are_reported_as_percentiles() -> None:

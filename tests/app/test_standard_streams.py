@@ -1,0 +1,54 @@
+"""Standard streams that are closed, full or not read: no traceback, and nothing printed into files."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+COMMANDS = Path(sys.executable).parent
+DEMO = Path(__file__).parents[2] / "recordings" / "demo.mcap"
+#: Commands that print a lot, a little, and what `argparse` does not print itself.
+PRINTING = [f"nurbseg-record check {DEMO}", "nurbseg-devices --json", "nurbseg-live --print-config"]
+
+
+def shell(line: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run a line of bash, which has the redirections that the tests are about."""
+    return subprocess.run(
+        ["bash", "-c", f"PATH={COMMANDS}:$PATH; {line}"],
+        cwd=folder,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+
+@pytest.mark.parametrize("command", PRINTING)
+def test_a_reader_that_has_ended_is_no_error_message(command: str, tmp_path: Path) -> None:
+    done = shell(f"{command} | true; exit ${{PIPESTATUS[0]}}", tmp_path)
+    assert done.stderr == ""
+    assert done.returncode in (0, 1)
+
+
+@pytest.mark.parametrize("command", PRINTING)
+def test_a_full_disk_under_standard_output_is_named(command: str, tmp_path: Path) -> None:
+    done = shell(f"{command} > /dev/full", tmp_path)
+    name = command.partition(" ")[0]
+    assert done.stderr == f"{name}: error: standard output: No space left on device\n"
+    assert done.returncode == 1
+
+
+@pytest.mark.parametrize("command", PRINTING)
+def test_closed_standard_output_is_no_output(command: str, tmp_path: Path) -> None:
+    as_usual = shell(f"{command} > /dev/null", tmp_path)
+    closed = shell(f"{command} >&-", tmp_path)
+    assert (closed.returncode, closed.stderr) == (as_usual.returncode, as_usual.stderr)
+
+
+def test_a_run_without_standard_streams_writes_its_files_and_nothing_else_into_them(tmp_path: Path) -> None:
+    words = "--synthetic --frames 1 --speed 0 --view none --splits-max 1 --decimation 8"
+    done = shell(f"nurbseg-live {words} --record a.mcap <&- >&- 2>&-", tmp_path)
+    assert done.returncode == 0
+    checked = shell("nurbseg-record check a.mcap", tmp_path)
+    assert "a.mcap: whole, 1 frame" in checked.stdout, checked
