@@ -59,7 +59,8 @@ class Console:
             text = os.read(self._descriptor, 1024).decode(errors="replace")
         self._ended = not text
         if not self._keys:
-            *lines, self._unfinished = (self._unfinished + text).split("\n")
+            # The last line may have no end.
+            *lines, self._unfinished = (self._unfinished + (text or "\n")).split("\n")
             self._commands.extend(filter(None, map(str.strip, lines)))
             return
         for key in text:

@@ -51,7 +51,7 @@ class Controls:
             "seek": self._seek,
             "loop": self._loop,
             "record": self._record,
-            "speed": lambda word: self._set_speed(float(word)),
+            "speed": lambda word: self._set_speed(_number(word)),
             "faster": lambda _: self._set_speed(self._capture.speed * _SPEED_FACTOR),
             "slower": lambda _: self._set_speed(self._capture.speed / _SPEED_FACTOR),
             "metric": lambda word: self._change(metric=_chosen(word, self.config.metric, get_args(Metric))),
@@ -72,7 +72,8 @@ class Controls:
         try:
             said = self._commands[name](word.strip())
         except ValueError as err:
-            _log.warning("%s: %s", name, err)
+            # A setting may be named as the command is.
+            _log.warning("%s: %s", name, str(err).removeprefix(f"{name}_max: ").removeprefix(f"{name}: "))
             return
         if said:
             _log.info("%s", said)
@@ -145,7 +146,7 @@ class Controls:
         return f"level {level}"
 
     def _set_ratio(self, word: str) -> str:
-        value = float(word) if word else round(self.config.ratio_max + _RATIO_STEP, 2)
+        value = _number(word) if word else round(self.config.ratio_max + _RATIO_STEP, 2)
         return self._change(ratio_max=0.7 if not word and value > 1.3 else value)
 
     def _change(self, **settings: Any) -> str:
@@ -161,6 +162,13 @@ class Controls:
     def _quit(self) -> str:
         self.ended = True
         return "quit"
+
+
+def _number(word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        raise ValueError(f"expected a number, got {word[:80]!r}") from None
 
 
 def _chosen(word: str, now: str, choices: Sequence[str]) -> Any:

@@ -25,7 +25,7 @@ def controlled_frames(
     progress: Progress,
     interruption: Interruption,
 ) -> Generator[Captured, None, None]:
-    """Yield frames, and the last one again if settings change during a pause."""
+    """Yield frames, and the last one again if settings change during a pause; a snapshot precedes the end."""
     last: Captured | None = None
     segmented_by = controls.config
     with open_console(control) or nullcontext() as console:
@@ -35,9 +35,9 @@ def controlled_frames(
             while console is not None and (command := console.take()) is not None:
                 controls.apply(command)
             controls.recorder.log_finished()
-            if controls.ended:
+            if controls.ended and not controls.snapshot:
                 return
-            if captured is None and last is not None and controls.paused:
+            if captured is None and last is not None and (controls.paused or controls.ended):
                 wanted = controls.snapshot or segmented_by is not controls.config
                 captured = replace(last, arrived_s=time.monotonic()) if wanted else None
             if captured is None:

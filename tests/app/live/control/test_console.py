@@ -154,6 +154,13 @@ def test_a_line_ends_a_loop_at_the_end_of_the_recording(tmp_path: Path) -> None:
     assert f"done: {frames} frames segmented" in done.stderr
 
 
+def test_a_snapshot_is_written_before_the_end_also_by_a_last_line_without_an_end(tmp_path: Path) -> None:
+    done = piped("snapshot\nquit", tmp_path)
+    assert done.returncode == 0
+    (folder,) = tmp_path.glob("snapshot-*")
+    assert list(folder.glob("*_tree.json"))
+
+
 def test_a_pipe_can_quit_and_the_report_says_so(tmp_path: Path) -> None:
     done = piped("quit\n", tmp_path, "--report", "report.json")
     assert done.returncode == 0

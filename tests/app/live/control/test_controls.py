@@ -90,9 +90,10 @@ def test_the_key_for_the_ratio_comes_round(controls: Controls) -> None:
     ("command", "said"),
     [
         ("metric rmse", "metric: expected one of mse, mae, "),
-        ("ratio -1", "ratio: ratio_max: expected "),
-        ("ratio much", "ratio: could not convert string to float: 'much'"),
-        ("speed 0", "speed: speed: expected more than 0, got 0"),
+        ("ratio -1", "ratio: expected more than 0.0, got -1.0"),
+        ("ratio much", "ratio: expected a number, got 'much'"),
+        ("speed", "speed: expected a number, got ''"),
+        ("speed 0", "speed: expected more than 0, got 0"),
         ("dance", "'dance' is not a command; help lists them"),
     ],
 )
