@@ -2,6 +2,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -138,7 +139,7 @@ def test_a_reader_that_has_enough_is_no_error(virtual_cameras):
     os.close(reading)
     with os.fdopen(writing, "wb") as pipe:
         done = subprocess.run(
-            [sys.executable, "-m", "nurbseg.app.devices.cli"],
+            [Path(sys.executable).with_name("nurbseg-devices")],
             stdout=pipe,
             stderr=subprocess.PIPE,
             text=True,
