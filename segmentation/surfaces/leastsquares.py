@@ -181,7 +181,7 @@ def _add_points(
     weight, shifted = np.empty(width), np.empty((count, width))
     sums, moments = np.empty(_PRODUCTS), np.empty(4)
     # Sums over all rows of one span of rows, by span of columns.
-    matrix = np.zeros((spans, _PRODUCTS, _PRODUCTS))
+    matrix, inner = np.zeros((spans, _PRODUCTS, _PRODUCTS)), np.zeros((spans, _PRODUCTS))
     sides = np.zeros((spans, count, 4, 4))
     for y in range(height):
         marked = mask[y]
@@ -201,15 +201,16 @@ def _add_points(
             if points == 0.0:
                 continue
             if points == end - begin:
+                # All such rows have the same sums, which are used once for all.
                 for k in range(_PRODUCTS):
-                    sums[k] = whole[s, k]
+                    inner[s, k] += own[_FIRST[k]] * own[_SECOND[k]]
             else:
                 for k in range(_PRODUCTS):
                     sums[k] = dot(part, products[k, begin:end])
-            for k in range(_PRODUCTS):
-                product_v = own[_FIRST[k]] * own[_SECOND[k]]
-                for m in range(_PRODUCTS):
-                    matrix[s, k, m] += product_v * sums[m]
+                for k in range(_PRODUCTS):
+                    product_v = own[_FIRST[k]] * own[_SECOND[k]]
+                    for m in range(_PRODUCTS):
+                        matrix[s, k, m] += product_v * sums[m]
             for c in range(count):
                 for j in range(4):
                     moments[j] = dot(shifted[c, begin:end], along[j, begin:end])
@@ -218,9 +219,13 @@ def _add_points(
                         sides[s, c, i, j] += own[i] * moments[j]
         if y + 1 == height or rows.starts[y + 1] != rows.starts[y]:
             for s in range(spans):
+                for k in range(_PRODUCTS):
+                    for m in range(_PRODUCTS):
+                        matrix[s, k, m] += inner[s, k] * whole[s, m]
                 origin = rows.starts[y] * steps[0] + columns.starts[edges[s]] * steps[1]
                 _scatter(matrix, sides, s, origin, steps, band, right)
             matrix[:] = 0.0
+            inner[:] = 0.0
             sides[:] = 0.0
 
 
