@@ -2,6 +2,7 @@ import ast
 import importlib
 import inspect
 import pkgutil
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -87,29 +88,46 @@ import nurbseg.drivers, nurbseg.segmentation
 nurbseg.segmentation.__path__.append(sys.argv[1] + "/segmentation")
 from nurbseg.drivers import compiled
 compiled._PACKAGES = Path(sys.argv[1])
+compiled.__file__ = sys.argv[1] + "/drivers/compiled.py"
 from nurbseg.segmentation.outer import outer
 print(outer(1), sum(outer.stats.cache_hits.values()))
 """
 
 
+def run(folder: Path, number: int) -> list[str]:
+    """Write the files with a number, and run them: the result, and how often code was found."""
+    (folder / "segmentation").mkdir(exist_ok=True)
+    (folder / "segmentation/outer.py").write_text(OUTER)
+    (folder / "segmentation/inner.py").write_text(INNER.format(number=number))
+    command = [sys.executable, "-c", PROGRAM, str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    return done.stdout.split()
+
+
 def test_code_is_recompiled_when_a_function_of_another_file_changes(tmp_path: Path, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "code"))
-    (tmp_path / "segmentation").mkdir()
-    (tmp_path / "segmentation/outer.py").write_text(OUTER)
-
-    def run(number: int) -> list[str]:
-        (tmp_path / "segmentation/inner.py").write_text(INNER.format(number=number))
-        command = [sys.executable, "-c", PROGRAM, str(tmp_path)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-        return done.stdout.split()
-
-    assert run(1) == ["20", "0"]
-    assert run(1) == ["20", "1"]
-    assert run(2) == ["30", "0"]
-    assert [run(number)[0] for number in (3, 4, 5)] == ["40", "50", "60"]
-    kept = sorted(path.name for path in (tmp_path / "code").glob("loops-*"))
+    assert run(tmp_path, 1) == ["20", "0"]
+    assert run(tmp_path, 1) == ["20", "1"]
+    assert run(tmp_path, 2) == ["30", "0"]
+    # What cannot be removed stays.
+    (tmp_path / "code/loops-file").touch()
+    assert [run(tmp_path, number)[0] for number in (3, 4, 5)] == ["40", "50", "60"]
+    kept = sorted(path.name for path in (tmp_path / "code").glob("loops-*/"))
     assert len(kept) == 3
     assert f"loops-{content_digest(tmp_path)}" in kept
+
+
+def test_code_is_kept_in_the_users_cache_where_it_cannot_be_kept_beside_the_package(tmp_path, monkeypatch):
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    (tmp_path / "drivers").mkdir()
+    for folder in ("drivers/__pycache__", "cache/nurbseg"):
+        assert run(tmp_path, 1) == ["20", "0"]
+        (code,) = tmp_path.rglob("loops-*")
+        assert code.parent == tmp_path / folder
+        # A file cannot hold the folder.
+        shutil.rmtree(code.parent)
+        code.parent.touch()
 
 
 def test_only_files_with_compiled_functions_count(tmp_path: Path):

@@ -1,6 +1,7 @@
 """Features of pairs of surfaces by their definitions, pair by pair, and what they weigh."""
 
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ def frame(seed, count=8):
     rng = np.random.default_rng(seed)
     pairs = np.array([pair for pair in combinations(range(1, count + 1), 2) if rng.random() < 0.7])
     samples = rng.integers(1, 60, len(pairs)).astype(float)
+    samples[0] = 1.0
     touching = np.floor(samples * rng.choice([0.0, 0.1, 0.5, 1.0], len(pairs)))
     turns = rng.normal(0.1, 0.5, (len(pairs), 60)) * (np.arange(60) < touching[:, np.newaxis])
     borders = BorderStatistics(
@@ -109,6 +111,16 @@ def test_terms_are_weights_times_features_and_a_gap_is_the_only_term():
         np.testing.assert_allclose(found, expected, atol=5.1e-4)
         # Three digits, those that are exported.
         assert found.tolist() == [round(item, 3) for item in found.tolist()]
+
+
+def test_weights_are_those_that_are_published():
+    page = (Path(__file__).parents[3] / "docs/accuracy.md").read_text()
+    rows = (line.split("|") for line in page.splitlines())
+    table = {row[1].strip(" `"): row[3:5] for row in rows if len(row) == 6}
+    assert float(table["base"][0]) == BASE
+    for term in TERMS:
+        assert [float(each) for each in table[term.name]] == [term.weight, term.neutral]
+    assert f"log odds are {GAP} regardless" in page
 
 
 def test_concavity_gaps_and_size_have_the_right_sign():

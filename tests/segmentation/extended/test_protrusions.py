@@ -59,18 +59,26 @@ def test_a_small_thing_before_a_wall_that_is_at_its_noise_becomes_a_leaf(cloud_o
 
 
 @pytest.mark.parametrize(
-    "things",
+    ("things", "step"),
     [
-        [],
-        [(THING, -8.0)],
-        [(THING, 1.0)],
-        [((slice(100, 300), slice(300, 306)), 8.0)],
-        [((slice(200, 208), slice(300, 310)), 20.0)],
+        ([], 2),
+        ([(THING, -8.0)], 2),
+        ([(THING, 1.0)], 2),
+        ([((slice(100, 300), slice(300, 306)), 8.0)], 2),
+        ([((slice(100, 400), slice(300, 306)), 8.0)], 3),
+        ([((slice(200, 208), slice(300, 310)), 20.0)], 2),
     ],
-    ids=["noise", "a hollow", "within noise", "a strip", "fewer points than T_p"],
+    ids=[
+        "noise",
+        "a hollow",
+        "within noise",
+        "a strip",
+        "a strip in thirds",
+        "fewer points than T_p",
+    ],
 )
-def test_a_wall_stays_whole(cloud_of, things):
-    root, _ = split_off(cloud_of, things)
+def test_a_wall_stays_whole(cloud_of, things, step):
+    root, _ = split_off(cloud_of, things, replace(CONFIG, decimation=step))
     assert root.children == ()
 
 

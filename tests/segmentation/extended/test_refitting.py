@@ -56,6 +56,11 @@ def test_a_surface_bent_by_a_strip_of_its_neighbor_is_fitted_again(concave_corne
     assert np.array_equal(surfaces[1].weights, again.surface.weights)
     assert surfaces[0] is fits[0].surface
     assert rms_per_m == [fits[0].rms_per_m, again.rms_per_m]
+    # The same with the other numbers.
+    swap = np.array([0, 2, 1], dtype=np.int32)
+    swapped, _, swapped_rms_per_m = refit_surfaces(swap[cut], fits[::-1], grid, CONFIG)
+    assert np.array_equal(swapped, swap[labels])
+    assert swapped_rms_per_m == rms_per_m[::-1]
 
 
 @pytest.mark.parametrize("concave_corner", [220], indirect=True)

@@ -54,8 +54,9 @@ def test_islands_take_the_label_of_the_nearest_place():
     labels = np.zeros((9, 30), np.int32)
     labels[:, :5], labels[:, 25:] = 1, 2
     wanted = np.zeros((9, 30), bool)
-    wanted[4, 8], wanted[4, 22] = True, True
+    # Two of them are farther from any label than the image is high.
+    at = [8, 14, 16, 22]
+    wanted[4, at] = True
     spread = spread_labels(labels, wanted, np.ones((9, 30), np.float32), 0.02)
-    assert spread[4, 8] == 1
-    assert spread[4, 22] == 2
-    assert np.count_nonzero(spread) == np.count_nonzero(labels) + 2
+    assert spread[4, at].tolist() == [1, 1, 2, 2]
+    assert np.count_nonzero(spread) == np.count_nonzero(labels) + 4

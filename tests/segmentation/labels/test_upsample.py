@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from nurbseg.segmentation.cut.ncut import normalized_cut
 from nurbseg.segmentation.labels.upsample import Split, upsample_labels
@@ -69,3 +70,12 @@ def test_one_leaf_takes_every_pixel(cloud_of):
     cloud, vectors, grid, _, _ = scene(cloud_of, 3)
     labels = upsample_labels(cloud, grid, [np.flatnonzero(grid.valid)], [], vectors.__getitem__)
     assert (labels == np.where(cloud.valid.ravel(), 0, 1)).all()
+
+
+def test_there_are_as_many_leaves_as_labels_of_16_bits_at_most(cloud_of):
+    cloud = cloud_of(np.ones((256, 256)))
+    leaves = list(np.arange(2**16 - 1)[:, np.newaxis])
+    labels = upsample_labels(cloud, decimated_grid(cloud, 1), leaves[:-1], [], np.ones)
+    assert (labels == np.minimum(np.arange(2**16), 2**16 - 2)).all()
+    with pytest.raises(ValueError, match="at most 65534, got 65535"):
+        upsample_labels(cloud, decimated_grid(cloud, 1), leaves, [], np.ones)
