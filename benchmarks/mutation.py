@@ -63,7 +63,7 @@ class Mutant:
     Parameters
     ----------
     module : str
-        File below `segmentation/`, without its ending.
+        File below `segmentation/`, or with the name of another package, without its ending.
     spec : MutationSpec
         The change.
     before, after : str
@@ -84,6 +84,12 @@ class Outcome:
     state: str
     kind: str = ""
     reason: str = ""
+
+
+def source_of(module: str) -> Path:
+    """Return the file of a module, below the folder of all packages."""
+    path = Path(f"{module}.py")
+    return path if path.parts[0] == "drivers" else "segmentation" / path
 
 
 def declared(source: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
@@ -176,7 +182,7 @@ class Copy:
 
     def test(self, mutant: Mutant, tests: Sequence[str], timeout_s: float) -> str:
         """Make a change, run tests, and take it back; return what became of it."""
-        path = self._package / "segmentation" / f"{mutant.module}.py"
+        path = self._package / source_of(mutant.module)
         before = path.stat()
         operator = cosmic_ray.plugins.get_operator(mutant.spec.operator_name)()
         with use_mutation(path, operator, mutant.spec.occurrence):
@@ -318,7 +324,7 @@ def main() -> int:
             tests = plan["tests"][module]
             # The first run compiles what the tests need.
             limit_s = 60.0 + 4.0 * max(pool.map(lambda copy, tests=tests: copy.measure(tests), copies))
-            mutants = sampled(module, Path("segmentation", f"{module}.py"), arguments.most, arguments.seed)
+            mutants = sampled(module, source_of(module), arguments.most, arguments.seed)
             states = pool.map(lambda each, tests=tests, s=limit_s: state_of(each, tests, s), mutants)
             for mutant, state in zip(mutants, states, strict=True):
                 outcomes.append(explained(mutant, state, plan["survivor"]))
