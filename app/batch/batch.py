@@ -159,7 +159,11 @@ def _begun(batch: Batch, recording: Recording) -> dict[str, Any]:
             raise
         found = frames
     settings = run_settings(
-        batch.config, source=recording.uri, surfaces=batch.export.surfaces, calibration=calibration
+        batch.config,
+        source=recording.uri,
+        surfaces=batch.export.surfaces,
+        calibration=calibration,
+        depth_scale=batch.options.depth_scale,
     )
     refuse_other_results(folder, settings)
     if frames not in (None, found):

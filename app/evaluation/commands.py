@@ -204,10 +204,13 @@ def check(given: argparse.Namespace) -> int:
         count += 1
         print(finding)
     per_frame_ms = 1e3 * (time.perf_counter() - started_s) / max(folder.frames, 1)
+    numbers = ((count, "finding"), (folder.frames, "frame"), (folder.segments, "segment"))
+    findings, frames, segments = (f"{number} {what}{'s' * (number != 1)}" for number, what in numbers)
+    unchecked = folder.history.unchecked
+    missing = f"{unchecked} values and trials of missing frames not checked; " if unchecked else ""
     print(
-        f"{count} findings in {folder.frames} frames with {folder.segments} segments; {folder.recomputed} "
-        f"surfaces compared with their points; not checked: {folder.history.unchecked} values and trials "
-        f"of missing frames; {per_frame_ms:.0f} ms per frame",
+        f"{findings} in {frames} with {segments}; {folder.recomputed} surfaces compared with their points; "
+        f"{missing}{per_frame_ms:.0f} ms per frame",
         file=sys.stderr,
     )
     return 1 if count else 0

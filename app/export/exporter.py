@@ -40,12 +40,14 @@ def run_settings(
     surfaces: bool = False,
     depth: DepthConfig | None = None,
     calibration: Calibration | None = None,
+    depth_scale: float | None = None,
 ) -> dict[str, Any]:
     """Return the content of ``settings.json``.
 
     `temporal` says whether a frame continues the previous one; `target_fps` is the rate that is maintained by
     a coarser grid, 1/s, or 0 if the grid is always that of `config`; `depth` is the preprocessing of depth;
-    `calibration` holds the cameras, if known.
+    `calibration` holds the cameras, if known; `depth_scale` is that of the depth images, units per metre, if
+    the user gave one.
     """
     return {
         "source": source,
@@ -53,6 +55,7 @@ def run_settings(
         "target_fps": target_fps,
         "surfaces": surfaces,
         "depth": asdict(depth or DepthConfig()),
+        "depth_scale": depth_scale,
         "camera": None if calibration is None else calibration_table(calibration),
         "segmentation": asdict(config),
     }

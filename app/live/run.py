@@ -218,6 +218,8 @@ def _settings(config: AppConfig, segmentation: SegmentationConfig, opened: Opene
         surfaces=config.export.surfaces,
         depth=config.depth,
         calibration=opened.source.calibration,
+        # Cameras say it themselves.
+        depth_scale=None if opened.camera.live else config.source.depth_scale,
     )
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -76,8 +77,10 @@ class FolderCheck:
         self.history = History()
         self._folder = folder
         self._recording = recording
-        self._options = options or SourceOptions()
         self._settings = read_settings(folder)
+        options = options or SourceOptions()
+        # Of the depth scale, the export knows what was given.
+        self._options = replace(options, depth_scale=options.depth_scale or self._settings.depth_scale)
         stems = (path.name.removesuffix("_tree.json") for path in folder.glob("*_tree.json"))
         # This is also the order of files that are named as in their source.
         self._stems = sorted(stems, key=natural_key)

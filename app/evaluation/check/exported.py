@@ -43,6 +43,8 @@ class RunSettings:
     depth: DepthConfig
     #: The cameras, which earlier versions left out.
     camera: Calibration | None = None
+    #: Of the depth images, units per metre, if the user gave one.
+    depth_scale: float | None = None
 
     @property
     def independent(self) -> bool:

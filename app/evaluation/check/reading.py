@@ -43,7 +43,7 @@ def read_settings(folder: Path) -> RunSettings:
     path = folder / SETTINGS_FILE
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
-        camera = values.get("camera")
+        camera, depth_scale = values.get("camera"), values.get("depth_scale")
         segmentation, _ = in_sections(SegmentationConfig, values["segmentation"])
         return RunSettings(
             str(values["source"]),
@@ -54,6 +54,7 @@ def read_settings(folder: Path) -> RunSettings:
             # Exports of an earlier version have none.
             updated(DepthConfig(), **in_sections(DepthConfig, values.get("depth", {}))[0]),
             None if camera is None else cameras_of_table(path, camera).calibration(),
+            None if depth_scale is None else float(depth_scale),
         )
     except FileNotFoundError:
         raise ValueError(f"{path}: does not exist; nurbseg-live --export writes it") from None

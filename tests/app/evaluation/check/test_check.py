@@ -3,6 +3,8 @@
 import json
 import os
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,12 +14,14 @@ import pytest
 from scipy.interpolate import BSpline
 from small_scene import small_frame
 
+from nurbseg.app.batch.cli import main as batch
 from nurbseg.app.evaluation.check.check import FolderCheck
 from nurbseg.app.evaluation.check.reading import read_settings
 from nurbseg.app.evaluation.cli import main
 from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, run_settings
 from nurbseg.app.live.tracking import Segmenter, process_frame
+from nurbseg.drivers.calibration.file import write_calibration
 from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.drivers.mcap.writer import RecordingWriter
 from nurbseg.drivers.options import SourceOptions
@@ -85,6 +89,25 @@ def test_nothing_is_found_in_a_real_frame_by_its_own_camera(real_data, tmp_path,
     (tmp_path / "settings.json").write_text(json.dumps(settings | {"camera": None}))
     assert main([*words, "--intrinsics", "600,600,319.5,239.5"]) == 1
     assert "_tree.json" in capsys.readouterr().out
+
+
+def test_the_scale_of_depth_that_was_given_need_not_be_given_again(tmp_path, capsys):
+    frame = small_frame()
+    depth, color = (np.asarray(each) for each in (frame.depth_mm, frame.color))
+    (tmp_path / "images").mkdir()
+    cv2.imwrite(os.fspath(tmp_path / "images/a_depth.png"), 5 * depth)
+    cv2.imwrite(os.fspath(tmp_path / "images/a_color.png"), color)
+    write_calibration(tmp_path / "images/camera.toml", frame.calibration)
+    images, out = os.fspath(tmp_path / "images"), os.fspath(tmp_path / "out")
+    given = [images, "--depth-scale", "5000", "--export-surfaces"]
+    words = ["--speed", "0", "--view", "none", "--splits-max", "2", "--export", out, "--replay", *given]
+    subprocess.run([Path(sys.executable).with_name("nurbseg-live"), *words], check=True, timeout=120)
+    words = ["--set", "splits_max=2", "--workers", "1", "--export", os.fspath(tmp_path / "b"), *given]
+    assert batch(words) == 0
+    assert main(["check", os.fspath(tmp_path / "b" / images.lstrip("/")), "--frames", images]) == 0
+    assert main(["check", out, "--frames", images]) == 0
+    assert main(["check", out, "--frames", images, "--depth-scale", "1000"]) == 1
+    assert "1 frame with " in capsys.readouterr().err
 
 
 def test_a_camera_that_was_recorded_is_the_same_but_for_rounding(tmp_path):
