@@ -12,13 +12,16 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print the usage and a message, and exit."""
-        what, found, words = message.partition("unrecognized arguments: ")
-        known = sorted(_all_flags(self))
-        for word in words.split() if found and not what else ():
-            near = difflib.get_close_matches(word.partition("=")[0], known, n=2) if word[:2] == "--" else []
-            message += f"; {word} is near {' and '.join(near)}" if near else ""
-        if found and any(Path(word).is_file() for word in words.split()):
-            message += "; a recording is given as --replay PATH" if "--replay" in known else ""
+        what, _, words = message.partition("unrecognized arguments: ")
+        known = sorted(flag[2:] for flag in _all_flags(self))
+        for word in (word for word in words.split() if word[:2] == "--" and not what):
+            # Without the dashes, which all flags have in common.
+            near = difflib.get_close_matches(word[2:].partition("=")[0], known, n=2)
+            message += f"; {word} is near {' and '.join(f'--{flag}' for flag in near)}" if near else ""
+        files = [word for word in words.split() if Path(word).exists()]
+        if files:
+            message += "; a recording is given as --replay PATH" if "replay" in known else ""
+        if len(files) > 1:
             message += "; put patterns in quotes, or the shell expands them to file names"
         super().error(message)
 

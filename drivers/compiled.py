@@ -113,6 +113,11 @@ def _folder(wanted: str) -> Path | str:
     return wanted
 
 
+def keeps_code() -> bool:
+    """Whether compiled code is kept for later processes."""
+    return isinstance(_folder(config.CACHE_DIR), Path)  # type: ignore[attr-defined]
+
+
 def content_digest(packages: Path) -> str:
     """Return a digest of all files with compiled functions in ``drivers``, ``segmentation`` and ``app``."""
     digest = hashlib.sha256()

@@ -212,6 +212,9 @@ class ValueKind:
             if text.lower() not in _SWITCH:
                 raise ValueError(f"expected 0 or 1, got {text!r}")
             return _SWITCH[text.lower()]
+        if self.kind is str and self.optional and not text:
+            # Mostly a variable of a script that is not set: a path would be the working folder.
+            raise ValueError("expected a value, got ''")
         # Without a word of its own, an empty text is none either.
         return text if self.kind is str or (self.word and text == self.word) else self._number(text)
 
@@ -238,7 +241,7 @@ class ValueKind:
         """What is expected, for a message."""
         names = {bool: "true or false", int: "a whole number", float: "a number", str: "a text in quotes"}
         either = f" or {self.word}" if self.word else ""
-        numbers = f"{self.length} {'whole ' if self.kind is int else ''}numbers"
+        numbers = f"{self.length} {'whole ' if self.kind is int else ''}numbers, separated by commas"
         return numbers if self.length else names[self.kind] + either
 
     def _number(self, text: str) -> float:

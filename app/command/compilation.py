@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from numba.core import event
 
 from nurbseg.app.command.ahead import GARBAGE_THRESHOLD
+from nurbseg.drivers.compiled import keeps_code
 from nurbseg.drivers.process.child import dying_with_parent, python_command
 
 _log = logging.getLogger(__name__)
@@ -20,6 +21,8 @@ _log = logging.getLogger(__name__)
 _PROGRESS_S = 5.0
 #: Compiles on another core what is called later.
 _BESIDE = python_command("nurbseg.app.command.ahead")
+#: What to do where the code cannot be kept.
+_EVERY_RUN = "in every run: to keep the code, set XDG_CACHE_HOME to a folder that can be written"
 #: Longest wait for its end after it was killed, seconds.
 _KILLED_S = 5.0
 
@@ -34,7 +37,8 @@ def logged_compilation() -> Iterator[None]:
     finally:
         listener.end()
         if listener.spent_s > 0:
-            _log.info("compiling took %.0f s; later runs load the code from disk", listener.spent_s)
+            later = "; later runs load the code from disk" if keeps_code() else ""
+            _log.info("compiling took %.0f s%s", listener.spent_s, later)
 
 
 class _Listener(event.Listener):
@@ -71,7 +75,8 @@ class _Listener(event.Listener):
     def on_start(self, event: event.Event) -> None:
         with self._lock:
             if not self._told_s:
-                _log.info("compiling the inner loops; this takes about 12 s, once per computer")
+                often = "once per computer" if keeps_code() else _EVERY_RUN
+                _log.info("compiling the inner loops; this takes about 12 s, %s", often)
                 self._told_s = time.monotonic()
                 self._start_beside()
             if self._depth == 0:

@@ -30,7 +30,8 @@ def repair(path: Path, output: Path, *, force: bool = False) -> list[str]:
         finally:
             part.unlink(missing_ok=True)
     except OSError as err:
-        raise DriverError(f"{output}: cannot be written: {err.strerror}") from err
+        advice = ", or overwrite it with --force" if isinstance(err, FileExistsError) else ""
+        raise DriverError(f"{output}: cannot be written: {err.strerror}{advice}") from err
     return [f"{damaged} damaged parts of {path} were left out"] if damaged else []
 
 

@@ -112,7 +112,8 @@ def test_no_file_is_replaced_unless_requested(cut, capsys):
     out = cut.with_name("cut-repaired.mcap")
     out.write_bytes(b"precious")
     assert main(["repair", str(cut)]) == 2
-    assert "already exists; name another file or remove it" in capsys.readouterr().err
+    said = "already exists; name another file or remove it, or overwrite it with --force"
+    assert said in capsys.readouterr().err
     assert out.read_bytes() == b"precious"
     assert main(["repair", str(cut), "--force"]) == 0
     assert main(["check", str(out)]) == 0
