@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel
+from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.errors import CalibrationError, RecordingFormatError
 from nurbseg.drivers.mcap import definitions
 from nurbseg.drivers.mcap import messages as ros
@@ -85,7 +85,8 @@ def recorded_cameras(
     depth, color = (ros.camera_of(samples[info].message, path, info) for info in (present[0], present[-1]))
     depth_frame, color_frame = (_frame_id(samples[info]) for info in (present[0], present[-1]))
     if present[0] == present[-1] or depth_frame == color_frame:
-        same = _same_camera(depth, color)
+        same = depth.size == color.size and np.array_equal(depth.matrix, color.matrix)
+        same = same and np.array_equal(depth.distortion, color.distortion)
         return CameraFile(path=path, depth=depth, color=depth if same else color)
     transform = _transform(color_frame, depth_frame, transforms)
     if transform is None:
@@ -144,11 +145,6 @@ def _camera_topic(
             return beside
     frame = _frame_id(image)
     return next((info for info in infos if frame and _frame_id(samples[info]) == frame), None)
-
-
-def _same_camera(one: CameraModel, other: CameraModel) -> bool:
-    same_lens = np.array_equal(one.matrix, other.matrix) and np.array_equal(one.distortion, other.distortion)
-    return same_lens and one.size == other.size
 
 
 def _transform(target: str, source: str, transforms: list[ros.Transform]) -> NDArray[np.float64] | None:

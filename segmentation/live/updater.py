@@ -142,49 +142,45 @@ class TreeUpdater:
         return done
 
 
+@dataclass(slots=True, eq=False)
 class _Update:
     """The update of one frame."""
 
-    def __init__(
-        self,
-        editor: TreeEditor,
-        cloud: PointMap,
-        features: GridFeatures,
-        measures: Misfit,
-        config: SegmentationConfig,
-        turn: int,
-        frame: int,
-    ) -> None:
-        self._editor, self._cloud, self._config = editor, cloud, config
-        self._turn, self._frame = turn, frame
-        self._features = features
-        self._measures = measures
-        self._grid_pixels_min = features.grid_pixels_min(config)
-        for number, leaf in editor.by_number.items():
+    editor: TreeEditor
+    cloud: PointMap
+    features: GridFeatures
+    measures: Misfit
+    config: SegmentationConfig
+    turn: int
+    frame: int
+
+    def __post_init__(self) -> None:
+        """Fill in how well leaves were explained after their last fit or trial, where it is not known."""
+        for number, leaf in self.editor.by_number.items():
             if np.isnan(leaf.level) and leaf.age <= 1:
-                leaf.level = float(measures.mean_squared[number])
+                leaf.level = float(self.measures.mean_squared[number])
             if np.isnan(leaf.tried):
-                leaf.tried = float(measures.mean_squared[number])
+                leaf.tried = float(self.measures.mean_squared[number])
 
     def add_appeared(self, appeared: NDArray[np.int32]) -> None:
         """Add leaves for components that no leaf explains, each next to the one that surrounds it."""
         for piece in range(1, int(appeared.max()) + 1):
             mask = appeared == piece
-            neighbor = self._editor.around(mask)
+            neighbor = self.editor.around(mask)
             if neighbor is None:
                 continue
             if piece > _APPEARING_MOST:
-                self._editor.labels[mask] = neighbor
+                self.editor.labels[mask] = neighbor
                 continue
-            self._editor.insert(
-                neighbor, fit_segment(self._features, np.flatnonzero(mask), self._config), self._frame
+            self.editor.insert(
+                neighbor, fit_segment(self.features, np.flatnonzero(mask), self.config), self.frame
             )
 
     def remove_vanished(self) -> None:
         """Remove leaves that have become very small."""
-        editor = self._editor
-        sizes = editor.sizes()
-        for number in [n for n in editor.by_number if sizes[n] < _VANISHED_SHARE * self._grid_pixels_min]:
+        editor = self.editor
+        sizes, least = editor.sizes(), _VANISHED_SHARE * self.features.grid_pixels_min(self.config)
+        for number in [n for n in editor.by_number if sizes[n] < least]:
             if len(editor.by_number) < 2:
                 return
             kept = editor.around(editor.labels == number)
@@ -194,9 +190,9 @@ class _Update:
 
     def refit(self, most: int) -> None:
         """Fit surfaces again: those that explain their leaves worst, or are oldest."""
-        m = self._measures
+        m = self.measures
         need = []
-        for number, leaf in self._editor.by_number.items():
+        for number, leaf in self.editor.by_number.items():
             if number >= m.mean_squared.size or m.counts[number] == 0:
                 continue
             level = 1.0 if np.isnan(leaf.level) else leaf.level
@@ -205,16 +201,16 @@ class _Update:
         for wear, number in sorted(need, reverse=True)[:most]:
             if wear <= 0:
                 break
-            leaf = self._editor.by_number[number]
-            own = np.flatnonzero(self._editor.labels == number)
-            part = fit_segment(self._features, own, self._config)
+            leaf = self.editor.by_number[number]
+            own = np.flatnonzero(self.editor.labels == number)
+            part = fit_segment(self.features, own, self.config)
             if part.fit.surface is not None:
                 leaf.refit(part)
-                self._editor.done.report.refits += 1
+                self.editor.done.report.refits += 1
 
     def split(self, most: int) -> None:
         """Try to split leaves that have become worse, the worst first."""
-        m, editor = self._measures, self._editor
+        m, editor = self.measures, self.editor
         self._forget_oldest()
         waiting = []
         for number, leaf in editor.by_number.items():
@@ -222,7 +218,7 @@ class _Update:
             if square > _WORSE_FACTOR * leaf.tried + _WORSE_BY and self._may_be_split(number):
                 waiting.append((square * float(np.sqrt(m.counts[number])), number))
         waiting.sort(reverse=True)
-        room = self._config.splits_max - editor.cuts
+        room = self.config.splits_max - editor.cuts
         cuts = counted = 0
         for rank, (_, number) in enumerate(waiting):
             full = cuts == most or (cuts and counted + int(m.counts[number]) > _CUT_PIXELS)
@@ -234,7 +230,7 @@ class _Update:
 
     def _forget_oldest(self) -> None:
         """Forget the oldest attempt if it is out of date, so that its leaf is tried again."""
-        attempts = [leaf for leaf in self._editor.by_number.values() if leaf.attempt is not None]
+        attempts = [leaf for leaf in self.editor.by_number.values() if leaf.attempt is not None]
         oldest = max(attempts, key=lambda leaf: leaf.attempt_age, default=None)
         # One in each frame, so early that none gets older than the limit.
         if oldest is not None and oldest.attempt_age >= TRIAL_FRAMES - len(attempts):
@@ -242,14 +238,14 @@ class _Update:
 
     def _may_be_split(self, number: int) -> bool:
         """Return whether size, depth and distance from the noise allow a split."""
-        m, node = self._measures, self._editor.by_number[number].node
-        if m.counts[number] <= 2.0 * self._grid_pixels_min or at_noise_floor(node.fit, self._config):
+        m, node = self.measures, self.editor.by_number[number].node
+        if m.counts[number] <= 2.0 * self.features.grid_pixels_min(self.config):
             return False
-        return node.cuts_above < self._config.depth_max
+        return node.cuts_above < self.config.depth_max and not at_noise_floor(node.fit, self.config)
 
     def collapse(self, rejected: Sequence[Node]) -> None:
         """Judge rejected splits again with fitted surfaces, and undo those that are not kept."""
-        editor = self._editor
+        editor = self.editor
         for node in rejected:
             if not (node.children and editor.contains(node)):
                 continue
@@ -259,7 +255,7 @@ class _Update:
                 continue
             whole, trial = self._compare(own)
             if trial.kept or whole.fit.surface is None:
-                node.trial, node.judged, node.age = trial, self._frame, 0
+                node.trial, node.judged, node.age = trial, self.frame, 0
             else:
                 self._refit_merged(editor.collapse(node), whole, trial)
 
@@ -270,17 +266,17 @@ class _Update:
         asked: dict[tuple[int, int], int],
     ) -> None:
         """Merge leaves of an object, in turn, if the ratio does not keep them apart."""
-        editor = self._editor
+        editor = self.editor
 
         def pair_of(pair: tuple[int, int]) -> tuple[int, int]:
             one, two = (editor.by_number[n].number for n in pair)
             return (one, two) if one < two else (two, one)
 
-        neighbors = editor.neighbors(self._features.adjacency, BORDER_LEAST) if most else []
+        neighbors = editor.neighbors(self.features.adjacency, BORDER_LEAST) if most else []
         candidates = [pair for pair in neighbors if pair_of(pair) in same_object]
         pairs = sorted((asked.get(pair_of(pair), 0), pair) for pair in candidates)
         for _, pair in pairs[:most]:
-            asked[pair_of(pair)] = self._turn
+            asked[pair_of(pair)] = self.turn
             own = [np.flatnonzero(editor.labels == number) for number in pair]
             whole, trial = self._compare(own, [editor.by_number[number].node for number in pair])
             if trial.kept or whole.fit.surface is None:
@@ -294,8 +290,8 @@ class _Update:
         self, grid_pixels: Sequence[NDArray[np.intp]], nodes: Sequence[Node] = ()
     ) -> tuple[Part, Trial]:
         """Compare one surface with nodes as they are and, if these are not better, with new fits."""
-        config = self._config
-        whole = fit_together(self._features, grid_pixels, config)
+        config = self.config
+        whole = fit_together(self.features, grid_pixels, config)
         if nodes:
             as_they_are = [
                 (node.value(config), own.size) for node, own in zip(nodes, grid_pixels, strict=True)
@@ -303,46 +299,46 @@ class _Update:
             trial = judge_split(whole.weighed(config), as_they_are, config)
             if trial.kept:
                 return whole, trial
-        parts = [fit_segment(self._features, own, config).weighed(config) for own in grid_pixels]
+        parts = [fit_segment(self.features, own, config).weighed(config) for own in grid_pixels]
         return whole, judge_split(whole.weighed(config), parts, config)
 
     def _refit_merged(self, number: int, part: Part, trial: Trial) -> None:
         """Give a merged leaf its fit, and the trial that rejected its parts."""
-        leaf = self._editor.by_number[number]
+        leaf = self.editor.by_number[number]
         leaf.refit(part)
         leaf.tried = float("nan")
-        leaf.attempt = Attempt(StopReason.CRITERION, trial, self._frame)
-        self._editor.done.report.merges += 1
+        leaf.attempt = Attempt(StopReason.CRITERION, trial, self.frame)
+        self.editor.done.report.merges += 1
 
     def _try(self, number: int) -> bool:
         """Try to split a leaf; return whether it was cut, which takes time."""
-        leaf = self._editor.by_number[number]
+        leaf = self.editor.by_number[number]
         node = leaf.node
-        self._editor.done.report.trials += 1
-        leaf.tried = float(self._measures.mean_squared[number])
-        own = np.flatnonzero(self._editor.labels == number)
-        whole = fit_segment(self._features, own, self._config)
+        self.editor.done.report.trials += 1
+        leaf.tried = float(self.measures.mean_squared[number])
+        own = np.flatnonzero(self.editor.labels == number)
+        whole = fit_segment(self.features, own, self.config)
         leaf.refit(whole)
         leaf.attempt = None
-        if whole.stop is not None or node.fit.surface is None or not node.value(self._config) > 0:
+        if whole.stop is not None or node.fit.surface is None or not node.value(self.config) > 0:
             return False
-        features = with_features_at(self._cloud, self._features, node.grid_pixels, self._config)
-        sides, cut = best_split(features, node, self._config)
+        features = with_features_at(self.cloud, self.features, node.grid_pixels, self.config)
+        sides, cut = best_split(features, node, self.config)
         if cut is None:
-            leaf.attempt = Attempt(node.stop or StopReason.NO_CUT, node.trial, self._frame)
+            leaf.attempt = Attempt(node.stop or StopReason.NO_CUT, node.trial, self.frame)
             return True
-        self._editor.done.report.splits += 1
+        self.editor.done.report.splits += 1
         node.children = children_of(node, sides)
         node.division, node.cut, node.stop = Division.CUT, cut if all(sides) else None, None
-        node.measured = node.judged = self._frame
+        node.measured = node.judged = self.frame
         node.age = 0
         below = depth_first(node)[1:]
         for each in below:
-            each.judged = self._frame
+            each.judged = self.frame
         first, *others = sorted(
             (each for each in below if not each.children), key=lambda each: -each.grid_pixels.size
         )
         leaf.node, leaf.surface, leaf.tried = first, first.fit.surface, 0.0
         for each in others:
-            self._editor.labels.ravel()[each.grid_pixels] = self._editor.add_leaf(each)
+            self.editor.labels.ravel()[each.grid_pixels] = self.editor.add_leaf(each)
         return True

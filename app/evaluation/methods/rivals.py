@@ -29,11 +29,6 @@ def _filled_depth(cloud: PointMap) -> NDArray[np.float32]:
     return np.asarray(by_label[nearest], dtype=np.float32)
 
 
-def _as_unit_range(image: NDArray[np.floating]) -> NDArray[np.float64]:
-    low, high = np.percentile(image, (1, 99))
-    return np.asarray(np.clip((image - low) / max(high - low, 1e-9), 0.0, 1.0), dtype=np.float64)
-
-
 def fh04_color(cloud: PointMap, rng: np.random.Generator) -> Labels:
     """Graph-based segmentation of the color image [1]_, by scikit-image.
 
@@ -51,7 +46,9 @@ def fh04_color_depth(cloud: PointMap, rng: np.random.Generator) -> Labels:
 
     Depth, with holes filled from the nearest pixel, is a fourth channel with the weight of the other three.
     """
-    depth = 3.0 * _as_unit_range(_filled_depth(cloud))
+    depth_m = _filled_depth(cloud)
+    low, high = np.percentile(depth_m, (1, 99))
+    depth = 3.0 * np.clip((depth_m - low) / max(high - low, 1e-9), 0.0, 1.0).astype(np.float64)
     return _felzenszwalb(np.dstack([cloud.color / 255.0, depth]))
 
 
