@@ -36,7 +36,7 @@ def walls(cloud_of: Callable[..., PointMap]) -> Callable[..., PointMap]:
         left: int = LEFT,
         *,
         round_m: float = 0.0,
-        window: bool = False,
+        window_m: float = 0.0,
         seed: int = 0,
     ) -> PointMap:
         columns = np.broadcast_to(np.arange(320.0), (240, 320))
@@ -46,8 +46,8 @@ def walls(cloud_of: Callable[..., PointMap]) -> Callable[..., PointMap]:
             depth_m = 1.0 / (1.0 / depth_m - (columns / 320.0 - 0.5) ** 2 * round_m)
         between = (columns >= left) & (columns < left + RIGHT - LEFT)
         depth_m = np.where(between, between_m, depth_m)
-        if window:
-            depth_m[80:140, left + 8 : left + 32] = 3.0
+        if window_m:
+            depth_m[80:140, left + 8 : left + 32] = window_m
         noise = np.random.default_rng(seed).normal(0.0, NOISE_PER_M / 2, depth_m.shape)
         color = np.full((240, 320, 3), 120, dtype=np.uint8)
         color[columns >= left + RIGHT - LEFT] = right_color
@@ -82,6 +82,11 @@ def test_what_a_post_cuts_apart_is_one_thing(walls, round_m):
     assert left != right
 
 
+def test_what_is_unknown_between_them_is_not_farther(walls):
+    # The same fifth as below, but without depth.
+    assert joined(segment(walls(window_m=np.nan), THINGS))
+
+
 def test_objects_are_joined_only_at_the_level_of_things(walls):
     tree = segment(walls(), CONFIG)
     assert tree.joins == ()
@@ -95,7 +100,7 @@ def test_objects_are_joined_only_at_the_level_of_things(walls):
         {"right_color": 230},
         {"between_m": 3.0},  # a gap through which something farther is seen
         {"between_m": np.nan},  # nothing is known to stand between
-        {"window": True},  # a fifth of what is between is farther
+        {"window_m": 3.0},  # a fifth of what is between is farther
     ],
     ids=["another surface", "another color", "farther between", "nothing between", "partly farther"],
 )

@@ -52,18 +52,20 @@ def test_the_clean_up_of_the_grid_is_kept(cloud_of):
     assert (image[20:][cloud.valid[20:]] == 1).all()
 
 
-def test_a_pixel_with_nothing_around_it_walks_down_the_tree(cloud_of):
+@pytest.mark.parametrize("column", [9, 51])
+def test_a_pixel_with_nothing_around_it_walks_down_the_tree(cloud_of, column):
     _, vectors, grid, cut, leaves = scene(cloud_of, 2)
     valid = np.zeros((40, 61))
     valid[:] = np.nan
-    valid[11, 51] = 1.0
+    valid[11, column] = 1.0
     lonely = cloud_of(valid)
     labels = upsample_labels(lonely, grid, leaves, [Split(0, 1, 2, cut)], vectors.__getitem__)
     none = [places[:0] for places in leaves]
     alone = upsample_labels(
         lonely, decimated_grid(lonely, 2), none, [Split(0, 1, 2, cut)], vectors.__getitem__
     )
-    assert labels[11 * 61 + 51] == alone[11 * 61 + 51] == int(cut.classify(vectors[[11 * 61 + 51]])[0])
+    pixel = 11 * 61 + column
+    assert labels[pixel] == alone[pixel] == int(cut.classify(vectors[[pixel]])[0])
 
 
 def test_one_leaf_takes_every_pixel(cloud_of):
