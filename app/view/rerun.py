@@ -107,7 +107,8 @@ class RerunView:
 
     @property
     def _sinks(self) -> list[ViewerSink | FileSink]:
-        return [each for each in (self._viewer, self._file) if each is not None]
+        # The file first: the viewer, on its thread, then finds what is drawn already.
+        return [each for each in (self._file, self._viewer) if each is not None]
 
     def _open_viewer(self, opening: Opening) -> str:
         """Connect to the viewer or open one; return what the user must do to see it."""

@@ -104,4 +104,4 @@ class Writer:
         if (stages := tuple(frame.elapsed_ms)) != self._stages:
             self._stages = stages
             log_entities(self._stream, stage_entities(stages), static=True)
-        log_entities(self._stream, item.entities())
+        log_entities(self._stream, item.entities)

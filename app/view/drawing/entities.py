@@ -1,8 +1,8 @@
 """Entity paths in Rerun, and their contents for a frame."""
 
-import threading
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -44,33 +44,29 @@ _NOTHING = 65535
 _SHADED_LABELS = 255
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(eq=False)
 class FrameEntities:
-    """One frame for all sinks; the first thread that needs its entities builds them."""
+    """One frame for all sinks."""
 
     frame: ViewFrame
     calibration: Calibration
     view: ViewConfig
-    _lock: threading.Lock = field(default_factory=threading.Lock)
-    _built: list[tuple[str, Any]] | None = None
 
     @property
     def moment(self) -> Moment:
         """Time of the frame."""
         return self.frame.moment
 
-    def entities(self) -> Entities:
-        """Return entity paths with their contents."""
-        with self._lock:
-            if self._built is None:
-                self._built = [
-                    *_images(self.frame, self.view),
-                    *_space(self.frame, self.view),
-                    *tree_entities(self.frame),
-                    *_texts(self.frame),
-                    *_scalars(self.frame),
-                ]
-            return self._built
+    @cached_property
+    def entities(self) -> list[tuple[str, Any]]:
+        """Entity paths with their contents."""
+        return [
+            *_images(self.frame, self.view),
+            *_space(self.frame, self.view),
+            *tree_entities(self.frame),
+            *_texts(self.frame),
+            *_scalars(self.frame),
+        ]
 
 
 def camera_entities(calibration: Calibration) -> Entities:
