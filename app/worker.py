@@ -7,6 +7,7 @@ import select
 import sys
 import threading
 import traceback
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -17,14 +18,16 @@ def serve(descriptor: int, module: str) -> None:
     threading.Thread(target=_end_with_parent, args=(descriptor,), name="parent", daemon=True).start()
     if module:
         importlib.import_module(module)
-    while True:
-        function, task = calls.recv()
-        answer: tuple[Any, Exception | None]
-        try:
-            answer = function(task), None
-        except Exception as err:
-            answer = None, _sendable(err)
-        calls.send(answer)
+    # The parent may be found to have ended here as well as by the thread.
+    with suppress(EOFError, ConnectionError):
+        while True:
+            function, task = calls.recv()
+            answer: tuple[Any, Exception | None]
+            try:
+                answer = function(task), None
+            except Exception as err:
+                answer = None, _sendable(err)
+            calls.send(answer)
 
 
 def _end_with_parent(descriptor: int) -> None:

@@ -1,7 +1,9 @@
 import os
+import socket
 import sys
 import time
 from collections.abc import Iterator
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import psutil
@@ -9,6 +11,7 @@ import pytest
 from own_children import own_children
 from worker_tasks import die_at_2, fail_at_1, is_imported, named, process_of, raise_unsendable, sleep_if
 
+from nurbseg.app import worker
 from nurbseg.app.workers import WorkerLostError, Workers, in_order, open_workers, process_count
 
 FAKES = str(Path(__file__).parents[1] / "fakes")
@@ -105,6 +108,18 @@ def test_leaving_ends_processes_whatever_they_are_doing() -> None:
         assert next(tasks)[1].result() == 0
         tasks.close()
     assert set(own_children()) == before
+
+
+@pytest.mark.parametrize("tasks", [0, 1], ids=["while-waiting", "while-working"])
+def test_a_process_whose_parent_has_ended_ends_without_an_error(
+    tasks: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worker, "_end_with_parent", lambda descriptor: None)
+    parent, child = (Connection(each.detach()) for each in socket.socketpair())
+    for task in range(tasks):
+        parent.send((process_of, task))
+    parent.close()
+    worker.serve(os.dup(child.fileno()), "")
 
 
 def test_processes_end_with_the_one_that_started_them(tmp_path: Path) -> None:
