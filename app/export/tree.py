@@ -108,7 +108,7 @@ def tree_graph(result: FrameResult, metric: Metric) -> str:
     )
     for each in result.tree.segments:
         name, value = display_name(each.name), each.fit.values.get(metric, math.nan)
-        words = [name, f"{each.pixels.size} px", f"{metric} {value:.3g}"]
+        words = [name, f"{each.pixels.size} px", f"{metric} {value:.3g}" if math.isfinite(value) else ""]
         if each.ratio is not None:
             words.append(f"ratio {each.ratio:.3g}")
         if each.division is not None:

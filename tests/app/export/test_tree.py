@@ -26,6 +26,9 @@ def test_the_graph_has_every_segment_and_its_children(merged: FrameResult) -> No
         assert leaf.stop is not None
         assert leaf.stop.value in nodes[f"P{leaf.name}"]
         assert f"{leaf.pixels.size} px" in nodes[f"P{leaf.name}"]
+    for each in merged.tree.segments:
+        # A segment that was divided at a gap has no value.
+        assert ("mse " in nodes[f"P{each.name}"]) == ("mse" in each.fit.values)
 
 
 def test_graphviz_draws_the_graph(merged: FrameResult) -> None:
