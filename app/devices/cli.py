@@ -151,7 +151,9 @@ def _calibration(arguments: argparse.Namespace) -> int:
         raise DriverError(f"{path}: already exists; --force overwrites it")
     # With the camera's own registration, frames would have one camera only.
     options = DeviceOptions(serial=arguments.serial, registration="software")
-    with _quiet(), _time_limit(), DeviceSource(arguments.device.removeprefix("openni2:"), options) as source:
+    # Warnings are about the very values that are written.
+    logging.getLogger("nurbseg").addHandler(logging.NullHandler())
+    with _time_limit(), DeviceSource(arguments.device.removeprefix("openni2:"), options) as source:
         calibration, name = source.calibration, source.metadata["device"]
     try:
         write_calibration(path, calibration)
@@ -190,18 +192,6 @@ def _give_up() -> None:
         flush=True,
     )
     os._exit(NOT_READY)
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Suppress warnings about the very values that are written."""
-    logger = logging.getLogger("nurbseg")
-    level = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
 
 
 def _motor(arguments: argparse.Namespace) -> int:

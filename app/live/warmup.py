@@ -2,7 +2,6 @@
 
 import logging
 import threading
-import time
 
 import numpy as np
 
@@ -19,8 +18,6 @@ _log = logging.getLogger(__name__)
 _WIDTH, _HEIGHT, _FRAMES = 160, 120, 3
 #: Longest wait, seconds: loading takes half a second, compiling half a minute.
 _WAIT_S = 120.0
-#: Time between two points at which a signal can end the wait, seconds.
-_LOOK_S = 0.1
 
 
 class WarmUp:
@@ -37,10 +34,8 @@ class WarmUp:
         self._thread.start()
 
     def wait(self) -> None:
-        """Wait until everything is loaded, two minutes at most."""
-        deadline_s = time.monotonic() + _WAIT_S
-        while self._thread.is_alive() and time.monotonic() < deadline_s:
-            self._thread.join(_LOOK_S)
+        """Wait until everything is loaded, two minutes at most; a signal can end the wait."""
+        self._thread.join(_WAIT_S)
 
     def _run(self) -> None:
         try:
