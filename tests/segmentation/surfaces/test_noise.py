@@ -20,6 +20,7 @@ def wall(noise: float, seed: int, flying: float = 0.0) -> np.ndarray:
     rng = np.random.default_rng(seed)
     inverse_depth = 0.9 - 0.0012 * columns + 0.0005 * rows + noise * rng.normal(size=SIZE)
     inverse_depth[rng.random(SIZE) < flying] = 2.0
+    inverse_depth[rng.random(SIZE) < 0.5 * flying] += 8 * noise
     return 1 / inverse_depth
 
 
@@ -42,7 +43,11 @@ def test_the_largest_plane_is_found_among_other_surfaces(cloud_of):
 
 
 def test_a_perfect_plane_has_next_to_no_noise(cloud_of):
-    assert measure_noise([cloud_of(wall(0.0, 0))]).inverse_depth_noise < 1e-6
+    # Of few points, the same are often drawn twice.
+    for part in (slice(None), slice(5)):
+        estimate = measure_noise([cloud_of(wall(0.0, 0)[part, part])])
+        assert estimate.inverse_depth_noise < 1e-6
+        assert estimate.points >= 25
 
 
 def test_frames_without_a_plane_are_refused(cloud_of):
