@@ -1,7 +1,7 @@
 # make demo   installs into .venv, segments the demo recording, and says where the results are
 # make test   installs, checks the style and the types, and runs all tests
 # make docs   makes a site of docs/, in site/
-# make mutants  changes the code in 420 places, one at a time: how many of the changes the tests notice; an hour
+# make mutants  changes the core in 1000 places, one at a time: how many of the changes the tests notice; hours
 # make lock   pins the newest versions of all dependencies, in requirements/
 # make audit  asks a public database whether vulnerabilities of those versions are known
 # make clean  removes what these made

@@ -30,6 +30,7 @@ import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -262,7 +263,7 @@ def report(
         "Places of the code are changed one at a time (`<` to `<=`, `+` to `-`, a number by one, a",
         "condition to its opposite, a loop to none), and the tests of the file must fail. The sample is",
         "drawn by place, with one change of each; annotations and decorators are left out. Made in",
-        f"{took_s / 60:.0f} minutes by `{made_by}`.",
+        f"{took_s / 60:.0f} minutes on {date.today()} by `{made_by}`.",
         "",
         "| file | changes | noticed | by a time limit | equivalent | survivors | score |",
         "|---|---|---|---|---|---|---|",
