@@ -29,26 +29,34 @@ def node_of(name, inside, features, config):
 
 
 class ParedWall:
-    """A wall whose right half, 1, is cut off first, then a wedge, 01, that stands out at its lower left."""
+    """A wall whose right half, 1, is cut off first, then a wedge, 01, that stands out at its lower left.
 
-    def __init__(self, cloud_of, config=CONFIG):
+    The left part of a `broken` wedge is steeper, and is cut off the wall last: 001.
+    """
+
+    def __init__(self, cloud_of, config=CONFIG, *, broken=False):
         rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
         self.block = (rows >= 60) & (columns < 60)
-        inverse_depth = 1.0 + 0.01 * np.where(self.block, rows - 60.0, 0.0)
+        steep = self.block & (columns < (30 if broken else 0))
+        inverse_depth = 1.0 + np.where(steep, 0.03, 0.01) * np.where(self.block, rows - 60.0, 0.0)
         noise = NOISE_PER_M * np.random.default_rng(0).standard_normal(SIZE)
         self.features = grid_features(cloud_of(1 / (inverse_depth + noise)), config)
         right = columns >= 80
-        self.root, left, wall, block, far = (
-            node_of(name, inside, self.features, config)
-            for name, inside in (
-                ("", np.ones(SIZE, bool)),
-                ("0", ~right),
-                ("00", ~right & ~self.block),
-                ("01", self.block),
-                ("1", right),
-            )
-        )
-        for node, parts in ((left, (wall, block)), (self.root, (left, far))):
+        inside = {
+            "": np.ones(SIZE, bool),
+            "0": ~right,
+            "00": ~right & (steep | ~self.block),
+            "01": self.block & ~steep,
+            "1": right,
+        }
+        if broken:
+            inside |= {"000": ~right & ~self.block, "001": steep}
+        nodes = {name: node_of(name, own, self.features, config) for name, own in inside.items()}
+        self.root = nodes[""]
+        for name, node in nodes.items():
+            if f"{name}0" not in nodes:
+                continue
+            parts = nodes[f"{name}0"], nodes[f"{name}1"]
             node.children, node.division, node.stop = parts, Division.CUT, None
             weighed = [(part.value(config), part.grid_pixels.size) for part in parts]
             node.trial = judge_split((node.value(config), node.grid_pixels.size), weighed, config)
@@ -74,6 +82,16 @@ def test_the_halves_of_a_wall_become_one_leaf(cloud_of):
     assert np.array_equal(wall.fit.residuals_m, again.fit.residuals_m)
     assert (wall.stop, wall.trial) == (StopReason.NOISE, None)
     assert [node.cuts_above for node in depth_first(scene.root)] == [0, 1, 1]
+
+
+def test_segments_lose_what_a_leaf_far_below_them_gives_away(cloud_of):
+    scene = ParedWall(cloud_of, broken=True)
+    fold_leaves(scene.root, scene.features, CONFIG)
+    (wedge,) = (node for node in scene.root.children if node.children)
+    assert np.array_equal(wedge.grid_pixels, np.flatnonzero(scene.block))
+    again = fit_segment(scene.features, np.flatnonzero(scene.block), CONFIG)
+    assert np.array_equal(wedge.fit.residuals_m, again.fit.residuals_m)
+    assert sorted(leaf.grid_pixels.size for leaf in wedge.children) == [1800, 1800]
 
 
 def test_without_a_floor_the_ratio_decides(cloud_of):
