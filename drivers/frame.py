@@ -1,5 +1,6 @@
 """The values a depth camera delivers: intrinsics, calibration and frames."""
 
+import warnings
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
@@ -13,6 +14,9 @@ from nurbseg.drivers.datasets.images import millimetres
 _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 #: Bounds of what a focal length and a principal point can be, pixels; what is computed with them is finite.
 _FOCAL_PX_MIN, _PLACE_PX_MAX = 1e-3, 1e9
+
+#: Depth cameras measure nothing nearer, millimetres, nor anything so far, metres.
+_NEAREST_MM = 200.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -257,6 +261,11 @@ class RGBDFrame:
         ------
         ValueError
             If a shape, dtype or value is wrong, or the images differ in size.
+
+        Warns
+        -----
+        UserWarning
+            If floating-point depth is mostly in millimetres: nothing is nearer than 200.
         """
         depth, color = np.asarray(depth), np.asarray(color)
         if depth.ndim != 2 or depth.shape != color.shape[:2]:
@@ -265,6 +274,10 @@ class RGBDFrame:
                 f"{color.shape}; those of two cameras need RGBDFrame(..., calibration=Calibration(...))"
             )
         if np.issubdtype(depth.dtype, np.floating):
+            nearest = np.min(depth, initial=np.inf, where=np.isfinite(depth) & (depth > 0))
+            if _NEAREST_MM <= nearest < np.inf:
+                what = "floats are metres, and millimetres must be uint16"
+                warnings.warn(f"depth: the nearest is {nearest:g}; {what}", stacklevel=2)
             depth = millimetres(depth, units_per_metre=1.0)
         elif depth.dtype != np.uint16:
             raise ValueError(f"depth: expected uint16 (millimetres) or float (metres), got {depth.dtype}")

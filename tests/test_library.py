@@ -84,6 +84,15 @@ def test_arrays_that_are_no_frame_are_refused(depth: NDArray[Any], color: NDArra
         nurbseg.RGBDFrame.from_arrays(depth, color, 500.0, 500.0, 1.0, 1.0)
 
 
+def test_millimetres_in_place_of_metres_are_warned_of() -> None:
+    with pytest.warns(UserWarning, match="floats are metres, and millimetres must be uint16"):
+        frame = a_frame(np.array([[0.0, 700.0, np.inf]]))
+    assert not frame.depth_mm.any()
+    a_frame(np.array([[0.0, np.inf, np.nan]]))
+    a_frame(np.array([[0.0, 700.0, 7.0]]))
+    a_frame(np.zeros((1, 3)))
+
+
 _SCRIPT = """\
 import numpy as np
 from numpy.typing import NDArray
