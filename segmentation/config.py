@@ -140,7 +140,8 @@ class ExtendedConfig(Settings):
     )
     cuts: int = setting(
         3,
-        "eigenvectors to try, from the second on, until one gives a split",
+        "eigenvectors to try, from the second on, until one gives a split; one more, unless it is 1, for "
+        "what is far beyond noise",
         least=1,
         most=10,
     )

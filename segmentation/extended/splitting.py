@@ -31,6 +31,8 @@ from nurbseg.segmentation.vocabulary import Division, StopReason
 
 #: From this many grid pixels on, a segment is cut on every second row and column of the grid.
 _MANY_PIXELS = 2_000
+#: Above this many times its floor, noise does not explain a segment's metric: one more eigenvector is tried.
+_UNEXPLAINED = 3.0
 
 
 def segment_nurbseg(
@@ -150,9 +152,10 @@ def best_split(
     scale = segment_normalization(features.raw, drawn, config)
     rng = np.random.default_rng([config.seed, int(f"1{node.name}", 2)])
     node.stop, node.trial = StopReason.NO_CUT, None
+    count, unexplained = config.extended.cuts, node.value(config) > _UNEXPLAINED * node.fit.floor > 0
     for cut in normalized_cuts(
         normalized(features.raw, scale, drawn),
-        count=config.extended.cuts,
+        count=count + (count > 1 and unexplained),
         samples=config.samples,
         landmarks=config.landmarks,
         rng=rng,

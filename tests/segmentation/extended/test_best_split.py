@@ -1,8 +1,11 @@
 """One split of the default method: which cut is kept, what is told where none is, and what it falls into."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.cut.ncut import Cut
 from nurbseg.segmentation.extended import splitting
@@ -94,6 +97,21 @@ def test_cuts_are_tried_in_turn_until_the_ratio_keeps_one(roof, monkeypatch, cut
     else:
         assert node.stop is stop
         assert (cut, sides) == (None, ([], []))
+
+
+@pytest.mark.parametrize(
+    ("cuts", "floors", "asked"),
+    [(3, 3.1, 4), (3, 2.9, 3), (3, np.inf, 3), (1, 3.1, 1), (2, 30.0, 3)],
+)
+def test_one_more_cut_is_asked_for_where_noise_is_less_than_a_third_of_the_error(
+    roof, monkeypatch, cuts, floors, asked
+):
+    counts = []
+    monkeypatch.setattr(splitting, "normalized_cuts", lambda *_, count, **__: counts.append(count) or ())
+    fit = splitting.fit_segment(roof, np.arange(ROWS.size), CONFIG)[1]
+    node = Node("", np.arange(ROWS.size), replace(fit, floor=fit.values["mse"] / floors))
+    best_split(roof, node, updated(CONFIG, extended={"cuts": cuts}))
+    assert counts == [asked]
 
 
 def part(first: int, places: int, stop: StopReason | None = None):
