@@ -306,7 +306,8 @@ class _Update:
         """Give a merged leaf its fit, and the trial that rejected its parts."""
         leaf = self.editor.by_number[number]
         leaf.refit(part)
-        leaf.tried = float("nan")
+        # These parts were rejected; no cut of the whole was tried.
+        leaf.tried = 0.0
         leaf.attempt = Attempt(StopReason.CRITERION, trial, self.frame)
         self.editor.done.report.merges += 1
 

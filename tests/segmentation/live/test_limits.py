@@ -263,8 +263,9 @@ def test_a_split_is_undone_by_its_own_ratio_alone(monkeypatch: pytest.MonkeyPatc
     assert wall.stop is StopReason.NOISE
 
 
-def test_splits_are_undone_where_one_surface_explains_their_parts_and_not_before() -> None:
-    live = LiveTree(CONFIG)
+@pytest.mark.parametrize("seed", range(5))
+def test_splits_are_undone_where_one_surface_explains_their_parts_and_not_before(seed: int) -> None:
+    live = LiveTree(replace(CONFIG, seed=seed))
     for frame in range(46):
         tree = live.segment(plates(*PLATES[: frame // 2], frame=frame))
         if frame >= 28:

@@ -291,7 +291,7 @@ def test_a_split_that_is_not_kept_is_undone(flush: DesignedTree) -> None:
     assert (wall.children, wall.division) == ((), None)
     assert np.array_equal(wall.grid_pixels, np.flatnonzero(flush.labels > 1))
     assert largest.surface is wall.fit.surface is not None
-    assert (largest.age, np.isnan(largest.level), np.isnan(largest.tried)) == (0, True, True)
+    assert (largest.age, np.isnan(largest.level), largest.tried) == (0, True, 0.0)
     assert largest.attempt is not None
     assert (largest.attempt.stop, largest.attempt.frame) == (StopReason.CRITERION, FRAME)
     trial = largest.attempt.trial
