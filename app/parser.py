@@ -81,7 +81,13 @@ def add_setting_flags(parser: argparse.ArgumentParser) -> None:
 
 def add_calibration_flags(parser: argparse.ArgumentParser) -> None:
     """Add the flags for recordings without calibration."""
+    parser.add_argument(
+        "--calibration", type=Path, metavar="FILE", help="of both cameras, as for nurbseg-live"
+    )
     parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="for data without calibration, pixels")
     parser.add_argument(
-        "--depth-scale", type=float, help="depth units per metre, for data that does not specify them"
+        "--depth-scale",
+        type=float,
+        metavar="X",
+        help="depth units per metre, for data that does not specify them",
     )

@@ -27,10 +27,9 @@ class SourceOptions:
         Depth units per metre of a recording that does not say it; None takes the format's own.
     association_limit_s : float
         Largest difference between the stamps of a depth image and its color image, seconds.
-    calibration : Calibration, CameraFile or None
-        Counts before `intrinsics`, and both before what a recording brings. What a file says
-        (`nurbseg.drivers.calibration.file.read_camera_file`) may leave the images' sizes open. Of a camera,
-        ``device.calibration`` counts.
+    calibration : Calibration, Path or None
+        Counts before `intrinsics`, and both before what a recording brings. A file, which may leave the
+        images' sizes open, is read when a recording is opened. Of a camera, ``device.calibration`` counts.
     device : DeviceOptions or None
         Settings of a camera; None leaves them as they are.
 
@@ -43,7 +42,7 @@ class SourceOptions:
     intrinsics: tuple[float, float, float, float] | None = None
     depth_scale: float | None = None
     association_limit_s: float = ASSOCIATION_LIMIT_S
-    calibration: Calibration | CameraFile | None = None
+    calibration: Calibration | Path | None = None
     device: DeviceOptions | None = None
 
     def __post_init__(self) -> None:
@@ -55,11 +54,15 @@ class SourceOptions:
             raise ValueError(f"association_limit_s: expected seconds over 0, got {self.association_limit_s}")
 
     def given_cameras(self) -> CameraFile | None:
-        """Return the cameras that the user gives, as if a file said so; None where the user gives none."""
-        from nurbseg.drivers.calibration.cameras import CameraFile
+        """Return the cameras that the user gives, as if a file said so; None where the user gives none.
 
-        if isinstance(self.calibration, CameraFile):
-            return self.calibration
+        Raises CalibrationError if they are in a file that cannot be read.
+        """
+        from nurbseg.drivers.calibration.cameras import CameraFile
+        from nurbseg.drivers.calibration.file import read_camera_file
+
+        if isinstance(self.calibration, Path):
+            return read_camera_file(self.calibration)
         if self.calibration is not None:
             return CameraFile.of_calibration(self.calibration, Path("--calibration"))
         return None if self.intrinsics is None else CameraFile.of_intrinsics(self.intrinsics)

@@ -19,7 +19,7 @@ _LIVE_ONLY = ("depth.", "source.intrinsics", "source.depth_scale", "source.assoc
 
 
 def source_options(given: argparse.Namespace) -> SourceOptions:
-    """Return the options for recordings without calibration."""
+    """Return the options for recordings without calibration; raises ValueError if one is wrong."""
     intrinsics = None
     if given.intrinsics is not None:
         try:
@@ -27,7 +27,12 @@ def source_options(given: argparse.Namespace) -> SourceOptions:
         except ValueError:
             raise ValueError(f"--intrinsics {given.intrinsics}: expected FX,FY,CX,CY in pixels") from None
         intrinsics = (fx, fy, cx, cy)
-    return SourceOptions(intrinsics=intrinsics, depth_scale=given.depth_scale)
+    options = SourceOptions(
+        intrinsics=intrinsics, depth_scale=given.depth_scale, calibration=given.calibration
+    )
+    # Now, and not once for each recording, if the file cannot be read.
+    options.given_cameras()
+    return options
 
 
 def base_config(given: argparse.Namespace) -> SegmentationConfig:

@@ -91,9 +91,6 @@ def _parser() -> argparse.ArgumentParser:
         metavar="RECORDING",
         help="the segmented recording; recomputes the values from it",
     )
-    check.add_argument(
-        "--calibration", type=Path, metavar="FILE", help="of both cameras, as for nurbseg-live"
-    )
     for each in (run, tune, noise):
         kind = "frames, labelled or not" if each is noise else "labelled frames"
         each.add_argument("data", nargs="+", metavar="DATA", help=kind)

@@ -27,7 +27,6 @@ from nurbseg.app.evaluation.store import StudyStore
 from nurbseg.app.evaluation.study import Study, frame_refs, read_frame, run_study, times_per_frame
 from nurbseg.app.evaluation.tuning import searched_settings, tune
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, grid_of, variants_of
-from nurbseg.drivers.calibration.file import read_camera_file
 from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.points.registration import PointMap, register
@@ -195,8 +194,6 @@ def _words(text: str) -> list[str]:
 def check(given: argparse.Namespace) -> int:
     """Print findings on a folder of exports and what was checked; return 1 if there are findings."""
     options = source_options(given)
-    if given.calibration is not None:
-        options = replace(options, calibration=read_camera_file(given.calibration))
     started_s = time.perf_counter()
     folder = FolderCheck(given.folder, given.recording, options)
     count = 0

@@ -1,5 +1,6 @@
 """Runs variants on labelled frames in parallel, and stores each finished frame on disk."""
 
+import hashlib
 import itertools
 import json
 import re
@@ -7,7 +8,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import Any
 
 import cv2
@@ -70,13 +71,17 @@ class Study:
 
     def description(self) -> dict[str, Any]:
         """Return what stored results depend on apart from the variant, which has its own key."""
+        options: dict[str, Any] = {
+            "intrinsics": self.options.intrinsics,
+            "depth_scale": self.options.depth_scale,
+            "association_limit_s": self.options.association_limit_s,
+        }
+        if isinstance(self.options.calibration, Path):
+            content = hashlib.sha256(self.options.calibration.read_bytes()).hexdigest()
+            options["calibration"] = f"{self.options.calibration} ({content[:8]})"
         return {
             "sources": list(self.sources),
-            "options": {
-                "intrinsics": self.options.intrinsics,
-                "depth_scale": self.options.depth_scale,
-                "association_limit_s": self.options.association_limit_s,
-            },
+            "options": options,
             "seed": self.seed,
             "pieces": self.pieces,
             # Results of different versions are not mixed.

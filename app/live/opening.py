@@ -10,7 +10,6 @@ from pathlib import Path
 
 from nurbseg.app.config import AppConfig, SourceConfig, flags
 from nurbseg.app.live.replay import Limited, Looped
-from nurbseg.drivers.calibration.file import read_camera_file
 from nurbseg.drivers.errors import BackendMissingError, DeviceNotFoundError, RecordingFormatError
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.options import SourceOptions
@@ -56,7 +55,7 @@ def open_chosen(app_config: AppConfig) -> OpenedSource:
     if not uri.startswith(CAMERA):
         # A camera reads the file itself.
         if app_config.camera.calibration is not None:
-            options = replace(options, calibration=read_camera_file(Path(app_config.camera.calibration)))
+            options = replace(options, calibration=Path(app_config.camera.calibration))
         heeded = set() if uri.startswith(SYNTHETIC) else {"calibration"}
         if uri.lower().endswith(".oni"):
             heeded |= {"mirror", "registration"}

@@ -22,6 +22,8 @@ from nurbseg.app.batch.cli import main
 from nurbseg.app.command.cli import main as live_main
 from nurbseg.app.evaluation.cli import main as eval_main
 from nurbseg.app.workers import WorkerLostError
+from nurbseg.drivers.calibration.file import write_calibration
+from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.segmentation.config import SegmentationConfig
 
 Pairs = Callable[..., Path]
@@ -142,6 +144,22 @@ def test_other_cameras_are_refused_while_the_recording_is_there(at_home: Path, w
     assert re.search(r"camera\.depth\.fx is [\d.]+ there and 77\.0 now", failure)
     shutil.rmtree("one")
     assert main(other) == 0
+
+
+def test_cameras_of_a_file_are_those_of_all_recordings_and_a_missing_file_is_named_once(
+    at_home: Path, write_pairs: Pairs, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("one", "two"):
+        write_pairs(1, name=name)
+    words = ["one", "two", "--export", "out", "--workers", "2", "--calibration", "camera.toml"]
+    assert main(words) == 2
+    assert capsys.readouterr().err.count("camera.toml") == 1
+    camera = Intrinsics(64, 48, 77.0, 78.0, 31.0, 23.0)
+    write_calibration(Path("camera.toml"), Calibration.registered(camera))
+    assert main(words) == 0
+    for name in ("one", "two"):
+        settings = json.loads((at_home / "out" / name / "settings.json").read_text())
+        assert settings["camera"]["depth"]["fy"] / settings["camera"]["depth"]["fx"] == 78.0 / 77.0
 
 
 def test_frames_without_depth_are_counted(

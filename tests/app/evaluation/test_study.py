@@ -245,6 +245,15 @@ def test_nothing_is_written_before_data_and_options_are_checked(
     # The refusal names the option that differs.
     assert main([*words, str(out), "--intrinsics", "61,60,31.5,23.5"]) == 2
     assert re.search(r"intrinsics is \[60.* there and \[61.* now", capsys.readouterr().err)
+    # And so with a file: by its content, too.
+    camera = tmp_path / "camera.txt"
+    camera.write_text("60 0 31.5\n0 60 23.5\n0 0 1\n")
+    words = [*words, str(tmp_path / "other"), "--calibration", str(camera)]
+    assert main(words) == 0
+    assert main(words) == 0
+    camera.write_text("61 0 31.5\n0 60 23.5\n0 0 1\n")
+    assert main(words) == 2
+    assert re.search(r"options\.calibration is .* there and .*camera\.txt .* now", capsys.readouterr().err)
 
 
 def test_a_file_in_place_of_the_folder_is_refused(
