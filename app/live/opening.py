@@ -56,6 +56,8 @@ def open_chosen(app_config: AppConfig) -> OpenedSource:
         # A camera reads the file itself.
         if app_config.camera.calibration is not None:
             options = replace(options, calibration=Path(app_config.camera.calibration))
+            # Also if the source does not need it.
+            options.given_cameras()
         heeded = set() if uri.startswith(SYNTHETIC) else {"calibration"}
         if uri.lower().endswith(".oni"):
             heeded |= {"mirror", "registration"}
