@@ -62,7 +62,8 @@ class Progress:
         name = f" ({frame.name})" if frame.name else ""
         took_ms = sum(elapsed_ms.get(stage, 0.0) for stage in ("register", "segment"))
         line = f"frame {frame.index}{name}: {leaves} segment{'s' * (leaves != 1)} in {took_ms:.0f} ms"
-        _log.debug(line)
+        if not self._is_first:
+            _log.debug(line)
         elapsed_s = self._clock() - self._logged_s
         if self._is_first:
             _log.info(line)
