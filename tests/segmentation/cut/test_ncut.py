@@ -100,8 +100,10 @@ def test_affinities_are_gaussian():
     rng = np.random.default_rng(0)
     points, landmarks = rng.normal(size=(50, 6)), rng.normal(size=(7, 6))
     expected = np.exp(-((points[:, None] - landmarks[None]) ** 2).sum(axis=2) / (2 * 0.7**2))
-    found = affinity(points.astype(np.float32), landmarks.astype(np.float32), 0.7)
-    assert_allclose(found, expected, atol=1e-5)
+    points, landmarks = points.astype(np.float32), landmarks.astype(np.float32)
+    for rows, columns in ((50, 7), (0, 7), (50, 0)):
+        found = affinity(points, landmarks[:columns], 0.7, np.arange(rows))
+        assert_allclose(found, expected[:rows, :columns], atol=1e-5)
 
 
 def test_classifying_the_points_that_were_cut_gives_their_sides():
