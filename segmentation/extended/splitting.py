@@ -31,8 +31,9 @@ from nurbseg.segmentation.vocabulary import Division, StopReason
 
 #: From this many grid pixels on, a segment is cut on every second row and column of the grid.
 _MANY_PIXELS = 2_000
-#: Above this many times its floor, noise does not explain a segment's metric: one more eigenvector is tried.
-_UNEXPLAINED = 3.0
+#: Above so many floors and, as outliers raise the metric but not the limited residuals, so many deviations,
+#: noise does not explain a segment: one more eigenvector is tried.
+_FLOORS, _DEVIATIONS = 3.0, 2.2
 
 
 def segment_nurbseg(
@@ -152,7 +153,8 @@ def best_split(
     scale = segment_normalization(features.raw, drawn, config)
     rng = np.random.default_rng([config.seed, int(f"1{node.name}", 2)])
     node.stop, node.trial = StopReason.NO_CUT, None
-    count, unexplained = config.extended.cuts, node.value(config) > _UNEXPLAINED * node.fit.floor > 0
+    count, least_per_m = config.extended.cuts, _DEVIATIONS * config.extended.inverse_depth_noise
+    unexplained = node.value(config) > _FLOORS * node.fit.floor > 0 and node.fit.rms_per_m > least_per_m
     for cut in normalized_cuts(
         normalized(features.raw, scale, drawn),
         count=count + (count > 1 and unexplained),

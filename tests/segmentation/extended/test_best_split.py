@@ -100,16 +100,24 @@ def test_cuts_are_tried_in_turn_until_the_ratio_keeps_one(roof, monkeypatch, cut
 
 
 @pytest.mark.parametrize(
-    ("cuts", "floors", "asked"),
-    [(3, 3.1, 4), (3, 2.9, 3), (3, np.inf, 3), (1, 3.1, 1), (2, 30.0, 3)],
+    ("cuts", "floors", "deviations", "asked"),
+    [
+        (3, 3.1, 2.3, 4),
+        (3, 2.9, 2.3, 3),
+        (3, 3.1, 2.1, 3),
+        (3, np.inf, 2.3, 3),
+        (1, 3.1, 2.3, 1),
+        (2, 30.0, 9.0, 3),
+    ],
 )
-def test_one_more_cut_is_asked_for_where_noise_is_less_than_a_third_of_the_error(
-    roof, monkeypatch, cuts, floors, asked
+def test_one_more_cut_is_asked_for_where_noise_explains_little_of_the_error(
+    roof, monkeypatch, cuts, floors, deviations, asked
 ):
     counts = []
     monkeypatch.setattr(splitting, "normalized_cuts", lambda *_, count, **__: counts.append(count) or ())
     fit = splitting.fit_segment(roof, np.arange(ROWS.size), CONFIG)[1]
-    node = Node("", np.arange(ROWS.size), replace(fit, floor=fit.values["mse"] / floors))
+    rms_per_m = deviations * CONFIG.extended.inverse_depth_noise
+    node = Node("", np.arange(ROWS.size), replace(fit, floor=fit.values["mse"] / floors, rms_per_m=rms_per_m))
     best_split(roof, node, updated(CONFIG, extended={"cuts": cuts}))
     assert counts == [asked]
 
