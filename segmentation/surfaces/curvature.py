@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.metrics import curvature_metrics
-from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate, evaluate_lattice
+from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate, lattice_derivatives
 
 
 def principal_curvatures(
@@ -58,7 +58,8 @@ def curvatures_at_pixels(
     v, row = np.unique(rows, return_inverse=True)
     u, column = np.unique(columns, return_inverse=True)
     orders = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
-    return _from_derivatives(*(evaluate_lattice(surface, u, v, *order)[row, column].T for order in orders))
+    derivative = lattice_derivatives(surface, u, v)
+    return _from_derivatives(*(derivative(*order)[:, row, column] for order in orders))
 
 
 def _from_derivatives(

@@ -102,7 +102,7 @@ def evaluate(
             Bv = basis_matrix(surface.knots_v, surface.degree[1], v[part], m)
             return np.asarray(np.einsum("cnk,nk->cn", Bv @ net, Bu))
 
-        points[part] = _derivative(surface, at, du, dv).T
+        points[part] = _derivatives(surface, at)(du, dv).T
     return points
 
 
@@ -116,14 +116,27 @@ def evaluate_lattice(
     (H, W, 3) float64
         As of `evaluate`.
     """
+    return np.moveaxis(lattice_derivatives(surface, u, v)(du, dv), 0, -1)
+
+
+def lattice_derivatives(
+    surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64]
+) -> Callable[[int, int], NDArray[np.float64]]:
+    """Return a function of the orders along u and v that does what `evaluate_lattice` does, but (3, H, W).
+
+    Several derivatives share their terms.
+    """
     u, v = np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64)
 
-    def at(net: NDArray[np.float64], k: int, m: int) -> NDArray[np.float64]:
-        Bu = basis_matrix(surface.knots_u, surface.degree[0], u, k)
-        Bv = basis_matrix(surface.knots_v, surface.degree[1], v, m)
-        return np.asarray(Bv @ net @ Bu.T)
+    @cache
+    def along_u(k: int) -> NDArray[np.float64]:
+        return basis_matrix(surface.knots_u, surface.degree[0], u, k)
 
-    return np.moveaxis(_derivative(surface, at, du, dv), 0, -1)
+    @cache
+    def along_v(m: int) -> NDArray[np.float64]:
+        return basis_matrix(surface.knots_v, surface.degree[1], v, m)
+
+    return _derivatives(surface, lambda net, k, m: np.asarray(along_v(m) @ net @ along_u(k).T))
 
 
 def normals(surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -147,17 +160,15 @@ def normals(surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64
     return unit
 
 
-def _derivative(surface: NurbsSurface, at: _At, du: int, dv: int) -> NDArray[np.float64]:
-    """Evaluate eq. 4 or its partial derivative: (3, ...) coordinates.
+def _derivatives(surface: NurbsSurface, at: _At) -> Callable[[int, int], NDArray[np.float64]]:
+    """Return a function that evaluates eq. 4, or its partial derivative of an order: (3, ...) coordinates.
 
     `at` gives the coordinates of a net of control values, or their derivatives, at the parameters.
     """
-    if du < 0 or dv < 0 or du + dv > 2:
-        raise ValueError(f"du, dv: expected orders of 0 to 2 together, got {du} and {dv}")
     weights = surface.weights
-    if (weights == weights[0, 0]).all():
-        # Equal weights cancel: the surface is a polynomial spline.
-        return at(np.moveaxis(surface.control_points_m, -1, 0), du, dv)
+    # Equal weights cancel: the surface is a polynomial spline.
+    polynomial = bool((weights == weights[0, 0]).all())
+    points = np.moveaxis(surface.control_points_m, -1, 0)
     weighted = surface.control_points_m * weights[..., np.newaxis]
     net = np.concatenate([np.moveaxis(weighted, -1, 0), weights[np.newaxis]])
 
@@ -173,4 +184,9 @@ def _derivative(surface: NurbsSurface, at: _At, du: int, dv: int) -> NDArray[np.
             total = total - comb(k, i) * comb(m, j) * homogeneous(i, j)[3] * derivative(k - i, m - j)
         return np.asarray(total / homogeneous(0, 0)[3])
 
-    return derivative(du, dv)
+    def checked(du: int, dv: int) -> NDArray[np.float64]:
+        if du < 0 or dv < 0 or du + dv > 2:
+            raise ValueError(f"du, dv: expected orders of 0 to 2 together, got {du} and {dv}")
+        return at(points, du, dv) if polynomial else derivative(du, dv)
+
+    return checked
