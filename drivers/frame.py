@@ -15,7 +15,7 @@ _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 #: Bounds of what a focal length and a principal point can be, pixels; what is computed with them is finite.
 _FOCAL_PX_MIN, _PLACE_PX_MAX = 1e-3, 1e9
 
-#: Depth cameras measure nothing nearer, millimetres, nor anything so far, metres.
+#: No depth camera measures anything nearer, millimetres, and none reaches as many metres.
 _NEAREST_MM = 200.0
 
 
@@ -265,7 +265,7 @@ class RGBDFrame:
         Warns
         -----
         UserWarning
-            If floating-point depth is mostly in millimetres: nothing is nearer than 200.
+            If floating-point depth is 200 or more everywhere: it is probably in millimetres.
         """
         depth, color = np.asarray(depth), np.asarray(color)
         if depth.ndim != 2 or depth.shape != color.shape[:2]:

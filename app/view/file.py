@@ -9,8 +9,10 @@ from nurbseg.app.piped_file import PipedFile
 from nurbseg.app.view.stream import Item, Opening, Writer
 from nurbseg.app.view.viewer import ViewError
 
-#: Longest wait for the disk before the file counts as stuck, and time between two flushes, seconds.
-_STUCK_S, _FLUSH_S = 10.0, 0.5
+#: Longest wait for the disk before the file counts as stuck, seconds.
+_STUCK_S = 10.0
+#: Time between two flushes, seconds.
+_FLUSH_S = 0.5
 
 
 class FileSink:

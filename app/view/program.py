@@ -36,13 +36,14 @@ def _handle_messages(view: RerunView, channel: Channel) -> float:
             sent = status
         message = channel.receive(_LOOK_S)
         try:
-            view.look_after()
             if isinstance(message, ViewFrame):
                 view.show(message)
             elif isinstance(message, Line):
                 view.show_line(message)
             elif isinstance(message, Close):
                 return message.file_limit_s
+            # After the message, which a stuck disk would lose.
+            view.look_after()
         except ViewError as err:
             channel.send(Failed(str(err)))
         except Exception as err:

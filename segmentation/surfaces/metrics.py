@@ -52,7 +52,7 @@ def metrics_of_sums(points: int, sums: tuple[float, float, float, int]) -> dict[
 
 @compiled
 def residual_sums(residuals_m: F64, large_m: float) -> tuple[float, float, float, int]:
-    """Largest residual, sum of squares, sum, and how many are large."""
+    """Return the largest of (N,) residuals, metres, the sum of squares, the sum, and how many are large."""
     largest, squares, total, large = 0.0, 0.0, 0.0, 0
     for residual in residuals_m:
         largest = max(largest, residual)

@@ -122,9 +122,20 @@ def evaluate_lattice(
 def lattice_derivatives(
     surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64]
 ) -> Callable[[int, int], NDArray[np.float64]]:
-    """Return a function of the orders along u and v that does what `evaluate_lattice` does, but (3, H, W).
+    """Prepare the derivatives of a surface on a lattice, several of which share their terms.
 
-    Several derivatives share their terms.
+    Parameters
+    ----------
+    surface : NurbsSurface
+        The surface.
+    u, v : (W,), (H,) float
+        Columns and rows of the lattice, pixels.
+
+    Returns
+    -------
+    callable
+        Of the orders along u and v, together at most 2: points in metres, or derivatives in metres per pixel
+        to the power of the order, (3, H, W) float64. Raises ValueError for other orders.
     """
     u, v = np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64)
 

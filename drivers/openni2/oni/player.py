@@ -81,6 +81,7 @@ class End:
 
 
 CODEC = Codec(Play, Description, PlayedImage, End, Failure)
+Message = Description | PlayedImage | End | Failure
 
 
 class PlayerProcess:
@@ -92,7 +93,7 @@ class PlayerProcess:
         self._channel = self._process.connect(CODEC)
         self._channel.send(Play(str(path.absolute())))
 
-    def receive(self, timeout_s: float, limit_s: float | None = None) -> Any | None:
+    def receive(self, timeout_s: float, limit_s: float | None = None) -> Message | None:
         """Return the next message, or None if it does not come in time.
 
         Raises RecordingFormatError if the player has died, or has sent nothing for `limit_s`.
@@ -101,7 +102,7 @@ class PlayerProcess:
         try:
             while True:
                 left_s = deadline - time.monotonic()
-                message = self._channel.receive(max(0.0, left_s))
+                message: Message | None = self._channel.receive(max(0.0, left_s))
                 if message is not None:
                     return message
                 if self._channel.silent_s >= (_HANG_LIMIT_S if limit_s is None else limit_s):

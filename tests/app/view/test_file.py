@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
 
 import cv2
 import numpy as np
@@ -29,8 +29,10 @@ from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.entities import FrameEntities
 from nurbseg.app.view.drawing.frame import Moment
 from nurbseg.app.view.drawing.palette import DIVISION_COLORS, STOP_COLORS
-from nurbseg.app.view.messages import Open
+from nurbseg.app.view.file import FileSink
+from nurbseg.app.view.messages import Close, Failed, Open
 from nurbseg.app.view.opening import open_view
+from nurbseg.app.view.program import _handle_messages
 from nurbseg.app.view.rerun import RerunView
 from nurbseg.app.view.stream import Item, Writer
 from nurbseg.app.view.view import View
@@ -462,6 +464,21 @@ def test_showing_waits_for_a_file_that_grows_slowly(
         )
     view.close(file_limit_s=1.5)
     assert read_saved_view(path).frames("world/camera/image/depth") == list(range(6))
+
+
+def test_no_message_is_lost_where_the_disk_is_stuck(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stuck(sink: FileSink) -> None:
+        raise ViewError("stuck")
+
+    view = RerunView(
+        Open(ViewConfig(mode="none", save=str(tmp_path / "a.rrd")), CONFIG, {}, "a", logging.INFO)
+    )
+    monkeypatch.setattr(FileSink, "flush_if_due", stuck)
+    messages, sent = iter([None, Close(3.0)]), []
+    channel = SimpleNamespace(receive=lambda _: next(messages), send=sent.append)
+    assert _handle_messages(view, channel) == 3.0  # type: ignore[arg-type]
+    assert sent == [Failed("stuck")]
+    view.close()
 
 
 #: Read by Python itself as it starts.

@@ -75,7 +75,7 @@ def test_residuals_are_distances_to_the_surface_that_is_returned(cloud_of, step)
     depth = plane() + 0.01 * rng.normal(size=SIZE)
     depth[rng.random(SIZE) < 0.2] = np.nan
     cloud = cloud_of(depth)
-    config = SegmentationConfig(decimation=step)
+    config = SegmentationConfig(decimation=step, large_error_m=0.01)
     grid = depth_grid(cloud, step)
     fit = fit_window(grid, (0, 0, *grid.valid.shape), grid.valid, config)
     rows, columns = np.divmod(fit.pixels, SIZE[1])
@@ -83,7 +83,10 @@ def test_residuals_are_distances_to_the_surface_that_is_returned(cloud_of, step)
     on_surface = evaluate(fit.surface, columns.astype(float), rows.astype(float))
     assert_allclose(fit.residuals_m, np.linalg.norm(points - on_surface, axis=1), atol=2e-6)
     residuals = 1 / on_surface[:, 2] - 1 / points[:, 2]
-    assert fit.values["mse"] == pytest.approx(np.mean(fit.residuals_m**2))
+    large = np.count_nonzero(fit.residuals_m > 0.01)
+    assert 0.1 < large / fit.residuals_m.size < 0.9
+    moments = {"mse": np.mean(fit.residuals_m**2), "mae": fit.residuals_m.mean(), "ve": fit.residuals_m.var()}
+    assert fit.values == pytest.approx({**moments, "nle": large})
     # Some residuals are beyond four times the noise, others are not.
     limited = np.minimum(np.abs(residuals), 4 * config.extended.inverse_depth_noise)
     assert 0.1 < np.mean(limited < np.abs(residuals)) < 0.9
