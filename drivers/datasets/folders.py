@@ -29,44 +29,28 @@ _CALIBRATION_PATTERNS = (
     "intrinsics.txt",
     "camera-intrinsics.txt",
 )
-_DEFAULT_UNITS_PER_METRE = 1000.0
 #: frame_20121214T142255.814212: the moment in UTC, to the microsecond.
 _MOMENT = re.compile(r"(\d{8}T\d{6}\.\d{1,6})")
 _SCENE = re.compile(r"scene[ _-]?\d+", re.IGNORECASE)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FolderCamera:
-    """The calibration, perhaps without image sizes, and the depth scale of a folder's images.
-
-    `origin` is where the calibration came from, for a person.
-    """
-
-    camera: CameraFile
-    units_per_metre: float
-    origin: str
-
-
-def folder_camera(
-    folder: Path, options: SourceOptions, default_units_per_metre: float = _DEFAULT_UNITS_PER_METRE
-) -> FolderCamera:
+def folder_cameras(folder: Path, options: SourceOptions) -> CameraFile:
     """Return how to read a folder's images: as the user says, else by a calibration file in it.
 
     The files looked for are, in this order, ``camera.toml``, OpenCV's ``calib*.xml|yml|yaml``, ROS's
     ``camera_info.yaml``, ``intrinsics.txt`` and ``camera-intrinsics.txt``. Raises CalibrationError if there
     is none, or it is unusable.
     """
-    camera, origin = options.given_cameras(), "given"
-    if camera is None:
+    cameras = options.given_cameras()
+    if cameras is None:
         path = next((p for pattern in _CALIBRATION_PATTERNS for p in sorted(folder.glob(pattern))), None)
         if path is None:
             raise CalibrationError(
                 f"{folder}: no calibration: add camera.toml, OpenCV's calib.xml or calib.yml, ROS's "
                 "camera_info.yaml or intrinsics.txt, or give --intrinsics fx,fy,cx,cy (pixels)"
             )
-        camera, origin = read_camera_file(path), path.name
-    scale = options.depth_scale or camera.depth_scale or default_units_per_metre
-    return FolderCamera(camera=camera, units_per_metre=scale, origin=origin)
+        cameras = read_camera_file(path)
+    return replace(cameras, depth_scale=options.depth_scale or cameras.depth_scale)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +58,7 @@ class Shot:
     """The files of one frame, what they are read with, and when they were taken, nanoseconds."""
 
     pair: ImagePair
-    camera: FolderCamera
+    cameras: CameraFile
     timestamp_ns: int
 
 
@@ -85,10 +69,13 @@ class PairSource(SequenceSource):
     no partner. Raises RecordingFormatError if none can be used.
     """
 
+    #: Of depth images whose scale nobody says.
+    _units_per_metre = 1000.0
+
     def __init__(self, folder: Path, shots: list[Shot], form: str, dropped: int = 0) -> None:
         super().__init__(folder, len(shots), form, dropped)
         self._shots = shots
-        self.metadata |= {"dropped": str(dropped), "calibration": shots[0].camera.origin}
+        self.metadata |= {"dropped": str(dropped), "calibration": shots[0].cameras.path.name}
         self.calibration = self._first_calibration()
 
     def _pair(self, index: int) -> ImagePair:
@@ -97,11 +84,11 @@ class PairSource(SequenceSource):
     def _load(self, index: int) -> RGBDFrame:
         shot, pair = self._shots[index], self._pair(index)
         color = decode_color(_content(pair.color), str(pair.color))
-        units_per_metre = shot.camera.units_per_metre
-        depth_mm = decode_depth(_content(pair.depth), str(pair.depth), units_per_metre=units_per_metre)
+        scale = shot.cameras.depth_scale or self._units_per_metre
+        depth_mm = decode_depth(_content(pair.depth), str(pair.depth), units_per_metre=scale)
         height, width = depth_mm.shape
         try:
-            calibration = _calibration(shot.camera.camera, (width, height), (color.shape[1], color.shape[0]))
+            calibration = _calibration(shot.cameras, (width, height), (color.shape[1], color.shape[0]))
         except CalibrationError as err:
             raise FrameFormatError(
                 f"{pair.color} ({_size(color.shape)}) and {pair.depth.name} ({_size(depth_mm.shape)}): {err}"
@@ -138,7 +125,7 @@ def open_folder(folder: Path, options: SourceOptions) -> PairSource:
     if not pairs:
         alone = f" ({len(single)} images lack their partner)" if single else ""
         raise RecordingFormatError(f"{folder}: no image pairs{alone}; expected {NAMES_EXPECTED}")
-    shots = _shots(pairs, folder_camera(folder, options))
+    shots = _shots(pairs, folder_cameras(folder, options))
     return PairSource(folder, shots, "folder of image pairs", dropped=len(single))
 
 
@@ -155,7 +142,7 @@ def open_patterns(rest: str, options: SourceOptions) -> PairSource:
     pairs, dropped = match_patterns(**patterns)
     files = [file.absolute() for pair in pairs for file in (pair.color, pair.depth)]
     folder = Path(os.path.commonpath([file.parent for file in files]))
-    return PairSource(folder, _shots(pairs, folder_camera(folder, options)), "image pairs", dropped)
+    return PairSource(folder, _shots(pairs, folder_cameras(folder, options)), "image pairs", dropped)
 
 
 def scene_folders(folder: Path) -> list[Path]:
@@ -178,24 +165,26 @@ def open_scenes(folder: Path, options: SourceOptions) -> PairSource:
         pairs, _ = find_pairs(scene)
         if not pairs:
             raise RecordingFormatError(f"{scene}: no image pairs; expected {NAMES_EXPECTED}")
-        camera = folder_camera(scene, options)
+        cameras = folder_cameras(scene, options)
         for pair in pairs:
             name = f"{scene.name}_{pair.name}" if pair.name else scene.name
-            shots.append(Shot(replace(pair, name=name), camera, len(shots) * FRAME_INTERVAL_NS))
+            shots.append(Shot(replace(pair, name=name), cameras, len(shots) * FRAME_INTERVAL_NS))
     return PairSource(folder, shots, "folder of scenes")
 
 
-def _shots(pairs: list[ImagePair], camera: FolderCamera) -> list[Shot]:
+def _shots(pairs: list[ImagePair], cameras: CameraFile) -> list[Shot]:
     moments = [_moment_ns(pair.name) for pair in pairs]
     if any(moment is None for moment in moments):
         moments = [index * FRAME_INTERVAL_NS for index in range(len(pairs))]
-    return [Shot(pair, camera, moment or 0) for pair, moment in zip(pairs, moments, strict=True)]
+    return [Shot(pair, cameras, moment or 0) for pair, moment in zip(pairs, moments, strict=True)]
 
 
 @lru_cache(maxsize=4)
-def _calibration(camera: CameraFile, depth_size: tuple[int, int], color_size: tuple[int, int]) -> Calibration:
+def _calibration(
+    cameras: CameraFile, depth_size: tuple[int, int], color_size: tuple[int, int]
+) -> Calibration:
     """Return the calibration for images of these sizes, the same one for all frames that share it."""
-    return camera.calibration(depth_size=depth_size, color_size=color_size)
+    return cameras.calibration(depth_size=depth_size, color_size=color_size)
 
 
 def _content(path: Path) -> bytes:

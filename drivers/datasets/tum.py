@@ -5,7 +5,7 @@ import logging
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
-from nurbseg.drivers.datasets.folders import PairSource, Shot, folder_camera
+from nurbseg.drivers.datasets.folders import PairSource, Shot, folder_cameras
 from nurbseg.drivers.datasets.pairs import ImagePair
 from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.drivers.files import read_file
@@ -14,7 +14,6 @@ from nurbseg.drivers.options import SourceOptions
 
 _log = logging.getLogger(__name__)
 
-_UNITS_PER_METRE = 5000.0
 #: Digits of a stamp: seconds since 1970 with nanoseconds have 20.
 _STAMP_CHARACTERS_MAX = 40
 _NAME_CHARACTERS_MAX = 1024
@@ -66,6 +65,8 @@ class TumSource(PairSource):
        RGB-D SLAM systems", IROS 2012.
     """
 
+    _units_per_metre = 5000.0
+
     def __init__(self, folder: Path, options: SourceOptions) -> None:
         (colors, no_colors), (depths, no_depths) = (
             _read_list(folder / name) for name in (COLOR_LIST, DEPTH_LIST)
@@ -77,11 +78,11 @@ class TumSource(PairSource):
                 f"{folder}: none of {len(colors)} color and {len(depths)} depth images are within "
                 f"{options.association_limit_s} s of each other"
             )
-        camera = folder_camera(folder, options, _UNITS_PER_METRE)
+        cameras = folder_cameras(folder, options)
         shots = []
         for c, d in found:
             color, depth = folder / colors[c][1], folder / depths[d][1]
-            shots.append(Shot(ImagePair(depth.stem, color, depth), camera, depths[d][0]))
+            shots.append(Shot(ImagePair(depth.stem, color, depth), cameras, depths[d][0]))
         single = len(colors) + len(depths) - 2 * len(found)
         self._folder = folder.resolve()
         super().__init__(folder, shots, "TUM RGB-D", dropped=single + no_colors + no_depths)

@@ -317,7 +317,7 @@ def test_a_folder_of_color_images_only_says_which_names_are_expected(tmp_path: P
 def test_the_users_calibration_counts_before_the_folders(tmp_path: Path) -> None:
     write_pairs(tmp_path, scenes(1))
     with open_source(tmp_path, SourceOptions(intrinsics=(60.0, 61.0, 30.0, 20.0))) as source:
-        assert source.metadata["calibration"] == "given"
+        assert source.metadata["calibration"] == "--intrinsics"
         assert source.calibration.depth.fx == 60.0
     with open_source(tmp_path, SourceOptions(calibration=APART)) as source:
         assert source.calibration.color_from_depth[0, 3] == -0.025
