@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 from nurbseg.drivers.calibration.file import cameras_of_table
+from nurbseg.drivers.datasets.tum import associate
 from nurbseg.drivers.errors import (
     BackendMissingError,
     EndOfRecordingError,
@@ -75,18 +76,10 @@ class OniSource(FrameSource):
     def _pair(self, file: OniFile, limit_s: float) -> list[tuple[StoredFrame, StoredFrame]]:
         fps = max(file.depth.fps, file.color.fps)
         limit_us = min(round(limit_s * 1e6), 500_000 // fps + 1000)
-        pairs, depth, color = [], 0, 0
-        while depth < len(file.depth.frames) and color < len(file.color.frames):
-            one, other = file.depth.frames[depth], file.color.frames[color]
-            ahead_us = one.timestamp_us - (other.timestamp_us + self._delay_us)
-            if abs(ahead_us) <= limit_us:
-                pairs.append((one, other))
-                depth, color = depth + 1, color + 1
-            elif ahead_us > 0:
-                color += 1
-            else:
-                depth += 1
-        return pairs
+        depth_us = [each.timestamp_us for each in file.depth.frames]
+        color_us = [each.timestamp_us + self._delay_us for each in file.color.frames]
+        found = associate(depth_us, color_us, limit_us)
+        return [(file.depth.frames[depth], file.color.frames[color]) for depth, color in found]
 
     def _description(self) -> Description:
         """Return what the player says first."""
