@@ -36,6 +36,8 @@ _UNCOMPRESSED = b"NONE"
 #: length of the text, and this again.
 _NOTE_MAGIC = b"nurbseg\n"
 _NOTE_LENGTH = struct.Struct("<Q")
+#: Of what kind the note's values are; others are left out.
+_NOTE_KINDS = {"calibration": dict, "color_delay_us": int, "device": dict, "registered": bool}
 
 
 class StoredFrame(NamedTuple):
@@ -241,9 +243,10 @@ def _read_note(file: BinaryIO, end: int) -> dict[str, Any]:
     text = tail[len(_NOTE_MAGIC) : -len(_NOTE_MAGIC) - _NOTE_LENGTH.size]
     try:
         note = json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return {}
-    return note if isinstance(note, dict) else {}
+    known = note if isinstance(note, dict) else {}
+    return {name: known[name] for name, kind in _NOTE_KINDS.items() if isinstance(known.get(name), kind)}
 
 
 def finish(path: Path, note: dict[str, Any]) -> None:

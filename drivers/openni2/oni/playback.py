@@ -57,7 +57,7 @@ class OniSource(FrameSource):
             )
         if not file.complete:
             logger.warning("%s is truncated: its recording was cut short; it is replayed up to there", path)
-        self._delay_us = int(file.note.get("color_delay_us", 0))
+        self._delay_us = file.note.get("color_delay_us", 0)
         self._pairs = self._pair(file, options.association_limit_s)
         counted = len(file.depth.frames) + len(file.color.frames)
         self.half_pairs = counted - 2 * len(self._pairs)
@@ -108,7 +108,9 @@ class OniSource(FrameSource):
         self._tenths = depth.format == PixelFormat.DEPTH_100_UM
         noted = file.note.get("calibration")
         if noted is not None and self._options.calibration is None and self._cameras is None:
-            calibration = cameras_of_table(self._path, noted).calibration()
+            calibration = cameras_of_table(self._path, noted).calibration(
+                depth_size=depth.size, color_size=color.size
+            )
             mirrored = self.metadata.get("mirror") == "on"
             self.calibration = (
                 calibration if mirrored == self._options.mirror else nominal.mirrored(calibration)
@@ -116,7 +118,7 @@ class OniSource(FrameSource):
             return
         registered = self._options.registration == "hardware"
         if "registered" in file.note:
-            registered = bool(file.note["registered"])
+            registered = file.note["registered"]
         else:
             logger.warning(
                 "%s does not say whether depth is registered to color; "

@@ -14,9 +14,11 @@ from own_children import own_children
 from recorded_oni import record_ten_frames
 from virtual_camera import color_image, depth_image, frame_number
 
+from nurbseg.drivers.calibration.cameras import calibration_table
 from nurbseg.drivers.calibration.file import write_calibration
 from nurbseg.drivers.errors import (
     BackendMissingError,
+    CalibrationError,
     DriverError,
     EndOfRecordingError,
     FrameTimeoutError,
@@ -26,7 +28,7 @@ from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.drivers.openni2 import open_uri
 from nurbseg.drivers.openni2.device import DeviceSource
 from nurbseg.drivers.openni2.oni import player, recorder
-from nurbseg.drivers.openni2.oni.file import correct_header, has_begun, read_structure, write_end
+from nurbseg.drivers.openni2.oni.file import correct_header, finish, has_begun, read_structure, write_end
 from nurbseg.drivers.openni2.oni.playback import OniSource
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.options import SourceOptions
@@ -276,6 +278,34 @@ def test_a_recording_continues_in_a_new_file_when_the_camera_is_back(virtual_cam
         assert len(frames) >= 5
         assert_exact(frames, first=0)
     assert "continues in" in caplog.text
+
+
+@pytest.mark.parametrize(
+    "note",
+    [
+        {"color_delay_us": "soon", "device": ["x"], "registered": 1, "calibration": 7},
+        {"color_delay_us": float("inf"), "device": None},
+    ],
+)
+def test_a_note_of_other_values_is_as_good_as_none(recording, note):
+    count = len(replay(recording))
+    finish(recording, note)
+    assert len(replay(recording)) == count
+
+
+def test_a_note_that_is_nested_too_deeply_is_as_good_as_none(recording):
+    count = len(replay(recording))
+    head, mark, _ = recording.read_bytes().rpartition(b"nurbseg\n")
+    head = head[: head.index(mark)]
+    recording.write_bytes(head + mark + b"[" * 100_000 + bytes(8) + mark)
+    assert len(replay(recording)) == count
+
+
+def test_a_noted_calibration_that_does_not_fit_the_images_is_refused(recording):
+    camera = Intrinsics(100, 100, 80.0, 80.0, 49.5, 49.5)
+    finish(recording, {"calibration": calibration_table(Calibration.registered(camera))})
+    with pytest.raises(CalibrationError, match=r"100x100 images does not match images .*, 640x480"):
+        replay(recording)
 
 
 def test_a_killed_recording_replays_to_its_last_frame(virtual_cameras, tmp_path, caplog):
