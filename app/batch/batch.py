@@ -53,16 +53,6 @@ class Recording:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Batch:
-    """What to do with each recording, whose results go to a folder under `directory`."""
-
-    directory: Path
-    config: SegmentationConfig
-    options: SourceOptions = field(default_factory=SourceOptions)
-    export: ExportConfig = field(default_factory=ExportConfig)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _Task:
     """Successive frames of a recording."""
 
@@ -88,9 +78,11 @@ def recordings_of(uris: Sequence[str], directory: Path) -> list[Recording]:
 
 
 def run_batch(
-    batch: Batch,
     recordings: Sequence[Recording],
     workers: Workers,
+    config: SegmentationConfig,
+    options: SourceOptions,
+    export: ExportConfig,
     report: Callable[[Recording], None] = lambda recording: None,
 ) -> None:
     """Segment the frames of each recording that are not done yet.
@@ -104,7 +96,7 @@ def run_batch(
     def tasks() -> Iterator[_Task]:
         for number, each in enumerate(recordings):
             try:
-                settings[each.uri] = _begun(batch, each)
+                settings[each.uri] = _begun(each, config, options, export)
             except (DriverError, ExportError, OSError, ValueError) as err:
                 each.failure = str(err)
             if each.ended:
@@ -113,7 +105,7 @@ def run_batch(
                 if not each.failure:
                     yield _Task(number, each.uri, range(start, min(start + _TASK_FRAMES, each.frames)))
 
-    segment = partial(segment_run, config=batch.config, options=batch.options, export=batch.export)
+    segment = partial(segment_run, config=config, options=options, export=export)
     try:
         for task, future in in_order(workers, segment, tasks()):
             recording = recordings[task.number]
@@ -123,7 +115,7 @@ def run_batch(
                 outcomes = future.result()
                 if task.uri not in exporters:
                     # Only now, as there would be an empty folder if no frame could be read.
-                    forms = replace(batch.export, force=True)
+                    forms = replace(export, force=True)
                     exporters[task.uri] = Exporter(Path(recording.directory), settings[task.uri], forms)
                 _keep(recording, outcomes, exporters[task.uri])
             except Exception as err:
@@ -135,7 +127,9 @@ def run_batch(
         _reader().close()
 
 
-def _begun(batch: Batch, recording: Recording) -> dict[str, Any]:
+def _begun(
+    recording: Recording, config: SegmentationConfig, options: SourceOptions, export: ExportConfig
+) -> dict[str, Any]:
     """Read the progress of a recording, and return the settings of its export."""
     folder = Path(recording.directory)
     path = folder / PROGRESS_FILE
@@ -151,7 +145,7 @@ def _begun(batch: Batch, recording: Recording) -> dict[str, Any]:
         raise ExportError(f"{path}: cannot be read ({err!r}); delete {folder} to start over") from err
     calibration = None
     try:
-        positions, calibration = survey(recording.uri, batch.options)
+        positions, calibration = survey(recording.uri, options)
         found = len(positions)
     except DriverError:
         # The recording of a complete export may be gone.
@@ -159,11 +153,11 @@ def _begun(batch: Batch, recording: Recording) -> dict[str, Any]:
             raise
         found = frames
     settings = run_settings(
-        batch.config,
+        config,
         source=recording.uri,
-        surfaces=batch.export.surfaces,
+        surfaces=export.surfaces,
         calibration=calibration,
-        depth_scale=batch.options.depth_scale,
+        depth_scale=options.depth_scale,
     )
     refuse_other_results(folder, settings)
     if frames not in (None, found):

@@ -18,9 +18,6 @@ from nurbseg.drivers.settings import value_kinds
 
 if TYPE_CHECKING:
     from nurbseg.app.batch.batch import Recording
-    from nurbseg.app.workers import Workers
-    from nurbseg.drivers.options import SourceOptions
-    from nurbseg.segmentation.config import SegmentationConfig
 
 #: The report on all recordings.
 REPORT_FILE = "report.json"
@@ -84,34 +81,21 @@ def _run(given: argparse.Namespace) -> int:
     began_s = time.monotonic()
     # Processes import the segmentation, which takes half a second, while this one looks at the recordings.
     with open_workers(count, given.scheduler, module="nurbseg.app.live.parallel") as workers:
-        return _run_with(workers, count, given, config, options, began_s)
+        from nurbseg.app.batch.batch import recordings_of, run_batch
+        from nurbseg.app.computer import computer, versions
+        from nurbseg.drivers.files import create_folder
 
-
-def _run_with(
-    workers: Workers,
-    count: int,
-    given: argparse.Namespace,
-    config: SegmentationConfig,
-    options: SourceOptions,
-    began_s: float,
-) -> int:
-    from nurbseg.app.batch.batch import Batch, recordings_of, run_batch
-    from nurbseg.app.computer import computer, versions
-    from nurbseg.drivers.files import create_folder
-
-    forms = {key.removeprefix("export."): value for key, value in vars(given).items() if "export." in key}
-    batch = Batch(given.export, config, options, ExportConfig(**forms))
-    recordings = recordings_of(given.recordings, given.export)
-    create_folder(given.export)
-    by = {"scheduler": given.scheduler} if given.scheduler else {"workers": count}
-    # Here, while processes import the segmentation.
-    by |= {"computer": computer(), "versions": versions()}
-    ended = "interrupted"
-    try:
-        run_batch(batch, recordings, workers, _tell)
-        ended = "done"
-    finally:
-        _write_report(given.export / REPORT_FILE, ended, time.monotonic() - began_s, recordings, by)
+        forms = {key.removeprefix("export."): value for key, value in vars(given).items() if "export." in key}
+        recordings = recordings_of(given.recordings, given.export)
+        create_folder(given.export)
+        by = {"scheduler": given.scheduler} if given.scheduler else {"workers": count}
+        by |= {"computer": computer(), "versions": versions()}
+        ended = "interrupted"
+        try:
+            run_batch(recordings, workers, config, options, ExportConfig(**forms), _tell)
+            ended = "done"
+        finally:
+            _write_report(given.export / REPORT_FILE, ended, time.monotonic() - began_s, recordings, by)
     failed = [each for each in recordings if each.failure]
     if failed:
         print(f"nurbseg-batch: {len(failed)} of {len(recordings)} recordings failed:", file=sys.stderr)

@@ -17,16 +17,21 @@ import cv2
 import numpy as np
 import pytest
 
-from nurbseg.app.batch.batch import PROGRESS_FILE, Batch, recordings_of, run_batch
+from nurbseg.app.batch.batch import PROGRESS_FILE, recordings_of, run_batch
 from nurbseg.app.batch.cli import main
 from nurbseg.app.command.cli import main as live_main
 from nurbseg.app.evaluation.cli import main as eval_main
+from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.workers import WorkerLostError
 from nurbseg.drivers.calibration.file import write_calibration
 from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.drivers.options import SourceOptions
 from nurbseg.segmentation.config import SegmentationConfig
 
 Pairs = Callable[..., Path]
+
+#: Settings, options and files of a batch without flags.
+PLAIN = SegmentationConfig(), SourceOptions(), ExportConfig()
 
 
 def results(folder: Path) -> dict[str, bytes]:
@@ -279,8 +284,7 @@ class FailingWorkers:
 def test_a_recording_that_fails_midway_is_whole_up_to_there(tmp_path: Path) -> None:
     recordings = recordings_of(["synthetic:?frames=60", "synthetic:?frames=10"], tmp_path)
     told: list[str] = []
-    batch = Batch(tmp_path, SegmentationConfig())
-    run_batch(batch, recordings, FailingWorkers(16), lambda each: told.append(each.uri))
+    run_batch(recordings, FailingWorkers(16), *PLAIN, lambda each: told.append(each.uri))
     failed, whole = recordings
     assert failed.failure == "frames 16 to 19: WorkerLostError: gone"
     assert (failed.done, whole.done, whole.failure) == (16, 10, "")
@@ -290,6 +294,6 @@ def test_a_recording_that_fails_midway_is_whole_up_to_there(tmp_path: Path) -> N
 
 def test_a_recording_that_fails_at_its_first_frame_leaves_no_folder(tmp_path: Path) -> None:
     recordings = recordings_of(["synthetic:?frames=20"], tmp_path)
-    run_batch(Batch(tmp_path, SegmentationConfig()), recordings, FailingWorkers(0))
+    run_batch(recordings, FailingWorkers(0), *PLAIN)
     assert "frames 0 to 3: WorkerLostError: gone" in recordings[0].failure
     assert list(tmp_path.iterdir()) == []
