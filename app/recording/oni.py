@@ -51,25 +51,23 @@ class OniRecording(Recording):
         try:
             if not self._is_recording:
                 self._start()
-            missing = self._shortage()
-            if not missing and not self.files[-1].exists():
-                missing = f"{self.files[-1]} was deleted or moved"
-            if missing:
-                self._is_recording = False
+            reason = self._shortage()
+            if not reason and not self.files[-1].exists():
+                reason = f"{self.files[-1]} was deleted or moved"
+            if reason:
                 self._camera.stop_recording()
-                self._fail(missing)
-                return
-            if isinstance(self._camera, Reconnecting) and self._camera.recording_failure:
-                self._is_recording = False
-                self._fail(self._camera.recording_failure)
-                return
+            elif isinstance(self._camera, Reconnecting):
+                reason = self._camera.recording_failure
         except DriverError as err:
-            self._fail(str(err))
-            return
-        self.frames += 1
-        self._add_time(frame)
+            reason = str(err)
+        if reason:
+            self._fail(reason)
+        else:
+            self.frames += 1
+            self._add_time(frame)
 
     def _fail(self, reason: str) -> None:
+        self._is_recording = False
         self.failure = f"{self.path}: recording stopped: {reason}"
         _log.error("%s", self.failure)
 
