@@ -95,9 +95,10 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 try:
                     view = report.view = stack.enter_context(_open_view(config, opened, view_process))
                 except BaseException:
-                    # Without frames, its file is not kept.
-                    with recorder:
-                        raise
+                    if recorder.recording is not None:
+                        # Without frames, its file is not kept.
+                        recorder.recording.close()
+                    raise
             if view.how_to_look:
                 _log.info("to look: %s", view.how_to_look)
             prepare = DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
@@ -107,8 +108,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 recording=recorder.recording,
                 preparation=prepare,
             )
-            with recorder.logged(), _watched(config.source.replay), ExitStack() as reading:
-                reading.enter_context(recorder)
+            with recorder, _watched(config.source.replay), ExitStack() as reading:
                 if warm_up is not None:
                     warm_up.wait()
                 reading.enter_context(capture)

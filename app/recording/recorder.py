@@ -1,8 +1,6 @@
 """The recordings of a run: how they are started, ended and logged."""
 
 import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
@@ -90,6 +88,7 @@ class Recorder:
     The first one starts immediately if `config` names a file; raises RecordError if it cannot. `source` and
     `lossless` are those of `open_recording`. In `name`, that of further files, ``{date}`` becomes the date
     and time, and a number is added if the file exists. `recording` is the current one, even if it failed.
+    All are closed and logged at the end of a ``with`` block, also if Ctrl-C or an error ends it.
     """
 
     def __init__(
@@ -134,36 +133,15 @@ class Recorder:
         """Log recordings that have ended since; a failed one does not end the run."""
         for each in [each for each in self._ending if each.finished]:
             self._ending.remove(each)
+            each.close()
             self._log_ended(each)
 
     def _log_ended(self, recording: Recording) -> None:
-        recording.close()
         self._figures.append(recording.figures())
         try:
             log_recorded(recording)
         except RecordError as err:
             _log.error("%s", err)
-
-    def log_all(self) -> None:
-        """Log all remaining recordings as `log_recorded` does; they must be closed."""
-        for each in self._ending:
-            self._log_ended(each)
-        self._ending.clear()
-        if self.recording is not None:
-            log_recorded(self.recording)
-
-    @contextmanager
-    def logged(self) -> Iterator[None]:
-        """Call `log_all` after the block, also if Ctrl-C or an error ended it."""
-        try:
-            yield
-        except BaseException:
-            try:
-                self.log_all()
-            except RecordError as err:
-                _log.error("%s", err)
-            raise
-        self.log_all()
 
     def figures(self) -> list[dict[str, Any]]:
         """Return the entries of all recordings in the run's report."""
@@ -177,3 +155,11 @@ class Recorder:
         for each in (*self._ending, self.recording):
             if each is not None:
                 each.__exit__(*exception)
+        if exception[0] is not None:
+            # What ends the run is raised, and what is wrong with the recording only logged.
+            self.end()
+        for each in self._ending:
+            self._log_ended(each)
+        self._ending.clear()
+        if self.recording is not None:
+            log_recorded(self.recording)

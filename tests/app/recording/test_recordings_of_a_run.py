@@ -47,7 +47,6 @@ def run_with(config: RecordConfig, name: str, source: ScriptedSource | None = No
     steps = Steps(config, name, source)
     with steps.source, steps.recorder, steps.capture:
         yield steps
-    steps.recorder.log_all()
 
 
 def indexes(path: Path) -> list[int]:
@@ -220,7 +219,6 @@ def test_a_recording_is_logged_if_an_error_ends_the_run(
     steps = Steps(RecordConfig(file="a.mcap"), "a.mcap", None)
     with (
         pytest.raises(SystemError, match="in a library"),
-        steps.recorder.logged(),
         steps.source,
         steps.recorder,
         steps.capture,
