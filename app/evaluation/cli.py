@@ -29,38 +29,33 @@ def _parser() -> argparse.ArgumentParser:
     parser = command_parser("nurbseg-eval", _DESCRIPTION, _EPILOG)
     commands = parser.add_subparsers(dest="command", required=True, metavar="run|tune|noise|check")
     run = commands.add_parser("run", help="score methods and settings, write tables and a report")
-    run.add_argument("--methods", default="nurbseg,stag15", help="names, separated by commas (%(default)s)")
-    run.add_argument(
-        "--metrics", default="", help="metrics of the tree methods, or 'all' (the configured one)"
-    )
-    run.add_argument("--thresholds", default="", help="values of T of the tree methods (the configured one)")
-    run.add_argument(
+    add = run.add_argument
+    add("--methods", default="nurbseg,stag15", help="names, separated by commas (%(default)s)")
+    add("--metrics", default="", help="metrics of the tree methods, or 'all' (the configured one)")
+    add("--thresholds", default="", help="values of T of the tree methods (the configured one)")
+    add(
         "--grid",
         action="append",
         default=[],
         metavar="NAME=V,V",
         help="values of any segmentation setting; lambda=auto chooses it per frame; may be repeated",
     )
-    run.add_argument(
+    add(
         "--labels",
         action="append",
         default=[],
         metavar="DIR",
         help="label images of another program (NAME_labels.png); may be repeated",
     )
-    run.add_argument("--out", type=Path, default=Path("out/eval"), help="folder of the study (%(default)s)")
-    run.add_argument(
-        "--scheduler", metavar="URL", help="a Dask scheduler, tcp://HOST:8786, instead of --jobs"
-    )
-    run.add_argument("--title", default="Segmentation on labelled frames", help="of the report")
-    run.add_argument("--no-report", action="store_true", help="write tables only")
-    run.add_argument(
-        "--pictures", type=int, default=200, help="number of worst frames shown in the report (%(default)s)"
-    )
-    run.add_argument(
+    add("--out", type=Path, default=Path("out/eval"), help="folder of the study (%(default)s)")
+    add("--scheduler", metavar="URL", help="a Dask scheduler, tcp://HOST:8786, instead of --jobs")
+    add("--title", default="Segmentation on labelled frames", help="of the report")
+    add("--no-report", action="store_true", help="write tables only")
+    add("--pictures", type=int, default=200, help="number of worst frames shown in the report (%(default)s)")
+    add(
         "--time-frames", type=int, default=3, help="frames on which each variant is timed alone (%(default)s)"
     )
-    run.add_argument(
+    add(
         "--pieces",
         type=int,
         default=1,
