@@ -40,12 +40,8 @@ def findings(means: Mapping[str, Mapping[str, float]]) -> list[str]:
         methods.setdefault(name.split(" ", maxsplit=1)[0], []).append(name)
     sentences = []
     for score, (heading, greater) in SCORES.items():
-        best = {
-            method: _ordered(means[score], names, greater)[0]
-            for method, names in methods.items()
-            if _ordered(means[score], names, greater)
-        }
-        ranked = _ordered(means[score], list(best.values()), greater)
+        ordered = [_ordered(means[score], names, greater) for names in methods.values()]
+        ranked = _ordered(means[score], [names[0] for names in ordered if names], greater)
         if ranked:
             places = ", ".join(f"{name} {digits(means[score][name])}" for name in ranked)
             sentences.append(f"{heading}, the best setting of each method first: {places}.")

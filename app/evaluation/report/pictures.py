@@ -35,9 +35,8 @@ def _matched(
     both = (labels > 0) & (truth > 0)
     rows = np.searchsorted(values, labels[both])
     columns = np.searchsorted(regions, truth[both])
-    overlap = np.bincount(
-        rows * max(len(regions), 1) + columns, minlength=len(values) * max(len(regions), 1)
-    ).reshape(len(values), -1)
+    overlap = np.zeros((len(values), len(regions)), dtype=np.intp)
+    np.add.at(overlap, (rows, columns), 1)
     number: dict[int, int] = {}
     while overlap.size and overlap.max() > 0:
         row, column = np.unravel_index(int(overlap.argmax()), overlap.shape)
