@@ -6,11 +6,10 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from nurbseg.app.atomic_file import write_json
 from nurbseg.app.export.config import ExportConfig
-from nurbseg.app.export.exporter import Exporter, ExportError, refuse_other_results, run_settings
+from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings, refuse_other_results
 from nurbseg.app.frames import Reader, survey
 from nurbseg.app.workers import Workers, in_order
 from nurbseg.drivers.errors import DriverError, FrameFormatError, RecordingFormatError
@@ -90,7 +89,7 @@ def run_batch(
     Only this process writes results, in the order of frames; they do not depend on the number of workers. If
     a recording fails, the run continues with the others. `report` is called with each when it has ended.
     """
-    settings: dict[str, dict[str, Any]] = {}
+    settings: dict[str, RunSettings] = {}
     exporters: dict[str, Exporter] = {}
 
     def tasks() -> Iterator[_Task]:
@@ -129,7 +128,7 @@ def run_batch(
 
 def _begun(
     recording: Recording, config: SegmentationConfig, options: SourceOptions, export: ExportConfig
-) -> dict[str, Any]:
+) -> RunSettings:
     """Read the progress of a recording, and return the settings of its export."""
     folder = Path(recording.directory)
     path = folder / PROGRESS_FILE
@@ -152,11 +151,11 @@ def _begun(
         if frames is None or recording.done < frames:
             raise
         found = frames
-    settings = run_settings(
+    settings = RunSettings(
         config,
         source=recording.uri,
         surfaces=export.surfaces,
-        calibration=calibration,
+        camera=calibration,
         depth_scale=options.depth_scale,
     )
     refuse_other_results(folder, settings)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,7 @@ from nurbseg.app.export.object_table import ObjectTable
 from nurbseg.drivers.calibration.cameras import calibration_table
 from nurbseg.drivers.files import create_folder
 from nurbseg.drivers.frame import Calibration
-from nurbseg.segmentation.config import DepthConfig, Metric, SegmentationConfig
+from nurbseg.segmentation.config import DepthConfig, SegmentationConfig
 
 if TYPE_CHECKING:
     from nurbseg.app.result import FrameResult
@@ -31,34 +31,40 @@ class ExportError(Exception):
     """A result cannot be written; the message says where and why."""
 
 
-def run_settings(
-    config: SegmentationConfig,
-    *,
-    source: str = "",
-    temporal: bool = False,
-    target_fps: float = 0.0,
-    surfaces: bool = False,
-    depth: DepthConfig | None = None,
-    calibration: Calibration | None = None,
-    depth_scale: float | None = None,
-) -> dict[str, Any]:
-    """Return the content of ``settings.json``.
+@dataclass(frozen=True, slots=True)
+class RunSettings:
+    """The settings of all frames of an export."""
 
-    `temporal` says whether a frame continues the previous one; `target_fps` is the rate that is maintained by
-    a coarser grid, 1/s, or 0 if the grid is always that of `config`; `depth` is the preprocessing of depth;
-    `calibration` holds the cameras, if known; `depth_scale` is that of the depth images, units per metre, if
-    the user gave one.
-    """
-    return {
-        "source": source,
-        "temporal": temporal,
-        "target_fps": target_fps,
-        "surfaces": surfaces,
-        "depth": asdict(depth or DepthConfig()),
-        "depth_scale": depth_scale,
-        "camera": None if calibration is None else calibration_table(calibration),
-        "segmentation": asdict(config),
-    }
+    config: SegmentationConfig
+    source: str = ""
+    #: Whether a frame continues the previous one.
+    temporal: bool = False
+    #: Rate that is maintained by a coarser grid, 1/s; 0 if the grid is always that of `config`.
+    target_fps: float = 0.0
+    surfaces: bool = False
+    depth: DepthConfig = field(default_factory=DepthConfig)
+    #: The cameras, if known; earlier versions left them out.
+    camera: Calibration | None = None
+    #: Of the depth images, units per metre, if the user gave one.
+    depth_scale: float | None = None
+
+    @property
+    def independent(self) -> bool:
+        """Whether the tree of each frame is grown independently of other frames."""
+        return not (self.temporal and self.config.method == "nurbseg")
+
+    def document(self) -> dict[str, Any]:
+        """Return the content of ``settings.json``."""
+        return {
+            "source": self.source,
+            "temporal": self.temporal,
+            "target_fps": self.target_fps,
+            "surfaces": self.surfaces,
+            "depth": asdict(self.depth),
+            "depth_scale": self.depth_scale,
+            "camera": None if self.camera is None else calibration_table(self.camera),
+            "segmentation": asdict(self.config),
+        }
 
 
 def check_libraries(export: ExportConfig) -> None:
@@ -73,20 +79,18 @@ def check_libraries(export: ExportConfig) -> None:
 class Exporter:
     """Writes results to a folder, which is created if needed; see docs/files.md.
 
-    A frame's tree is written last: if it exists, the frame's other files do. `settings` comes from
-    `run_settings`; its `surfaces` overrides that of `export`. `written` counts frames.
+    A frame's tree is written last: if it exists, the frame's other files do. The `surfaces`
+    of `settings` overrides that of `export`. `written` counts frames.
 
     Raises ExportError if a format needs a missing library, or the folder cannot be created or contains
     results with other settings.
     """
 
-    def __init__(
-        self, directory: Path, settings: Mapping[str, Any], export: ExportConfig | None = None
-    ) -> None:
+    def __init__(self, directory: Path, settings: RunSettings, export: ExportConfig | None = None) -> None:
         self.directory = directory
         self.written = 0
-        self.export = replace(export or ExportConfig(), surfaces=settings["surfaces"])
-        self._metric: Metric = settings["segmentation"]["metric"]
+        self.export = replace(export or ExportConfig(), surfaces=settings.surfaces)
+        self._metric = settings.config.metric
         self._table = ObjectTable(directory / OBJECTS_FILE)
         check_libraries(self.export)
         try:
@@ -95,7 +99,7 @@ class Exporter:
             raise ExportError(str(err)) from err
         refuse_other_results(directory, settings)
         try:
-            write_json(directory / SETTINGS_FILE, settings)
+            write_json(directory / SETTINGS_FILE, settings.document())
         except OSError as err:
             raise ExportError(f"{directory / SETTINGS_FILE}: cannot be written: {err.strerror}") from err
 
@@ -130,7 +134,7 @@ class Exporter:
         self.written += 1
 
 
-def refuse_other_results(directory: Path, settings: Mapping[str, Any]) -> None:
+def refuse_other_results(directory: Path, settings: RunSettings) -> None:
     """Raise ExportError if a folder contains results with other settings; unknown cameras are not others."""
     advice = "export to another folder, or delete this one"
     path = directory / SETTINGS_FILE
@@ -142,9 +146,9 @@ def refuse_other_results(directory: Path, settings: Mapping[str, Any]) -> None:
         return
     except (OSError, ValueError) as err:
         raise ExportError(f"{path}: cannot be read: {err}; {advice}") from err
-    if settings["camera"] is None and isinstance(before, dict):
+    if settings.camera is None and isinstance(before, dict):
         before["camera"] = None
-    now = json.loads(json.dumps(settings))
+    now = json.loads(json.dumps(settings.document()))
     if before != now:
         differing = ", ".join(differences(before, now))
         raise ExportError(f"{path}: belongs to another run: {differing}; {advice}")

@@ -8,12 +8,11 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import cv2
 
 from nurbseg.app.config import AppConfig
-from nurbseg.app.export.exporter import Exporter, ExportError, check_libraries, run_settings
+from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings, check_libraries
 from nurbseg.app.live.capture import Captured, CaptureThread
 from nurbseg.app.live.control.console import open_status_line
 from nurbseg.app.live.control.controls import Controls
@@ -209,15 +208,15 @@ def _check_workers(config: AppConfig, opened: OpenedSource) -> None:
         )
 
 
-def _settings(config: AppConfig, segmentation: SegmentationConfig, opened: OpenedSource) -> dict[str, Any]:
-    return run_settings(
+def _settings(config: AppConfig, segmentation: SegmentationConfig, opened: OpenedSource) -> RunSettings:
+    return RunSettings(
         segmentation,
         source=opened.uri,
         temporal=config.live.follows(every_frame=opened.every_frame),
         target_fps=_target_hz(config, opened),
         surfaces=config.export.surfaces,
         depth=config.depth,
-        calibration=opened.source.calibration,
+        camera=opened.source.calibration,
         # Cameras say it themselves.
         depth_scale=None if opened.camera.live else config.source.depth_scale,
     )

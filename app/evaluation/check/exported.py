@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.frame import Calibration
-from nurbseg.segmentation.config import DepthConfig, SegmentationConfig
+from nurbseg.app.export.exporter import RunSettings
 
 #: Maximum step of a grid that a rate controller made coarser.
 _STEP_MOST = 8
@@ -29,27 +28,6 @@ class Finding:
         where = " ".join(each for each in (self.segment, self.field) if each)
         contradiction = f"expected {self.expected}, found {self.found}"
         return f"{self.file}: {where}: {contradiction}" if where else f"{self.file}: {contradiction}"
-
-
-@dataclass(frozen=True, slots=True)
-class RunSettings:
-    """The settings of all frames of an export; see `nurbseg.app.export.exporter.run_settings`."""
-
-    source: str
-    temporal: bool
-    target_fps: float
-    surfaces: bool
-    config: SegmentationConfig
-    depth: DepthConfig
-    #: The cameras, which earlier versions left out.
-    camera: Calibration | None = None
-    #: Of the depth images, units per metre, if the user gave one.
-    depth_scale: float | None = None
-
-    @property
-    def independent(self) -> bool:
-        """Whether the tree of each frame is grown independently of other frames."""
-        return not (self.temporal and self.config.method == "nurbseg")
 
 
 class Measured(NamedTuple):

@@ -17,9 +17,8 @@ from nurbseg.app.evaluation.check.exported import (
     ExportedSegment,
     ExportedSurface,
     ExportedTree,
-    RunSettings,
 )
-from nurbseg.app.export.exporter import SETTINGS_FILE
+from nurbseg.app.export.exporter import SETTINGS_FILE, RunSettings
 from nurbseg.drivers.calibration.file import cameras_of_table
 from nurbseg.drivers.errors import CalibrationError
 from nurbseg.drivers.settings import in_sections, updated
@@ -46,11 +45,11 @@ def read_settings(folder: Path) -> RunSettings:
         camera, depth_scale = values.get("camera"), values.get("depth_scale")
         segmentation, _ = in_sections(SegmentationConfig, values["segmentation"])
         return RunSettings(
+            updated(SegmentationConfig(), **segmentation),
             str(values["source"]),
             bool(values["temporal"]),
             float(values["target_fps"]),
             bool(values["surfaces"]),
-            updated(SegmentationConfig(), **segmentation),
             # Exports of an earlier version have none.
             updated(DepthConfig(), **in_sections(DepthConfig, values.get("depth", {}))[0]),
             None if camera is None else cameras_of_table(path, camera).calibration(),

@@ -1,25 +1,24 @@
 """Writes a snapshot: all files of one frame, in a new folder."""
 
 import logging
-from collections.abc import Mapping
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import cv2
 
 from nurbseg.app.export.config import ExportConfig
-from nurbseg.app.export.exporter import Exporter, ExportError
+from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings
 from nurbseg.app.export.frame_files import png
 from nurbseg.app.result import FrameResult
 
 _log = logging.getLogger(__name__)
 
 
-def write_snapshot(result: FrameResult, settings: Mapping[str, Any], folder: Path) -> None:
+def write_snapshot(result: FrameResult, settings: RunSettings, folder: Path) -> None:
     """Write all files of a frame to a new folder, and log where, or why that failed.
 
-    These are color, depth, labels, objects, tree, surfaces and cloud. `settings` comes from `run_settings`.
+    These are color, depth, labels, objects, tree, surfaces and cloud.
     """
     frame = result.frame
     made = folder / f"snapshot-{datetime.now():%Y%m%d-%H%M%S}-frame{frame.index}"
@@ -27,7 +26,7 @@ def write_snapshot(result: FrameResult, settings: Mapping[str, Any], folder: Pat
         # Images are private.
         made.mkdir(mode=0o700)
         forms = ExportConfig(objects=True, preview=True, cloud="ply", graph=True)
-        exporter = Exporter(made, {**settings, "surfaces": True}, forms)
+        exporter = Exporter(made, replace(settings, surfaces=True), forms)
         exporter.write(result)
         images = {"color": cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR), "depth": frame.depth_mm}
         exporter.write_files({f"{frame.index:06d}_{name}.png": png(image) for name, image in images.items()})

@@ -11,7 +11,7 @@ import pytest
 
 from nurbseg.app.atomic_file import write_atomically
 from nurbseg.app.export.config import ExportConfig
-from nurbseg.app.export.exporter import Exporter, ExportError, run_settings
+from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings
 from nurbseg.app.export.surfaces import surfaces_npz
 from nurbseg.app.export.tree import tree_document
 from nurbseg.app.live.tracking import process_frame
@@ -30,11 +30,11 @@ def merged_result(request: pytest.FixtureRequest, small_result: FrameResult) -> 
     )
 
 
-SETTINGS = run_settings(SegmentationConfig(method="stag15"), surfaces=True)
+SETTINGS = RunSettings(SegmentationConfig(method="stag15"), surfaces=True)
 
 
 def exported(result: FrameResult, folder: Path, *, surfaces: bool = True) -> None:
-    Exporter(folder, {**SETTINGS, "surfaces": surfaces}).write(result)
+    Exporter(folder, replace(SETTINGS, surfaces=surfaces)).write(result)
 
 
 def test_files_are_named_by_the_frames_number(small_result: FrameResult, tmp_path: Path) -> None:
@@ -214,7 +214,7 @@ def test_the_surfaces_file_gives_the_measured_pixels_back(merged_result: FrameRe
 
 def test_the_settings_are_written_next_to_the_frames(small_result: FrameResult, tmp_path: Path) -> None:
     config = SegmentationConfig(metric="vgc", splits_max=7)
-    settings = run_settings(config, source="kitchen.mcap", temporal=True, target_fps=30.0)
+    settings = RunSettings(config, source="kitchen.mcap", temporal=True, target_fps=30.0)
     Exporter(tmp_path, settings).write(small_result)
     found = json.loads((tmp_path / "settings.json").read_text())
     assert (found["source"], found["temporal"], found["target_fps"]) == ("kitchen.mcap", True, 30.0)
@@ -226,10 +226,10 @@ def test_the_settings_are_written_next_to_the_frames(small_result: FrameResult, 
 def test_a_folder_takes_further_results_of_the_same_settings(
     small_result: FrameResult, tmp_path: Path
 ) -> None:
-    settings = run_settings(
+    settings = RunSettings(
         SegmentationConfig(),
         depth=DepthConfig(crop=(1, 2, 30, 40)),
-        calibration=small_result.frame.calibration,
+        camera=small_result.frame.calibration,
     )
     for _ in range(2):
         Exporter(tmp_path, settings, ExportConfig(force=True)).write(small_result)
@@ -237,15 +237,15 @@ def test_a_folder_takes_further_results_of_the_same_settings(
 
 def test_results_of_other_cameras_are_not_mixed(small_result: FrameResult, tmp_path: Path) -> None:
     calibration = small_result.frame.calibration
-    Exporter(tmp_path, run_settings(SegmentationConfig(), calibration=calibration))
+    Exporter(tmp_path, RunSettings(SegmentationConfig(), camera=calibration))
     other = Calibration.registered(replace(calibration.depth, fx=77.0))
     with pytest.raises(ExportError, match=r"camera\.depth\.fx is [\d.]+ there and 77\.0 now"):
-        Exporter(tmp_path, run_settings(SegmentationConfig(), calibration=other))
+        Exporter(tmp_path, RunSettings(SegmentationConfig(), camera=other))
 
 
 def test_results_of_other_settings_are_not_mixed(small_result: FrameResult, tmp_path: Path) -> None:
     exported(small_result, tmp_path)
-    other = run_settings(SegmentationConfig(method="stag15", ratio_max=0.5))
+    other = RunSettings(SegmentationConfig(method="stag15", ratio_max=0.5))
     with pytest.raises(
         ExportError, match=r"settings\.json: .* segmentation\.ratio_max is 1\.0 there and 0\.5 now; export to"
     ):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from nurbseg.app.export.config import ExportConfig
-from nurbseg.app.export.exporter import Exporter, run_settings
+from nurbseg.app.export.exporter import Exporter, RunSettings
 from nurbseg.app.export.object_table import COLUMNS, ObjectTable
 from nurbseg.app.live.tracking import process_frame
 from nurbseg.app.result import FrameResult
@@ -25,7 +25,7 @@ def result(small_result: FrameResult) -> FrameResult:
 
 
 def test_the_document_agrees_with_the_label_image_and_the_points(result: FrameResult, tmp_path: Path) -> None:
-    Exporter(tmp_path, run_settings(SegmentationConfig()), ExportConfig(objects=True)).write(result)
+    Exporter(tmp_path, RunSettings(SegmentationConfig()), ExportConfig(objects=True)).write(result)
     document = json.loads((tmp_path / "000000_objects.json").read_text())
     tree = json.loads((tmp_path / "000000_tree.json").read_text())
     assert (document["frame"], document["name"], document["timestamp_ns"]) == (0, "shelf", 7)

@@ -16,7 +16,7 @@ import pytest
 
 from nurbseg.app.evaluation.check.check import FolderCheck
 from nurbseg.app.evaluation.variants import path_named
-from nurbseg.app.export.exporter import Exporter, run_settings
+from nurbseg.app.export.exporter import Exporter, RunSettings
 from nurbseg.app.live.tracking import process_frame
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.registry import open_source
@@ -123,7 +123,7 @@ def exports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     with open_source(RECORDING) as source:
         frames = list(source)
     for name, config in CONFIGS.items():
-        exporter = Exporter(folder / name, run_settings(config, source=RECORDING, surfaces=True))
+        exporter = Exporter(folder / name, RunSettings(config, source=RECORDING, surfaces=True))
         for frame in [wall_behind_post()] if name == "things" else frames:
             result = process_frame(frame, config)
             # A second goes by before each cut.

@@ -19,7 +19,7 @@ from nurbseg.app.evaluation.check.check import FolderCheck
 from nurbseg.app.evaluation.check.reading import read_settings
 from nurbseg.app.evaluation.cli import main
 from nurbseg.app.export.config import ExportConfig
-from nurbseg.app.export.exporter import Exporter, run_settings
+from nurbseg.app.export.exporter import Exporter, RunSettings
 from nurbseg.app.live.tracking import Segmenter, process_frame
 from nurbseg.drivers.calibration.file import write_calibration
 from nurbseg.drivers.frame import Calibration, Intrinsics
@@ -58,7 +58,7 @@ def test_the_exports_hold_all_that_is_damaged_below(export):
 def test_nothing_is_found_in_files_that_are_named_as_in_their_source(tmp_path):
     recording = "synthetic:?width=160&height=120&frames=4"
     config = SegmentationConfig()
-    settings = run_settings(config, source=recording, temporal=True, surfaces=True)
+    settings = RunSettings(config, source=recording, temporal=True, surfaces=True)
     exporter = Exporter(tmp_path, settings, ExportConfig(names="source"))
     segmenter = Segmenter(config, every_surface=True)
     with open_source(recording) as source:
@@ -76,7 +76,7 @@ def test_nothing_is_found_in_a_real_frame_by_its_own_camera(real_data, tmp_path,
     camera = (525.0, 525.0, 319.5, 239.5)
     config = SegmentationConfig(method=method)
     with open_source(recording, SourceOptions(intrinsics=camera)) as source:
-        settings = run_settings(config, surfaces=True, calibration=source.calibration)
+        settings = RunSettings(config, surfaces=True, camera=source.calibration)
         Exporter(tmp_path, settings).write(process_frame(source.read(), config))
     words = ["check", os.fspath(tmp_path), "--frames", recording]
     assert main([*words, "--intrinsics", ",".join(map(str, camera))]) == 0
@@ -121,7 +121,7 @@ def test_a_camera_that_was_recorded_is_the_same_but_for_rounding(tmp_path):
     with open_source(str(recording)) as source:
         recorded = source.read()
     config = SegmentationConfig(splits_max=2)
-    settings = run_settings(config, surfaces=True, calibration=frame.calibration)
+    settings = RunSettings(config, surfaces=True, camera=frame.calibration)
     Exporter(tmp_path / "out", settings).write(process_frame(recorded, config))
     assert [str(each) for each in FolderCheck(tmp_path / "out", str(recording)).findings()] == []
 
@@ -756,7 +756,7 @@ def test_wrong_usage_ends_with_2(export, tmp_path, capsys):
 
 
 def test_values_cannot_be_recomputed_without_surfaces(small_result, tmp_path, capsys):
-    Exporter(tmp_path, run_settings(SegmentationConfig(method="stag15"))).write(small_result)
+    Exporter(tmp_path, RunSettings(SegmentationConfig(method="stag15"))).write(small_result)
     assert main(["check", os.fspath(tmp_path)]) == 0
     assert main(["check", os.fspath(tmp_path), "--frames", RECORDING]) == 2
     assert "--export-surfaces writes them" in capsys.readouterr().err
