@@ -20,22 +20,16 @@ _LINES = ("-", "--", ":", "-.")
 _MARKS = ("o", "s", "^")
 
 
-def _png_of(figure: Any) -> bytes:
-    from matplotlib import pyplot
+def _figure(width: float, height: float) -> Any:
+    from matplotlib.figure import Figure
 
+    return Figure(figsize=(width, height))
+
+
+def _png_of(figure: Any) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110, bbox_inches="tight")
-    pyplot.close(figure)
     return buffer.getvalue()
-
-
-def _plotter() -> Any:
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot
-
-    return pyplot
 
 
 def threshold_plot(results: StudyResults) -> bytes | None:
@@ -44,8 +38,8 @@ def threshold_plot(results: StudyResults) -> bytes | None:
     thresholds = sorted({each.config.ratio_max for each in trees})
     if len(thresholds) < 2:
         return None
-    pyplot = _plotter()
-    figure, axes = pyplot.subplots(1, len(SCORES), figsize=(4 * len(SCORES), 3.4))
+    figure = _figure(4 * len(SCORES), 3.4)
+    axes = figure.subplots(1, len(SCORES))
     lines = dict.fromkeys((each.method, each.config.metric) for each in trees)
     for axis, (score, (heading, _)) in zip(axes, SCORES.items(), strict=True):
         for method, metric in lines:
@@ -73,8 +67,8 @@ def category_plot(results: StudyResults) -> bytes | None:
     shown = results.leaders()
     if len(categories) < 2:
         return None
-    pyplot = _plotter()
-    figure, axis = pyplot.subplots(figsize=(max(6.0, 2.2 * len(categories)), 3.6))
+    figure = _figure(max(6.0, 2.2 * len(categories)), 3.6)
+    axis = figure.subplots()
     step = 0.8 / len(shown)
     for place, variant in enumerate(shown):
         found = [results.estimate(variant, "gtrc", each) for each in categories]
@@ -95,8 +89,8 @@ def time_plot(results: StudyResults, seconds: Mapping[str, float]) -> bytes | No
         return None
     from matplotlib import ticker
 
-    pyplot = _plotter()
-    figure, axis = pyplot.subplots(figsize=(6.5, 4))
+    figure = _figure(6.5, 4)
+    axis = figure.subplots()
     named = {each.name for each in results.leaders()}
     for variant in timed:
         at = 1000 * seconds[variant.name], results.mean(variant, "gtrc")
@@ -134,12 +128,12 @@ def tree_plot(segments: Sequence[Mapping[str, Any]]) -> bytes:
 
     Each segment has a ``name`` ("" for the root) and ``stop``.
     """
-    pyplot = _plotter()
     names = {each["name"] for each in segments}
     children = {name: (f"{name}0", f"{name}1") for name in names if f"{name}0" in names}
     x = {name: place for name, (place, _) in tree_positions(children, "").items()}
     leaves, deepest = len(names) - len(children), max(map(len, names))
-    figure, axis = pyplot.subplots(figsize=(max(4.0, 0.62 * leaves), 0.7 * (deepest + 1.4)))
+    figure = _figure(max(4.0, 0.62 * leaves), 0.7 * (deepest + 1.4))
+    axis = figure.subplots()
     for each in segments:
         name = each["name"]
         if name:
