@@ -26,6 +26,8 @@ from nurbseg.drivers.process.child import ChildProcess, how_it_ended
 from nurbseg.drivers.settings import setting_paths
 from nurbseg.segmentation.config import SegmentationConfig
 
+_package_log = logging.getLogger("nurbseg")
+
 #: Frames that may wait to be sent when every one is saved.
 _WAITING = 2
 #: Time limit for the start of the process, which imports Rerun first, seconds.
@@ -57,8 +59,8 @@ class IsolatedView(View):
     process is behind; otherwise the oldest queued frame is dropped.
 
     `process` comes from `begin_view` and ends with this view. The recording is called `name` and contains the
-    settings of the segmentation and the device's metadata; messages of `logger` are shown, too. Raises
-    ViewError if the file cannot be created, a port is in use, or the viewer cannot be started.
+    settings of the segmentation and the device's metadata; the package's log is shown, too. Raises ViewError
+    if the file cannot be created, a port is in use, or the viewer cannot be started.
     """
 
     shows = True
@@ -70,14 +72,12 @@ class IsolatedView(View):
         segmentation: SegmentationConfig,
         metadata: Mapping[str, str],
         name: str,
-        logger: logging.Logger,
     ) -> None:
         super().__init__()
         self.connections = 0
         self._process = process
         self._config = config
         self.metric = segmentation.metric
-        self._logger = logger
         self._channel = process.connect(CODEC)
         # Every frame is saved, but only the newest is shown.
         self._queue: BoundedQueue[partial[ViewFrame] | Line] = (
@@ -102,7 +102,7 @@ class IsolatedView(View):
         self._thread = threading.Thread(target=self._run, name="view", daemon=True)
         self._thread.start()
         self._handler = _LogHandler(self)
-        logger.addHandler(self._handler)
+        _package_log.addHandler(self._handler)
 
     @property
     def dropped(self) -> int:
@@ -165,7 +165,7 @@ class IsolatedView(View):
         if self._closed:
             return
         self._closed = True
-        self._logger.removeHandler(self._handler)
+        _package_log.removeHandler(self._handler)
         self._file_limit_s = file_limit_s
         self._queue.close()
         with self._changed:
@@ -212,7 +212,7 @@ class IsolatedView(View):
 
     def _open(self, segmentation: SegmentationConfig, metadata: Mapping[str, str], name: str) -> None:
         properties = _properties(self._config, segmentation, metadata)
-        level = logging.getLogger("nurbseg").getEffectiveLevel()
+        level = _package_log.getEffectiveLevel()
         deadline_s = time.monotonic() + _OPEN_S
         try:
             self._channel.send(Open(self._config, segmentation, properties, name, level))

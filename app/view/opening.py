@@ -1,6 +1,5 @@
 """Opens the view that a configuration asks for, and starts its process early."""
 
-import logging
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -50,13 +49,12 @@ def open_view(
     metadata: Mapping[str, str] | None = None,
     *,
     name: str = "nurbseg",
-    logger: logging.Logger | None = None,
     process: ChildProcess | None = None,
 ) -> View:
     """Open the view that a configuration asks for, in `process` if `begin_view` already started it.
 
-    `metadata` describes the device. Messages of `logger`, by default the package's, are shown, too. Raises
-    ViewError if the file cannot be created, a port is in use, or the viewer cannot be started.
+    `metadata` describes the device. The package's log is shown, too. Raises ViewError if the file cannot be
+    created, a port is in use, or the viewer cannot be started.
     """
     process = process or begin_view(config)
     if process is None:
@@ -64,6 +62,4 @@ def open_view(
     # Late: most drawing code is compiled, and a run without a view needs none of it.
     from nurbseg.app.view.isolated import IsolatedView
 
-    return IsolatedView(
-        process, config, segmentation, metadata or {}, name, logger or logging.getLogger("nurbseg")
-    )
+    return IsolatedView(process, config, segmentation, metadata or {}, name)

@@ -56,9 +56,7 @@ def saved(results: list[FrameResult], tmp_path_factory: pytest.TempPathFactory) 
     config = ViewConfig(mode="none", save=str(path), points_max=2000)
     logger = logging.getLogger("nurbseg.test_view")
     logger.setLevel(logging.INFO)
-    with open_view(
-        config, CONFIG, {"name": "a camera", "serial": "B0042", "seed": "0"}, logger=logger
-    ) as view:
+    with open_view(config, CONFIG, {"name": "a camera", "serial": "B0042", "seed": "0"}) as view:
         for result in results:
             view.show(result)
             logger.info("frame %d is shown", result.frame.index)
