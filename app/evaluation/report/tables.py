@@ -12,9 +12,8 @@ def score_rows(results: StudyResults, score: str) -> list[list[str]]:
     """Return the table of a score: categories, mean and interval; the best of a column in ``*``."""
     categories = results.categories()
     columns: list[str | None] = [*categories, None] if len(categories) > 1 else [None]
-    heading = ["variant", *("mean" if each is None else each for each in columns), "95 % interval"]
+    rows = [["variant", *("mean" if each is None else each for each in columns), "95 % interval"]]
     best = {each: results.best(score, each) for each in columns}
-    rows = [heading]
     for variant in results.variants:
         row = [variant.name]
         for each in columns:
@@ -29,20 +28,10 @@ def detail_rows(results: StudyResults, seconds: Mapping[str, float]) -> list[lis
     """Return a table of segments, over- and under-segmentation, boundaries and time."""
     rows = [["variant", "segments", "of", "over", "under", "precision", "recall", "ms/frame"]]
     for variant in results.variants:
-        means = [
-            results.mean(variant, score)
-            for score in ("segments", "regions", "over", "under", "precision", "recall")
-        ]
-        time = seconds.get(variant.name)
-        rows.append(
-            [
-                variant.name,
-                f"{means[0]:.1f}",
-                f"{means[1]:.1f}",
-                *(digits(mean) for mean in means[2:]),
-                "" if time is None else f"{1000 * time:.0f}",
-            ]
-        )
+        counts = (f"{results.mean(variant, score):.1f}" for score in ("segments", "regions"))
+        shares = (digits(results.mean(variant, score)) for score in ("over", "under", "precision", "recall"))
+        time = f"{1000 * seconds[variant.name]:.0f}" if variant.name in seconds else ""
+        rows.append([variant.name, *counts, *shares, time])
     return rows
 
 
