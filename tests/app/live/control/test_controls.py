@@ -186,7 +186,8 @@ def test_seeking_is_refused_where_frames_must_come_in_order(
         recorder = Recorder(RecordConfig(file=str(tmp_path / "a.mcap")), source)
         with recorder:
             Controls(SegmentationConfig(), CaptureThread(source), recorder, source).apply("seek 3")
-    assert [each.split(";")[0] for each in caplog.messages] == [
+            said = [each.split(";")[0] for each in caplog.messages]
+    assert said == [
         "seek: a camera cannot seek",
         "seek: exporting needs the frames in order",
         "seek: recording needs the frames in order",
