@@ -86,7 +86,7 @@ def test_nothing_is_found_in_a_real_frame_by_its_own_camera(real_data, tmp_path,
     assert finding.startswith("settings.json: camera: expected that of the recording")
     assert "depth.fx is 525.0 there and 600.0 now, depth.fy is 525.0 there and 600.0 now, color.fx" in finding
     # An earlier version did not name the camera: seen by another one, these are other points.
-    (tmp_path / "settings.json").write_text(json.dumps(settings | {"camera": None}))
+    (tmp_path / "settings.json").write_text(json.dumps(replace(settings, camera=None).document()))
     assert main([*words, "--intrinsics", "600,600,319.5,239.5"]) == 1
     assert "_tree.json" in capsys.readouterr().out
 
