@@ -40,10 +40,7 @@ def main(words: Sequence[str] | None = None) -> int:
     found = []
     for file in given.files:
         try:
-            if given.command == "check":
-                inspection = _checked(file, as_text=not given.json)
-            else:
-                inspection = _repaired(file, given.out, force=given.force, as_text=not given.json)
+            inspection = _inspected(given, file)
         except DriverError as err:
             print(f"nurbseg-record: error: {err}", file=sys.stderr)
             worst = UNREADABLE
@@ -68,27 +65,22 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _checked(file: Path, *, as_text: bool) -> Inspection:
-    from nurbseg.app.recording.inspection import inspect
-
-    found = inspect(file)
-    if as_text:
-        print(_text(found))
-        if not found.whole:
-            print(f"  to repair it: nurbseg-record repair {shlex.quote(str(file))}")
-    return found
-
-
-def _repaired(file: Path, out: Path | None, *, force: bool, as_text: bool) -> Inspection:
+def _inspected(given: argparse.Namespace, file: Path) -> Inspection:
+    """Inspect a file, or its repaired copy."""
     from nurbseg.app.recording.inspection import inspect
     from nurbseg.app.recording.repair import repair
 
-    output = out or file.with_stem(f"{file.stem}-repaired")
-    left_out = repair(file, output, force=force)
-    found = inspect(output)
-    found.remarks += left_out
-    if as_text:
+    if given.command == "check":
+        found = inspect(file)
+    else:
+        output = given.out or file.with_stem(f"{file.stem}-repaired")
+        left_out = repair(file, output, force=given.force)
+        found = inspect(output)
+        found.remarks += left_out
+    if not given.json:
         print(_text(found))
+        if given.command == "check" and not found.whole:
+            print(f"  to repair it: nurbseg-record repair {shlex.quote(str(file))}")
     return found
 
 
