@@ -1,7 +1,5 @@
 """A thread that reads frames from the source and queues them."""
 
-from __future__ import annotations
-
 import logging
 import queue
 import statistics
@@ -11,16 +9,14 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
+from nurbseg.app.recording.recording import Recording
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.process.bounded_queue import BoundedQueue
 from nurbseg.drivers.source import FrameSource, Paced
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
-
-if TYPE_CHECKING:
-    from nurbseg.app.recording.recording import Recording
 
 _log = logging.getLogger(__name__)
 
