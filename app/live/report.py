@@ -1,7 +1,5 @@
 """The report of a run: numbers of frames, times and memory."""
 
-from __future__ import annotations
-
 import resource
 import time
 from array import array
@@ -177,7 +175,7 @@ class RunReport:
             Path(self._config.export.report).unlink(missing_ok=True)
 
 
-def _percentiles(values: array[float]) -> dict[str, float]:
+def _percentiles(values: Sequence[float]) -> dict[str, float]:
     levels = (50, 95, 99.9)
     found = np.percentile(np.asarray(values), levels)
     named = {f"p{level:g}": round(float(value), 3) for level, value in zip(levels, found, strict=True)}
