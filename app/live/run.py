@@ -13,10 +13,10 @@ import cv2
 
 from nurbseg.app.config import AppConfig
 from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings, check_libraries
-from nurbseg.app.live.capture import Captured, CaptureThread
+from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.console import open_status_line
 from nurbseg.app.live.control.controls import Controls
-from nurbseg.app.live.control.feed import captured_frames, controlled_frames, wait_for_quit
+from nurbseg.app.live.control.feed import Feed, wait_for_quit
 from nurbseg.app.live.control.snapshot import write_snapshot
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.latency_filter import LatencyFilter
@@ -36,7 +36,6 @@ from nurbseg.app.workers import process_count
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.files import check_absent
 from nurbseg.drivers.process.child import ChildProcess
-from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 
 _log = logging.getLogger(__name__)
@@ -84,9 +83,8 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 _check_workers(config, opened)
                 camera = opened.source.calibration.depth
                 config.depth.check_crop(camera.width, camera.height)
-                exporter = None
+                settings, exporter = _settings(config, opened), None
                 if config.export.directory is not None:
-                    settings = _settings(config, config.segmentation, opened)
                     exporter = Exporter(Path(config.export.directory), settings, config.export)
                 recorder = report.recorder = Recorder(
                     config.record, opened.camera, name=record_name, lossless=opened.every_frame
@@ -113,13 +111,11 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 reading.enter_context(capture)
                 line = reading.enter_context(open_status_line(config.live.control))
                 reading.callback(interruption.hold)
-                progress = Progress(capture, line, Path(opened.uri).name)
+                feed = Feed(capture, Progress(capture, line, Path(opened.uri).name), interruption)
                 if config.record.only:
-                    _only_record(capture, report, progress, interruption)
+                    _only_record(feed, report)
                 else:
-                    _segment(
-                        config, opened, capture, recorder, exporter, view, report, progress, interruption
-                    )
+                    _segment(config, settings, opened, feed, recorder, exporter, view, report)
             if report.segmented + report.recorded_only == 0 and not report.quit:
                 raise NoFramesError(f"{opened.uri}: no frame could be read ({capture.damaged} damaged)")
         if view.serving and not report.quit:
@@ -192,11 +188,6 @@ def _begin_warm_up(config: AppConfig) -> WarmUp | None:
     return WarmUp(config.segmentation, temporal=config.live.follows(every_frame=False))
 
 
-def _target_hz(config: AppConfig, opened: OpenedSource) -> float:
-    """Return the frame rate to maintain; 0 if every frame is segmented."""
-    return 0.0 if opened.every_frame else config.live.target_fps
-
-
 def _check_workers(config: AppConfig, opened: OpenedSource) -> None:
     if config.source.workers == 1:
         return
@@ -208,12 +199,12 @@ def _check_workers(config: AppConfig, opened: OpenedSource) -> None:
         )
 
 
-def _settings(config: AppConfig, segmentation: SegmentationConfig, opened: OpenedSource) -> RunSettings:
+def _settings(config: AppConfig, opened: OpenedSource) -> RunSettings:
     return RunSettings(
-        segmentation,
+        config.segmentation,
         source=opened.uri,
         temporal=config.live.follows(every_frame=opened.every_frame),
-        target_fps=_target_hz(config, opened),
+        target_fps=0.0 if opened.every_frame else config.live.target_fps,
         surfaces=config.export.surfaces,
         depth=config.depth,
         camera=opened.source.calibration,
@@ -234,33 +225,31 @@ def _open_view(config: AppConfig, opened: OpenedSource, process: ChildProcess | 
 
 def _segment(
     config: AppConfig,
+    settings: RunSettings,
     opened: OpenedSource,
-    capture: CaptureThread,
+    feed: Feed,
     recorder: Recorder,
     exporter: Exporter | None,
     view: View,
     report: RunReport,
-    progress: Progress,
-    interruption: Interruption,
 ) -> None:
     """Segment frames and pass the results on until the source ends."""
     # A thread of OpenCV's pool waits longer for a core than its share of a small image takes.
     cv2.setNumThreads(1)
     if (count := process_count(config.source.workers)) > 1:
-        all_frames = (each for each in captured_frames(capture, progress, interruption) if each is not None)
-        _segment_in_parallel(config, all_frames, count, exporter, view, report, progress)
+        _segment_in_parallel(config, feed, count, exporter, view, report)
         return
     exports: list[Consumer] = [] if exporter is None else [("export", exporter.write)]
-    segmenter = _segmenter(config, config.segmentation, opened, every_surface=bool(exports))
+    segmenter = _segmenter(settings, every_surface=bool(exports))
     latency_filter = LatencyFilter(0.0 if opened.every_frame else config.live.age_max_ms)
     controls = Controls(
         config.segmentation,
-        capture,
+        feed.capture,
         recorder,
         opened.looped,
         fixed="" if exporter is None else "an export holds results of one run's settings only",
     )
-    frames = controlled_frames(config.live.control, controls, capture, progress, interruption)
+    frames = feed.controlled(config.live.control, controls)
     view.every_table = opened.every_frame
     jumps = 0
     with closing(frames):
@@ -269,10 +258,11 @@ def _segment(
                 jumps = captured.jumps
                 segmenter.restart("a jump to another frame")
             if controls.config is not segmenter.config:
-                segmenter = _segmenter(config, controls.config, opened, every_surface=bool(exports))
+                settings = replace(settings, config=controls.config)
+                segmenter = _segmenter(settings, every_surface=bool(exports))
                 view.metric = controls.config.metric
             waited_ms = 1e3 * (time.monotonic() - captured.arrived_s)
-            result = segmenter.process(captured.frame, source_hz=capture.source_hz, waited_ms=waited_ms)
+            result = segmenter.process(captured.frame, source_hz=feed.capture.source_hz, waited_ms=waited_ms)
             latency_ms = 1e3 * (time.monotonic() - captured.arrived_s)
             elapsed_ms = {"wait": waited_ms, **result.elapsed_ms, "capture_to_labels": latency_ms}
             result = replace(result, elapsed_ms=MappingProxyType(elapsed_ms))
@@ -286,12 +276,12 @@ def _segment(
                 elapsed_ms[stage] = 1e3 * (time.perf_counter() - started_s)
             if controls.snapshot:
                 controls.snapshot = False
-                write_snapshot(result, _settings(config, controls.config, opened), Path.cwd())
+                write_snapshot(result, settings, Path.cwd())
             report.late = latency_filter.held_back
             report.add(elapsed_ms, result.events, result.update)
             tree = result.tree
             leaves, objects = len(tree.leaves()), len(tree.objects)
-            progress.segmented(
+            feed.progress.segmented(
                 result.frame, leaves, elapsed_ms, objects=objects, late=latency_filter.held_back
             )
             if report.segmented == _SETTLED_FRAMES:
@@ -300,27 +290,25 @@ def _segment(
     report.quit = controls.ended
 
 
-def _segmenter(
-    config: AppConfig, segmentation: SegmentationConfig, opened: OpenedSource, *, every_surface: bool
-) -> Segmenter:
+def _segmenter(settings: RunSettings, *, every_surface: bool) -> Segmenter:
     return Segmenter(
-        segmentation,
-        temporal=config.live.follows(every_frame=opened.every_frame),
-        target_hz=_target_hz(config, opened),
+        settings.config,
+        temporal=settings.temporal,
+        target_hz=settings.target_fps,
         every_surface=every_surface,
     )
 
 
 def _segment_in_parallel(
     config: AppConfig,
-    frames: Iterator[Captured],
+    feed: Feed,
     count: int,
     exporter: Exporter | None,
     view: View,
     report: RunReport,
-    progress: Progress,
 ) -> None:
     """Segment frames in several processes and pass the results on until the source ends."""
+    frames = (each for each in feed.captured() if each is not None)
     export = None if exporter is None else exporter.export
     results = segment_in_parallel(frames, config.segmentation, count=count, export=export, whole=view.shows)
     with closing(results):
@@ -333,16 +321,15 @@ def _segment_in_parallel(
             if segmented.result is not None:
                 view.show(replace(segmented.result, elapsed_ms=MappingProxyType(elapsed_ms)))
             report.add(elapsed_ms)
-            progress.segmented(captured.frame, segmented.leaves, elapsed_ms)
+            feed.progress.segmented(captured.frame, segmented.leaves, elapsed_ms)
 
 
-def _only_record(
-    capture: CaptureThread, report: RunReport, progress: Progress, interruption: Interruption
-) -> None:
+def _only_record(feed: Feed, report: RunReport) -> None:
     """Take frames, which the capture thread records, until the source or the recording ends."""
-    for captured in captured_frames(capture, progress, interruption):
+    for captured in feed.captured():
         if captured is not None:
             report.recorded_only += 1
-            progress.recorded()
-        if capture.recording is None or capture.recording.ended:
+            feed.progress.recorded()
+        recording = feed.capture.recording
+        if recording is None or recording.ended:
             return

@@ -4,7 +4,7 @@ import logging
 import time
 from collections.abc import Generator, Iterator
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from nurbseg.app.live.capture import PAUSE_LOOK_S, Captured, CaptureThread
 from nurbseg.app.live.control.console import Control, open_console
@@ -18,63 +18,59 @@ _log = logging.getLogger(__name__)
 _TAKE_TIMEOUT_S = 0.5
 
 
-def controlled_frames(
-    control: Control,
-    controls: Controls,
-    capture: CaptureThread,
-    progress: Progress,
-    interruption: Interruption,
-) -> Generator[Captured, None, None]:
-    """Yield frames, and the last one again if settings change during a pause; a snapshot precedes the end."""
-    last: Captured | None = None
-    segmented_by = controls.config
-    with open_console(control) or nullcontext() as console:
-        if console is not None and control == "auto":
-            _log.info("h lists the keys, q quits")
-        for captured in captured_frames(capture, progress, interruption, controls):
-            while console is not None and (command := console.take()) is not None:
-                controls.apply(command)
-            controls.recorder.log_finished()
-            if controls.ended and not controls.snapshot:
-                return
-            if captured is None and last is not None and (controls.paused or controls.ended):
-                wanted = controls.snapshot or segmented_by is not controls.config
-                captured = replace(last, arrived_s=time.monotonic()) if wanted else None
-            if captured is None:
+@dataclass(frozen=True, slots=True)
+class Feed:
+    """The frames of a run; taking them reports the progress, and ends if the run was interrupted."""
+
+    capture: CaptureThread
+    progress: Progress
+    interruption: Interruption
+
+    def controlled(self, control: Control, controls: Controls) -> Generator[Captured, None, None]:
+        """Yield frames, and the last one again if settings change in a pause; a snapshot precedes the end."""
+        last: Captured | None = None
+        segmented_by = controls.config
+        with open_console(control) or nullcontext() as console:
+            if console is not None and control == "auto":
+                _log.info("h lists the keys, q quits")
+            for captured in self.captured(controls):
+                while console is not None and (command := console.take()) is not None:
+                    controls.apply(command)
+                controls.recorder.log_finished()
+                if controls.ended and not controls.snapshot:
+                    return
+                if captured is None and last is not None and (controls.paused or controls.ended):
+                    wanted = controls.snapshot or segmented_by is not controls.config
+                    captured = replace(last, arrived_s=time.monotonic()) if wanted else None
+                if captured is None:
+                    continue
+                last, segmented_by = captured, controls.config
+                controls.position = captured.frame.index
+                yield last
+
+    def captured(self, controls: Controls | None = None) -> Iterator[Captured | None]:
+        """Yield frames until the source ends, and None from time to time if there is none or in a pause."""
+        while True:
+            self.interruption.check()
+            self.progress.draw(paused=controls is not None and controls.paused)
+            if controls is not None and controls.paused and not controls.steps:
+                time.sleep(PAUSE_LOOK_S)
+                yield None
                 continue
-            last, segmented_by = captured, controls.config
-            controls.position = captured.frame.index
-            yield last
-
-
-def captured_frames(
-    capture: CaptureThread,
-    progress: Progress,
-    interruption: Interruption,
-    controls: Controls | None = None,
-) -> Iterator[Captured | None]:
-    """Yield frames until the source ends, and None from time to time if there is none or during a pause."""
-    while True:
-        interruption.check()
-        progress.draw(paused=controls is not None and controls.paused)
-        if controls is not None and controls.paused and not controls.steps:
-            time.sleep(PAUSE_LOOK_S)
-            yield None
-            continue
-        try:
-            captured = capture.frames.take(_TAKE_TIMEOUT_S)
-        except TimeoutError:
-            progress.waiting()
-            yield None
-            continue
-        if captured is None:
-            return
-        if captured.jumps != capture.jumps:
-            # It was queued before a seek.
-            continue
-        if controls is not None and controls.steps:
-            controls.steps -= 1
-        yield captured
+            try:
+                captured = self.capture.frames.take(_TAKE_TIMEOUT_S)
+            except TimeoutError:
+                self.progress.waiting()
+                yield None
+                continue
+            if captured is None:
+                return
+            if captured.jumps != self.capture.jumps:
+                # It was queued before a seek.
+                continue
+            if controls is not None and controls.steps:
+                controls.steps -= 1
+            yield captured
 
 
 def wait_for_quit(control: Control, interruption: Interruption) -> None:
