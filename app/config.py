@@ -4,6 +4,7 @@ A section's fields are its keys in the configuration file and its flags on the c
 a new field; a new section is a new dataclass and a new field of `AppConfig`.
 """
 
+import logging
 import math
 from collections.abc import Collection
 from dataclasses import Field, dataclass, field
@@ -18,6 +19,8 @@ from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.options import ASSOCIATION_LIMIT_S
 from nurbseg.drivers.settings import Settings, setting, subsections
 from nurbseg.segmentation.config import DepthConfig, SegmentationConfig
+
+_log = logging.getLogger("nurbseg.config")
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,12 +144,10 @@ def flags(each: Field[Any]) -> list[str]:
     return [f"--{name}" for name in names]
 
 
-def unread_settings(paths: Collection[str], methods: Collection[str]) -> str:
-    """Say which settings of the segmentation none of the methods reads, or return ""."""
-    said = []
+def warn_of_unread(paths: Collection[str], methods: Collection[str]) -> None:
+    """Warn of settings of the segmentation, by path, that none of the methods reads."""
     for section, readers in (("stag15", ("stag15", "pz14")), ("extended", ("nurbseg",))):
         names = [path.rpartition(".")[2] for path in paths if path.startswith(f"{section}.")]
         if names and not set(readers) & set(methods):
-            chosen = ", ".join(methods)
-            said.append(f"{', '.join(names)}: no effect with {chosen}, only with the method {readers[0]}")
-    return "; ".join(said)
+            unread, chosen = ", ".join(names), ", ".join(methods)
+            _log.warning("%s: no effect with %s, only with the method %s", unread, chosen, readers[0])

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 from nurbseg.app.command.arguments import add_flag
 from nurbseg.app.command.threads import one_thread_for_products
+from nurbseg.app.config import warn_of_unread
 from nurbseg.app.export.config import ExportConfig, export_forms
 from nurbseg.app.parser import add_calibration_flags, add_setting_flags, command_parser
-from nurbseg.drivers.settings import value_kinds
+from nurbseg.drivers.settings import changed_paths, value_kinds
 
 if TYPE_CHECKING:
     from nurbseg.app.batch.batch import Recording
@@ -72,11 +73,11 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def _run(given: argparse.Namespace) -> int:
-    from nurbseg.app.evaluation.arguments import base_config, source_options, warn_of_unread
+    from nurbseg.app.evaluation.arguments import base_config, source_options
     from nurbseg.app.workers import open_workers, process_count
 
     config, options = base_config(given), source_options(given)
-    warn_of_unread(config, [config.method])
+    warn_of_unread(changed_paths(config), [config.method])
     count = process_count("auto" if given.workers == "auto" else _number(given.workers))
     began_s = time.monotonic()
     # Processes import the segmentation, which takes half a second, while this one looks at the recordings.

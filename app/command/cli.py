@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 from nurbseg.app.command.arguments import Arguments, parse_arguments
 from nurbseg.app.command.threads import one_thread_for_products
-from nurbseg.app.config import unread_settings
+from nurbseg.app.config import warn_of_unread
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.drivers.settings import changed_paths
 
@@ -73,8 +73,7 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
     if config.depth.smoothing == "bilateral" or config.depth.average_frames > 1:
         # Both allow for the sensor's noise.
         unread.discard("extended.inverse_depth_noise")
-    if said := unread_settings(sorted(unread), [config.segmentation.method]):
-        _log.warning("%s", said)
+    warn_of_unread(sorted(unread), [config.segmentation.method])
     # A user at a terminal who writes no files wants to see something.
     somebody_waits = sys.stderr.isatty() and config.view.save is None and config.export.directory is None
     view = replace(config.view, save=config.view.save and dated(config.view.save))

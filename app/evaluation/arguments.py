@@ -2,11 +2,10 @@
 
 import argparse
 import logging
-from collections.abc import Collection
 from typing import Any
 
 from nurbseg.app.command.config_file import read_config
-from nurbseg.app.config import AppConfig, unread_settings
+from nurbseg.app.config import AppConfig
 from nurbseg.app.evaluation.variants import path_named, setting_value
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.settings import changed_paths, nested, updated
@@ -49,9 +48,3 @@ def base_config(given: argparse.Namespace) -> SegmentationConfig:
         chosen[path_named(name)] = setting_value(name, value)
     result: SegmentationConfig = updated(config, **nested(chosen))
     return result
-
-
-def warn_of_unread(config: SegmentationConfig, methods: Collection[str], grid: Collection[str] = ()) -> None:
-    """Warn of settings that were changed, or are varied, although none of the methods reads them."""
-    if said := unread_settings([*changed_paths(config), *grid], methods):
-        _log.warning("%s", said)

@@ -14,8 +14,8 @@ from typing import get_args
 from nurbseg.app.atomic_file import write_atomically, write_json
 from nurbseg.app.command.config_file import format_config, read_config
 from nurbseg.app.computer import versions_line
-from nurbseg.app.config import AppConfig
-from nurbseg.app.evaluation.arguments import base_config, source_options, warn_of_unread
+from nurbseg.app.config import AppConfig, warn_of_unread
+from nurbseg.app.evaluation.arguments import base_config, source_options
 from nurbseg.app.evaluation.check.check import FolderCheck
 from nurbseg.app.evaluation.methods.methods import check_method
 from nurbseg.app.evaluation.report.findings import findings, means_of, verdict
@@ -28,6 +28,7 @@ from nurbseg.app.evaluation.study import Study, frame_refs, read_frame, run_stud
 from nurbseg.app.evaluation.tuning import searched_settings, tune
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, grid_of, variants_of
 from nurbseg.drivers.errors import FrameFormatError
+from nurbseg.drivers.settings import changed_paths
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.points.registration import PointMap, register
 from nurbseg.segmentation.surfaces.noise import measure_noise
@@ -64,7 +65,7 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
     except ValueError:
         raise ValueError(f"--thresholds {given.thresholds}: expected numbers, separated by commas") from None
     base, grid = base_config(given), grid_of(given.grid)
-    warn_of_unread(base, methods, grid)
+    warn_of_unread([*changed_paths(base), *grid], methods)
     study = replace(
         study,
         variants=variants_of(
@@ -132,7 +133,7 @@ def search(given: argparse.Namespace, study: Study) -> None:
     config = base_config(given)
     if given.method is not None:
         config = replace(config, method=given.method)
-    warn_of_unread(config, [config.method])
+    warn_of_unread(changed_paths(config), [config.method])
     if not given.out.parent.is_dir():
         raise ValueError(f"--out {given.out}: no such folder")
     try:
