@@ -51,8 +51,11 @@ def run(
     longest_s = 0.0
     try:
         if viewer is not None:
-            if not isinstance(view, IsolatedView) or not view.wait_connected(30.0):
-                raise SystemExit("the viewer was not connected to")
+            deadline_s = time.monotonic() + 30.0
+            while not isinstance(view, IsolatedView) or not view.connections:
+                if time.monotonic() > deadline_s:
+                    raise SystemExit("the viewer was not connected to")
+                time.sleep(0.05)
             viewer.send_signal(signal.SIGSTOP)
         began_s = time.perf_counter()
         for frame in frames:

@@ -74,6 +74,7 @@ class IsolatedView(View):
         name: str,
     ) -> None:
         super().__init__()
+        #: Number of connections to a viewer so far.
         self.connections = 0
         self._process = process
         self._config = config
@@ -112,13 +113,6 @@ class IsolatedView(View):
     def peak_memory_mb(self) -> float:
         """Return the peak resident memory of the process, 10^6 bytes; 0 if unknown."""
         return self._process.peak_memory_mb()
-
-    def wait_connected(self, timeout_s: float) -> bool:
-        """Wait for a viewer that accepts frames; return whether there is one within `timeout_s` seconds."""
-        with self._changed:
-            return self._changed.wait_for(lambda: self.connections > 0 or self._over, timeout_s) and (
-                self.connections > 0
-            )
 
     def show(self, result: FrameResult) -> None:
         """Show and save a frame; a slow viewer gets only the newest one, the file gets every one.

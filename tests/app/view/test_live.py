@@ -97,7 +97,7 @@ def test_a_viewer_gets_frames_and_log_on_its_own_connection(tmp_path: Path, resu
     port, received = free_port(LOCAL), tmp_path / "received.rrd"
     with stand_in(port, save=received) as viewer:
         view = connected(port)
-        assert view.wait_connected(60.0)
+        wait_until(lambda: view.connections > 0, "a viewer takes frames")
         logging.getLogger("nurbseg").warning("look here")
         for index in range(5):
             view.show(numbered(result, index))
@@ -119,7 +119,7 @@ def test_a_frozen_viewer_delays_neither_the_frames_nor_the_file(
     port, path = free_port(LOCAL), tmp_path / "all.rrd"
     with stand_in(port) as viewer:
         view = connected(port, save=str(path))
-        assert view.wait_connected(60.0)
+        wait_until(lambda: view.connections > 0, "a viewer takes frames")
         viewer.suspend()
         longest_s = show_all(view, result)
         assert longest_s < 1.0
@@ -136,7 +136,7 @@ def test_a_viewer_that_thaws_is_shown_to_again(result: FrameResult, caplog: pyte
     port = free_port(LOCAL)
     with stand_in(port) as viewer:
         view = connected(port)
-        assert view.wait_connected(60.0)
+        wait_until(lambda: view.connections > 0, "a viewer takes frames")
         viewer.suspend()
         wait_until(
             lambda: (view.show(result), "is not responding" in caplog.text)[1],
@@ -208,7 +208,7 @@ def test_a_viewer_that_comes_late_is_shown_to(result: FrameResult) -> None:
     view = connected(port)
     view.show(result)
     with stand_in(port):
-        assert view.wait_connected(60.0)
+        wait_until(lambda: view.connections > 0, "a viewer takes frames")
         close_in_time(view)
 
 
@@ -218,7 +218,7 @@ def test_a_killed_viewer_is_noticed_once_and_shown_to_when_it_comes_back(
     port, path, received = free_port(LOCAL), tmp_path / "all.rrd", tmp_path / "received.rrd"
     with stand_in(port):
         view = connected(port, save=str(path))
-        assert view.wait_connected(60.0)
+        wait_until(lambda: view.connections > 0, "a viewer takes frames")
         view.show(numbered(result, 0))
     wait_until(lambda: "is gone" in caplog.text, "the loss is said")
     for index in range(1, 50):
@@ -243,11 +243,12 @@ _SHOWS_AND_ENDS = """
     from nurbseg.app.view.opening import open_view
     from nurbseg.app.view.config import ViewConfig
     from tests.fakes.small_scene import CONFIG, small_result
+    from tests.fakes.waiting import wait_until
 
     result = small_result()
     config = ViewConfig(mode="connect", connect=sys.argv[1], save=sys.argv[2], mesh_step_px=20)
     view = open_view(config, CONFIG)
-    view.wait_connected(60.0)
+    wait_until(lambda: view.connections > 0, "a viewer takes frames")
     print("connected", flush=True)
     sys.stdin.readline()
     try:
@@ -298,7 +299,7 @@ def test_a_served_page_listens_on_this_computer_only_and_ends_with_the_view(resu
     view = open_view(config, CONFIG)
     assert isinstance(view, IsolatedView)
     try:
-        assert view.wait_connected(60.0)
+        wait_until(lambda: view.connections > 0, "a viewer takes frames")
         view.show(result)
         assert view.serving
         (program,) = own_children()
@@ -353,7 +354,7 @@ def test_the_real_viewer_shows_every_part_without_complaint(
     view = connected(headless_viewer_port)
     client = ViewerClient.connect(f"rerun+http://{LOCAL}:{headless_viewer_port}/proxy")
     try:
-        assert view.wait_connected(60.0)
+        wait_until(lambda: view.connections > 0, "a viewer takes frames")
         for index in range(3):
             view.show(numbered(result, index))
             time.sleep(0.2)
@@ -374,7 +375,7 @@ def test_a_real_viewer_under_sigstop_delays_neither_the_frames_nor_the_file(
     path = tmp_path / "all.rrd"
     (viewer,) = own_children()
     view = connected(headless_viewer_port, save=str(path))
-    assert view.wait_connected(60.0)
+    wait_until(lambda: view.connections > 0, "a viewer takes frames")
     os.kill(viewer.pid, signal.SIGSTOP)
     try:
         assert show_all(view, result) < 1.0

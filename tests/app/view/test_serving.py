@@ -37,9 +37,10 @@ _SERVES = """
     from nurbseg.app.view.opening import open_view
     from nurbseg.app.view.config import ViewConfig
     from tests.fakes.small_scene import CONFIG, small_result
+    from tests.fakes.waiting import wait_until
 
     with open_view(ViewConfig(mode="serve", port=0, web_port=0), CONFIG) as view:
-        assert view.wait_connected(60.0)
+        wait_until(lambda: view.connections > 0, "a viewer takes frames")
         view.show(small_result())
         print(view.how_to_look, flush=True)
         sys.stdin.readline()
@@ -213,7 +214,7 @@ def test_a_server_that_ends_at_once_is_given_up(
 
 def test_a_view_whose_server_was_killed_shows_again(view: View, caplog: pytest.LogCaptureFixture) -> None:
     began_s = time.monotonic()
-    assert view.wait_connected(60.0)
+    wait_until(lambda: view.connections > 0, "a viewer takes frames")
     (shows,) = own_children()
     time.sleep(max(0.0, began_s + 6.0 - time.monotonic()))
     (server,) = shows.children()
