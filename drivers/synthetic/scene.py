@@ -3,7 +3,7 @@
 World frame: x to the right, y away from the viewer, z up, metres; the table top is z = 0.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -63,7 +63,7 @@ class RenderedScene:
         self.seed = seed
         self._hidden_ticks = hidden_ticks
         self._phase = float(rng.uniform(-0.4, 0.4)) if seed else 0.0
-        self.objects = _objects(rng, 0.0 if seed == 0 else 1.0)
+        self.objects = tuple(_objects(rng, 0.0 if seed == 0 else 1.0))
         self.names = tuple(each.name for each in self.objects)
         self.ball = self.names.index(_BALL_NAME)
         self.ball_radius_m = _BALL_RADIUS_M
@@ -150,7 +150,9 @@ def look_at(eye: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np
     return pose
 
 
-def _objects(rng: np.random.Generator, spread: float) -> tuple[RenderedObject, ...]:
+def _objects(rng: np.random.Generator, spread: float) -> Iterator[RenderedObject]:
+    """Yield the objects; the order in which they draw random numbers is part of what a seed means."""
+
     def placed(x: float, y: float, z: float = 0.0, yaw: float = 0.0) -> NDArray[np.float64]:
         pose = np.eye(4)
         turn = np.deg2rad(yaw + spread * rng.uniform(-15, 15))
@@ -158,76 +160,38 @@ def _objects(rng: np.random.Generator, spread: float) -> tuple[RenderedObject, .
         pose[:3, 3] = x + spread * rng.uniform(-0.02, 0.02), y + spread * rng.uniform(-0.02, 0.02), z
         return pose
 
-    table = np.eye(4)
-    wall = np.eye(4)
+    table, wall = np.eye(4), np.eye(4)
+    table[:3, 3] = 0.0, -0.08, 0.0
     # The wall's own z axis points at the viewer.
     wall[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
     wall[:3, 3] = 0.0, 0.62, 0.9
-    table[:3, 3] = 0.0, -0.08, 0.0
     book = placed(0.09, 0.2, 0.02, 12)
     on_book = book.copy()
-    on_book[:3, 3] += [0.01, 0.0, 0.02]
-    objects = [
-        RenderedObject("table", rectangle(1.4, 0.7), textures.wood(rng, 700, 1400), table),
-        RenderedObject("wall", rectangle(3.0, 1.2), textures.plaster(rng, 480, 1200), wall),
-        RenderedObject(
-            _SCREEN_NAME,
-            box(0.095, 0.035, 0.14),
-            textures.printed(rng, (196, 62, 44), (246, 190, 60)),
-            placed(-0.34, 0.2, 0.14, 18),
-            0.12,
-        ),
-        RenderedObject(
-            "packet",
-            box(0.07, 0.045, 0.032),
-            textures.printed(rng, (58, 110, 92), (226, 214, 170)),
-            placed(0.05, -0.14, 0.032, -28),
-            0.10,
-        ),
-        RenderedObject("book", box(0.12, 0.085, 0.02), textures.plain(rng, (70, 84, 128)), book, 0.08),
-        RenderedObject(
-            "can",
-            cylinder(0.034, 0.115),
-            textures.banded(rng, (44, 100, 160), (232, 228, 214)),
-            placed(-0.13, 0.06, 0.0, -40),
-            0.45,
-        ),
-        RenderedObject(
-            "tin",
-            cylinder(0.056, 0.17),
-            textures.banded(rng, (128, 52, 62), (218, 182, 120)),
-            placed(0.38, 0.2, 0.0, 20),
-            0.35,
-        ),
-        RenderedObject(
-            "melon",
-            ellipsoid(0.062, 0.052, 0.05),
-            textures.plain(rng, (226, 178, 64), grain=0.05),
-            placed(0.24, 0.0, 0.05, 25),
-            0.25,
-        ),
-        RenderedObject(
-            "orange", ellipsoid(0.04, 0.04, 0.04), textures.plain(rng, (232, 126, 38)), on_book, 0.2
-        ),
-        RenderedObject(
-            "bowl", bowl(0.105, 0.075), textures.plain(rng, (222, 218, 206)), placed(-0.24, -0.14), 0.35
-        ),
-        RenderedObject(
-            "cushion",
-            cushion(0.15, 0.12, 0.06),
-            textures.striped(rng, (88, 132, 138), (214, 204, 182)),
-            placed(0.43, -0.08, 0.0, -12),
-        ),
-        RenderedObject(
-            _BALL_NAME,
-            ellipsoid(_BALL_RADIUS_M, _BALL_RADIUS_M, _BALL_RADIUS_M),
-            textures.beach_ball(((206, 52, 52), (240, 238, 230), (52, 96, 176), (240, 238, 230)) * 2),
-            _tilted_upright(),
-            0.3,
-        ),
-    ]
-    on_book[2, 3] = 0.08
-    return tuple(objects)
+    on_book[:3, 3] += [0.01, 0.0, 0.06]
+
+    yield RenderedObject("table", rectangle(1.4, 0.7), textures.wood(rng, 700, 1400), table)
+    yield RenderedObject("wall", rectangle(3.0, 1.2), textures.plaster(rng, 480, 1200), wall)
+    texture = textures.printed(rng, (196, 62, 44), (246, 190, 60))
+    yield RenderedObject(_SCREEN_NAME, box(0.095, 0.035, 0.14), texture, placed(-0.34, 0.2, 0.14, 18), 0.12)
+    texture = textures.printed(rng, (58, 110, 92), (226, 214, 170))
+    yield RenderedObject("packet", box(0.07, 0.045, 0.032), texture, placed(0.05, -0.14, 0.032, -28), 0.10)
+    texture = textures.plain(rng, (70, 84, 128))
+    yield RenderedObject("book", box(0.12, 0.085, 0.02), texture, book, 0.08)
+    texture = textures.banded(rng, (44, 100, 160), (232, 228, 214))
+    yield RenderedObject("can", cylinder(0.034, 0.115), texture, placed(-0.13, 0.06, 0.0, -40), 0.45)
+    texture = textures.banded(rng, (128, 52, 62), (218, 182, 120))
+    yield RenderedObject("tin", cylinder(0.056, 0.17), texture, placed(0.38, 0.2, 0.0, 20), 0.35)
+    texture = textures.plain(rng, (226, 178, 64), grain=0.05)
+    yield RenderedObject("melon", ellipsoid(0.062, 0.052, 0.05), texture, placed(0.24, 0.0, 0.05, 25), 0.25)
+    texture = textures.plain(rng, (232, 126, 38))
+    yield RenderedObject("orange", ellipsoid(0.04, 0.04, 0.04), texture, on_book, 0.2)
+    texture = textures.plain(rng, (222, 218, 206))
+    yield RenderedObject("bowl", bowl(0.105, 0.075), texture, placed(-0.24, -0.14), 0.35)
+    texture = textures.striped(rng, (88, 132, 138), (214, 204, 182))
+    yield RenderedObject("cushion", cushion(0.15, 0.12, 0.06), texture, placed(0.43, -0.08, 0.0, -12))
+    texture = textures.beach_ball(((206, 52, 52), (240, 238, 230), (52, 96, 176), (240, 238, 230)) * 2)
+    ball = ellipsoid(_BALL_RADIUS_M, _BALL_RADIUS_M, _BALL_RADIUS_M)
+    yield RenderedObject(_BALL_NAME, ball, texture, _tilted_upright(), 0.3)
 
 
 def _tilted_upright() -> NDArray[np.float64]:
