@@ -1,6 +1,8 @@
-"""A base class for objects that a ``with`` block closes."""
+"""Objects that are open until they are closed."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Self
 
 
@@ -16,3 +18,13 @@ class Closing(ABC):
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+@contextmanager
+def closed_on_error(close: Callable[[], None]) -> Iterator[None]:
+    """Call `close` if anything, Ctrl-C included, ends the block early."""
+    try:
+        yield
+    except BaseException:
+        close()
+        raise

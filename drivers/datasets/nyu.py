@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.datasets.images import decode_labels, millimetres
 from nurbseg.drivers.datasets.mat_program import CODEC, SETS, Answer, MatForm, Request
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
@@ -117,13 +118,10 @@ class NyuLabelledSource(SequenceSource):
 
     def __init__(self, path: Path, options: SourceOptions) -> None:
         self._process = MatProcess()
-        try:
+        with closed_on_error(self._process.close):
             frames, width, height = self._shape(path)
             super().__init__(path, frames, "NYU Depth v2, labelled")
             self.calibration = _calibration(options, width, height)
-        except BaseException:
-            self._process.close()
-            raise
 
     def _shape(self, path: Path) -> tuple[int, int, int]:
         """Return the number of frames, their width and height, which all sets agree on."""
@@ -178,11 +176,8 @@ class NyuFrameSource(SequenceSource):
         super().__init__(path, len(self._paths), "NYU Depth v2, single frames")
         self._options = options
         self._process = MatProcess()
-        try:
+        with closed_on_error(self._process.close):
             self.calibration = self._first_calibration()
-        except BaseException:
-            self._process.close()
-            raise
 
     def _load(self, index: int) -> RGBDFrame:
         path = self._paths[index]

@@ -26,6 +26,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Metadata, Schema, Statistics
 
+from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.drivers.files import MCAP_MAGIC, open_regular
 from nurbseg.drivers.limits import CHUNK_BYTES_MAX, CHUNK_RECORDS_MAX, RECORD_BYTES_MAX
@@ -80,11 +81,8 @@ class McapFile:
         #: Places and lengths of the chunks and of messages outside of chunks.
         self._entries: list[tuple[int, int, int]] = []
         self._file = open_regular(path)
-        try:
+        with closed_on_error(self._file.close):
             self._scan()
-        except BaseException:
-            self._file.close()
-            raise
         if not self.whole:
             _log.warning(
                 "%s: the recording is cut off after %d bytes; it is replayed up to its last complete "

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from mcap.records import Schema
 
 from nurbseg.drivers.calibration.cameras import CameraFile
+from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.limits import SCAN_BYTES_MAX, STAMP_END_NS
@@ -80,7 +81,7 @@ class RecordingReader(FrameSource):
         self._places = [self._position]
         self._file = McapFile(path)
         self._is_ours = definitions.RECORDING_RECORD in self._file.metadata
-        try:
+        with closed_on_error(self._file.close):
             samples, transforms = self._scan_topics()
             self._topics = topics = self._choose(samples)
             self._kind_of_topic: dict[str | None, Kind] = {
@@ -97,9 +98,6 @@ class RecordingReader(FrameSource):
             )
             self.metadata = self._metadata()
             self._messages = self._file.messages()
-        except BaseException:
-            self._file.close()
-            raise
 
     @property
     def dropped(self) -> int:

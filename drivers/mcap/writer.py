@@ -9,7 +9,7 @@ from mcap.writer import Writer
 from mcap_ros2.writer import Writer as Ros2Writer
 from numpy.typing import NDArray
 
-from nurbseg.drivers.closing import Closing
+from nurbseg.drivers.closing import Closing, closed_on_error
 from nurbseg.drivers.errors import DriverError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.files import create_private
 from nurbseg.drivers.frame import Calibration, RGBDFrame
@@ -68,7 +68,7 @@ class RecordingWriter(Closing):
         self._color_format = color_format
         self._file = create_private(self.path)
         self._closed = False
-        try:
+        with closed_on_error(self._file.close):
             # A chunk ends with the message that makes it larger than this: with a depth image.
             depth_bytes = 2 * calibration.depth.width * calibration.depth.height
             self._writer = Ros2Writer(self._file, chunk_size=depth_bytes)
@@ -80,9 +80,6 @@ class RecordingWriter(Closing):
                 name: self._writer.register_msgdef(name, text) for name, text in DEFINITIONS.items()
             }
             self._file.flush()
-        except BaseException:
-            self._file.close()
-            raise
         # Registered images have one optical centre, that of the color camera.
         registered = calibration.is_registered
         self._depth_frame = definitions.COLOR_FRAME if registered else definitions.DEPTH_FRAME

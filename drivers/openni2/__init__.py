@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.openni2.options import DeviceOptions
 
 if TYPE_CHECKING:
@@ -34,11 +35,8 @@ def open_uri(rest: str, options: SourceOptions) -> FrameSource:
     camera = IsolatedCamera(rest, settings, pairing_limit_s=limit_s)
     if not settings.reconnect:
         return camera
-    try:
+    with closed_on_error(camera.close):
         same = camera.metadata["serial"] or f"port:{camera.metadata['usb_port']}"
         reopen = Reopening(same, settings, limit_s)
-    except BaseException:
-        camera.close()
-        raise
     interval_s = min(settings.reconnect_interval_s, 0.1)
     return Reconnecting(camera, reopen, abandon=reopen.close, interval_s=interval_s)

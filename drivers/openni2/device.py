@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from nurbseg.drivers.calibration.cameras import calibration_table
+from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.openni2.capi import DeviceState, Sensor
@@ -87,7 +88,7 @@ class DeviceSource(FrameSource):
         self._silent_s = 0.0
         self._recorder: OniRecorder | None = None
         self._device, listing = open_camera(wanted, self._options.serial, self._on_event)
-        try:
+        with closed_on_error(self.close):
             depth = self._device.add_stream(Sensor.DEPTH)
             color = self._device.add_stream(Sensor.COLOR)
             set_modes(depth, color, self._options)
@@ -106,9 +107,6 @@ class DeviceSource(FrameSource):
             self._streams = (depth, color)
             period_us = min(stream.mode.period_us for stream in self._streams)
             self._pairing = Pairing(min(round(pairing_limit_s * 1e6), period_us // 2 + 1000))
-        except BaseException:
-            self.close()
-            raise
 
     @property
     def half_pairs(self) -> int:

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from nurbseg.drivers.closing import Closing
+from nurbseg.drivers.closing import Closing, closed_on_error
 from nurbseg.drivers.errors import DeviceNotFoundError, DriverError
 from nurbseg.drivers.openni2.capi import DeviceProperty, OniVersion, Sensor, Status
 from nurbseg.drivers.openni2.library import DeviceListing, Library, in_use
@@ -32,7 +32,7 @@ class OpenedDevice(Closing):
         self._handle = ctypes.c_void_p()
         self._held = contextlib.ExitStack()
         self.library: Library = self._held.enter_context(in_use())
-        try:
+        with closed_on_error(self.close):
             if on_event is not None:
                 # Before it is opened, so that its going in between is not missed.
                 self._held.callback(self.library.unlisten, self.library.listen(uri, on_event))
@@ -42,9 +42,6 @@ class OpenedDevice(Closing):
                 f"opening {uri}",
                 DeviceNotFoundError,
             )
-        except BaseException:
-            self.close()
-            raise
         self._held.callback(native.oniDeviceClose, self._handle)
 
     def find(self, name: DeviceProperty, kind: type[Any]) -> Any | None:

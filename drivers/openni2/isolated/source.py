@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.errors import DeviceLostError, DeviceNotFoundError, DriverError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.openni2.isolated import messages
@@ -80,13 +81,10 @@ class IsolatedCamera(FrameSource):
 
     def _wait_until_open(self) -> None:
         deadline = time.monotonic() + _OPEN_LIMIT_S
-        try:
+        with closed_on_error(self.close):
             while not self.is_open(deadline - time.monotonic()):
                 if time.monotonic() >= deadline:
                     raise DeviceLostError(f"OpenNI2 did not open a camera within {_OPEN_LIMIT_S:g} s")
-        except BaseException:
-            self.close()
-            raise
 
     def is_open(self, timeout_s: float = 0.0) -> bool:
         """Whether the camera is open; waits at most this long for an answer.

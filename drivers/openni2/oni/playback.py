@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 from nurbseg.drivers.calibration.file import cameras_of_table
+from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.datasets.tum import associate
 from nurbseg.drivers.errors import (
     BackendMissingError,
@@ -64,11 +65,8 @@ class OniSource(FrameSource):
         self._next = 0
         self._waiting: dict[tuple[Sensor, int], PlayedImage] = {}
         self._player = PlayerProcess(path)
-        try:
+        with closed_on_error(self.close):
             self._take_description(file, self._description())
-        except BaseException:
-            self.close()
-            raise
 
     def __len__(self) -> int:
         return len(self._pairs)
