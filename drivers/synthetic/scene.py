@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -88,7 +89,7 @@ class RenderedScene:
         x, y = self._ball_place(tick)
         moved = pose.copy()
         # It rolls without slipping, from where x is 0.
-        moved[:3, :3] = _rotation_y(x / _BALL_RADIUS_M) @ pose[:3, :3]
+        moved[:3, :3] = cv2.Rodrigues(np.array([0.0, x / _BALL_RADIUS_M, 0.0]))[0] @ pose[:3, :3]
         moved[:3, 3] = x, y, _BALL_RADIUS_M
         return moved
 
@@ -111,7 +112,7 @@ class RenderedScene:
         return float(eye[0] + (y - eye[1]) / (center[1] - eye[1]) * (center[0] - eye[0])), float(y)
 
     def _step_that_hides(self, ticks: int) -> float:
-        """Return the ball's way per tick, metres, at which the screen never covers it for longer.
+        """Return how far the ball moves per tick, metres, so that the screen never hides it for longer.
 
         Seen from above, the screen covers a sector; the ball is hidden while its own sector lies within.
         """
@@ -122,10 +123,10 @@ class RenderedScene:
         x, y = self._behind_screen()
         for step in np.geomspace(0.002, 0.3, 400):
             xs = _triangle_wave(x + step * (np.arange(PERIOD) - PERIOD // 2))
-            way = np.stack([xs, np.full(PERIOD, y)], axis=1) - eyes
-            bearing = np.arctan2(way[:, 0], way[:, 1])
+            rays = np.stack([xs, np.full(PERIOD, y)], axis=1) - eyes
+            bearing = np.arctan2(rays[:, 0], rays[:, 1])
             # A sliver of the ball can slip between pixels: what counts is a little less than all of it.
-            half = np.arcsin((_BALL_RADIUS_M - 0.003) / np.hypot(*way.T))
+            half = np.arcsin((_BALL_RADIUS_M - 0.003) / np.hypot(*rays.T))
             hidden = (bearing - half > bearings.min(axis=1)) & (bearing + half < bearings.max(axis=1))
             changes = np.flatnonzero(np.diff(np.concatenate([[False], hidden, [False]])))
             if (changes[1::2] - changes[::2]).max(initial=0) <= ticks:
@@ -133,10 +134,10 @@ class RenderedScene:
         return 0.3
 
 
-def _triangle_wave(way: Any) -> Any:
+def _triangle_wave(distance: Any) -> Any:
     """Return the position on a line after moving back and forth between its ends by this distance."""
-    travelled = (way + _REACH_M) % (4 * _REACH_M)
-    return np.minimum(travelled, 4 * _REACH_M - travelled) - _REACH_M
+    phase = (distance + _REACH_M) % (4 * _REACH_M)
+    return np.minimum(phase, 4 * _REACH_M - phase) - _REACH_M
 
 
 def look_at(eye: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -190,18 +191,7 @@ def _objects(rng: np.random.Generator, spread: float) -> Iterator[RenderedObject
     texture = textures.striped(rng, (88, 132, 138), (214, 204, 182))
     yield RenderedObject("cushion", cushion(0.15, 0.12, 0.06), texture, placed(0.43, -0.08, 0.0, -12))
     texture = textures.beach_ball(((206, 52, 52), (240, 238, 230), (52, 96, 176), (240, 238, 230)) * 2)
-    ball = ellipsoid(_BALL_RADIUS_M, _BALL_RADIUS_M, _BALL_RADIUS_M)
-    yield RenderedObject(_BALL_NAME, ball, texture, _tilted_upright(), 0.3)
-
-
-def _tilted_upright() -> NDArray[np.float64]:
-    """Return a pose that shows the ball's sectors rather than its pole."""
-    pose = np.eye(4)
-    c, s = np.cos(0.6), np.sin(0.6)
-    pose[1:3, 1:3] = [[c, -s], [s, c]]
-    return pose
-
-
-def _rotation_y(angle: float) -> NDArray[np.float64]:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    ball, tilted = ellipsoid(_BALL_RADIUS_M, _BALL_RADIUS_M, _BALL_RADIUS_M), np.eye(4)
+    # Shows the ball's sectors rather than its pole.
+    tilted[:3, :3] = cv2.Rodrigues(np.array([0.6, 0.0, 0.0]))[0]
+    yield RenderedObject(_BALL_NAME, ball, texture, tilted, 0.3)
