@@ -9,7 +9,7 @@ from typing import BinaryIO
 
 from nurbseg.drivers.errors import RecordingFormatError
 
-#: The first bytes of files, by which they are recognised whatever they are called.
+#: The first bytes of files, by which they are recognized whatever they are called.
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 ONI_MAGIC = b"NI10"
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"

@@ -103,7 +103,7 @@ class Intrinsics:
         return lens_terms(self.distortion)
 
     def scaled_to(self, width: int, height: int) -> Self:
-        """Return the same camera for an image of another size, pixel centres being at integers."""
+        """Return the same camera for an image of another size, pixel centers being at integers."""
         sx, sy = width / self.width, height / self.height
         return replace(
             self,

@@ -36,7 +36,7 @@ def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameS
     ----------
     uri : str or Path
         ``openni2:`` or ``synthetic:`` with what these understand, ``images:?color=GLOB&depth=GLOB``, or the
-        path of a file or folder, which is recognised by its content.
+        path of a file or folder, which is recognized by its content.
     options : SourceOptions, optional
         What the recording does not say itself.
 

@@ -1,7 +1,7 @@
 """Reads and writes files that hold a sensor's calibration.
 
 It reads our TOML, OpenCV's XML or YAML, ROS's ``camera_info`` YAML, and a 3 x 3 matrix as text, which some
-data sets have; the form is recognised by the content. It writes TOML.
+data sets have; the form is recognized by the content. It writes TOML.
 """
 
 from pathlib import Path

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.datasets.images import millimetres
-from nurbseg.drivers.datasets.pcd_file import OrganisedCloud, read_pcd
+from nurbseg.drivers.datasets.pcd_file import OrganizedCloud, read_pcd
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
 from nurbseg.drivers.errors import CalibrationError, FrameFormatError
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
@@ -20,7 +20,7 @@ _POINTS_FOR_FIT = 100
 
 
 def fit_camera(points_m: NDArray[np.float32], name: str) -> Intrinsics:
-    """Find the pinhole camera on whose pixel grid an organised cloud lies.
+    """Find the pinhole camera on whose pixel grid an organized cloud lies.
 
     Least squares of ``u = fx x / z + cx`` and ``v = fy y / z + cy``, which is exact for clouds made from
     depth images.
@@ -65,7 +65,7 @@ def fit_camera(points_m: NDArray[np.float32], name: str) -> Intrinsics:
 
 
 class PcdSource(SequenceSource):
-    """Replays PCD files of organised clouds, 1/30 s apart; depth is z, color is gray where there is none.
+    """Replays PCD files of organized clouds, 1/30 s apart; depth is z, color is gray where there is none.
 
     `path` is one file, or a folder of files, which are played in the natural order of their names. Where
     `options` have neither calibration nor intrinsics, they are found from the points. Raises
@@ -76,7 +76,7 @@ class PcdSource(SequenceSource):
         self._paths, self._options = [path], options
         if path.is_dir():
             self._paths = sorted(path.glob("*.pcd"), key=lambda each: natural_key(each.name))
-        super().__init__(path, len(self._paths), "PCD, organised")
+        super().__init__(path, len(self._paths), "PCD, organized")
         self.calibration = self._first_calibration()
 
     def _load(self, index: int) -> RGBDFrame:
@@ -97,7 +97,7 @@ class PcdSource(SequenceSource):
             name=path.stem,
         )
 
-    def _calibration(self, cloud: OrganisedCloud, path: Path) -> Calibration:
+    def _calibration(self, cloud: OrganizedCloud, path: Path) -> Calibration:
         size = (cloud.points_m.shape[1], cloud.points_m.shape[0])
         given = self._options.given_cameras()
         if given is not None:

@@ -1,4 +1,4 @@
-"""Reads organised point clouds from PCD files, ascii, binary or compressed."""
+"""Reads organized point clouds from PCD files, ascii, binary or compressed."""
 
 import re
 from dataclasses import dataclass
@@ -20,8 +20,8 @@ _NUMBERS = frozenset(("F4", "F8", "I1", "I2", "I4", "I8", "U1", "U2", "U4", "U8"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OrganisedCloud:
-    """What an organised PCD file holds.
+class OrganizedCloud:
+    """What an organized PCD file holds.
 
     `points_m` (H, W, 3) are in metres in the camera's frame, NaN where there is no point; `color` (H, W, 3)
     is RGB, where the file has color.
@@ -31,8 +31,8 @@ class OrganisedCloud:
     color: NDArray[np.uint8] | None
 
 
-def read_pcd(path: Path) -> OrganisedCloud:
-    """Read an organised cloud.
+def read_pcd(path: Path) -> OrganizedCloud:
+    """Read an organized cloud.
 
     Raises FrameFormatError if the file is damaged or the cloud has no rows and columns; names the field.
     """
@@ -73,7 +73,7 @@ def read_pcd(path: Path) -> OrganisedCloud:
     xyz[~np.isfinite(xyz).all(axis=-1)] = np.nan
     color = next((_rgb(values[name]) for name in ("rgb", "rgba") if name in values), None)
     shape = (height, width, 3)
-    return OrganisedCloud(xyz.reshape(shape), None if color is None else color.reshape(shape))
+    return OrganizedCloud(xyz.reshape(shape), None if color is None else color.reshape(shape))
 
 
 def _header(path: Path, content: bytes) -> tuple[dict[str, list[str]], int]:

@@ -81,7 +81,7 @@ def _camera(listing: DeviceListing, usb_devices: dict[str, UsbDevice]) -> Camera
             for stream in streams.values():
                 stream.start()
             # Only a running camera knows whether it can.
-            camera = replace(camera, sync=device.synchronise())
+            camera = replace(camera, sync=device.synchronize())
             if wait_for_any(device.library, device.streams, _FIRST_IMAGE_LIMIT_S) is None:
                 error = f"it opens, but no image arrived within {_FIRST_IMAGE_LIMIT_S:g} s"
                 return replace(camera, error=error)

@@ -30,7 +30,7 @@ _PIXELS: dict[str, tuple[type[np.generic], int, int | None]] = {
     "rgba8": (np.uint8, 4, cv2.COLOR_RGBA2RGB),
     "bgra8": (np.uint8, 4, cv2.COLOR_BGRA2RGB),
 }
-#: image_transport puts the parameters of its depth quantisation before the PNG.
+#: image_transport puts the parameters of its depth quantization before the PNG.
 _COMPRESSED_DEPTH_HEADER = 12
 _FAR_M = 1e6
 

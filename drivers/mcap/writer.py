@@ -80,7 +80,7 @@ class RecordingWriter(Closing):
                 name: self._writer.register_msgdef(name, text) for name, text in DEFINITIONS.items()
             }
             self._file.flush()
-        # Registered images have one optical centre, that of the color camera.
+        # Registered images have one optical center, that of the color camera.
         registered = calibration.is_registered
         self._depth_frame = definitions.COLOR_FRAME if registered else definitions.DEPTH_FRAME
 

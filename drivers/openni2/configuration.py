@@ -54,7 +54,7 @@ def configure(device: OpenedDevice, options: DeviceOptions, name: str) -> Applie
     depth, color = device.streams
     # With two rates OpenNI2 would find no two images of the same number, and deliver none.
     same_rate = depth.mode.fps == color.mode.fps
-    synchronised = options.sync and same_rate and device.synchronise()
+    synchronized = options.sync and same_rate and device.synchronize()
     if options.sync and not same_rate:
         logger.info("%s: depth and color have different frame rates and are not synchronized", name)
     wants_registration = options.registration == "hardware"
@@ -65,7 +65,7 @@ def configure(device: OpenedDevice, options: DeviceOptions, name: str) -> Applie
     states = {
         "depth_mode": str(depth.mode),
         "color_mode": str(color.mode),
-        "sync": "on" if synchronised else "off",
+        "sync": "on" if synchronized else "off",
         "registration": "hardware" if registered else "software",
         "mirror": "on" if options.mirror else "off",
     }

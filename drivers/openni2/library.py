@@ -1,4 +1,4 @@
-"""Finds, loads and initialises the OpenNI2 library, and turns its status codes into our errors."""
+"""Finds, loads and initializes the OpenNI2 library, and turns its status codes into our errors."""
 
 import atexit
 import ctypes
@@ -56,7 +56,7 @@ def find_library() -> str:
 
 
 class Library:
-    """The native library, initialised for as long as anybody uses it.
+    """The native library, initialized for as long as anybody uses it.
 
     Use `in_use`, which counts the users; the last one to go shuts it down, so that the next one finds the
     cameras that are there by then (some drivers look only once).
@@ -84,7 +84,7 @@ class Library:
         self._users = 0
         self._handle = ctypes.c_void_p()
         self._listeners: dict[object, tuple[str, Callable[[str], None]]] = {}
-        # The library calls these from its own threads for as long as it is initialised, and would not
+        # The library calls these from its own threads for as long as it is initialized, and would not
         # keep them alive.
         self._callbacks = capi.OniDeviceCallbacks(
             capi.DeviceCallback(),
@@ -154,7 +154,7 @@ class Library:
             status = self.native.oniInitialize(capi.API_VERSION)
             if status != capi.Status.OK:
                 try:
-                    self.check(status, f"initialising OpenNI2 from {self.path}", BackendMissingError)
+                    self.check(status, f"initializing OpenNI2 from {self.path}", BackendMissingError)
                 finally:
                     self.native.oniShutdown()
             self.native.oniRegisterDeviceCallbacks(
@@ -202,7 +202,7 @@ def _end_all() -> None:
 
 @contextmanager
 def in_use() -> Iterator[Library]:
-    """Keep the library initialised for a while; the last user shuts it down.
+    """Keep the library initialized for a while; the last user shuts it down.
 
     Raises BackendMissingError if it is not installed, or finds no drivers; the message says what to do.
     """

@@ -95,7 +95,7 @@ class OpenedDevice(Closing):
         state = self.find(DeviceProperty.IMAGE_REGISTRATION, ctypes.c_int)
         return state is not None and state.value == _DEPTH_TO_COLOR
 
-    def synchronise(self) -> bool:
+    def synchronize(self) -> bool:
         """Ask the device to take depth and color at the same moment; return whether it does."""
         native = self.library.native
         status = native.oniDeviceEnableDepthColorSync(self._handle)

@@ -146,7 +146,7 @@ _MODELS = {
 def identify(vendor_id: int, product_id: int, product: str = "") -> Model | None:
     """Return which camera, or part of one, a USB device is; None where it is neither.
 
-    An Xtion 2 is recognised by its own name, where that could be read.
+    An Xtion 2 is recognized by its own name, where that could be read.
     """
     model = _MODELS.get((vendor_id, product_id))
     if model is not None:

@@ -1,6 +1,6 @@
 """A model of a structured-light depth camera, applied to a perfect depth image.
 
-The faults of the PrimeSense design: noise that grows with distance, depth in steps of disparity, shadows
+The artifacts of the PrimeSense design: noise that grows with distance, depth in steps of disparity, shadows
 of the projector, ragged and missing edges, surfaces seen too obliquely, and limits of range.
 """
 
@@ -48,7 +48,7 @@ def axial_noise_m(depth_m: Any) -> Any:
 
 
 @compiled
-def quantised(depth_m: Any) -> Any:
+def quantized(depth_m: Any) -> Any:
     """Return depth at the nearest step of disparity, metres; infinity stays.
 
     References
@@ -78,14 +78,14 @@ def projector_shadow(depth_m: NDArray[np.float32], camera: Intrinsics) -> NDArra
 
 
 class SensorModel:
-    """Adds a depth camera's faults to perfect depth images.
+    """Adds a depth camera's artifacts to perfect depth images.
 
     Parameters
     ----------
     camera : Intrinsics
         The depth camera.
     seed : int
-        Draws the noise; the same seed and frame give the same faults.
+        Draws the noise; the same seed and frame give the same artifacts.
     """
 
     def __init__(self, camera: Intrinsics, seed: int) -> None:
@@ -161,7 +161,7 @@ def _measure(
         axial_part = axial[row + cuts[0, 0], cuts[0, 1] : cuts[0, 1] + width]
         lost_part = lost[row + cuts[2, 0], cuts[2, 1] : cuts[2, 1] + width]
         for n in range(width):
-            noisy = quantised(moved[n] + axial_noise_m(moved[n]) * axial_part[n])
+            noisy = quantized(moved[n] + axial_noise_m(moved[n]) * axial_part[n])
             facing = highest[row, n] - lowest[row, n] <= grazing * inverse[row, n]
             seen = (dark[row, n] == 0) & (facing | (not lost_part[n]))
             # Where there is nothing, noise makes an infinity or no number at all, which is in no range.

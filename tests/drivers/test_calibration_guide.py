@@ -45,7 +45,7 @@ def picture(camera, rotation, translation_m):
 
 
 def poses():
-    """Twelve places of the board: centre, sides and corners, tilted each its own way."""
+    """Twelve places of the board: center, sides and corners, tilted each its own way."""
     rng = np.random.default_rng(4)
     for number in range(12):
         rotation = cv2.Rodrigues(rng.uniform([-0.5, -0.5, -0.2], [0.5, 0.5, 0.2]))[0]

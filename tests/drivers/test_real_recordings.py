@@ -57,7 +57,7 @@ def test_tum_depth_is_the_depth_it_was_made_from(real_data: Data) -> None:
     assert places == sorted(places)
 
 
-def test_organised_clouds_lie_on_a_primesense_cameras_rays(real_data: Data) -> None:
+def test_organized_clouds_lie_on_a_primesense_cameras_rays(real_data: Data) -> None:
     with open_source(real_data("pcl_clouds")) as source:
         frames = list(source)
     assert len(frames) == 2

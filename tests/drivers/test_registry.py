@@ -1,4 +1,4 @@
-"""What a user names is recognised by its content."""
+"""What a user names is recognized by its content."""
 
 import subprocess
 import sys
@@ -16,7 +16,7 @@ def test_a_file_is_known_by_its_content_whatever_it_is_called(tmp_path: Path) ->
     frame = scene(0)
     named = {
         "MCAP recording": write_mcap(tmp_path / "a.pcd", [frame]),
-        "PCD, organised": write_pcd(tmp_path / "b.mcap", back_projected(frame), frame.color, "binary"),
+        "PCD, organized": write_pcd(tmp_path / "b.mcap", back_projected(frame), frame.color, "binary"),
     }
     for form, path in named.items():
         with open_source(path) as source:
@@ -32,7 +32,7 @@ def test_a_folder_is_known_by_what_is_in_it(tmp_path: Path) -> None:
     for name in ("pairs", "tum", "pcd"):
         with open_source(str(tmp_path / name)) as source:
             forms[name] = source.metadata["format"]
-    assert forms == {"pairs": "folder of image pairs", "tum": "TUM RGB-D", "pcd": "PCD, organised"}
+    assert forms == {"pairs": "folder of image pairs", "tum": "TUM RGB-D", "pcd": "PCD, organized"}
 
 
 def test_what_does_not_exist_is_not_found_and_the_schemes_are_named(tmp_path: Path) -> None:

@@ -134,7 +134,7 @@ def write_pcd(
     color: NDArray[np.uint8],
     form: Literal["ascii", "binary", "binary_compressed"],
 ) -> Path:
-    """Write an organised cloud with x, y, z and rgb, the last as the bits of a float."""
+    """Write an organized cloud with x, y, z and rgb, the last as the bits of a float."""
     height, width = points_m.shape[:2]
     bits = color.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
     rgb = bits.astype(np.uint32).view(np.float32)[..., None]

@@ -1,4 +1,4 @@
-"""Organised point clouds: the three forms, the camera found from the points, and damaged files."""
+"""Organized point clouds: the three forms, the camera found from the points, and damaged files."""
 
 import contextlib
 from pathlib import Path

@@ -56,7 +56,7 @@ def test_each_listed_mode_is_delivered(virtual_cameras, depth_mode, color_mode, 
             np.testing.assert_array_equal(frame.color, color_image(number, *color_size))
 
 
-def test_streams_of_different_rates_are_not_synchronised_but_paired_by_time(virtual_cameras):
+def test_streams_of_different_rates_are_not_synchronized_but_paired_by_time(virtual_cameras):
     virtual_cameras.add()
     with DeviceSource(options=DeviceOptions(depth_mode="320x240@60", color_mode="vga")) as source:
         assert source.metadata["sync"] == "off"

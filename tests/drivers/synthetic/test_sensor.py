@@ -8,7 +8,7 @@ from nurbseg.drivers.synthetic.sensor import (
     SensorModel,
     axial_noise_m,
     projector_shadow,
-    quantised,
+    quantized,
 )
 
 CAMERA = Intrinsics(320, 240, 262.5, 262.5, 159.5, 119.5)
@@ -31,9 +31,9 @@ def test_a_wall_is_measured_with_the_noise_and_the_steps_of_its_distance(depth_m
     assert (np.rint(inverse_steps) >= 1).all()
 
 
-def test_quantised_depth_is_within_half_a_step():
+def test_quantized_depth_is_within_half_a_step():
     depth = np.linspace(0.4, 6, 500, dtype=np.float32)
-    steps = np.array([quantised(each) for each in depth])
+    steps = np.array([quantized(each) for each in depth])
     assert (np.abs(steps - depth) <= 0.52 * DISPARITY_STEP_PER_M * depth**2 + 1e-6).all()
 
 

@@ -225,7 +225,7 @@ def test_what_the_synthetic_color_camera_sees_is_what_is_colored(sensor):
     columns, rows = (np.clip(nearest[..., i], 0, n - 1) for i, n in ((0, width), (1, height)))
     truth = inside & (np.abs(seen.depth_m[rows, columns] - depth) < 0.012)
     cloud = register(frame)
-    # At outlines a pixel's centre decides: judge a pixel away from them.
+    # At outlines a pixel's center decides: judge a pixel away from them.
     truth_bytes = truth.astype(np.uint8)
     clear = cv2.dilate(truth_bytes, np.ones((3, 3))) == cv2.erode(truth_bytes, np.ones((3, 3)))
     assert (~truth & clear & inside).sum() > 100
