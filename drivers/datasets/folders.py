@@ -69,11 +69,11 @@ class PairSource(SequenceSource):
     no partner. Raises RecordingFormatError if none can be used.
     """
 
-    #: Of depth images whose scale nobody says.
+    #: Depth scale where neither the user nor the folder gives one.
     _units_per_metre = 1000.0
 
     def __init__(self, folder: Path, shots: list[Shot], form: str, dropped: int = 0) -> None:
-        super().__init__(folder, len(shots), form, dropped)
+        super().__init__(folder, len(shots), form)
         self._shots = shots
         self.metadata |= {"dropped": str(dropped), "calibration": shots[0].cameras.path.name}
         self.calibration = self._first_calibration()

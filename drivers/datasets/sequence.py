@@ -26,16 +26,14 @@ def natural_key(text: str) -> tuple[tuple[int, str], ...]:
 class SequenceSource(FrameSource):
     """A recording of a known number of frames; subclasses fill in `_load` and set `calibration`.
 
-    `form` is what kind of recording it is, for a person; `dropped` counts images left out because they have
-    no partner.
+    `form` is what kind of recording it is, for a person.
     """
 
     seekable = True
 
-    def __init__(self, path: Path, frames: int, form: str, dropped: int = 0) -> None:
+    def __init__(self, path: Path, frames: int, form: str) -> None:
         super().__init__()
         self._path, self._frames, self._next = path, frames, 0
-        self.dropped = dropped
         self.metadata = {"format": form, "frames": str(frames)}
 
     def __len__(self) -> int:

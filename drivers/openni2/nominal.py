@@ -27,8 +27,7 @@ def _pinhole(width: int, height: int, focal_px: float) -> Intrinsics:
 
 def from_field_of_view(width: int, height: int, horizontal_fov: float | None) -> Intrinsics:
     """Return intrinsics by the field of view, radians; by the nominal one where that makes no sense."""
-    known = horizontal_fov is not None and math.isfinite(horizontal_fov) and 0.1 < horizontal_fov < 3.0
-    fov = horizontal_fov if known and horizontal_fov is not None else DEPTH_FOV
+    fov = horizontal_fov if horizontal_fov is not None and 0.1 < horizontal_fov < 3.0 else DEPTH_FOV
     return _pinhole(width, height, width / (2 * math.tan(fov / 2)))
 
 
@@ -60,11 +59,7 @@ def mirrored(calibration: Calibration) -> Calibration:
 
 
 def _mirrored_camera(camera: Intrinsics) -> Intrinsics:
-    distortion = np.array(camera.distortion)
-    if distortion.size >= 4:
-        distortion[3] = -distortion[3]  # p2, the tangential term that is odd in x
-    if distortion.size >= 12:
-        distortion[8:10] = -distortion[8:10]  # s1 and s2, the thin prism in x
-    if distortion.size == 14:
-        distortion[13] = -distortion[13]  # tilt about the y axis
+    # The terms that are odd in x: p2, the thin prism's s1 and s2, and the tilt about the y axis.
+    is_odd = np.isin(np.arange(camera.distortion.size), (3, 8, 9, 13))
+    distortion = np.where(is_odd, -camera.distortion, camera.distortion)
     return replace(camera, cx=camera.width - 1 - camera.cx, distortion=distortion)

@@ -70,9 +70,8 @@ class Failure:
 
     def error(self) -> DriverError:
         """Return the error that this message describes."""
-        kind = getattr(errors, self.kind, DriverError)
-        known = isinstance(kind, type) and issubclass(kind, DriverError)
-        return kind(self.text) if known else DriverError(self.text)
+        kind: type[DriverError] = getattr(errors, self.kind)
+        return kind(self.text)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
