@@ -5,36 +5,12 @@ import os
 import signal
 import sys
 from contextlib import suppress
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 _FAILED, _INTERRUPTED = 1, 130
-
-
-def live() -> int:
-    """Run nurbseg-live, which handles signals itself once there is something to finish."""
-    return _run("nurbseg.app.command.cli", "command", on_interrupt=signal.SIG_DFL)
-
-
-def batch() -> int:
-    """Run nurbseg-batch."""
-    return _run("nurbseg.app.batch.cli")
-
-
-def devices() -> int:
-    """Run nurbseg-devices."""
-    return _run("nurbseg.app.devices.cli")
-
-
-def evaluation() -> int:
-    """Run nurbseg-eval."""
-    return _run("nurbseg.app.evaluation.cli", "command")
-
-
-def record() -> int:
-    """Run nurbseg-record."""
-    return _run("nurbseg.app.recording.cli")
 
 
 def _run(module: str, function: str = "main", *, on_interrupt: Any = signal.default_int_handler) -> int:
@@ -66,3 +42,11 @@ def _open_closed_streams() -> None:
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))
+
+
+#: It handles signals itself once there is something to finish.
+live = partial(_run, "nurbseg.app.command.cli", "command", on_interrupt=signal.SIG_DFL)
+batch = partial(_run, "nurbseg.app.batch.cli")
+devices = partial(_run, "nurbseg.app.devices.cli")
+evaluation = partial(_run, "nurbseg.app.evaluation.cli", "command")
+record = partial(_run, "nurbseg.app.recording.cli")
