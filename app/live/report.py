@@ -41,7 +41,7 @@ class RunReport:
         self.quit = False
         self.capture: CaptureThread | None = None
         self.recorder: Recorder | None = None
-        self.view: View | None = None
+        self.view = View()
         self._config = config
         self._source = source
         self._metadata = metadata
@@ -97,7 +97,7 @@ class RunReport:
             (capture.withheld, "only recorded"),
             (capture.damaged, "damaged"),
             (self.late, "too late to be shown"),
-            (0 if self.view is None else self.view.dropped, "dropped by the slow viewer"),
+            (self.view.dropped, "dropped by the slow viewer"),
         )
         told = ", ".join(f"{count} {what}" for count, what in others if count)
         return f"{text}; {told}" if told else text
@@ -110,6 +110,8 @@ class RunReport:
         withheld = 0 if capture is None else capture.withheld
         recordings = [] if self.recorder is None else self.recorder.figures()
         damaged = 0 if capture is None else capture.damaged
+        unfinished = read - self.segmented - self.recorded_only - overwritten - withheld
+        first_s = None if self._first_s is None else round(self._first_s - self._began_s, 3)
         return {
             "ended": ended,
             "began": self._began.isoformat(timespec="milliseconds"),
@@ -125,11 +127,7 @@ class RunReport:
                     "withheld_for_the_recording": withheld,
                     "damaged": damaged,
                     "without_a_partner": int(self._metadata.get("dropped", 0)),
-                    "unfinished_at_the_end": read
-                    - self.segmented
-                    - self.recorded_only
-                    - overwritten
-                    - withheld,
+                    "unfinished_at_the_end": unfinished,
                 },
                 "camera": {} if capture is None else dict(capture.losses),
                 "damaged_frames": [] if capture is None else capture.damaged_frames,
@@ -137,9 +135,7 @@ class RunReport:
             "recording": recordings[-1] if recordings else None,
             "earlier_recordings": recordings[:-1],
             "frames_per_s": round(self.frames_per_s, 3),
-            "first_result_after_s": None
-            if self._first_s is None
-            else round(self._first_s - self._began_s, 3),
+            "first_result_after_s": first_s,
             "latency_ms": {stage: _percentiles(values) for stage, values in self._stages_ms.items()},
             "events": dict(sorted(self._events.items())),
             "segmented_anew": dict(sorted(self._resets.items())),
@@ -152,7 +148,7 @@ class RunReport:
             },
             "peak_memory_mb": {
                 "segmentation": round(peak_memory_mb(), 1),
-                "view": 0.0 if self.view is None else round(self.view.peak_memory_mb(), 1),
+                "view": round(self.view.peak_memory_mb(), 1),
             },
             "configuration": asdict(self._config),
             "versions": versions(),

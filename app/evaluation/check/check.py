@@ -26,7 +26,7 @@ from nurbseg.drivers.source import FrameSource
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 from nurbseg.segmentation.points.registration import register
 
-#: By how much a rotation may differ from a rigid one, which is what recordings keep of it.
+#: Largest difference between a given rotation and the exact one that recordings store.
 _RIGID = 1e-3
 
 
@@ -119,7 +119,7 @@ class FolderCheck:
                 yield from self._check(frame, source)
 
     def _unlike(self, calibration: Calibration) -> str:
-        """Say in what the cameras of the export differ from those of the recording, or return ""."""
+        """Describe how the cameras of the export differ from those of the recording; empty if they agree."""
         if self._settings.camera is None:
             return ""
         exported, recorded = calibration_table(self._settings.camera), calibration_table(calibration)

@@ -20,7 +20,7 @@ _TAKE_TIMEOUT_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Feed:
-    """The frames of a run; taking them reports the progress, and ends if the run was interrupted."""
+    """The captured frames of a run; taking one updates the progress, and raises if a signal came."""
 
     capture: CaptureThread
     progress: Progress
