@@ -1,23 +1,18 @@
 """The command nurbseg-live: flags, configuration, one run, an exit code."""
 
-from __future__ import annotations
-
 import logging
 import os
 import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 from nurbseg.app.command.arguments import Arguments, parse_arguments
 from nurbseg.app.command.threads import one_thread_for_products
 from nurbseg.app.config import warn_of_unread
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.drivers.settings import changed_paths
-
-if TYPE_CHECKING:
-    from nurbseg.drivers.process.child import ChildProcess
 
 _log = logging.getLogger("nurbseg.live")
 
@@ -78,35 +73,30 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
     somebody_waits = sys.stderr.isatty() and config.view.save is None and config.export.directory is None
     view = replace(config.view, save=config.view.save and dated(config.view.save))
     config = replace(config, view=chosen_view(view, somebody_waits=somebody_waits))
-    arguments = replace(arguments, config=config)
+    verbose = arguments.verbosity > 0
     try:
         process = begin_view(config.shown)
     except ViewError as err:
-        _log.error("%s", err, exc_info=arguments.verbosity > 0)
+        _log.error("%s", err, exc_info=verbose)
         return NOT_STARTED
     with process or nullcontext():
-        return _run_with(arguments, interruption, process)
+        # While the process starts.
+        from nurbseg.app.command.compilation import logged_compilation
+        from nurbseg.app.export.exporter import ExportError
+        from nurbseg.app.live.parallel import FrameFailedError
+        from nurbseg.app.live.run import SetupError, run
+        from nurbseg.drivers.errors import DriverError
 
-
-def _run_with(arguments: Arguments, interruption: Interruption, process: ChildProcess | None) -> int:
-    from nurbseg.app.command.compilation import logged_compilation
-    from nurbseg.app.export.exporter import ExportError
-    from nurbseg.app.live.parallel import FrameFailedError
-    from nurbseg.app.live.run import SetupError, run
-    from nurbseg.app.view.viewer import ViewError
-    from nurbseg.drivers.errors import DriverError
-
-    config = arguments.config
-    try:
-        with logged_compilation():
-            report = run(config, interruption, process)
-    except SetupError as err:
-        _log.error("%s", err, exc_info=arguments.verbosity > 0)
-        return NOT_STARTED
-    except (DriverError, ExportError, FrameFailedError, ViewError) as err:
-        _log.error("%s", err, exc_info=arguments.verbosity > 0)
-        interruption.check()
-        return FAILED
+        try:
+            with logged_compilation():
+                report = run(config, interruption, process)
+        except SetupError as err:
+            _log.error("%s", err, exc_info=verbose)
+            return NOT_STARTED
+        except (DriverError, ExportError, FrameFailedError, ViewError) as err:
+            _log.error("%s", err, exc_info=verbose)
+            interruption.check()
+            return FAILED
     _log.info("done: %s", report.summary())
     for what, where in (
         ("results", config.export.directory),
