@@ -152,8 +152,8 @@ def listens(host: str, port: int) -> bool:
         return False
 
 
-def cut_connections(host: str, port: int) -> int:
-    """Shut down this process's TCP connections to a peer; return their number.
+def cut_connections(host: str, port: int) -> None:
+    """Shut down this process's TCP connections to a peer.
 
     If a peer stops reading, Rerun waits forever, at the latest when the interpreter ends; a closed connection
     is an error from which it continues.
@@ -161,16 +161,12 @@ def cut_connections(host: str, port: int) -> int:
     try:
         peers = {entry[4][:2] for entry in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)}
     except OSError:
-        return 0
-    count = 0
+        return
     for entry in Path("/proc/self/fd").iterdir():
         with contextlib.suppress(OSError):
             if not str(entry.readlink()).startswith("socket:"):
                 continue
             with socket.socket(fileno=os.dup(int(entry.name))) as connection:
-                if connection.family in (socket.AF_INET, socket.AF_INET6):
-                    if connection.getpeername()[:2] not in peers:
-                        continue
+                is_tcp = connection.family in (socket.AF_INET, socket.AF_INET6)
+                if is_tcp and connection.getpeername()[:2] in peers:
                     connection.shutdown(socket.SHUT_RDWR)
-                    count += 1
-    return count
