@@ -33,10 +33,6 @@ class DamagedExportError(ValueError):
         self.file = file
 
 
-class _UnexpectedError(ValueError):
-    """A value is of another type."""
-
-
 def read_settings(folder: Path) -> RunSettings:
     """Read the settings of a folder of exports; raises ValueError if they are missing or damaged."""
     path = folder / SETTINGS_FILE
@@ -106,7 +102,7 @@ _type_hints = cache(get_type_hints)
 def _decoded(kind: Any, value: Any) -> Any:
     """Convert a JSON value to a type: objects to dataclasses, lists to tuples.
 
-    Raises ValueError, which names the field and its segment, if the value does not fit.
+    Raises ValueError, which names the field and its segment, or TypeError if the value itself does not fit.
     """
     origin, inner = get_origin(kind), get_args(kind)
     if origin is UnionType:
@@ -123,7 +119,7 @@ def _decoded(kind: Any, value: Any) -> Any:
                 raise ValueError(f"{whose}{name} is missing")
             try:
                 fields[name] = _decoded(hint, value[name])
-            except _UnexpectedError as err:
+            except TypeError as err:
                 raise ValueError(f"{whose}{name}: {err}") from err
             except ValueError as err:
                 raise ValueError(f"{whose}{err}") from err
@@ -132,7 +128,7 @@ def _decoded(kind: Any, value: Any) -> Any:
     # In Python, bool is a subclass of int.
     if isinstance(value, bool) == (kind is bool) and isinstance(value, kinds):
         return value
-    raise _UnexpectedError(f"expected {getattr(kind, '__name__', kind)}, got {value!r}")
+    raise TypeError(f"expected {getattr(kind, '__name__', kind)}, got {value!r}")
 
 
 def _image(folder: Path, file: str, shape: tuple[int, int]) -> NDArray[np.uint16]:

@@ -63,8 +63,8 @@ def check_method(name: str) -> None:
 def labels_on_disk(folder: Path, frame_name: str, index: int) -> NDArray[np.integer]:
     """Read another program's labels of a frame, (H, W).
 
-    ``NAME_labels.png``, ``NAME_label.png``, ``NAME.png`` and ``NNNNNN_labels.png`` (the frame's number) are
-    tried in this order. Raises ValueError if none exists, or it is not an image of one channel.
+    ``NAME_labels.png``, ``NAME_label.png``, ``NAME.png``, ``NNNNNN_labels.png`` and ``NNNNNN.png`` (the
+    frame's number) are tried in this order. Raises ValueError if none exists, or it has several channels.
     """
     names = [f"{index:06d}_labels.png", f"{index:06d}.png"]
     if frame_name:
