@@ -51,10 +51,6 @@ class SetupError(Exception):
     """The run cannot start: a source, folder or file cannot be opened."""
 
 
-class NoFramesError(DriverError):
-    """The source ended without a readable frame."""
-
-
 def run(config: AppConfig, interruption: Interruption, view_process: ChildProcess | None = None) -> RunReport:
     """Segment a source's frames until it ends, or `interruption` ends the run.
 
@@ -117,7 +113,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 else:
                     _segment(config, settings, opened, feed, recorder, exporter, view, report)
             if report.segmented + report.recorded_only == 0 and not report.quit:
-                raise NoFramesError(f"{opened.uri}: no frame could be read ({capture.damaged} damaged)")
+                raise DriverError(f"{opened.uri}: no frame could be read ({capture.damaged} damaged)")
         if view.serving and not report.quit:
             wait_for_quit(config.live.control, interruption)
         return report
