@@ -1,5 +1,6 @@
 """Settings of the viewer: where to show and save, and in which detail."""
 
+import re
 from dataclasses import dataclass
 from ipaddress import ip_address
 from typing import Literal
@@ -60,9 +61,7 @@ class ViewConfig(Settings):
             ip_address(self.bind)
         except ValueError:
             raise ValueError(f"bind: expected an IP address such as 127.0.0.1, got {self.bind!r}") from None
-        number = self.memory_limit.rstrip("%BGMKi")
-        unit = self.memory_limit[len(number) :]
-        if not number.isdecimal() or unit not in {"%", *(a + b for a in "KMG" for b in ("B", "iB"))}:
+        if re.fullmatch(r"\d+(%|[KMG]i?B)", self.memory_limit) is None:
             raise ValueError(f"memory_limit: expected a size such as 2GB or 25%, got {self.memory_limit!r}")
         if self.connect is not None:
             if self.mode not in ("auto", "connect"):
