@@ -1,6 +1,6 @@
 """Entity paths in Rerun, and their contents for a frame."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing import palette
-from nurbseg.app.view.drawing.frame import Moment, SurfaceMesh, ViewFrame
+from nurbseg.app.view.drawing.frame import Moment, SurfaceMesh, ViewFrame, relabelled
 from nurbseg.app.view.drawing.tables import object_table, tree_table
 from nurbseg.app.view.drawing.tree import Entities, tree_entities
 from nurbseg.drivers.frame import Calibration, Intrinsics
@@ -160,20 +160,13 @@ def _images(frame: ViewFrame, view: ViewConfig) -> Entities:
     if frame.objects is None:
         yield LABELS, rr.SegmentationImage(frame.surfaces, opacity=1.0)
     else:
-        of, shades = frame.object_of_surface, palette.shades_of_surfaces(frame.object_of_surface)
-        classes = {each: _shaded_class(of[each], shade) for each, shade in shades.items()}
-        yield SHADED, rr.SegmentationImage(_relabelled(frame.surfaces, classes), opacity=1.0)
+        shades = palette.shades_of_surfaces(frame.object_of_surface)
+        classes = {surface: _shaded_class(*each) for surface, each in shades.items()}
+        yield SHADED, rr.SegmentationImage(relabelled(frame.surfaces, classes), opacity=1.0)
         yield OBJECTS, rr.SegmentationImage(frame.objects, opacity=1.0)
     if frame.truth is not None and frame.truth_match is not None:
         matches = {region: match or _NOTHING for region, match in frame.truth_match.tolist() if region}
-        yield GROUND_TRUTH, rr.SegmentationImage(_relabelled(frame.truth, matches), opacity=1.0)
-
-
-def _relabelled(labels: NDArray[np.uint16], new_labels: Mapping[int, int]) -> NDArray[np.uint16]:
-    """Return an image with new labels, 0 for unlisted ones; without Numba, which is slow to import."""
-    table = np.zeros(max(new_labels, default=0) + 2, dtype=np.uint16)
-    table[[*new_labels]] = [*new_labels.values()]
-    return table.take(labels, mode="clip")
+        yield GROUND_TRUTH, rr.SegmentationImage(relabelled(frame.truth, matches), opacity=1.0)
 
 
 def _space(frame: ViewFrame, view: ViewConfig) -> Entities:
@@ -185,10 +178,10 @@ def _space(frame: ViewFrame, view: ViewConfig) -> Entities:
             ),
         )
     mesh = frame.mesh
-    of, shades = frame.object_of_surface, palette.shades_of_surfaces(frame.object_of_surface)
-    colors = np.full((max(of, default=0) + 1, 3), palette.NOTHING_COLOR, dtype=np.uint8)
-    for surface, shade in shades.items():
-        colors[surface] = palette.shaded(of[surface], shade)
+    shades = palette.shades_of_surfaces(frame.object_of_surface)
+    colors = np.full((max(shades, default=0) + 1, 3), palette.NOTHING_COLOR, dtype=np.uint8)
+    for surface, each in shades.items():
+        colors[surface] = palette.shaded(*each)
     yield (
         SURFACES,
         rr.Mesh3D(

@@ -76,6 +76,13 @@ class SurfaceMesh:
     isoline_sizes: NDArray[np.intp]
 
 
+def relabelled(labels: NDArray[np.uint16], new_labels: Mapping[int, int]) -> NDArray[np.uint16]:
+    """Return new labels, 0 for unlisted ones; without Numba, which is slow to import."""
+    table = np.zeros(max(new_labels, default=0) + 2, dtype=np.uint16)
+    table[[*new_labels]] = [*new_labels.values()]
+    return table.take(labels, mode="clip")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewFrame:
     """A frame as it is shown; label images have 0 for no label."""

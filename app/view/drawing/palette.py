@@ -1,5 +1,6 @@
 """Colors of labels, tree nodes and residuals, which mean the same in every frame."""
 
+from collections import Counter
 from collections.abc import Mapping
 from functools import lru_cache
 
@@ -110,13 +111,13 @@ def label_colors() -> NDArray[np.uint8]:
     return colors
 
 
-def shades_of_surfaces(object_of_surface: Mapping[int, int]) -> dict[int, int]:
-    """Return each surface's shade of its object's color; the lowest label has shade 0, the color itself."""
-    shades: dict[int, int] = {}
-    surfaces_of: dict[int, int] = {}
+def shades_of_surfaces(object_of_surface: Mapping[int, int]) -> dict[int, tuple[int, int]]:
+    """Return each surface's object and its shade of that color; the lowest label has 0, the color itself."""
+    shades: dict[int, tuple[int, int]] = {}
+    surfaces = Counter[int]()
     for surface, thing in sorted(object_of_surface.items()):
-        surfaces_of[thing] = surfaces_of.get(thing, -1) + 1
-        shades[surface] = surfaces_of[thing] % SHADES
+        shades[surface] = thing, surfaces[thing] % SHADES
+        surfaces[thing] += 1
     return shades
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.boxes import OrientedBox
-from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame
+from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame, relabelled
 from nurbseg.app.view.drawing.palette import color_name
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.vocabulary import TRIED, display_name
@@ -73,9 +73,7 @@ def _root_mean_squares(
     frame: ViewFrame, object_of_surface: Mapping[int, int], count: int
 ) -> NDArray[np.float64]:
     """Return the root mean square of the residuals of each object, metres; NaN without a surface."""
-    lookup = np.zeros(max(object_of_surface, default=0) + 1, dtype=np.intp)
-    lookup[[*object_of_surface]] = [*object_of_surface.values()]
-    thing = lookup[frame.mesh.labels]
+    thing = relabelled(frame.mesh.labels, object_of_surface)
     squares = np.bincount(thing, frame.mesh.residuals_m.astype(np.float64) ** 2, count)
     vertices = np.bincount(thing, minlength=count)
     means = np.divide(squares, vertices, out=np.full(count, np.nan), where=vertices > 0)

@@ -33,9 +33,9 @@ def tree_entities(frame: ViewFrame) -> Entities:
         fills = [palette.label_color(each.thing) if each.thing else _node_color(each) for each in folded]
         yield from _drawing(OBJECT_TREE, folded, names, fills, {})
     names = {each.name: display_name(each.name) for each in frame.tree}
-    of, shades = frame.object_of_surface, palette.shades_of_surfaces(frame.object_of_surface)
+    shades = palette.shades_of_surfaces(frame.object_of_surface)
     dots = {
-        each.name: (f"label {each.label}", palette.shaded(of[each.label], shades[each.label]))
+        each.name: (f"label {each.label}", palette.shaded(*shades[each.label]))
         for each in frame.tree
         if each.label
     }

@@ -49,8 +49,8 @@ def test_shades_have_the_hue_of_their_object_and_differ(label: int) -> None:
 def test_an_objects_first_surface_has_its_color_and_the_others_further_shades() -> None:
     of = {5: 1, 2: 1, 3: 2, 9: 1, **dict.fromkeys(range(20, 30), 3)}
     shades = shades_of_surfaces(of)
-    assert {each: shades[each] for each in (2, 3, 5, 9)} == {2: 0, 3: 0, 5: 1, 9: 2}
-    assert [shades[each] for each in range(20, 30)] == [each % SHADES for each in range(10)]
+    assert {each: shades[each] for each in (2, 3, 5, 9)} == {2: (1, 0), 3: (2, 0), 5: (1, 1), 9: (1, 2)}
+    assert [shades[each] for each in range(20, 30)] == [(3, each % SHADES) for each in range(10)]
 
 
 def test_colors_have_the_names_that_people_would_give_them() -> None:
