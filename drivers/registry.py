@@ -50,7 +50,7 @@ def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameS
     DeviceNotFoundError
         If the path does not exist or no such camera is connected.
     RecordingFormatError
-        If the file or folder is of no known form, or damaged.
+        If the file or folder is of no known form, damaged, or cannot be read.
     CalibrationError
         If a recording brings no calibration and `options` give none.
     BackendMissingError
@@ -61,18 +61,18 @@ def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameS
     if separator and scheme in SCHEMES:
         return _open_with(SCHEMES[scheme], rest, options)
     path = Path(uri)
-    if not path.exists():
-        schemes = " or ".join(f"{name}:" for name in SCHEMES)
-        raise DeviceNotFoundError(f"{path}: no such file or folder (a URI starts with {schemes})")
-    return _open_folder(path, options) if path.is_dir() else _open_file(path, options)
+    try:
+        if not path.exists():
+            schemes = " or ".join(f"{name}:" for name in SCHEMES)
+            raise DeviceNotFoundError(f"{path}: no such file or folder (a URI starts with {schemes})")
+        return _open_folder(path, options) if path.is_dir() else _open_file(path, options)
+    except OSError as err:
+        raise RecordingFormatError(f"{path}: the recording cannot be read ({err.strerror})") from err
 
 
 def _open_file(path: Path, options: SourceOptions) -> FrameSource:
     with open_regular(path) as stream:
-        try:
-            head = stream.read(_HEAD_BYTES)
-        except OSError as err:
-            raise RecordingFormatError(f"{path}: the recording cannot be read ({err.strerror})") from err
+        head = stream.read(_HEAD_BYTES)
     if head.startswith(MCAP_MAGIC):
         return _open_with("mcap.reader:RecordingReader", path, options)
     if head.startswith(ONI_MAGIC):

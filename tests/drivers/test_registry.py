@@ -1,5 +1,6 @@
 """What a user names is recognized by its content."""
 
+import errno
 import subprocess
 import sys
 from pathlib import Path
@@ -99,3 +100,15 @@ sys.exit(any(name.startswith(unwanted) for name in sys.modules))
 
 def test_a_missing_library_does_not_look_like_a_missing_camera() -> None:
     assert not issubclass(BackendMissingError, DeviceNotFoundError)
+
+
+@pytest.mark.parametrize("method", ["exists", "iterdir"])
+def test_a_place_that_may_not_be_read_is_refused(
+    method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, method, refuse)
+    with pytest.raises(RecordingFormatError, match=r"the recording cannot be read \(Permission denied\)"):
+        open_source(tmp_path)
