@@ -223,7 +223,7 @@ def _chunk_content(content: bytes, name: str) -> bytes:
     compressed = content[place + 8 : place + 8 + length]
     cut_off = len(compressed) < length
     try:
-        records = _decompressed(compressed, compression, size, name, cut_off=cut_off)
+        records = _decompressed(compressed, compression, size, name)
     except (zstandard.ZstdError, RuntimeError, EOFError) as err:
         if cut_off:
             return b""
@@ -236,7 +236,7 @@ def _chunk_content(content: bytes, name: str) -> bytes:
     return records
 
 
-def _decompressed(content: bytes, compression: str, size: int, name: str, *, cut_off: bool) -> bytes:
+def _decompressed(content: bytes, compression: str, size: int, name: str) -> bytes:
     """Return the decompressed content, at most one byte more than `size`."""
     if compression == "":
         return content
@@ -244,6 +244,4 @@ def _decompressed(content: bytes, compression: str, size: int, name: str, *, cut
         return bytes(lz4.frame.LZ4FrameDecompressor().decompress(content, max_length=size + 1))
     if compression != "zstd":
         raise FrameFormatError(f"{name}: compression: expected zstd, lz4 or none, got {quoted(compression)}")
-    if not cut_off and zstandard.frame_content_size(content) in (-1, size):
-        return zstandard.decompress(content, size)
     return zstandard.ZstdDecompressor().stream_reader(content).read(size + 1)
