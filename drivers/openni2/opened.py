@@ -5,21 +5,20 @@ import ctypes
 import logging
 import os
 from collections.abc import Callable
-from typing import Any
 
 from nurbseg.drivers.closing import Closing, closed_on_error
 from nurbseg.drivers.errors import DeviceNotFoundError, DriverError
 from nurbseg.drivers.openni2.capi import DeviceProperty, OniVersion, Sensor, Status
-from nurbseg.drivers.openni2.library import DeviceListing, Library, in_use
+from nurbseg.drivers.openni2.library import DeviceListing, in_use
 from nurbseg.drivers.openni2.selection import choose, family_of, usb_port
-from nurbseg.drivers.openni2.stream import Stream
+from nurbseg.drivers.openni2.stream import Stream, WithProperties
 
 logger = logging.getLogger(__name__)
 
 _DEPTH_TO_COLOR = 1
 
 
-class OpenedDevice(Closing):
+class OpenedDevice(WithProperties, Closing):
     """A device that is open until `close`, and the library in use for as long.
 
     `on_event` is called with "disconnected" or "state N", on a thread of the library's. Raises
@@ -29,43 +28,27 @@ class OpenedDevice(Closing):
     def __init__(self, uri: str, on_event: Callable[[str], None] | None = None) -> None:
         self.uri = uri
         self.streams: tuple[Stream, ...] = ()
-        self._handle = ctypes.c_void_p()
         self._held = contextlib.ExitStack()
-        self.library: Library = self._held.enter_context(in_use())
+        super().__init__(self._held.enter_context(in_use()), "Device")
         with closed_on_error(self.close):
             if on_event is not None:
                 # Before it is opened, so that its going in between is not missed.
                 self._held.callback(self.library.unlisten, self.library.listen(uri, on_event))
             native = self.library.native
             self.library.check(
-                native.oniDeviceOpen(os.fsencode(uri), ctypes.byref(self._handle)),
+                native.oniDeviceOpen(os.fsencode(uri), ctypes.byref(self.handle)),
                 f"opening {uri}",
                 DeviceNotFoundError,
             )
-        self._held.callback(native.oniDeviceClose, self._handle)
-
-    def find(self, name: DeviceProperty, kind: type[Any]) -> Any | None:
-        """Return a property as a ctypes value, or None where the device does not report it."""
-        value, size = kind(), ctypes.c_int(ctypes.sizeof(kind))
-        status = self.library.native.oniDeviceGetProperty(
-            self._handle, name, ctypes.byref(value), ctypes.byref(size)
-        )
-        return value if status == Status.OK else None
-
-    def try_to_set(self, name: DeviceProperty, value: Any) -> bool:
-        """Set a property; return whether the device reports success."""
-        status: int = self.library.native.oniDeviceSetProperty(
-            self._handle, name, ctypes.byref(value), ctypes.sizeof(value)
-        )
-        return status == Status.OK
+        self._held.callback(native.oniDeviceClose, self.handle)
 
     def has(self, sensor: Sensor) -> bool:
         """Whether the device has a stream of this sensor."""
-        return bool(self.library.native.oniDeviceGetSensorInfo(self._handle, sensor))
+        return bool(self.library.native.oniDeviceGetSensorInfo(self.handle, sensor))
 
     def add_stream(self, sensor: Sensor) -> Stream:
         """Make the stream of a sensor; raises DriverError where the device does not give it."""
-        stream = Stream(self.library, self._handle, sensor)
+        stream = Stream(self.library, self.handle, sensor)
         self.streams += (stream,)
         return stream
 
@@ -85,21 +68,20 @@ class OpenedDevice(Closing):
     def can_register(self) -> bool:
         """Whether the device reports that it can register depth to color."""
         native = self.library.native
-        return bool(native.oniDeviceIsImageRegistrationModeSupported(self._handle, _DEPTH_TO_COLOR))
+        return bool(native.oniDeviceIsImageRegistrationModeSupported(self.handle, _DEPTH_TO_COLOR))
 
     def register(self, wanted: bool) -> bool:
         """Ask the device to register depth to color, or not to; return whether it does now."""
         if self.can_register:
             mode = ctypes.c_int(_DEPTH_TO_COLOR if wanted else 0)
-            self.try_to_set(DeviceProperty.IMAGE_REGISTRATION, mode)
-        state = self.find(DeviceProperty.IMAGE_REGISTRATION, ctypes.c_int)
-        return state is not None and state.value == _DEPTH_TO_COLOR
+            self.set(DeviceProperty.IMAGE_REGISTRATION, mode)
+        return bool(self.find(DeviceProperty.IMAGE_REGISTRATION, ctypes.c_int) == _DEPTH_TO_COLOR)
 
     def synchronize(self) -> bool:
         """Ask the device to take depth and color at the same moment; return whether it does."""
         native = self.library.native
-        status = native.oniDeviceEnableDepthColorSync(self._handle)
-        return bool(status == Status.OK and native.oniDeviceGetDepthColorSyncEnabled(self._handle))
+        status = native.oniDeviceEnableDepthColorSync(self.handle)
+        return bool(status == Status.OK and native.oniDeviceGetDepthColorSyncEnabled(self.handle))
 
     def close(self) -> None:
         """Release everything, in the order that the library needs; safe to repeat."""

@@ -1,7 +1,8 @@
 """One stream of an opened device: its modes, its settings and its images."""
 
 import ctypes
-from typing import Any, NamedTuple
+from enum import IntEnum
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,12 +38,36 @@ class Image(NamedTuple):
     pixels: NDArray[Any]
 
 
-class Stream:
+class WithProperties:
+    """A device, or one of its streams; `kind` is how the library's functions call it."""
+
+    def __init__(self, library: Library, kind: Literal["Device", "Stream"]) -> None:
+        self.library = library
+        self.handle = ctypes.c_void_p()
+        self._get_property = getattr(library.native, f"oni{kind}GetProperty")
+        self._set_property = getattr(library.native, f"oni{kind}SetProperty")
+
+    def find(self, name: IntEnum, kind: type[Any]) -> Any | None:
+        """Return a property as a ctypes structure, or as a plain value for a simple type.
+
+        None where it is not reported.
+        """
+        value, size = kind(), ctypes.c_int(ctypes.sizeof(kind))
+        if self._get_property(self.handle, name, ctypes.byref(value), ctypes.byref(size)) != capi.Status.OK:
+            return None
+        return value.value if isinstance(value, ctypes._SimpleCData) else value
+
+    def set(self, name: IntEnum, value: Any) -> int:
+        """Set a property to a ctypes value; return the status."""
+        status: int = self._set_property(self.handle, name, ctypes.byref(value), ctypes.sizeof(value))
+        return status
+
+
+class Stream(WithProperties):
     """A stream of one sensor of an opened device; raises DriverError where the device does not give it."""
 
     def __init__(self, library: Library, device: ctypes.c_void_p, sensor: capi.Sensor) -> None:
-        self._library = library
-        self.handle = ctypes.c_void_p()
+        super().__init__(library, "Stream")
         self.sensor = sensor
         info = library.native.oniDeviceGetSensorInfo(device, sensor)
         if not info:
@@ -55,8 +80,11 @@ class Stream:
 
     @property
     def mode(self) -> VideoMode:
-        """The mode that is set."""
-        return _mode(self.get(capi.StreamProperty.VIDEO_MODE, capi.OniVideoMode))
+        """The mode that is set; raises DriverError if the stream does not report it."""
+        mode = self.find(capi.StreamProperty.VIDEO_MODE, capi.OniVideoMode)
+        if mode is None:
+            raise DriverError(f"the {self.sensor.name.lower()} stream does not report its mode")
+        return _mode(mode)
 
     @property
     def horizontal_fov(self) -> float | None:
@@ -74,8 +102,8 @@ class Stream:
             if wanted not in self.modes:
                 continue
             value = capi.OniVideoMode(pixel_format, width, height, fps)
-            self._library.check(
-                self._set(capi.StreamProperty.VIDEO_MODE, value), f"setting the {name} stream to {wanted}"
+            self.library.check(
+                self.set(capi.StreamProperty.VIDEO_MODE, value), f"setting the {name} stream to {wanted}"
             )
             if self.mode != wanted:
                 raise DriverError(f"{name} stream: requested {wanted}, but the camera stays at {self.mode}")
@@ -86,55 +114,28 @@ class Stream:
             f"{' or '.join(each.name for each in formats)}; it lists {listed or 'nothing'}"
         )
 
-    def get(self, name: capi.StreamProperty, kind: type[Any]) -> Any:
-        """Return a property as a ctypes structure, or as a plain value for a simple type.
-
-        Raises DriverError if the stream does not report it.
-        """
-        value, size = kind(), ctypes.c_int(ctypes.sizeof(kind))
-        self._library.check(
-            self._library.native.oniStreamGetProperty(
-                self.handle, name, ctypes.byref(value), ctypes.byref(size)
-            ),
-            f"reading {name.name} of the {self.sensor.name.lower()} stream",
-        )
-        return value.value if isinstance(value, ctypes._SimpleCData) else value
-
-    def find(self, name: capi.StreamProperty, kind: type[Any]) -> Any | None:
-        """Return a property as `get` does, or None where the stream does not report it."""
-        try:
-            return self.get(name, kind)
-        except DriverError:
-            return None
-
     def try_to_set(self, name: capi.StreamProperty, value: Any) -> bool:
         """Set a property and read it back; return whether it has the value now."""
-        if self._set(name, value) != capi.Status.OK:
+        if self.set(name, value) != capi.Status.OK:
             return False
         wanted = value.value if isinstance(value, ctypes._SimpleCData) else value
         return bool(self.find(name, type(value)) == wanted)
 
-    def _set(self, name: capi.StreamProperty, value: Any) -> int:
-        status: int = self._library.native.oniStreamSetProperty(
-            self.handle, name, ctypes.byref(value), ctypes.sizeof(value)
-        )
-        return status
-
     def start(self) -> None:
         """Start the delivery of frames."""
-        self._library.check(
-            self._library.native.oniStreamStart(self.handle),
+        self.library.check(
+            self.library.native.oniStreamStart(self.handle),
             f"starting the {self.sensor.name.lower()} stream",
         )
 
     def stop(self) -> None:
         """Stop the delivery of frames."""
-        self._library.native.oniStreamStop(self.handle)
+        self.library.native.oniStreamStop(self.handle)
 
     def destroy(self) -> None:
         """Destroy the stream; safe to repeat."""
         if self.handle:
-            self._library.native.oniStreamDestroy(self.handle)
+            self.library.native.oniStreamDestroy(self.handle)
             self.handle = ctypes.c_void_p()
 
     def take(self) -> Image | None:
@@ -146,9 +147,9 @@ class Stream:
         """
         frame = ctypes.POINTER(capi.OniFrame)()
         # This does not block: an image is waiting, and nobody else takes it.
-        status = self._library.quick.oniStreamReadFrame(self.handle, ctypes.byref(frame))
+        status = self.library.quick.oniStreamReadFrame(self.handle, ctypes.byref(frame))
         if status != capi.Status.OK:
-            self._library.check(status, f"reading the {self.sensor.name.lower()} stream", DeviceLostError)
+            self.library.check(status, f"reading the {self.sensor.name.lower()} stream", DeviceLostError)
         if not frame:
             return None
         try:
@@ -170,7 +171,7 @@ class Stream:
             shape = (head.height, head.stride)
             width, timestamp_us, number = head.width, head.timestamp, head.frame_index
         finally:
-            self._library.quick.oniFrameRelease(frame)
+            self.library.quick.oniFrameRelease(frame)
         return Image(timestamp_us, number, _pixels(copy, shape, width, mode.pixel_format))
 
 

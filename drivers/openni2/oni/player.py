@@ -150,8 +150,8 @@ def play(path: str, channel: Channel) -> None:
             ended.append(True)
 
     with OpenedDevice(path, on_event) as device:
-        device.try_to_set(DeviceProperty.PLAYBACK_REPEAT_ENABLED, ctypes.c_int(0))
-        device.try_to_set(DeviceProperty.PLAYBACK_SPEED, ctypes.c_float(_STEPWISE))
+        device.set(DeviceProperty.PLAYBACK_REPEAT_ENABLED, ctypes.c_int(0))
+        device.set(DeviceProperty.PLAYBACK_SPEED, ctypes.c_float(_STEPWISE))
         streams: tuple[Stream, ...] = (
             device.add_stream(Sensor.DEPTH),
             device.add_stream(Sensor.COLOR),
