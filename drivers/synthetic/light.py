@@ -178,9 +178,9 @@ def _clipped(value: Any) -> Any:
 
 @lru_cache(maxsize=2)
 def _lit_grounds(seed: int) -> dict[int, NDArray[np.uint8]]:
-    """Return the texture of the flat grounds of the scene of a seed, by object, with the light baked into it.
+    """Return the textures of a scene's table and wall, by object, with the light baked into them.
 
-    With it are the shadows of what stands still; the ball's moves over it.
+    They include the shadows of all objects but the ball, whose shadow moves.
     """
     scene = RenderedScene(seed)
     still = [n for n, each in enumerate(scene.objects) if each.shape.kind != RECTANGLE]

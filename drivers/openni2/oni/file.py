@@ -122,8 +122,7 @@ def _read(path: Path, file: BinaryIO) -> OniFile:
 
 def _records(file: BinaryIO) -> Iterator[tuple[int, int, bytes, int, int]]:
     """Yield type, node, fields, payload size and end position of each whole record."""
-    position = file.tell()
-    size = file.seek(0, 2)
+    position, size = _HEADER.size, file.seek(0, 2)
     while position + _RECORD.size <= size:
         file.seek(position)
         magic, kind, node, fields_size, payload_size, _undo = _RECORD.unpack(file.read(_RECORD.size))
@@ -197,7 +196,6 @@ def _add_frame(path: Path, stream: StoredStream, fields: bytes, payload_size: in
 def has_begun(path: Path, streams: int) -> bool:
     """Whether a recorder that is at work has written the beginning of so many streams' data."""
     with path.open("rb") as file:
-        file.seek(_HEADER.size)
         return sum(kind == _DATA_BEGIN for kind, *_ in _records(file)) >= streams
 
 
@@ -224,7 +222,7 @@ def write_end(path: Path) -> bool:
     Raises OSError if the file cannot be read or written.
     """
     with path.open("r+b") as file:
-        place = file.seek(_HEADER.size)
+        place = _HEADER.size
         for kind, *_, end_of_record in _records(file):
             place = end_of_record
             if kind == _END:
@@ -256,7 +254,6 @@ def finish(path: Path, note: dict[str, Any]) -> None:
     """
     try:
         with path.open("r+b") as file:
-            file.seek(_HEADER.size)
             end = next((end for kind, _node, _fields, _size, end in _records(file) if kind == _END), None)
             if end is None:
                 raise RecordingFormatError(f"{path}: the recorder has not written its end")
