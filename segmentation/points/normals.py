@@ -15,6 +15,9 @@ _FILLED_SHARE = 0.3
 _PREFERENCE = np.float32(1.0 / 1.5)
 #: Stands for the variance where there are too few points for a plane.
 _UNUSABLE = np.float32(1e3)
+#: Where the nine windows that hold a pixel are centered, in reaches from it, and the number of its own.
+_DOWN, _ACROSS = np.indices((3, 3)).reshape(2, -1) - 1
+_OWN = 4
 
 
 def facet_slopes(
@@ -72,7 +75,7 @@ def _window_planes(inverse_depth: F32, valid: Bool, window: int, noise_per_m: fl
     cost = np.empty((height, width), dtype=np.float32)
     # Sums over the rows of a window, of 1, v, v^2, d, d v, d^2 at each column.
     below = np.zeros((6, width))
-    sums = np.empty((10, width))
+    sums, row = np.empty((10, width)), np.empty((4, width))
     least = (0.3 * noise_per_m) ** 2
     full = float(window * window)
     offset = _mean(inverse_depth, valid)
@@ -86,27 +89,37 @@ def _window_planes(inverse_depth: F32, valid: Bool, window: int, noise_per_m: fl
         if y < 0:
             continue
         _add_columns(below, half, sums)
+        _planes_of_row(sums, float(y), full, least, row)
         for x in range(width):
-            n = max(sums[0, x], 1.0)
-            mean_u, mean_v, mean_d = sums[6, x] / n - x, sums[1, x] / n - y, sums[3, x] / n
-            # Added variance keeps the plane of a single row or column finite.
-            suu = sums[7, x] - n * (mean_u + x) * (mean_u + x) + 1e-2 * n
-            svv = sums[2, x] - n * (mean_v + y) * (mean_v + y) + 1e-2 * n
-            suv = sums[8, x] - n * (mean_u + x) * (mean_v + y)
-            sud = sums[9, x] - n * (mean_u + x) * mean_d
-            svd = sums[4, x] - n * (mean_v + y) * mean_d
-            sdd = sums[5, x] - n * mean_d * mean_d
-            per_determinant = 1.0 / (suu * svv - suv * suv)
-            slope_u = (svv * sud - suv * svd) * per_determinant
-            slope_v = (suu * svd - suv * sud) * per_determinant
-            variance = max(sdd - slope_u * sud - slope_v * svd, 0.0) / max(n - 3.0, 1.0)
-            # Where all windows fit within rounding, the fuller one is better.
-            price = (variance + least) * (0.5 + 0.5 * full / n)
-            planes[0, y, x] = mean_d - slope_u * mean_u - slope_v * mean_v + offset
-            planes[1, y, x] = slope_u
-            planes[2, y, x] = slope_v
-            cost[y, x] = price if n >= _FILLED_SHARE * full else _UNUSABLE
+            planes[0, y, x], planes[1, y, x], planes[2, y, x] = row[0, x] + offset, row[1, x], row[2, x]
+            cost[y, x] = row[3, x]
     return planes, cost
+
+
+@compiled
+def _planes_of_row(sums: F64, y: float, full: float, least: float, row: F64) -> None:
+    """Fit a plane in each window: its value at the pixel, its slopes and its cost.
+
+    A function of its own, as only few arrays in a loop are found not to overlap, so that it is vectorized.
+    """
+    for x in range(row.shape[1]):
+        n = max(sums[0, x], 1.0)
+        mean_u, mean_v, mean_d = sums[6, x] / n - x, sums[1, x] / n - y, sums[3, x] / n
+        # Added variance keeps the plane of a single row or column finite.
+        suu = sums[7, x] - n * (mean_u + x) * (mean_u + x) + 1e-2 * n
+        svv = sums[2, x] - n * (mean_v + y) * (mean_v + y) + 1e-2 * n
+        suv = sums[8, x] - n * (mean_u + x) * (mean_v + y)
+        sud = sums[9, x] - n * (mean_u + x) * mean_d
+        svd = sums[4, x] - n * (mean_v + y) * mean_d
+        sdd = sums[5, x] - n * mean_d * mean_d
+        per_determinant = 1.0 / (suu * svv - suv * suv)
+        slope_u = (svv * sud - suv * svd) * per_determinant
+        slope_v = (suu * svd - suv * sud) * per_determinant
+        variance = max(sdd - slope_u * sud - slope_v * svd, 0.0) / max(n - 3.0, 1.0)
+        # Where all windows fit within rounding, the fuller one is better.
+        price = (variance + least) * (0.5 + 0.5 * full / n)
+        row[0, x], row[1, x], row[2, x] = mean_d - slope_u * mean_u - slope_v * mean_v, slope_u, slope_v
+        row[3, x] = price if n >= _FILLED_SHARE * full else _UNUSABLE
 
 
 @inlined_once
@@ -164,36 +177,36 @@ def _chosen_planes(
 ) -> F32:
     """Give each grid pixel the best plane of nine windows that hold it: (3, h, w) value there and slopes."""
     height, width = valid.shape
-    chosen = planes.copy()
-    best = np.empty(width, dtype=np.float32)
+    chosen = np.empty_like(planes)
+    best, number = np.empty(width, dtype=np.float32), np.empty(width, dtype=np.int32)
     far = np.float32(own_per_m)
     for y in range(height):
-        value, slope_u, slope_v = chosen[0, y], chosen[1, y], chosen[2, y]
         depth = inverse_depth[y]
         for x in range(width):
-            best[x] = cost[y, x] * _PREFERENCE
-        for shift_v in (-reach, 0, reach):
-            if not 0 <= y + shift_v < height:
+            best[x], number[x] = cost[y, x] * _PREFERENCE, _OWN
+        for n in range(9):
+            shift_v, shift_u = _DOWN[n] * reach, _ACROSS[n] * reach
+            if n == _OWN or not 0 <= y + shift_v < height:
                 continue
-            for shift_u in (-reach, 0, reach):
-                if shift_u == 0 and shift_v == 0:
-                    continue
-                begin, end = max(0, -shift_u), width - max(0, shift_u)
-                there = slice(begin + shift_u, end + shift_u)
-                price = cost[y + shift_v, there]
-                at, along_u = planes[0, y + shift_v, there], planes[1, y + shift_v, there]
-                along_v = planes[2, y + shift_v, there]
-                du, dv = np.float32(shift_u), np.float32(shift_v)
-                for k in range(end - begin):
-                    x = begin + k
-                    plane = at[k] - along_u[k] * du - along_v[k] * dv
-                    better = (price[k] < best[x]) & (abs(depth[x] - plane) <= far)
-                    best[x] = price[k] if better else best[x]
-                    value[x] = plane if better else value[x]
-                    slope_u[x] = along_u[k] if better else slope_u[x]
-                    slope_v[x] = along_v[k] if better else slope_v[x]
+            begin, end = max(0, -shift_u), width - max(0, shift_u)
+            there = slice(begin + shift_u, end + shift_u)
+            price = cost[y + shift_v, there]
+            at, along_u = planes[0, y + shift_v, there], planes[1, y + shift_v, there]
+            along_v = planes[2, y + shift_v, there]
+            du, dv = np.float32(shift_u), np.float32(shift_v)
+            for k in range(end - begin):
+                x = begin + k
+                plane = at[k] - along_u[k] * du - along_v[k] * dv
+                better = (price[k] < best[x]) & (abs(depth[x] - plane) <= far)
+                best[x] = price[k] if better else best[x]
+                number[x] = n if better else number[x]
         for x in range(width):
-            value[x] = value[x] if valid[y, x] else np.float32(0.0)
+            shift_v, shift_u = _DOWN[number[x]] * reach, _ACROSS[number[x]] * reach
+            row, column = y + shift_v, x + shift_u
+            slope_u, slope_v = planes[1, row, column], planes[2, row, column]
+            value = planes[0, row, column] - slope_u * np.float32(shift_u) - slope_v * np.float32(shift_v)
+            chosen[0, y, x] = value if valid[y, x] else np.float32(0.0)
+            chosen[1, y, x], chosen[2, y, x] = slope_u, slope_v
     return chosen
 
 
