@@ -80,16 +80,15 @@ def refine_borders(
     .. [1] J. Besag, "On the statistical analysis of dirty pictures", Journal of the Royal Statistical
        Society B 48(3), 1986.
     """
-    present = label_sizes(labels, len(surfaces) + 1) > 0
-    if len(surfaces) < 2 or not present[1:].any():
+    if len(surfaces) < 2:
         return labels
     deviations = own_deviations(rms_per_m or np.zeros(len(surfaces)), config.extended.inverse_depth_noise)
     refined = _cheapest(labels, inverse_depth, surfaces, deviations, step, sweeps, config)
     severed = _severed(refined, inverse_depth, config) if spread_severed else np.zeros(0, dtype=np.intp)
     if severed.size:
         spread_in_place(refined, severed, inverse_depth, config.extended.inverse_depth_gap)
-    lost = present & (label_sizes(refined, len(surfaces) + 1) == 0)
-    if lost.any():
+    lost = label_sizes(refined, len(surfaces) + 1) == 0
+    if lost[1:].any():
         kept = lost[labels]
         refined[kept] = labels[kept]
     return refined
@@ -147,11 +146,10 @@ def _cheapest(
         for block in (slice(n, n + _BLOCK) for n in range(0, pixels.size, _BLOCK)):
             some = pixels[block]
             candidates = _room_for(some.size)
-            count = _find_candidates(flat, depths, some, width, gaps, votes, across, candidates)
-            label, row, column = (
-                each[:count] for each in (candidates.label, candidates.row, candidates.column)
+            count = _find_candidates(flat, depths, some, width, step, gaps, votes, across, candidates)
+            explained = table.inverse_depths(
+                *(each[:count] for each in (candidates.label, candidates.row, candidates.column))
             )
-            explained = table.inverse_depths(label, row * np.int32(step), column * np.int32(step))
             _choose(flat, depths, some, candidates, explained, deviations, SQUARE_MOST, best[block])
         # Only pixels within reach of a change can change now. From the third sweep on only neighbours
         # that swap labels are left: one of two at a time.
@@ -166,7 +164,7 @@ class _Candidates(NamedTuple):
 
     #: (N,) where those of each pixel end.
     ends: NDArray[np.intp]
-    #: (25 N,) which label, and the pixel.
+    #: (25 N,) which label, and the pixel of the image.
     label: NDArray[np.int32]
     row: NDArray[np.int32]
     column: NDArray[np.int32]
@@ -187,6 +185,7 @@ def _find_candidates(
     inverse_depth: F32,
     pixels: Intp,
     width: int,
+    step: int,
     gaps_per_m: F32,
     votes: F32,
     votes_across: F32,
@@ -195,10 +194,12 @@ def _find_candidates(
     """Find the labels around pixels, a pixel's own first, none where there is no other; count them."""
     near, steps_per_m = np.empty(_AROUND, dtype=np.int32), np.empty(_AROUND, dtype=np.float32)
     near_votes = np.empty(_AROUND, dtype=np.float32)
-    end = 0
+    end, row = 0, pixels[0] // width
     for n in range(pixels.size):
         pixel, first = pixels[n], end
-        row = pixel // width
+        # Pixels ascend; a division is slower.
+        while pixel >= (row + 1) * width:
+            row += 1
         column = pixel - row * width
         for down in range(_SIDE):
             start = pixel + (down - _REACH) * width - _REACH
@@ -215,7 +216,7 @@ def _find_candidates(
                 total += near_votes[k] if near[k] == label else np.float32(0.0)
                 following = max(following, near[k] if near[k] < below and near[k] != own else np.int32(0))
             found.label[end], found.votes[end] = label, total
-            found.row[end], found.column[end] = row - _REACH, column - _REACH
+            found.row[end], found.column[end] = (row - _REACH) * step, (column - _REACH) * step
             end += 1
             label = below = following
         if end == first + 1:

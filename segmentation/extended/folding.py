@@ -11,6 +11,7 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.parts import Part, fit_segment, fit_together, judge_split
 from nurbseg.segmentation.growth import stop_without_cut
+from nurbseg.segmentation.points.grid import united, without
 from nurbseg.segmentation.segments import Node, Trial, depth_first
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
@@ -159,9 +160,9 @@ def _fold(
     shared = sum(node is other for node, other in zip(above, above_gone, strict=False))
     moved = leaves[gone].grid_pixels
     for node in above[shared:]:
-        node.grid_pixels = np.sort(np.concatenate([node.grid_pixels, moved]), kind="stable")
+        node.grid_pixels = united((node.grid_pixels, moved))
     for node in above_gone[shared:-1]:
-        node.grid_pixels = np.setdiff1d(node.grid_pixels, moved, assume_unique=True)
+        node.grid_pixels = without(node.grid_pixels, moved)
     (_, leaves[kept].fit, stop), trial = judged
     leaf_of = {id(leaf): number for number, leaf in leaves.items()}
     sibling, parent = remove_node(root, leaves[gone])

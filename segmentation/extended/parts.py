@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
+from nurbseg.segmentation.points.grid import united
 from nurbseg.segmentation.segments import Node, Trial
 from nurbseg.segmentation.surfaces.curvature import all_metrics
 from nurbseg.segmentation.surfaces.fit import Fit
@@ -61,7 +62,7 @@ def fit_together(
     features: GridFeatures, grid_pixels: Sequence[NDArray[np.intp]], config: SegmentationConfig
 ) -> Part:
     """Fit one surface to several parts, as `fit_segment` to one."""
-    return fit_segment(features, np.sort(np.concatenate(grid_pixels), kind="stable"), config)
+    return fit_segment(features, united(grid_pixels), config)
 
 
 def at_noise_floor(fit: Fit, config: SegmentationConfig) -> bool:
@@ -101,14 +102,12 @@ def chain_components(name: str, parts: list[Part], cuts_above: int) -> Node:
     grid_pixels, fit, stop = parts[-1]
     node = Node(f"{name}{'1' * (len(parts) - 1)}", grid_pixels, fit, stop=stop, cuts_above=cuts_above)
     for largest in range(len(parts) - 2, -1, -1):
-        inner, together = f"{name}{'1' * largest}", parts[largest:]
-        # Each part ascends: the stable sort merges them.
-        grid_pixels = np.sort(np.concatenate([part.grid_pixels for part in together]), kind="stable")
-        pixels = np.sort(np.concatenate([part.fit.pixels for part in together]), kind="stable")
-        fit = Fit(None, np.zeros(0), {}, f"{len(together)} components that are not connected", pixels)
+        inner, count = f"{name}{'1' * largest}", len(parts) - largest
         own_pixels, own_fit, stop = parts[largest]
         own = Node(f"{inner}0", own_pixels, own_fit, stop=stop, cuts_above=cuts_above)
         rest = node
-        node = Node(inner, grid_pixels, fit, cuts_above=cuts_above)
+        pixels = united((own_fit.pixels, rest.fit.pixels))
+        fit = Fit(None, np.zeros(0), {}, f"{count} components that are not connected", pixels)
+        node = Node(inner, united((own_pixels, rest.grid_pixels)), fit, cuts_above=cuts_above)
         node.children, node.division = (own, rest), Division.GAP
     return node

@@ -9,6 +9,7 @@ from nurbseg.segmentation.extended.folding import UNFINISHED
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.parts import chain_components, fit_segment
 from nurbseg.segmentation.labels.regions import connected_components
+from nurbseg.segmentation.points.grid import united, without
 from nurbseg.segmentation.segments import Node, depth_first
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
@@ -48,7 +49,7 @@ def split_off_protrusions(root: Node, features: GridFeatures, config: Segmentati
     large = np.flatnonzero(found.sizes >= features.grid_pixels_min(config))
     if not large.size:
         return
-    marked = np.flatnonzero(labels)
+    marked = np.flatnonzero(labels > 0)
     numbers = found.numbers.reshape(-1)[marked]
     side = max(1, round(_SIDE_PX * features.grid.unit_px / features.grid.step))
     square = np.ones((side, side), dtype=np.uint8)
@@ -85,7 +86,7 @@ def _in_front_of_surfaces(
             far = at[leaf.fit.residuals_m * inverse_depth[at] > limits_per_m[label] * distances_m[at]]
             if far.size >= least:
                 flat[far], surfaces[label - 1] = label, leaf.fit.surface
-    marked = np.flatnonzero(flat)
+    marked = np.flatnonzero(flat > 0)
     rows, columns = np.divmod(marked.astype(np.int32), np.int32(grid.points.shape[1]))
     step = np.int32(grid.step)
     explained = SurfaceTable(surfaces).inverse_depths(flat[marked], rows * step, columns * step)
@@ -97,10 +98,10 @@ def _split_off(
     leaf: Node, pieces: list[NDArray[np.intp]], features: GridFeatures, config: SegmentationConfig
 ) -> None:
     """Divide a leaf into what remains and its protrusions, unless these are most of it."""
-    protruding = np.concatenate(pieces)
+    protruding = united(pieces)
     if protruding.size > _SHARE_MOST * leaf.grid_pixels.size:
         return
-    remaining = np.setdiff1d(leaf.grid_pixels, protruding, assume_unique=True)
+    remaining = without(leaf.grid_pixels, protruding)
     rest, *parts = (
         part._replace(stop=part.stop or StopReason.UNTRIED)
         for part in (fit_segment(features, each, config) for each in (remaining, *pieces))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from nurbseg.drivers.compiled import F32, I32, Bool, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.ncut import Cut
-from nurbseg.segmentation.labels.spreading import spread_labels
+from nurbseg.segmentation.labels.spreading import spread_in_place
 from nurbseg.segmentation.points.grid import PixelGrid
 from nurbseg.segmentation.points.registration import PointMap
 
@@ -180,7 +180,8 @@ def upsample_by_depth(
         labels,
         open_pixels,
     )
-    return spread_labels(labels, open_pixels, inverse_depth, config.extended.inverse_depth_gap)
+    spread_in_place(labels, np.flatnonzero(open_pixels), inverse_depth, config.extended.inverse_depth_gap)
+    return labels
 
 
 @compiled

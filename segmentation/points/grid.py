@@ -1,6 +1,8 @@
 """The grid on which splits are decided: every pixel of the image, or every few rows and columns."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,12 +137,58 @@ def _on_image(grid_pixels: Intp, width: int, image_width: int, step: int) -> Int
 @compiled
 def _every_second(grid_pixels: Intp, width: int) -> Intp:
     found = np.empty(grid_pixels.size, dtype=np.intp)
-    count = 0
+    count, row = 0, 0
     for pixel in grid_pixels:
-        row = pixel // width
+        # Grid pixels ascend; a division is slower.
+        while pixel >= (row + 1) * width:
+            row += 1
         found[count] = pixel
         count += ((row | (pixel - row * width)) & 1) == 0
     return found[:count].copy()
+
+
+def united(parts: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:
+    """Return the pixels of parts that share none, each ascending, in ascending order."""
+    return reduce(lambda first, second: _merge(_read_only(first), _read_only(second)), parts)
+
+
+def without(pixels: NDArray[np.intp], gone: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return pixels but for some of them; both ascend."""
+    return _remove(_read_only(pixels), _read_only(gone))
+
+
+def _read_only(pixels: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return a read-only view, so that compiled loops see only one type."""
+    view = pixels.view()
+    view.flags.writeable = False
+    return view
+
+
+@compiled
+def _merge(first: Intp, second: Intp) -> Intp:
+    merged = np.empty(first.size + second.size, dtype=np.intp)
+    a, b = 0, 0
+    for n in range(merged.size):
+        if b == second.size or (a < first.size and first[a] < second[b]):
+            merged[n] = first[a]
+            a += 1
+        else:
+            merged[n] = second[b]
+            b += 1
+    return merged
+
+
+@compiled
+def _remove(pixels: Intp, gone: Intp) -> Intp:
+    left = np.empty(pixels.size - gone.size, dtype=np.intp)
+    count, n = 0, 0
+    for pixel in pixels:
+        if n < gone.size and gone[n] == pixel:
+            n += 1
+        else:
+            left[count] = pixel
+            count += 1
+    return left
 
 
 def decimated_grid(cloud: PointMap, step: int) -> PixelGrid:

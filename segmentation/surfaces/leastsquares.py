@@ -253,9 +253,8 @@ def _scatter(
         i, p = _FIRST[k], _SECOND[k]
         for m in range(_PRODUCTS):
             j, q = _FIRST[m], _SECOND[m]
-            n = origin + i * step_v + j * step_u
-            other = origin + p * step_v + q * step_u
-            band[min(n, other), abs(n - other)] += matrix[span, k, m]
+            # p is no less than i, and q than j.
+            band[origin + i * step_v + j * step_u, (p - i) * step_v + (q - j) * step_u] += matrix[span, k, m]
             if i != p and j != q:
                 n = origin + i * step_v + q * step_u
                 other = origin + p * step_v + j * step_u
