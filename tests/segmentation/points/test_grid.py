@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nurbseg.segmentation.points.grid import PixelGrid, grid_step
+from nurbseg.segmentation.points.grid import PixelGrid, grid_step, united, without
 
 
 @pytest.mark.parametrize(
@@ -35,3 +35,16 @@ def test_the_window_of_some_grid_pixels_is_tight_and_marks_them(share):
         assert window == (rows.min(), columns.min(), rows.max() + 1, columns.max() + 1)
         top, left, bottom, right = window
         assert np.array_equal(mask, there[top:bottom, left:right])
+
+
+@pytest.mark.parametrize("sizes", [(0, 0, 7), (1, 30, 0), (12, 12, 12)])
+def test_parts_are_united_and_removed_in_ascending_order(sizes):
+    shuffled = np.random.default_rng(sum(sizes)).permutation(90)
+    parts = [np.sort(part) for part in np.split(shuffled, np.cumsum(sizes))[:-1]]
+    whole = united(parts)
+    assert whole.tolist() == sorted(np.concatenate(parts).tolist())
+    for part in parts:
+        assert without(whole, part).tolist() == sorted(set(whole.tolist()) - set(part.tolist()))
+    # Arrays of a fit are read-only.
+    whole.flags.writeable = False
+    assert without(whole, whole).size == 0
