@@ -15,8 +15,9 @@ _FILLED_SHARE = 0.3
 _PREFERENCE = np.float32(1.0 / 1.5)
 #: Stands for the variance where there are too few points for a plane.
 _UNUSABLE = np.float32(1e3)
-#: Where the nine windows that hold a pixel are centered, in reaches from it, and the number of its own.
+#: Where the nine windows that hold a pixel are centered, in reaches from it.
 _DOWN, _ACROSS = np.indices((3, 3)).reshape(2, -1) - 1
+#: Number of the one around the pixel itself.
 _OWN = 4
 
 
