@@ -127,6 +127,14 @@ class ExtendedConfig(Settings):
         "inverse_depth_noise; 0 for the ratio alone",
         least=0.0,
     )
+    noise_correlation_px: float = setting(
+        30.0,
+        "side of the square over which sensor noise is alike, in pixels of a 640-wide image; 1 for white "
+        "noise. Surfaces follow such noise, which raises the floors of curvature metrics",
+        unit="px",
+        least=1.0,
+        most=640.0,
+    )
     inverse_depth_gap: float = setting(
         0.025,
         "minimum step in inverse depth between neighbours, or between surfaces extended to their common "

@@ -1,5 +1,6 @@
 """Leaves of different branches that meet smoothly, and that one surface explains as well, are merged."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from operator import attrgetter
@@ -47,7 +48,8 @@ def fold_leaves(root: Node, features: GridFeatures, config: SegmentationConfig) 
     meet smoothly if the normals on both sides of their border agree on average. If the ratio (eq. 5) would
     reject splitting one surface for both into the two, the smaller leaf is removed and its grid pixels go to
     the larger one. The segments above them are fitted and judged again; if the ratio rejects one of their
-    splits, the two are not merged. The pair with the largest ratio comes first.
+    splits, the two are not merged. The pair with the largest ratio comes first; a pair of which one has grown
+    is judged again when its turn comes.
 
     Parameters
     ----------
@@ -63,14 +65,23 @@ def fold_leaves(root: Node, features: GridFeatures, config: SegmentationConfig) 
         return
     borders = _borders(leaves, features)
     judged: dict[_Pair, tuple[Part, Trial]] = {}
-    while True:
-        for pair, (count, cosines) in borders.items():
-            if pair not in judged and count >= BORDER_LEAST and cosines > _SMOOTH_COSINE * count:
-                judged[pair] = _judged([leaves[number] for number in pair], features, config)
-        rejected = [pair for pair, (whole, trial) in judged.items() if whole.fit.surface and not trial.kept]
-        if not rejected:
-            return
-        pair = max(rejected, key=lambda each: (judged[each][1].ratio, each))
+    # As last judged, perhaps before one of the two grew.
+    ratios: dict[_Pair, float] = {}
+
+    def is_candidate(pair: _Pair) -> bool:
+        count, cosines = borders[pair]
+        if count < BORDER_LEAST or cosines <= _SMOOTH_COSINE * count:
+            return False
+        return pair not in judged or not judged[pair][1].kept
+
+    while candidates := [pair for pair in borders if is_candidate(pair)]:
+        pair = max(candidates, key=lambda each: (ratios.get(each, math.inf), each))
+        if pair not in judged:
+            whole, trial = _judged([leaves[number] for number in pair], features, config)
+            judged[pair], ratios[pair] = (whole, trial), trial.ratio
+            if whole.fit.surface is None:
+                del borders[pair]
+            continue
         kept, gone = sorted(pair, key=lambda number: -leaves[number].grid_pixels.size)
         if not _fold(root, leaves, kept, gone, judged[pair], features, config):
             del judged[pair], borders[pair]

@@ -84,6 +84,8 @@ def basis_matrix(
     .. [1] L. Piegl and W. Tiller, "The NURBS Book", 2nd ed., 1997, eq. 2.5 and 2.7.
     """
     count = knots.size - degree - 1
+    if derivative > degree:
+        return np.zeros((parameters.size, count))
     if degree == CUBIC and derivative <= 1:
         widths = knots[1:] - knots[:-1]
         if widths[0] > 0 and np.abs(widths - widths[0]).max() <= 1e-9 * widths[0]:

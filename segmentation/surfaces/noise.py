@@ -154,6 +154,9 @@ def _curvature_floor(
     fx, fy = grid.rays.focal_px
     scale = deviation_per_m * fx * fy / grid.step**2
     t = scale * scale * _second_derivative_variance(*knots_on(grid, config))
+    # At the low frequencies that a surface follows, noise that is alike on so many grid pixels has as many
+    # times the power of white noise.
+    t *= max(1.0, config.extended.noise_correlation_px * grid.unit_px / grid.step) ** 2
     if not 0.0 < t < np.inf:
         return 0.0
     if config.metric == "vmxc":

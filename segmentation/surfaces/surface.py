@@ -116,38 +116,14 @@ def evaluate_lattice(
     (H, W, 3) float64
         As of `evaluate`.
     """
-    return np.moveaxis(lattice_derivatives(surface, u, v)(du, dv), 0, -1)
-
-
-def lattice_derivatives(
-    surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64]
-) -> Callable[[int, int], NDArray[np.float64]]:
-    """Prepare the derivatives of a surface on a lattice, several of which share their terms.
-
-    Parameters
-    ----------
-    surface : NurbsSurface
-        The surface.
-    u, v : (W,), (H,) float
-        Columns and rows of the lattice, pixels.
-
-    Returns
-    -------
-    callable
-        Of the orders along u and v, together at most 2: points in metres, or derivatives in metres per pixel
-        to the power of the order, (3, H, W) float64. Raises ValueError for other orders.
-    """
     u, v = np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64)
 
-    @cache
-    def along_u(k: int) -> NDArray[np.float64]:
-        return basis_matrix(surface.knots_u, surface.degree[0], u, k)
+    def at(net: NDArray[np.float64], k: int, m: int) -> NDArray[np.float64]:
+        Bu = basis_matrix(surface.knots_u, surface.degree[0], u, k)
+        Bv = basis_matrix(surface.knots_v, surface.degree[1], v, m)
+        return np.asarray(Bv @ net @ Bu.T)
 
-    @cache
-    def along_v(m: int) -> NDArray[np.float64]:
-        return basis_matrix(surface.knots_v, surface.degree[1], v, m)
-
-    return _derivatives(surface, lambda net, k, m: np.asarray(along_v(m) @ net @ along_u(k).T))
+    return np.moveaxis(_derivatives(surface, at)(du, dv), 0, -1)
 
 
 def normals(surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -171,6 +171,31 @@ def test_leaves_meet_along_places_with_the_cosines_of_their_normals(cloud_of):
         assert found[pair] == (places, pytest.approx(cosines, rel=1e-5))
 
 
+def test_the_pair_with_the_largest_ratio_comes_first_as_its_leaves_are_now(monkeypatch):
+    with open_source("synthetic:?labels=surfaces&seed=0") as source:
+        cloud = register(source.read())
+    merged, merge = [], folding._fold
+
+    def check_merge(root, leaves, kept, gone, judged, features, config):
+        whole, trial = judged
+        now = np.union1d(leaves[kept].grid_pixels, leaves[gone].grid_pixels)
+        assert np.array_equal(whole.grid_pixels, now)
+        if not merged:
+            smooth = [
+                [leaves[number] for number in pair]
+                for pair, (count, cosines) in folding._borders(leaves, features).items()
+                if count >= 4 and cosines > 0.966 * count
+            ]
+            ratios = [folding._judged(pair, features, config)[1].ratio for pair in smooth]
+            assert trial.ratio == max(ratios) > np.median(ratios)
+        merged.append(trial.ratio)
+        return merge(root, leaves, kept, gone, judged, features, config)
+
+    monkeypatch.setattr(folding, "_fold", check_merge)
+    segment(cloud, SegmentationConfig(metric="vmxc", ratio_max=0.8, seed=3))
+    assert len(merged) > 3
+
+
 def test_a_table_that_the_first_cuts_tear_is_one_surface():
     with open_source("synthetic:?labels=surfaces&seed=0") as source:
         frame = source.read()

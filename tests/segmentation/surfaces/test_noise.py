@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import uniform_filter
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.points.depth_grid import depth_grid
@@ -114,7 +115,9 @@ def test_the_floor_of_large_errors_is_how_many_noise_makes(cloud_of, rays_of_siz
 def test_the_floor_of_curvature_is_that_of_surfaces_fitted_to_noise(
     cloud_of, depth_m, extended, large_per_m, variance_tolerance
 ):
-    config = SegmentationConfig(large_curvature_per_m=large_per_m, extended=extended)
+    config = SegmentationConfig(
+        large_curvature_per_m=large_per_m, extended=replace(extended, noise_correlation_px=1.0)
+    )
     rng = np.random.default_rng(0)
     size, window = (240, 320), (0, 0, 240, 320)
     mask = np.ones(size, dtype=np.bool_)
@@ -142,6 +145,29 @@ def test_the_floor_of_curvature_is_that_of_surfaces_fitted_to_noise(
         floor = noise_floor(grid, window, mask, replace(config, metric=metric))
         points = mask.sum() / k1.size if metric == "nlc" else 1
         assert floor == pytest.approx(points * expected[metric], rel=tolerance), metric
+
+
+def test_noise_that_neighbouring_pixels_share_bends_surfaces_more(cloud_of):
+    """Averages of squares of white noise, of the same deviation: much more of it is at low frequencies."""
+    stiff, rng, mask = (
+        ExtendedConfig(knot_spacing_px=80.0),
+        np.random.default_rng(0),
+        np.ones(SIZE, dtype=bool),
+    )
+    rows, columns = np.mgrid[80:160:4, 80:240:4].reshape(2, -1).astype(float)
+    for side in (1, 6, 12):
+        # A pixel is two of a 640-wide image.
+        extended = replace(stiff, noise_correlation_px=2.0 * side)
+        config = SegmentationConfig(metric="vmec", extended=extended)
+        curvatures = []
+        for _ in range(40):
+            noise = side * uniform_filter(rng.normal(size=SIZE), side, mode="wrap")
+            cloud = cloud_of(1 / (1.0 + extended.inverse_depth_noise * noise))
+            fit = fit_window(depth_grid(cloud, 1), (0, 0, *SIZE), mask, config)
+            curvatures.append(principal_curvatures(fit.surface, columns, rows))
+        expected = curvature_metrics(*np.concatenate(curvatures, axis=1), config)["vmec"]
+        floor = noise_floor(depth_grid(cloud_of(np.ones(SIZE)), 1), (0, 0, *SIZE), mask, config)
+        assert floor == pytest.approx(expected, rel=0.15), side
 
 
 def test_the_floor_of_curvature_is_the_same_on_every_second_pixel_of_twice_as_many(cloud_of):

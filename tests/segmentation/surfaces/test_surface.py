@@ -30,6 +30,17 @@ def wavy_rational() -> NurbsSurface:
     )
 
 
+def test_a_bilinear_patch_is_straight_along_both_parameters():
+    # (u, v, u v)
+    corners = np.array([[[0.0, 0, 0], [1, 0, 0]], [[0, 1, 0], [1, 1, 1]]])
+    knots = np.array([0.0, 0, 1, 1])
+    surface = NurbsSurface((1, 1), knots, knots, corners, np.ones((2, 2)), (0, 0, 2, 2))
+    u, v = np.array([0.2, 0.7]), np.array([0.4, 0.1])
+    assert np.allclose(evaluate(surface, u, v, 1, 1), [0, 0, 1])
+    assert not evaluate(surface, u, v, 2, 0).any()
+    assert not evaluate(surface, u, v, 0, 2).any()
+
+
 def test_a_rational_quarter_circle_is_exact():
     u = np.linspace(0, 1, 41)
     points = evaluate(quarter_cylinder(), u, np.linspace(0, 1, 41))
