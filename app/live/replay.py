@@ -133,7 +133,3 @@ class Limited(Wrapped):
         # The time skipped does not count.
         self._last_ns = None
         super()._seek(index)
-
-    def skip(self, frames: int) -> int:
-        """Go past the next frames; they do not count."""
-        return self._source.skip(frames)
