@@ -1,7 +1,7 @@
 """Searches for the settings that score best on labelled frames, and estimates the gain."""
 
-import json
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, get_args
@@ -14,6 +14,7 @@ from nurbseg.app.evaluation.scoring import score_frame
 from nurbseg.app.evaluation.study import FrameRef, Study, frame_refs, read_frame
 from nurbseg.app.workers import in_order, open_workers
 from nurbseg.drivers.errors import FrameFormatError
+from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import Metric, SegmentationConfig, SplittingPoint
 from nurbseg.segmentation.methods import segment
@@ -94,20 +95,17 @@ _Labelled = tuple[PointMap, NDArray[np.uint16]]
 
 #: Number of registered frames that a process keeps: half a gigabyte at 640x480.
 _CLOUDS_MOST = 100
-_CLOUDS: dict[str, _Labelled | None] = {}
+_CLOUDS: dict[tuple[FrameRef, SourceOptions], _Labelled | None] = {}
 
 
 def _labelled_cloud(ref: FrameRef, study: Study) -> _Labelled | None:
     """Register a frame, the first `_CLOUDS_MOST` only once in each process."""
-    known = json.dumps([ref.uri, ref.index, study.description()["options"]])
+    known = ref, study.options
     if known in _CLOUDS:
         return _CLOUDS[known]
     labelled = None
-    try:
+    with suppress(FrameFormatError):
         frame = read_frame(ref, study.options)
-    except FrameFormatError:
-        pass
-    else:
         cloud = register(frame)
         if frame.labels is not None and (cloud.valid & (frame.labels > 0)).any():
             labelled = cloud, frame.labels
