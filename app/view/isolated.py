@@ -19,7 +19,6 @@ from nurbseg.app.view.drawing.frame import Moment, ViewFrame
 from nurbseg.app.view.messages import CODEC, Close, Closed, Failed, Line, Open, Opened, Status
 from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import FILE_CLOSE_S, FILE_PATIENCE_S, ViewError
-from nurbseg.drivers.frame import Calibration
 from nurbseg.drivers.process.bounded_queue import BoundedQueue
 from nurbseg.drivers.process.channel import ChannelClosedError
 from nurbseg.drivers.process.child import ChildProcess, how_it_ended
@@ -88,7 +87,7 @@ class IsolatedView(View):
         self._problem = ""
         self._over = self._closed = False
         self._dropped_there = 0
-        self._known: Calibration | None = None
+        self._has_drawn = False
         self._shown_s: deque[float] = deque(maxlen=_RATE_FRAMES + 1)
         self._table_s = float("-inf")
         self._moment = Moment(0, None, False)
@@ -179,7 +178,7 @@ class IsolatedView(View):
         """Return whether everything was written in time."""
         # In the first run on a computer, drawing the first frame waits for the compiler.
         if file_limit_s >= FILE_PATIENCE_S and self._shown_s:
-            self._changed.wait_for(lambda: self._over or self._known is not None, _COMPILE_S)
+            self._changed.wait_for(lambda: self._over or self._has_drawn, _COMPILE_S)
         limit_s = file_limit_s + _REST_S
         began_s = time.monotonic()
         while not self._over:
@@ -257,9 +256,9 @@ class IsolatedView(View):
             self._fail(f"{what}a frame cannot be shown ({type(err).__name__}): {err}")
 
     def _drawn(self, draw: partial[ViewFrame]) -> ViewFrame:
-        frame = draw(known=self._known)
+        frame = draw()
         with self._changed:
-            self._known = frame.calibration or self._known
+            self._has_drawn = True
             self._changed.notify_all()
         return frame
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from nurbseg.app.view.config import bracketed
 from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.app.view.messages import Line, Open, Opened, Status
-from nurbseg.drivers.frame import Calibration
 
 # Rerun reports a lost viewer on stderr once for each entity, and a file without an index; we log the former
 # once, and the latter is intended.
@@ -41,7 +40,6 @@ class RerunView:
 
     def __init__(self, wanted: Open) -> None:
         self._config = config = wanted.config
-        self._calibration: Calibration | None = None
         self._server: WebServer | None = None
         self._file: FileSink | None = None
         self._viewer: ViewerSink | None = None
@@ -73,10 +71,7 @@ class RerunView:
 
     def show(self, frame: ViewFrame) -> None:
         """Show and save a frame; a slow viewer gets only the newest one, the file gets every one."""
-        self._calibration = frame.calibration or self._calibration
-        if self._calibration is None:
-            raise ValueError("calibration: expected one with the first frame")
-        entities = FrameEntities(frame, self._calibration, self._config)
+        entities = FrameEntities(frame, self._config)
         for sink in self._sinks:
             sink.put(entities)
 

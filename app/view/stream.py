@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -12,7 +13,7 @@ from nurbseg.app.view.drawing.entities import LOG, FrameEntities, camera_entitie
 from nurbseg.app.view.drawing.frame import Moment
 from nurbseg.app.view.drawing.tree import Entities
 from nurbseg.app.view.messages import Line
-from nurbseg.drivers.frame import Calibration
+from nurbseg.drivers.calibration.cameras import calibration_table
 
 APPLICATION = "nurbseg"
 
@@ -76,7 +77,7 @@ class Writer:
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
-        self._calibration: Calibration | None = None
+        self._cameras: dict[str, Any] = {}
         self._kind: tuple[bool, bool, bool] | None = None
         self._timeline = "frame"
         self._newest = 0
@@ -98,9 +99,9 @@ class Writer:
         if kind != self._kind or went_back:
             self._kind = kind
             self._stream.send_blueprint(blueprint(frame, item.view, self._timeline))
-        if item.calibration is not self._calibration:
-            self._calibration = item.calibration
-            log_entities(self._stream, camera_entities(item.calibration), static=True)
+        if (cameras := calibration_table(frame.calibration)) != self._cameras:
+            self._cameras = cameras
+            log_entities(self._stream, camera_entities(frame.calibration), static=True)
         if (stages := tuple(frame.elapsed_ms)) != self._stages:
             self._stages = stages
             log_entities(self._stream, stage_entities(stages), static=True)

@@ -10,7 +10,6 @@ from nurbseg.app.result import FrameResult
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.frame import Moment, TreeNode, ViewFrame
 from nurbseg.app.view.drawing.surface_mesh import surface_mesh
-from nurbseg.drivers.frame import Calibration
 from nurbseg.segmentation.config import REFERENCE_PIXELS, Metric
 from nurbseg.segmentation.labels.lookup import apply_lookup_table
 from nurbseg.segmentation.live.identity import event_text
@@ -24,13 +23,12 @@ def drawn(
     moment: Moment,
     elapsed_ms: Mapping[str, float] | None = None,
     rate_hz: float = 0.0,
-    known: Calibration | None = None,
     lists_objects: bool = True,
 ) -> ViewFrame:
     """Return what views show of a frame, in the detail that `view` asks for.
 
-    `elapsed_ms` holds the stages so far, if the run goes on adding to those of `result`. The calibration is
-    left out if it is `known` from the previous frame, and the table of objects unless `lists_objects`.
+    `elapsed_ms` holds the stages so far, if the run goes on adding to those of `result`. The table of objects
+    is left out unless `lists_objects`.
     """
     frame, tree = result.frame, result.tree
     # Meshes need the tree's own labels; the ones shown persist from frame to frame.
@@ -45,7 +43,7 @@ def drawn(
         moment=moment,
         name=frame.name,
         metric=metric,
-        calibration=None if frame.calibration is known else frame.calibration,
+        calibration=frame.calibration,
         color=frame.color if registered else result.cloud.color,
         unregistered_color=None if registered else frame.color,
         depth_mm=frame.depth_mm,

@@ -49,7 +49,6 @@ class FrameEntities:
     """One frame for all sinks."""
 
     frame: ViewFrame
-    calibration: Calibration
     view: ViewConfig
 
     @property

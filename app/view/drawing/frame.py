@@ -91,8 +91,7 @@ class ViewFrame:
     #: Name in the source; may be empty.
     name: str
     metric: Metric
-    #: None if it is that of the previous frame.
-    calibration: Calibration | None
+    calibration: Calibration
     #: (H, W, 3) RGB in the depth camera's image.
     color: NDArray[np.uint8]
     #: (h, w, 3) RGB as captured, if that is another image.

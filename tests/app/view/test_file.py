@@ -185,11 +185,10 @@ def test_the_layout_follows_what_frames_hold(
     sent: list[object] = []
     monkeypatch.setattr(type(stream), "send_blueprint", lambda _, layout: sent.append(layout))
     writer, moment = Writer(stream), Moment(0, None, False)
-    frame = drawn(results[0], ViewConfig(), "mse", moment=moment, elapsed_ms={}, rate_hz=0.0, known=None)
-    assert frame.calibration is not None
+    frame = drawn(results[0], ViewConfig(), "mse", moment=moment, elapsed_ms={}, rate_hz=0.0)
     assert frame.objects is not None
     for each in (frame, frame, replace(frame, objects=None), replace(frame, objects=None), frame):
-        writer.write(FrameEntities(each, frame.calibration, ViewConfig()))
+        writer.write(FrameEntities(each, ViewConfig()))
     assert len(sent) == 3
 
 
@@ -203,9 +202,8 @@ def test_a_viewer_follows_the_time_of_day_once_frames_went_back(
     writer = Writer(stream)
     for index in (4, 5, 3, 4, 5, 2):
         moment = Moment(index, None, False)
-        frame = drawn(results[0], ViewConfig(), "mse", moment=moment, elapsed_ms={}, rate_hz=0.0, known=None)
-        assert frame.calibration is not None
-        writer.write(FrameEntities(frame, frame.calibration, ViewConfig()))
+        frame = drawn(results[0], ViewConfig(), "mse", moment=moment, elapsed_ms={}, rate_hz=0.0)
+        writer.write(FrameEntities(frame, ViewConfig()))
     assert [layout.time_panel.timeline for layout in sent] == ["frame", "log_time"]
 
 
@@ -457,7 +455,6 @@ def test_showing_waits_for_a_file_that_grows_slowly(
                 moment=moment,
                 elapsed_ms={},
                 rate_hz=0.0,
-                known=None,
             )
         )
     view.close(file_limit_s=1.5)

@@ -196,12 +196,17 @@ def test_an_address_of_another_computer_is_named() -> None:
     assert own_children() == []
 
 
-def test_a_frame_that_cannot_be_shown_is_reported_with_its_cause(tmp_path: Path, result: FrameResult) -> None:
-    path = tmp_path / "a.rrd"
-    view, _ = opened(path)
-    # The process has never been told of the cameras.
-    view._known = result.frame.calibration
-    with pytest.raises(ViewError, match=r"a frame cannot be shown \(ValueError\): calibration"), view:
+def test_a_frame_that_cannot_be_shown_is_reported_with_its_cause(
+    tmp_path: Path, result: FrameResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    draw = view_isolated.drawn
+
+    def without_a_shape(*arguments: Any, **options: Any) -> ViewFrame:
+        return replace(draw(*arguments, **options), color=np.zeros(3, dtype=np.uint8))
+
+    monkeypatch.setattr(view_isolated, "drawn", without_a_shape)
+    view, _ = opened(tmp_path / "a.rrd")
+    with pytest.raises(ViewError, match=r"a frame cannot be shown \(ValueError\): Expected a 2D"), view:
         view.show(result)
     assert own_children() == []
 

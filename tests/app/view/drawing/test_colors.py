@@ -150,7 +150,7 @@ def test_a_part_of_the_tree_within_one_object_is_one_node() -> None:
 @pytest.fixture(scope="module")
 def frame(result: FrameResult) -> ViewFrame:
     moment = Moment(0, None, False)
-    return drawn(result, ViewConfig(), "mse", moment=moment, elapsed_ms={}, rate_hz=0.0, known=None)
+    return drawn(result, ViewConfig(), "mse", moment=moment, elapsed_ms={}, rate_hz=0.0)
 
 
 def test_sizes_are_those_of_boxes_around_the_points_shown(frame: ViewFrame) -> None:

@@ -19,7 +19,6 @@ def test_the_table_gives_the_evidence_by_which_each_object_was_merged() -> None:
         moment=Moment(0, 0, False),
         elapsed_ms={},
         rate_hz=0.0,
-        known=None,
     )
     told = [line for line in object_table(frame).splitlines() if line.startswith("- **")]
     surface_of = {leaf.name: n for n, leaf in enumerate(result.tree.leaves(), start=1)}
