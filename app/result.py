@@ -16,7 +16,7 @@ from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import SegmentationTree
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class FrameResult:
     """A frame and its segmentation.
 
@@ -44,6 +44,9 @@ class FrameResult:
     surface_identities: Identities | None = None
     object_identities: Identities | None = None
     update: UpdateReport | None = None
+
+    def __repr__(self) -> str:
+        return f"FrameResult(frame {self.frame.index}, {self.tree})"
 
     @property
     def surface_of_leaf(self) -> NDArray[np.uint16]:

@@ -50,7 +50,7 @@ class Trial:
         return acceptance_ratio(self.metric, (self.value, self.points), *self.parts)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Segment:
     """One segment of the tree.
 
@@ -99,6 +99,9 @@ class Segment:
     def __post_init__(self) -> None:
         self.pixels.flags.writeable = False
 
+    def __repr__(self) -> str:
+        return f"Segment({self.name!r}, {self.pixels.size} pixels, {self.stop or self.division})"
+
     @property
     def depth(self) -> int:
         """Number of divisions of any kind between the root and this segment."""
@@ -115,7 +118,7 @@ class Segment:
         return not self.children
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class SegmentationTree:
     """All segments of a frame, from the whole cloud to the final ones.
 
@@ -149,6 +152,12 @@ class SegmentationTree:
     def __post_init__(self) -> None:
         if self.image is not None:
             self.image.flags.writeable = False
+
+    def __repr__(self) -> str:
+        height, width = self.shape
+        return (
+            f"SegmentationTree({width}x{height}, {len(self.leaves())} surfaces, {len(self.objects)} objects)"
+        )
 
     @property
     def root(self) -> Segment:

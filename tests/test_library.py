@@ -45,6 +45,16 @@ def a_frame(depth: NDArray[Any]) -> nurbseg.RGBDFrame:
     return nurbseg.RGBDFrame.from_arrays(depth, color, 500.0, 510.0, 1.5, 0.5)
 
 
+def test_a_result_is_shown_in_a_line() -> None:
+    depth = np.full((48, 64), 1000, dtype=np.uint16)
+    depth[:, 32:] = 2000
+    result = nurbseg.segment(a_frame(depth))
+    assert str(result) == "FrameResult(frame 0, SegmentationTree(64x48, 2 surfaces, 2 objects))"
+    root, *leaves = result.tree.segments
+    assert str(root) == f"Segment('', {48 * 64} pixels, gap)"
+    assert [str(each) for each in leaves] == [f"Segment('{n}', {48 * 32} pixels, noise)" for n in (0, 1)]
+
+
 def test_a_frame_of_arrays_holds_millimetres_of_whole_numbers_and_of_metres() -> None:
     depth_mm = np.array([[0, 1, 1234], [65535, 40, 0]], dtype=np.uint16)
     metres = np.array([[np.nan, 0.001, 1.2341], [65.535, 0.0396, -2.0]], dtype=np.float32)
