@@ -42,7 +42,7 @@ class WarmUp:
             segmenter = Segmenter(self._config, temporal=self._temporal)
             for index in range(_FRAMES if self._temporal else 1):
                 result = segmenter.process(_frame(index))
-                drawn(result, ViewConfig(), self._config.metric, moment=Moment(index, None, False))
+                drawn(result, ViewConfig(), self._config.metric, moment=Moment(index, None))
         except Exception:
             # The run's own frames will fail with a clearer message.
             _log.debug("the warm-up failed", exc_info=True)

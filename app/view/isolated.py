@@ -47,8 +47,6 @@ _LOOK_S = 0.1
 _TABLES_S = 0.1
 #: Frames over which the frame rate is averaged.
 _RATE_FRAMES = 10
-#: A device clock past this (the year 2001) is a date.
-_EPOCH_NS = 1_000_000_000 * 10**9
 
 
 class IsolatedView(View):
@@ -90,8 +88,7 @@ class IsolatedView(View):
         self._has_drawn = False
         self._shown_s: deque[float] = deque(maxlen=_RATE_FRAMES + 1)
         self._table_s = float("-inf")
-        self._moment = Moment(0, None, False)
-        self._since_epoch: bool | None = None
+        self._moment = Moment(0, None)
         self._file_limit_s = FILE_CLOSE_S
         try:
             self._open(segmentation, metadata, name)
@@ -122,9 +119,7 @@ class IsolatedView(View):
             raise ViewError("the view is closed")
         self._check()
         frame = result.frame
-        if self._since_epoch is None:
-            self._since_epoch = frame.timestamp_ns > _EPOCH_NS
-        self._moment = Moment(frame.index, frame.timestamp_ns, self._since_epoch)
+        self._moment = Moment(frame.index, frame.timestamp_ns)
         now_s = time.monotonic()
         self._shown_s.append(now_s)
         lists_objects = self.every_table or now_s - self._table_s >= _TABLES_S

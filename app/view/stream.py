@@ -17,6 +17,8 @@ from nurbseg.drivers.calibration.cameras import calibration_table
 
 APPLICATION = "nurbseg"
 
+#: A device clock past this (the year 2001) is a date; otherwise it counts from an arbitrary start.
+_EPOCH_NS = 1_000_000_000 * 10**9
 #: Rerun's names of logging's levels.
 _LEVELS = {
     logging.CRITICAL: "CRITICAL",
@@ -66,7 +68,7 @@ def set_time(stream: rr.RecordingStream, moment: Moment) -> None:
     stream.set_time("frame", sequence=moment.frame)
     if moment.device_ns is None:
         return
-    if moment.since_epoch:
+    if moment.device_ns > _EPOCH_NS:
         stream.set_time("device_time", timestamp=np.datetime64(moment.device_ns, "ns"))
     else:
         stream.set_time("device_time", duration=np.timedelta64(moment.device_ns, "ns"))

@@ -19,8 +19,6 @@ class Moment:
     frame: int
     #: Device clock, nanoseconds; None before the first frame.
     device_ns: int | None
-    #: Whether the device's clock is a date; otherwise it counts from an arbitrary start.
-    since_epoch: bool
 
 
 @dataclass(frozen=True, slots=True)

@@ -163,7 +163,7 @@ def views_of(part: rrb.Container | rrb.View) -> Iterator[rrb.View]:
 def test_each_view_holds_data_and_all_that_is_drawn_is_seen(
     saved: SavedView, results: list[FrameResult], layout: Layout
 ) -> None:
-    frame = drawn(results[0], ViewConfig(), "mse", moment=Moment(0, None, False))
+    frame = drawn(results[0], ViewConfig(), "mse", moment=Moment(0, None))
     assert frame.truth is not None and frame.objects is not None
     logged = {*saved.by_frame, *saved.static}
     seen: set[str] = set()
@@ -184,7 +184,7 @@ def test_the_layout_follows_what_frames_hold(
     stream.memory_recording()
     sent: list[object] = []
     monkeypatch.setattr(type(stream), "send_blueprint", lambda _, layout: sent.append(layout))
-    writer, moment = Writer(stream), Moment(0, None, False)
+    writer, moment = Writer(stream), Moment(0, None)
     frame = drawn(results[0], ViewConfig(), "mse", moment=moment, elapsed_ms={}, rate_hz=0.0)
     assert frame.objects is not None
     for each in (frame, frame, replace(frame, objects=None), replace(frame, objects=None), frame):
@@ -201,7 +201,7 @@ def test_a_viewer_follows_the_time_of_day_once_frames_went_back(
     monkeypatch.setattr(type(stream), "send_blueprint", lambda _, layout: sent.append(layout))
     writer = Writer(stream)
     for index in (4, 5, 3, 4, 5, 2):
-        moment = Moment(index, None, False)
+        moment = Moment(index, None)
         frame = drawn(results[0], ViewConfig(), "mse", moment=moment, elapsed_ms={}, rate_hz=0.0)
         writer.write(FrameEntities(frame, ViewConfig()))
     assert [layout.time_panel.timeline for layout in sent] == ["frame", "log_time"]
@@ -445,7 +445,7 @@ def test_showing_waits_for_a_file_that_grows_slowly(
         written(writer, item)
 
     monkeypatch.setattr(Writer, "write", slowly)
-    moments = [Moment(index, None, False) for index in range(6)]
+    moments = [Moment(index, None) for index in range(6)]
     for moment in moments:
         view.show(
             drawn(

@@ -149,7 +149,7 @@ def test_a_part_of_the_tree_within_one_object_is_one_node() -> None:
 
 @pytest.fixture(scope="module")
 def frame(result: FrameResult) -> ViewFrame:
-    moment = Moment(0, None, False)
+    moment = Moment(0, None)
     return drawn(result, ViewConfig(), "mse", moment=moment, elapsed_ms={}, rate_hz=0.0)
 
 

@@ -16,7 +16,7 @@ def test_the_table_gives_the_evidence_by_which_each_object_was_merged() -> None:
         result,
         ViewConfig(),
         "mse",
-        moment=Moment(0, 0, False),
+        moment=Moment(0, 0),
         elapsed_ms={},
         rate_hz=0.0,
     )
