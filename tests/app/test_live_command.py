@@ -326,7 +326,8 @@ def test_a_run_that_cannot_begin_leaves_nothing_and_can_be_repeated(
     for _ in range(2):
         done = live("--replay", SMALL.format(1), *FAST, *words, "--report", "report.json")
         assert done.returncode == 2, done.stderr
-        said.add(done.stderr)
+        # Before it there may be a line that says that loops are compiled.
+        said.add(done.stderr.splitlines()[-1])
         assert not list(tmp_path.iterdir())
     assert len(said) == 1
 
