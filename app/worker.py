@@ -1,11 +1,8 @@
 """The program of a worker process of `nurbseg.app.workers`."""
 
 import importlib
-import os
 import pickle
-import select
 import sys
-import threading
 import traceback
 from contextlib import suppress
 from multiprocessing.connection import Connection
@@ -15,10 +12,8 @@ from typing import Any
 def serve(descriptor: int, module: str) -> None:
     """Import a module, if named; execute the calls that arrive through a connection until its end."""
     calls = Connection(descriptor)
-    threading.Thread(target=_end_with_parent, args=(descriptor,), name="parent", daemon=True).start()
     if module:
         importlib.import_module(module)
-    # The parent may be found to have ended here as well as by the thread.
     with suppress(EOFError, ConnectionError):
         while True:
             function, task = calls.recv()
@@ -28,13 +23,6 @@ def serve(descriptor: int, module: str) -> None:
             except Exception as err:
                 answer = None, _sendable(err)
             calls.send(answer)
-
-
-def _end_with_parent(descriptor: int) -> None:
-    gone = select.poll()
-    gone.register(descriptor, select.POLLRDHUP)
-    gone.poll()
-    os._exit(1)
 
 
 def _sendable(err: Exception) -> Exception:

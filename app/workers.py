@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import Any, Literal, Protocol, TypeVar
 
-from nurbseg.drivers.process.child import end_group, how_it_ended, python_command
+from nurbseg.drivers.process.child import dying_with_parent, end_group, how_it_ended, python_command
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -163,7 +163,7 @@ class _Process:
         self._connection = Connection(ours.detach())
         with theirs:
             self._process = subprocess.Popen(
-                python_command("nurbseg.app.worker", str(theirs.fileno()), self._module),
+                dying_with_parent(python_command("nurbseg.app.worker", str(theirs.fileno()), self._module)),
                 stdin=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
                 # Ctrl-C must reach this process only, which ends the others.

@@ -111,10 +111,7 @@ def test_leaving_ends_processes_whatever_they_are_doing() -> None:
 
 
 @pytest.mark.parametrize("tasks", [0, 1], ids=["while-waiting", "while-working"])
-def test_a_process_whose_parent_has_ended_ends_without_an_error(
-    tasks: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(worker, "_end_with_parent", lambda descriptor: None)
+def test_a_process_whose_parent_has_ended_ends_without_an_error(tasks: int) -> None:
     parent, child = (Connection(each.detach()) for each in socket.socketpair())
     for task in range(tasks):
         parent.send((process_of, task))
