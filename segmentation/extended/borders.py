@@ -14,7 +14,7 @@ from nurbseg.segmentation.labels.regions import connected_components, pixel_adja
 from nurbseg.segmentation.labels.spreading import spread_in_place
 from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
-from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
+from nurbseg.segmentation.surfaces.surface_table import Splines, SurfaceTable, fill_curve, no_curves, on_curve
 
 #: Largest distance of neighbours that vote, along rows and columns, pixels.
 _REACH = 2
@@ -24,8 +24,6 @@ _VOTE = 0.7
 ACROSS_GAP = 0.25
 #: Passes over the pixels at borders.
 _SWEEPS = 4
-#: Pixels judged at once; their candidates fit into the cache.
-_BLOCK = 4096
 #: Pixels within reach along a row or column, and of the square around a pixel with its own.
 _SIDE = 2 * _REACH + 1
 _AROUND = _SIDE * _SIDE
@@ -130,12 +128,12 @@ def _cheapest(
 
     Pixels are numbered in an image with a margin as wide as the reach, so that all have all neighbours.
     """
-    table = SurfaceTable(surfaces)
+    splines = SurfaceTable(surfaces).splines
     padded, depths = np.pad(labels, _REACH), np.pad(inverse_depth, _REACH).ravel()
     flat, width = padded.reshape(-1), padded.shape[1]
     gaps = (config.extended.inverse_depth_gap * np.sqrt(_DISTANCES)).astype(np.float32)
     votes = np.where(_DISTANCES > 0, _VOTE / np.maximum(_DISTANCES, 1.0), 0.0).astype(np.float32)
-    across = np.float32(ACROSS_GAP) * votes
+    neighbors = gaps, votes, np.float32(ACROSS_GAP) * votes
 
     reached = np.empty(flat.size, dtype=np.bool_)
     pixels = np.flatnonzero(_near_borders(padded))
@@ -143,14 +141,7 @@ def _cheapest(
         if pixels.size == 0:
             break
         best = np.empty(pixels.size, dtype=np.int32)
-        for block in (slice(n, n + _BLOCK) for n in range(0, pixels.size, _BLOCK)):
-            some = pixels[block]
-            candidates = _room_for(some.size)
-            count = _find_candidates(flat, depths, some, width, step, gaps, votes, across, candidates)
-            explained = table.inverse_depths(
-                *(each[:count] for each in (candidates.label, candidates.row, candidates.column))
-            )
-            _choose(flat, depths, some, candidates, explained, deviations, SQUARE_MOST, best[block])
+        _find_cheapest(flat, depths, pixels, width, step, neighbors, splines, deviations, SQUARE_MOST, best)
         # Only pixels within reach of a change can change now. From the third sweep on only neighbours
         # that swap labels are left: one of two at a time.
         reached[:] = False
@@ -159,48 +150,38 @@ def _cheapest(
     return np.ascontiguousarray(padded[_REACH:-_REACH, _REACH:-_REACH])
 
 
-class _Candidates(NamedTuple):
-    """Labels that N pixels could have: those around them and their own."""
-
-    #: (N,) where those of each pixel end.
-    ends: NDArray[np.intp]
-    #: (25 N,) which label, and the pixel of the image.
-    label: NDArray[np.int32]
-    row: NDArray[np.int32]
-    column: NDArray[np.int32]
-    #: (25 N,) sum of the votes of the neighbours that have it.
-    votes: NDArray[np.float32]
-
-
-def _room_for(pixels: int) -> _Candidates:
-    """Allocate candidates of a number of pixels."""
-    most = pixels * _AROUND
-    label, row, column = np.empty((3, most), dtype=np.int32)
-    return _Candidates(np.empty(pixels, dtype=np.intp), label, row, column, np.empty(most, dtype=np.float32))
-
-
 @compiled
-def _find_candidates(
+def _find_cheapest(
     labels: I32,
     inverse_depth: F32,
     pixels: Intp,
     width: int,
     step: int,
-    gaps_per_m: F32,
-    votes: F32,
-    votes_across: F32,
-    found: _Candidates,
-) -> int:
-    """Find the labels around pixels, a pixel's own first, none where there is no other; count them."""
+    neighbors: tuple[F32, F32, F32],
+    splines: Splines,
+    deviations: Deviations,
+    square_most: float,
+    best: I32,
+) -> None:
+    """Find the cheapest of the labels around each pixel, the smallest one among several.
+
+    Neighbours are given by the gaps to them and by their votes, without and with a gap in between.
+    """
+    # Taken out of tuples once: in the loop, their references would be counted each time.
+    gaps_per_m, votes, votes_across = neighbors
+    axes, weights, starts = splines
+    precision_m, penalty = deviations
+    # Pixels come row by row: a surface along its last row is kept.
+    rows, curves = no_curves(axes)
     near, steps_per_m = np.empty(_AROUND, dtype=np.int32), np.empty(_AROUND, dtype=np.float32)
     near_votes = np.empty(_AROUND, dtype=np.float32)
-    end, row = 0, pixels[0] // width
+    row = 0
     for n in range(pixels.size):
-        pixel, first = pixels[n], end
+        pixel, own = pixels[n], labels[pixels[n]]
         # Pixels ascend; a division is slower.
         while pixel >= (row + 1) * width:
             row += 1
-        column = pixel - row * width
+        at_row, at_column = (row - _REACH) * step, (pixel - row * width - _REACH) * step
         for down in range(_SIDE):
             start = pixel + (down - _REACH) * width - _REACH
             for across in range(_SIDE):
@@ -208,50 +189,30 @@ def _find_candidates(
                 steps_per_m[down * _SIDE + across] = inverse_depth[start + across] - inverse_depth[pixel]
         for k in range(_AROUND):
             near_votes[k] = votes_across[k] if abs(steps_per_m[k]) >= gaps_per_m[k] else votes[k]
-        own = labels[pixel]
+        best[n], least = own, np.float32(np.inf)
+        # A pixel's own label comes first, then the others from the largest on.
         label, below = own, np.int32(2**31 - 1)
         while label > 0:
             total, following = np.float32(0.0), np.int32(0)
             for k in range(_AROUND):
                 total += near_votes[k] if near[k] == label else np.float32(0.0)
                 following = max(following, near[k] if near[k] < below and near[k] != own else np.int32(0))
-            found.label[end], found.votes[end] = label, total
-            found.row[end], found.column[end] = (row - _REACH) * step, (column - _REACH) * step
-            end += 1
-            label = below = following
-        if end == first + 1:
-            end = first
-        found.ends[n] = end
-    return end
-
-
-@compiled
-def _choose(
-    labels: I32,
-    inverse_depth: F32,
-    pixels: Intp,
-    candidates: _Candidates,
-    explained_per_m: F32,
-    deviations: Deviations,
-    square_most: float,
-    best: I32,
-) -> None:
-    """Find the cheapest candidate of each pixel, the one of the smallest label among several."""
-    first = 0
-    for n in range(pixels.size):
-        best[n] = labels[pixels[n]]
-        least = np.float32(np.inf)
-        for at in range(first, candidates.ends[n]):
-            label = candidates.label[at]
-            residual = (explained_per_m[at] - inverse_depth[pixels[n]]) * deviations.precision_m[label]
+            if label == own and following == 0:
+                break
             cost = np.float32(square_most)
-            # False if there is no surface, which is NaN or inf.
-            if residual * residual < cost:
-                cost = residual * residual
-            cost += deviations.penalty[label] - candidates.votes[at]
+            if axes[label, 0, 2] > 0.0:
+                if rows[label] != at_row:
+                    rows[label] = at_row
+                    fill_curve(axes, weights, starts, label, at_row, curves[label])
+                explained = on_curve(axes, curves, label, at_column)
+                residual = (np.float32(explained) - inverse_depth[pixel]) * precision_m[label]
+                # False for NaN and inf.
+                if residual * residual < cost:
+                    cost = residual * residual
+            cost += penalty[label] - total
             if cost < least or (cost == least and label < best[n]):
                 least, best[n] = cost, label
-        first = candidates.ends[n]
+            label = below = following
 
 
 @compiled

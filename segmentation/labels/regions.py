@@ -199,8 +199,9 @@ def _connect(
         else:
             parents[number] = parents[parents[number]]
             sizes[parents[number]] += sizes[number]
-    for pixel in grid_pixels:
-        number_of[pixel] = parents[number_of[pixel]]
+    if last < count:
+        for pixel in grid_pixels:
+            number_of[pixel] = parents[number_of[pixel]]
     return last
 
 

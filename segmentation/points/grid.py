@@ -70,10 +70,6 @@ class PixelGrid:
             return grid_pixels
         return _on_image(grid_pixels, self.shape[1], self.image_shape[1], self.step)
 
-    def pixels_of_window(self, window: Window, mask: NDArray[np.bool_]) -> NDArray[np.intp]:
-        """Return the flat indices into the full image of the marked grid pixels of a window."""
-        return _marked(np.ascontiguousarray(mask), window[0], window[1], self.image_shape[1], self.step)
-
     def every_second(self, grid_pixels: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return those of some flat grid pixels that are on even rows and columns."""
         return _every_second(grid_pixels, self.shape[1])
@@ -115,7 +111,9 @@ def _window_mask(grid_pixels: Intp, width: int) -> tuple[int, int, int, int, Boo
 
 
 @compiled
-def _marked(mask: Bool, top: int, left: int, width: int, step: int) -> Intp:
+def marked_pixels(mask: Bool, corner: tuple[int, int], width: int, step: int) -> Intp:
+    """Return the flat indices into an image of so many columns of the marked grid pixels of a window."""
+    top, left = corner
     marked = np.empty(mask.size, dtype=np.intp)
     count = 0
     for y in range(mask.shape[0]):
@@ -233,4 +231,5 @@ def grid_step(valid: NDArray[np.bool_], decimation: int) -> int:
         1 if that grid would hold no point although the image does.
     """
     step = decimation or (1 if valid.shape[1] <= _SMALL_IMAGE_PX else _USUAL_STEP)
-    return step if valid[::step, ::step].any() or not valid.any() else 1
+    # Row by row, as the first ones with points say all.
+    return step if any(row[::step].any() for row in valid[::step]) or not valid.any() else 1

@@ -10,10 +10,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, Bool, compiled, inlined_once
+from nurbseg.drivers.compiled import F32, F64, Bool, Intp, compiled, inlined_once
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.depth_grid import DepthGrid
-from nurbseg.segmentation.points.grid import Window
+from nurbseg.segmentation.points.grid import Window, marked_pixels
 from nurbseg.segmentation.points.rays import Rays
 from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, basis_matrix
 from nurbseg.segmentation.surfaces.fit import Fit
@@ -67,22 +67,24 @@ def fit_window(
        11(2), 1996.
     """
     mask = np.ascontiguousarray(mask)
-    pixels = grid.points.pixels_of_window(window, mask)
-    top, left = window[:2]
     spacing, smoothness = knots_on(grid, config)
     square_most = SQUARE_MOST * config.extended.inverse_depth_noise**2
     margin = math.ceil(_MARGIN_PX * grid.unit_px / grid.step)
     for stiffer in _STIFFER:
-        solved, positive, control_per_m, knots_u, knots_v, residuals_m, square, sums = fit_inverse_depth(
-            grid.inverse_depth[np.newaxis],
-            grid.distances_m,
-            mask,
-            (top, left),
-            margin,
-            spacing,
-            stiffer * smoothness,
-            square_most,
-            config.large_error_m,
+        pixels, solved, positive, control_per_m, knots_u, knots_v, residuals_m, square, sums = (
+            fit_inverse_depth(
+                grid.inverse_depth[np.newaxis],
+                grid.distances_m,
+                mask,
+                window[:2],
+                grid.points.image_shape[1],
+                grid.step,
+                margin,
+                spacing,
+                stiffer * smoothness,
+                square_most,
+                config.large_error_m,
+            )
         )
         if not solved:
             reason = "no least-squares solution: the normal equations have no finite solution"
@@ -115,24 +117,28 @@ def fit_inverse_depth(
     distances_m: F32,
     mask: Bool,
     corner: tuple[int, int],
+    image_width: int,
+    step: int,
     margin: int,
     spacing: float,
     smoothness: float,
     square_most: float,
     large_m: float,
-) -> tuple[bool, bool, F64, F64, F64, F64, float, tuple[float, float, float, int]]:
+) -> tuple[Intp, bool, bool, F64, F64, F64, F64, float, tuple[float, float, float, int]]:
     """Fit a spline to the inverse depth of the marked grid pixels, and raise control values to the least.
 
-    Returns whether there is a solution; whether it is positive where points hold it; the control values; the
-    knots along columns and rows, grid pixels; the distances at the marked grid pixels, metres; the sum of the
-    squared residuals of inverse depth, each limited, 1/m^2; and the sums of the distances.
+    Returns the marked pixels, flat in the image; whether there is a solution; whether it is positive where
+    points hold it; the control values; the knots along columns and rows, grid pixels; the distances at the
+    marked grid pixels, metres; the sum of the squared residuals of inverse depth, each limited, 1/m^2; and
+    the sums of the distances.
     """
+    pixels = marked_pixels(mask, corner, image_width, step)
     rows, knots_v = lattice_basis(corner[0], corner[0] + mask.shape[0], margin, spacing)
     columns, knots_u = lattice_basis(corner[1], corner[1] + mask.shape[1], margin, spacing)
     solved, controls, held = solve_splines(images, mask, corner, rows, columns, smoothness)
     control = controls[0]
     if not solved:
-        return False, False, control, knots_u, knots_v, np.empty(0), 0.0, (0.0, 0.0, 0.0, 0)
+        return pixels, False, False, control, knots_u, knots_v, np.empty(0), 0.0, (0.0, 0.0, 0.0, 0)
     positive = True
     for a in range(rows.size):
         for b in range(columns.size):
@@ -142,7 +148,7 @@ def fit_inverse_depth(
         images[0], distances_m, mask, corner, control, rows, columns, square_most
     )
     sums = residual_sums(residuals_m, large_m)
-    return True, positive, control, knots_u, knots_v, residuals_m, squares, sums
+    return pixels, True, positive, control, knots_u, knots_v, residuals_m, squares, sums
 
 
 @inlined_once
@@ -210,26 +216,26 @@ def rational_surface(
     NurbsSurface
         Whose point at (u, v) is ray(u, v) / d(u, v), exactly.
     """
-    points_m = np.empty((*control_per_m.shape, 3))
-    _divide(ray_control_values(rays, knots_u, knots_v), control_per_m, points_m)
     return NurbsSurface(
         degree=(CUBIC, CUBIC),
         knots_u=knots_u,
         knots_v=knots_v,
-        control_points_m=points_m,
+        control_points_m=_divided(ray_control_values(rays, knots_u, knots_v), control_per_m),
         weights=control_per_m,
         window=window,
     )
 
 
 @compiled
-def _divide(rays: F64, control_per_m: F64, points_m: F64) -> None:
-    """Fill in control points from x / z, y / z and inverse depths."""
+def _divided(rays: F64, control_per_m: F64) -> F64:
+    """Return the control points of x / z, y / z and inverse depths."""
+    points_m = np.empty((*control_per_m.shape, 3))
     for row in range(control_per_m.shape[0]):
         for column in range(control_per_m.shape[1]):
             for axis in range(2):
                 points_m[row, column, axis] = rays[axis, row, column] / control_per_m[row, column]
             points_m[row, column, 2] = 1.0 / control_per_m[row, column]
+    return points_m
 
 
 def ray_control_values(

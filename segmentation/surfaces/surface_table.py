@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, I32, compiled, inlined
+from nurbseg.drivers.compiled import F32, F64, I32, Intp, compiled, inlined
 from nurbseg.segmentation.surfaces.bspline import CUBIC, Four, even_slopes, even_values
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
@@ -15,19 +15,21 @@ _ORDER = CUBIC + 1
 _ROUNDING = 1e-9
 
 
-class _Axis(NamedTuple):
-    """Even knots of all surfaces along one axis: the first, one over the spacing, the number of functions."""
+class Splines(NamedTuple):
+    """Splines of inverse depth by label, as compiled functions take them.
 
-    first: NDArray[np.float64]
-    per_spacing: NDArray[np.float64]
-    counts: NDArray[np.intp]
+    Parameters
+    ----------
+    axes : (labels + 1, 2, 3) float64
+        Along u and v the first of the even knots, one over their spacing, and the number of functions, 0
+        where there is no surface.
+    weights : (N,) float64
+        Control values of all.
+    starts : (labels + 1,) intp
+        Where those of each begin.
+    """
 
-
-class _Splines(NamedTuple):
-    """Control values of all surfaces, each from its index in `starts` on, and their knots."""
-
-    u: _Axis
-    v: _Axis
+    axes: NDArray[np.float64]
     weights: NDArray[np.float64]
     starts: NDArray[np.intp]
 
@@ -40,6 +42,11 @@ class SurfaceTable:
     surfaces : sequence of NurbsSurface or None
         Of the labels 1, 2, ..., as fitted to inverse depth; a label without one has no inverse depth.
 
+    Attributes
+    ----------
+    splines : Splines
+        Their control values and knots, as compiled functions take them.
+
     Raises
     ------
     ValueError
@@ -48,9 +55,15 @@ class SurfaceTable:
 
     def __init__(self, surfaces: Sequence[NurbsSurface | None]) -> None:
         nets = [np.zeros((0, 0)), *(np.zeros((0, 0)) if each is None else _net(each) for each in surfaces)]
-        self._splines = _Splines(
-            _axis([None, *(None if each is None else each.knots_u for each in surfaces)]),
-            _axis([None, *(None if each is None else each.knots_v for each in surfaces)]),
+        axes = np.zeros((len(nets), 2, 3))
+        for label, each in enumerate(surfaces, start=1):
+            if each is not None:
+                axes[label] = [
+                    (knots[0], 1.0 / (knots[1] - knots[0]), knots.size - _ORDER)
+                    for knots in (each.knots_u, each.knots_v)
+                ]
+        self.splines = Splines(
+            axes,
             np.concatenate([net.ravel() for net in nets]),
             np.cumsum([0, *(net.size for net in nets[:-1])]),
         )
@@ -71,7 +84,7 @@ class SurfaceTable:
             In 1/m; NaN where a label has no surface.
         """
         inverse_depth = np.empty(labels.size, dtype=np.float32)
-        _evaluate(self._splines, labels, rows, columns, inverse_depth)
+        _evaluate(self.splines, labels, rows, columns, inverse_depth)
         return inverse_depth
 
     def slopes(
@@ -92,7 +105,7 @@ class SurfaceTable:
             Inverse depth in 1/m and its change by one pixel along u and v; NaN where a label has no surface.
         """
         found = np.empty((3, labels.size))
-        _evaluate_slopes(self._splines, labels, u, v, found)
+        _evaluate_slopes(self.splines, labels, u, v, found)
         return found[0], found[1], found[2]
 
 
@@ -128,19 +141,12 @@ def _checked(knots_u: F64, knots_v: F64, points_m: F64, weights: F64) -> tuple[b
     return even, depth if most - least <= _ROUNDING * abs(depth) else 0.0
 
 
-def _axis(knots: Sequence[NDArray[np.float64] | None]) -> _Axis:
-    first = [0.0 if each is None else each[0] for each in knots]
-    per_spacing = [0.0 if each is None else 1.0 / (each[1] - each[0]) for each in knots]
-    counts = [0 if each is None else each.size - _ORDER for each in knots]
-    return _Axis(np.array(first), np.array(per_spacing), np.array(counts, dtype=np.intp))
-
-
 @inlined
-def _functions(axis: _Axis, label: int, t: float) -> tuple[int, Four, Four]:
+def _functions(axes: F64, label: int, axis: int, t: float) -> tuple[int, Four, Four]:
     """Evaluate the basis functions that are not 0 at t: number of the first, values and derivatives."""
-    per_spacing = axis.per_spacing[label]
-    position = (t - axis.first[label]) * per_spacing
-    span = min(max(int(position), CUBIC), axis.counts[label] - 1)
+    per_spacing = axes[label, axis, 1]
+    position = (t - axes[label, axis, 0]) * per_spacing
+    span = min(max(int(position), CUBIC), int(axes[label, axis, 2]) - 1)
     return span - CUBIC, even_values(position - span), even_slopes(position - span, per_spacing)
 
 
@@ -153,29 +159,46 @@ def _dot(B: Four, values: F64, first: int, step: int) -> float:
     )
 
 
+@inlined
+def no_curves(axes: F64) -> tuple[Intp, F64]:
+    """Return an impossible row for each surface, and room for its curve along a row."""
+    return np.full(axes.shape[0], -(2**31)), np.empty((axes.shape[0], int(axes[:, 0, 2].max())))
+
+
 @compiled
-def _evaluate(splines: _Splines, labels: I32, rows: I32, columns: I32, inverse_depth: F32) -> None:
-    u, v, weights, starts = splines
-    # Pixels come row by row: a surface along its last row is kept, a curve over the columns.
-    last_row = np.full(u.counts.size, -(2**31), dtype=np.int32)
-    longest = 0
-    for count in u.counts:
-        longest = max(longest, count)
-    curves = np.empty((u.counts.size, longest))
+def fill_curve(axes: F64, weights: F64, starts: Intp, label: int, row: int, curve: F64) -> None:
+    """Evaluate a label's surface along a row: the control values of a curve over the columns."""
+    length = int(axes[label, 0, 2])
+    start, B, _ = _functions(axes, label, 1, float(row))
+    first = starts[label] + start * length
+    for k in range(length):
+        curve[k] = _dot(B, weights, first + k, length)
+
+
+@inlined
+def on_curve(axes: F64, curves: F64, label: int, column: int) -> float:
+    """Evaluate a label's curve at a column.
+
+    Steps inside of a loop have no branch: references to arrays would be counted at each.
+    """
+    start, B, _ = _functions(axes, label, 0, float(column))
+    return _dot(B, curves[label], start, 1)
+
+
+@compiled
+def _evaluate(splines: Splines, labels: I32, rows: I32, columns: I32, inverse_depth: F32) -> None:
+    axes, weights, starts = splines
+    # Pixels come row by row: a surface along its last row is kept.
+    kept, curves = no_curves(axes)
     for n in range(labels.size):
         label = labels[n]
-        length = u.counts[label]
-        if length == 0:
+        if axes[label, 0, 2] == 0.0:
             inverse_depth[n] = np.nan
             continue
-        if last_row[label] != rows[n]:
-            last_row[label] = rows[n]
-            row, Bv, _ = _functions(v, label, float(rows[n]))
-            first = starts[label] + row * length
-            for k in range(length):
-                curves[label, k] = _dot(Bv, weights, first + k, length)
-        column, Bu, _ = _functions(u, label, float(columns[n]))
-        inverse_depth[n] = _dot(Bu, curves[label], column, 1)
+        if kept[label] != rows[n]:
+            kept[label] = rows[n]
+            fill_curve(axes, weights, starts, label, rows[n], curves[label])
+        inverse_depth[n] = on_curve(axes, curves, label, columns[n])
 
 
 @inlined
@@ -193,15 +216,15 @@ def _sums(
 
 
 @compiled
-def _evaluate_slopes(splines: _Splines, labels: I32, columns: F64, rows: F64, found: F64) -> None:
-    u, v, weights, starts = splines
+def _evaluate_slopes(splines: Splines, labels: I32, columns: F64, rows: F64, found: F64) -> None:
+    axes, weights, starts = splines
     for n in range(labels.size):
         label = labels[n]
-        length = u.counts[label]
+        length = int(axes[label, 0, 2])
         if length == 0:
             found[:, n] = np.nan
             continue
-        column, Bu, Du = _functions(u, label, columns[n])
-        row, Bv, Dv = _functions(v, label, rows[n])
+        column, Bu, Du = _functions(axes, label, 0, columns[n])
+        row, Bv, Dv = _functions(axes, label, 1, rows[n])
         first = starts[label] + row * length + column
         found[0, n], found[1, n], found[2, n] = _sums(weights, first, length, Bu, Du, Bv, Dv)
