@@ -196,8 +196,8 @@ def _add_points(
         own = rows.values[y]
         for s in range(spans):
             begin, end = edges[s], edges[s + 1]
-            part = weight[begin:end]
-            points = part.sum()
+            # Slices are taken where they are used: elsewhere each would count references to its array.
+            points = weight[begin:end].sum()
             if points == 0.0:
                 continue
             if points == end - begin:
@@ -206,7 +206,7 @@ def _add_points(
                     inner[s, k] += own[_FIRST[k]] * own[_SECOND[k]]
             else:
                 for k in range(_PRODUCTS):
-                    sums[k] = dot(part, products[k, begin:end])
+                    sums[k] = dot(weight[begin:end], products[k, begin:end])
                 for k in range(_PRODUCTS):
                     product_v = own[_FIRST[k]] * own[_SECOND[k]]
                     for m in range(_PRODUCTS):
