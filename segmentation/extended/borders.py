@@ -129,7 +129,9 @@ def _cheapest(
     Pixels are numbered in an image with a margin as wide as the reach, so that all have all neighbours.
     """
     splines = SurfaceTable(surfaces).splines
-    padded, depths = np.pad(labels, _REACH), np.pad(inverse_depth, _REACH).ravel()
+    margin = (_REACH, _REACH, _REACH, _REACH, cv2.BORDER_CONSTANT)
+    padded = np.asarray(cv2.copyMakeBorder(labels, *margin), dtype=np.int32)
+    depths = np.asarray(cv2.copyMakeBorder(inverse_depth, *margin), dtype=np.float32).ravel()
     flat, width = padded.reshape(-1), padded.shape[1]
     gaps = (config.extended.inverse_depth_gap * np.sqrt(_DISTANCES)).astype(np.float32)
     votes = np.where(_DISTANCES > 0, _VOTE / np.maximum(_DISTANCES, 1.0), 0.0).astype(np.float32)

@@ -198,11 +198,12 @@ def _take_over(
     """Give pixels the label of their grid pixel unless a gap is in between; mark the others open."""
     height, width = valid.shape
     row_labels, row_inverse_depth = np.empty(width, dtype=np.int32), np.empty(width, dtype=np.float32)
+    on_row = np.arange(width) // step
     for row in range(height):
         if row % step == 0:
             for column in range(width):
-                row_labels[column] = on_grid[row // step, column // step]
-                row_inverse_depth[column] = grid_inverse_depth[row // step, column // step]
+                row_labels[column] = on_grid[row // step, on_row[column]]
+                row_inverse_depth[column] = grid_inverse_depth[row // step, on_row[column]]
         for column in range(width):
             near = abs(row_inverse_depth[column] - inverse_depth[row, column]) < gap_per_m
             label = row_labels[column] if near & valid[row, column] else np.int32(0)

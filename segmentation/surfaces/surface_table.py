@@ -54,17 +54,13 @@ class SurfaceTable:
     """
 
     def __init__(self, surfaces: Sequence[NurbsSurface | None]) -> None:
-        nets = [np.zeros((0, 0)), *(np.zeros((0, 0)) if each is None else _net(each) for each in surfaces)]
-        axes = np.zeros((len(nets), 2, 3))
-        for label, each in enumerate(surfaces, start=1):
-            if each is not None:
-                axes[label] = [
-                    (knots[0], 1.0 / (knots[1] - knots[0]), knots.size - _ORDER)
-                    for knots in (each.knots_u, each.knots_v)
-                ]
+        axes = np.zeros((len(surfaces) + 1, 2, 3))
+        nets = [np.zeros(0)]
+        for each, own in zip(surfaces, axes[1:], strict=True):
+            nets.append(np.zeros(0) if each is None else _net(each, own).ravel())
         self.splines = Splines(
             axes,
-            np.concatenate([net.ravel() for net in nets]),
+            np.concatenate(nets),
             np.cumsum([0, *(net.size for net in nets[:-1])]),
         )
 
@@ -109,12 +105,16 @@ class SurfaceTable:
         return found[0], found[1], found[2]
 
 
-def _net(surface: NurbsSurface) -> NDArray[np.float64]:
-    """Return the control values of a surface's inverse depth, 1/m."""
+def _net(surface: NurbsSurface, axes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the control values of a surface's inverse depth, 1/m, and fill in its axes."""
     if surface.degree != (CUBIC, CUBIC):
         raise ValueError(f"surfaces: expected bicubic ones, got degree {surface.degree}")
     even, depth = _checked(
-        surface.knots_u, surface.knots_v, surface.control_points_m, np.ascontiguousarray(surface.weights)
+        surface.knots_u,
+        surface.knots_v,
+        surface.control_points_m,
+        np.ascontiguousarray(surface.weights),
+        axes,
     )
     if not even:
         raise ValueError("surfaces: expected even knots")
@@ -124,11 +124,12 @@ def _net(surface: NurbsSurface) -> NDArray[np.float64]:
 
 
 @compiled
-def _checked(knots_u: F64, knots_v: F64, points_m: F64, weights: F64) -> tuple[bool, float]:
+def _checked(knots_u: F64, knots_v: F64, points_m: F64, weights: F64, axes: F64) -> tuple[bool, float]:
     """Return whether knots are even, and depth times weight of the control points, 0 if these differ."""
     even = True
-    for knots in (knots_u, knots_v):
+    for k, knots in enumerate((knots_u, knots_v)):
         most = least = knots[1] - knots[0]
+        axes[k, 0], axes[k, 1], axes[k, 2] = knots[0], 1.0 / least, knots.size - _ORDER
         for n in range(1, knots.size):
             most, least = max(most, knots[n] - knots[n - 1]), min(least, knots[n] - knots[n - 1])
         even &= least > 0 and most - least <= 2.0 * _ROUNDING * (knots[1] - knots[0])
