@@ -18,6 +18,9 @@ from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, acceptance_
 from nurbseg.segmentation.surfaces.noise import noise_floor
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
+#: Relative rounding of ratios.
+_ROUNDING = 1e-12
+
 
 class Part(NamedTuple):
     """A part of a split: its flat grid pixels, its fit, and why it is not to be split, if so."""
@@ -35,7 +38,8 @@ def judge_split(
     whole: tuple[float, int], parts: Sequence[tuple[float, int]], config: SegmentationConfig
 ) -> Trial:
     """Compare the metric of a segment with that of its parts (eq. 5), each with its number of points."""
-    kept = acceptance_ratio(config.metric, whole, *parts) < config.ratio_max
+    # Floors of parts sum to that of the whole, but for rounding.
+    kept = acceptance_ratio(config.metric, whole, *parts) < config.ratio_max * (1.0 - _ROUNDING)
     return Trial(config.metric, *whole, tuple(parts), kept)
 
 

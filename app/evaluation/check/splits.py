@@ -101,7 +101,7 @@ def _check_trial(frame: ExportedFrame, each: ExportedSegment) -> Iterator[Findin
         yield frame.wrong(name, "trial parts", "two", len(below))
     in_any_case = name == "P" and settings.config.method == "stag15"
     limit = settings.config.ratio_max
-    if trial.kept != (ratio < limit or in_any_case):
+    if trial.kept != (ratio < limit * (1.0 - _ROUNDING) or in_any_case):
         kept = "kept" if trial.kept else "rejected"
         yield frame.wrong(name, "trial", f"kept where the ratio is below {limit:g} (T)", f"{kept}, {ratio}")
     if trial.kept == (each.division != "cut"):

@@ -73,7 +73,8 @@ def _hurried(frame: ExportedFrame, each: ExportedSegment) -> bool:
 
 def _hopeless(each: ExportedSegment, config: SegmentationConfig) -> bool:
     """Whether a value is so close to its floor that no ratio of floored values is below T."""
-    return each.floor > 0 and each.floor >= config.ratio_max * each.counted
+    has_floor = config.method == "nurbseg" and config.extended.noise_floor > 0 and each.surface
+    return has_floor and each.floor >= config.ratio_max * each.counted
 
 
 def check_live_stops(frame: ExportedFrame) -> Iterator[Finding]:

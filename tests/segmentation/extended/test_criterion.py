@@ -12,7 +12,7 @@ from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.cut.ncut import Cut
 from nurbseg.segmentation.extended import splitting
 from nurbseg.segmentation.extended.grid_features import grid_features
-from nurbseg.segmentation.extended.parts import fit_segment
+from nurbseg.segmentation.extended.parts import fit_segment, judge_split
 from nurbseg.segmentation.extended.splitting import best_split
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap
@@ -89,6 +89,14 @@ def test_a_noisy_plane_stays_whole_since_its_ratio_is_one(cloud_of, seed):
     assert root.trial is not None
     # The parts' floors are the whole's, and more along the cut, where both have a rim.
     assert 1.0 <= root.trial.ratio < 1.25
+
+
+def test_parts_at_their_floors_are_no_better_than_the_whole_by_rounding():
+    # Floors of a count are in proportion to the points.
+    parts = [(9.375127808575507e-12, 80), (4.453185709073366e-12, 38)]
+    trial = judge_split((1.3828313517648874e-11, 118), parts, SegmentationConfig(metric="nlc"))
+    assert trial.ratio < 1
+    assert not trial.kept
 
 
 def test_without_the_floor_the_ratio_splits_noise(cloud_of):

@@ -51,6 +51,7 @@ CONFIGS = {
         ratio_max=0.3, depth_max=3, extended=ExtendedConfig(inverse_depth_noise=1e-3, piece_pixels_min=240)
     ),
     "floored": SegmentationConfig(metric="nle", large_error_m=0.02, splits_max=4),
+    "no floor": SegmentationConfig(metric="nlc", large_curvature_per_m=1e3, splits_max=4),
     "hurried": SegmentationConfig(budget_ms=3500.0, decimation=2),
     "surfaces": SegmentationConfig(splits_max=4, decimation=3, extended=ExtendedConfig(level="surfaces")),
     "things": SegmentationConfig(extended=ExtendedConfig(level="things")),

@@ -31,7 +31,9 @@ from nurbseg.segmentation.points.registration import register
 
 RECORDING = "synthetic:?width=160&height=120&frames=2"
 GUIDE = Path(__file__).parents[4] / "docs/files.md"
-ALL = pytest.mark.parametrize("name", ["stag15", "curvature", "counts", "nurbseg", "strict", "surfaces"])
+ALL = pytest.mark.parametrize(
+    "name", ["stag15", "curvature", "counts", "nurbseg", "strict", "no floor", "surfaces"]
+)
 BOTH = pytest.mark.parametrize("name", ["stag15", "nurbseg"])
 
 
