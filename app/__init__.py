@@ -1,1 +1,1 @@
-"""Wires, threads and shows: the commands."""
+"""The commands: configuration, runs, view, export and evaluation."""

@@ -15,7 +15,7 @@ _STRAY_SHARE = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrientedBox:
-    """A box that contains the points of an object but for strays.
+    """A box that contains the points of an object except strays.
 
     Its last axis is the direction in which they vary least; perpendicular to it, the box is the rectangle of
     least area around them. Strays are the outermost 1 % at either end of each principal axis:

@@ -44,7 +44,7 @@ def _open_closed_streams() -> None:
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))
 
 
-#: It handles signals itself once there is something to finish.
+#: nurbseg-live handles signals itself once there is something to finish.
 live = partial(_run, "nurbseg.app.command.cli", "command", on_interrupt=signal.SIG_DFL)
 batch = partial(_run, "nurbseg.app.batch.cli")
 devices = partial(_run, "nurbseg.app.devices.cli")

@@ -1,1 +1,1 @@
-"""Many recordings, segmented one after the other and each frame for itself."""
+"""Segments many recordings, each frame independently."""

@@ -39,7 +39,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Close:
-    """End; the file has so many seconds to be completed."""
+    """End; the file must be complete within so many seconds."""
 
     file_limit_s: float
 
