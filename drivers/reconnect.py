@@ -112,7 +112,7 @@ class Reconnecting(FrameSource):
         if isinstance(self._source, Recordable):
             self._source.stop_recording()
 
-    def _go_on_recording(self, source: FrameSource) -> None:
+    def _continue_recording(self, source: FrameSource) -> None:
         if self._recording is None or self.recording_failure or not isinstance(source, Recordable):
             return
         path, lossy = self._recording
@@ -134,11 +134,11 @@ class Reconnecting(FrameSource):
                 frame = source.read(max(deadline - self._clock(), 0.0))
             except DeviceLostError as err:
                 logger.warning("%s; waiting for it to come back", err)
-                self._let_go()
+                self._release()
             else:
                 return self._continued(frame)
 
-    def _let_go(self) -> None:
+    def _release(self) -> None:
         source, self._source = self._source, None
         # A camera that comes back immediately is found immediately.
         self._next_try_s = self._clock()
@@ -162,7 +162,7 @@ class Reconnecting(FrameSource):
                 else:
                     self._source = source
                     self._take_over(source)
-                    self._go_on_recording(source)
+                    self._continue_recording(source)
                     return source
             now = self._clock()
             if now >= deadline:
