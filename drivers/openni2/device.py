@@ -164,12 +164,8 @@ class DeviceSource(FrameSource):
         while True:
             self._check_present()
             begun = time.monotonic()
-            left_s = max(deadline - begun, 0.0)
-            library = self._device.library
-            # The second image of a pair is often there already.
-            stream = wait_for_any(library, self._streams, 0.0) or wait_for_any(
-                library, self._streams, min(left_s, _SLICE_S)
-            )
+            wait_s = min(max(deadline - begun, 0.0), _SLICE_S)
+            stream = wait_for_any(self._device.library, self._streams, wait_s)
             # A stale image may follow the disconnection.
             image = None if stream is None or self._gone.is_set() else stream.take()
             pair = None if stream is None or image is None else self._add(stream, image)

@@ -61,9 +61,6 @@ class Library:
     Use `in_use`, which counts the users; the last one to go shuts it down, so that the next one finds the
     cameras that are there by then (some drivers look only once).
 
-    During a call of a function of `native`, Python's other threads run. A call of `quick` keeps them from
-    that and is for functions that are known not to wait: every call through `native` may cost a whole switch
-    interval (5 ms) when other threads are busy, and half a dozen of these are more than a frame has time for.
     `waiting` counts the threads that wait in the library for an image, and nobody may begin to wait while the
     program is `ending`.
     """
@@ -71,9 +68,7 @@ class Library:
     def __init__(self, path: str) -> None:
         try:
             self.native = ctypes.CDLL(path)
-            self.quick = ctypes.PyDLL(path)
             capi.declare(self.native)
-            capi.declare(self.quick)
         except OSError as err:
             raise BackendMissingError(f"OpenNI2 cannot be loaded ({err}); {_INSTALL_HINT}") from err
         except AttributeError as err:

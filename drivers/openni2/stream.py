@@ -146,8 +146,7 @@ class Stream(WithProperties):
         FrameFormatError if it is not what its mode says.
         """
         frame = ctypes.POINTER(capi.OniFrame)()
-        # This does not block: an image is waiting, and nobody else takes it.
-        status = self.library.quick.oniStreamReadFrame(self.handle, ctypes.byref(frame))
+        status = self.library.native.oniStreamReadFrame(self.handle, ctypes.byref(frame))
         if status != capi.Status.OK:
             self.library.check(status, f"reading the {self.sensor.name.lower()} stream", DeviceLostError)
         if not frame:
@@ -171,7 +170,7 @@ class Stream(WithProperties):
             shape = (head.height, head.stride)
             width, timestamp_us, number = head.width, head.timestamp, head.frame_index
         finally:
-            self.library.quick.oniFrameRelease(frame)
+            self.library.native.oniFrameRelease(frame)
         return Image(timestamp_us, number, _pixels(copy, shape, width, mode.pixel_format))
 
 
@@ -232,15 +231,13 @@ def wait_for_any(library: Library, streams: tuple[Stream, ...], timeout_s: float
     Of several, the one whose image is oldest. A recording that is played step by step advances by one image
     with each call that finds none. Raises DeviceLostError where the library cannot wait.
     """
-    # Without a wait, Python's lock is kept: getting it again takes longer than looking.
-    functions = library.native if timeout_s > 0 else library.quick
     handles = (ctypes.c_void_p * len(streams))(*(stream.handle for stream in streams))
     index = ctypes.c_int(-1)
     if library.ending:
         raise DeviceLostError("the program ends")
     library.waiting += 1
     try:
-        status = functions.oniWaitForAnyStream(
+        status = library.native.oniWaitForAnyStream(
             handles, len(streams), ctypes.byref(index), max(0, round(timeout_s * 1000))
         )
     finally:
