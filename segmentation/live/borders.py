@@ -108,9 +108,7 @@ def _relax(
     best, listed = np.empty(labels.size, dtype=np.uint16), np.zeros(labels.shape, dtype=np.bool_)
     count = _find_borders(labels, inverse_depth, pixels)
     for _ in range(sweeps):
-        for n in range(count):
-            at = pixels[n, 0], pixels[n, 1]
-            best[n] = _cheapest(labels, inverse_depth, at, samples, step, deviations, gap)
+        _judge(labels, inverse_depth, pixels, count, samples, step, deviations, gap, best)
         # Only beside a pixel that has changed can another label be the cheapest now.
         around = 0
         for n in range(count):
@@ -159,29 +157,40 @@ def _list_around(pixel: tuple[int, int], inverse_depth: F32, listed: Bool, pixel
 
 
 @inlined_once
-def _cheapest(
+def _judge(
     labels: U16,
     inverse_depth: F32,
-    pixel: tuple[int, int],
+    pixels: I32,
+    count: int,
     samples: Samples,
     step: int,
     deviations: Deviations,
     gap: float,
-) -> np.int64:
-    """Return the cheapest of a pixel's label, the largest and the least around it."""
+    best: U16,
+) -> None:
+    """Find the cheapest of each pixel's label, the largest and the least around it.
+
+    Surfaces are linear between grid pixels, and are not extrapolated beyond their last row and column.
+    """
+    # Nothing is taken out of a tuple in the loop, nor handed to a function: both would count references to
+    # arrays at each pixel, which would take most of the time.
+    values, windows = samples
+    precision_m, penalty = deviations
     height, width = labels.shape
-    r, c = pixel
-    own = inverse_depth[r, c]
-    above, below = max(r - 1, 0), min(r + 2, height)
-    left, right = max(c - 1, 0), min(c + 2, width)
-    before, most, least = np.int64(labels[r, c]), np.int64(0), np.int64(1 << 16)
-    for y in range(above, below):
-        for x in range(left, right):
-            near = np.int64(labels[y, x])
-            most = near if near > most else most
-            least = near if 0 < near < least else least
-    found = before
-    if most > least:
+    for n in range(count):
+        r, c = pixels[n, 0], pixels[n, 1]
+        own = inverse_depth[r, c]
+        above, below = max(r - 1, 0), min(r + 2, height)
+        left, right = max(c - 1, 0), min(c + 2, width)
+        before, most, least = np.int64(labels[r, c]), np.int64(0), np.int64(1 << 16)
+        for y in range(above, below):
+            for x in range(left, right):
+                near = np.int64(labels[y, x])
+                most = near if near > most else most
+                least = near if 0 < near < least else least
+        best[n] = before
+        if most <= least:
+            continue
         for_before, for_most, for_least = 0.0, 0.0, 0.0
         for y in range(above, below):
             for x in range(left, right):
@@ -191,30 +200,23 @@ def _cheapest(
                 for_most += vote if near == most else 0.0
                 for_least += vote if near == least else 0.0
         row, column = r // step, c // step
-        at = (row, column, (r - step * row) / step, (c - step * column) / step)
+        down, across = (r - step * row) / step, (c - step * column) / step
+        under, beside = (1 if down > 0 else 0), (1 if across > 0 else 0)
         cheapest = np.inf
         for label, vote in ((before, for_before), (most, for_most), (least, for_least)):
             if label == 0 or (label == before and cheapest < np.inf):
                 continue
-            residual = deviations.precision_m[label] * (_explained(samples, label, at) - own)
-            cost = min(residual * residual, SQUARE_MOST) + deviations.penalty[label] - vote
+            first_row, first_column = windows[label, 0], windows[label, 1]
+            end_row, end_column = windows[label, 2], windows[label, 3]
+            square = SQUARE_MOST
+            if first_row <= row < end_row - under and first_column <= column < end_column - beside:
+                wide = end_column - first_column
+                at = windows[label, 4] + (row - first_row) * wide + column - first_column
+                upper = values[at] + across * (values[at + beside] - values[at])
+                at += under * wide
+                lower = values[at] + across * (values[at + beside] - values[at])
+                residual = precision_m[label] * (float(upper + down * (lower - upper)) - own)
+                square = min(residual * residual, SQUARE_MOST)
+            cost = square + penalty[label] - vote
             if cost < cheapest:
-                cheapest, found = cost, label
-    return found
-
-
-@inlined_once
-def _explained(samples: Samples, label: np.int64, at: tuple[int, int, float, float]) -> float:
-    """Return a surface's inverse depth at and beyond a grid pixel, linear in between; inf where it ends."""
-    values, windows = samples
-    row, column, down, across = at
-    top, left, bottom, right, start = windows[label]
-    # No extrapolation beyond the last row and column.
-    under, beside = (1 if down > 0 else 0), (1 if across > 0 else 0)
-    if not (top <= row < bottom - under and left <= column < right - beside):
-        return np.inf
-    n = start + (row - top) * (right - left) + column - left
-    below = n + under * (right - left)
-    upper = values[n] + across * (values[n + beside] - values[n])
-    lower = values[below] + across * (values[below + beside] - values[below])
-    return float(upper + down * (lower - upper))
+                cheapest, best[n] = cost, label
