@@ -1,10 +1,8 @@
 """Finds, loads and initializes the OpenNI2 library, and turns its status codes into our errors."""
 
-import atexit
 import ctypes
 import os
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,9 +16,6 @@ from nurbseg.drivers.openni2 import capi
 LIBRARY_FILE = "libOpenNI2.so.0"
 #: Environment variable that names the folder of the library and its drivers.
 REDIST_VARIABLE = "OPENNI2_REDIST"
-
-#: A wait for an image ends sooner than this, seconds.
-_END_LIMIT_S = 1.0
 
 _INSTALL_HINT = (
     "install Debian's and Ubuntu's package libopenni2-0 (apt install libopenni2-0), "
@@ -60,9 +55,6 @@ class Library:
 
     Use `in_use`, which counts the users; the last one to go shuts it down, so that the next one finds the
     cameras that are there by then (some drivers look only once).
-
-    `waiting` counts the threads that wait in the library for an image, and nobody may begin to wait while the
-    program is `ending`.
     """
 
     def __init__(self, path: str) -> None:
@@ -74,8 +66,6 @@ class Library:
         except AttributeError as err:
             raise BackendMissingError(f"{path} is not OpenNI2 2.2 ({err}); {_INSTALL_HINT}") from err
         self.path = path
-        self.waiting = 0
-        self.ending = False
         self._users = 0
         self._handle = ctypes.c_void_p()
         self._listeners: dict[object, tuple[str, Callable[[str], None]]] = {}
@@ -157,42 +147,19 @@ class Library:
             )
         self._users += 1
 
-    def silence(self) -> None:
-        """Unregister the callbacks; safe to repeat."""
-        if self._handle:
-            # Waits for a running callback; Python's other threads run meanwhile.
-            self.native.oniUnregisterDeviceCallbacks(self._handle)
-            self._handle = ctypes.c_void_p()
-
-    def end(self) -> None:
-        """Shut it down although it is in use, as the program ends."""
-        self.ending = True
-        self.silence()
-        deadline = time.monotonic() + _END_LIMIT_S
-        while self.waiting and time.monotonic() < deadline:
-            time.sleep(0.005)
-        if self._users and not self.waiting:
-            self._users = 0
-            self.native.oniShutdown()
-
     def _remove_user(self) -> None:
         self._users -= 1
         if self._users == 0:
-            self.silence()
+            if self._handle:
+                # Waits for a running callback; Python's other threads run meanwhile.
+                self.native.oniUnregisterDeviceCallbacks(self._handle)
+                self._handle = ctypes.c_void_p()
             self.native.oniShutdown()
             self._listeners.clear()
 
 
 _lock = threading.Lock()
 _loaded: dict[str, Library] = {}
-
-
-@atexit.register
-def _end_all() -> None:
-    # A source that was left open must not have its callbacks run after the interpreter has ended, nor be
-    # waiting in the library while that is unloaded at exit.
-    for library in _loaded.values():
-        library.end()
 
 
 @contextmanager

@@ -233,15 +233,9 @@ def wait_for_any(library: Library, streams: tuple[Stream, ...], timeout_s: float
     """
     handles = (ctypes.c_void_p * len(streams))(*(stream.handle for stream in streams))
     index = ctypes.c_int(-1)
-    if library.ending:
-        raise DeviceLostError("the program ends")
-    library.waiting += 1
-    try:
-        status = library.native.oniWaitForAnyStream(
-            handles, len(streams), ctypes.byref(index), max(0, round(timeout_s * 1000))
-        )
-    finally:
-        library.waiting -= 1
+    status = library.native.oniWaitForAnyStream(
+        handles, len(streams), ctypes.byref(index), max(0, round(timeout_s * 1000))
+    )
     if status == capi.Status.TIME_OUT:
         return None
     library.check(status, "waiting for a frame", DeviceLostError)

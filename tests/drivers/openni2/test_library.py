@@ -135,8 +135,8 @@ def test_the_program_ends_well_with_a_camera_left_open(virtual_cameras):
     finished = run(
         f"""
         import threading
-        from nurbseg.drivers.openni2.device import DeviceSource
-        source = DeviceSource()
+        from nurbseg.drivers import open_source
+        source = open_source("openni2:")
         reading = threading.Event()
 
         def read():
