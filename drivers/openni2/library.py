@@ -55,6 +55,9 @@ class Library:
 
     Use `in_use`, which counts the users; the last one to go shuts it down, so that the next one finds the
     cameras that are there by then (some drivers look only once).
+
+    Each of the `listeners` is a device's URI and a function that is called with "disconnected" or "state N"
+    of that device. It runs on one of the library's threads, so it must be quick and must not wait.
     """
 
     def __init__(self, path: str) -> None:
@@ -68,7 +71,7 @@ class Library:
         self.path = path
         self._users = 0
         self._handle = ctypes.c_void_p()
-        self._listeners: dict[object, tuple[str, Callable[[str], None]]] = {}
+        self.listeners: list[tuple[str, Callable[[str], None]]] = []
         # The library calls these from its own threads for as long as it is initialized, and would not
         # keep them alive.
         self._callbacks = capi.OniDeviceCallbacks(
@@ -80,22 +83,9 @@ class Library:
     def _notify(self, device: Any, event: str) -> None:
         # Called on the library's threads: it only passes on an event, and takes no lock.
         uri = os.fsdecode(device.contents.uri)
-        for watched, listener in tuple(self._listeners.values()):
+        for watched, listener in tuple(self.listeners):
             if watched == uri:
                 listener(event)
-
-    def listen(self, uri: str, listener: Callable[[str], None]) -> object:
-        """Have `listener` called with "disconnected" or "state N"; return the token for `unlisten`.
-
-        It runs on one of the library's threads, so it must be quick and must not wait.
-        """
-        token = object()
-        self._listeners[token] = (uri, listener)
-        return token
-
-    def unlisten(self, token: object) -> None:
-        """Remove a listener; safe to repeat."""
-        self._listeners.pop(token, None)
 
     def check(self, status: int, doing: str, error: type[DriverError] = DriverError) -> None:
         """Raise an error if a function did not answer OK; must follow it on the same thread.
@@ -155,7 +145,6 @@ class Library:
                 self.native.oniUnregisterDeviceCallbacks(self._handle)
                 self._handle = ctypes.c_void_p()
             self.native.oniShutdown()
-            self._listeners.clear()
 
 
 _lock = threading.Lock()

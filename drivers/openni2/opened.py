@@ -33,7 +33,8 @@ class OpenedDevice(WithProperties, Closing):
         with closed_on_error(self.close):
             if on_event is not None:
                 # Before it is opened, so that its going in between is not missed.
-                self._held.callback(self.library.unlisten, self.library.listen(uri, on_event))
+                self.library.listeners.append((uri, on_event))
+                self._held.callback(self.library.listeners.remove, (uri, on_event))
             native = self.library.native
             self.library.check(
                 native.oniDeviceOpen(os.fsencode(uri), ctypes.byref(self.handle)),
