@@ -219,7 +219,9 @@ class ValueKind:
         return text if self.kind is str or (self.word and text == self.word) else self._number(text)
 
     def from_toml(self, value: Any) -> Any:
-        """Return the value of what a TOML file holds; raises ValueError where that is of another kind."""
+        """Return the value of what a TOML or JSON file holds; raises ValueError if it is of another kind."""
+        if value is None and self.optional:
+            return None
         if self.length:
             if not isinstance(value, list):
                 raise ValueError(f"expected {self.words}, got {quoted(value)}")

@@ -1,13 +1,13 @@
 """Segments every frame of many recordings, and resumes where it was interrupted."""
 
-import json
+import operator
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
-from nurbseg.app.atomic_file import write_json
+from nurbseg.app.atomic_file import read_json, write_json
 from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings, refuse_other_results
 from nurbseg.app.frames import Reader, survey
@@ -133,11 +133,14 @@ def _begun(
     folder = Path(recording.directory)
     path = folder / PROGRESS_FILE
     try:
-        before = json.loads(path.read_text(encoding="utf-8"))
-        frames, recording.done = int(before["frames"]), int(before["done"])
+        before = read_json(path)
+        # Earlier versions did not count frames without depth.
+        names = ("frames", "done", "without_depth")
+        frames, done, recording.without_depth = (operator.index(before.get(name, 0)) for name in names)
         recording.damaged = dict(before["damaged"])
-        # Earlier versions did not count them.
-        recording.without_depth = int(before.get("without_depth", 0))
+        if not 0 < done <= frames:
+            raise ValueError(f"{done} of {frames} frames")
+        recording.done = done
     except FileNotFoundError:
         frames = None
     except (KeyError, TypeError, ValueError) as err:

@@ -42,11 +42,15 @@ def read_config(path: Path) -> AppConfig:
     for name, table in tables.items():
         if name not in known or not isinstance(table, dict):
             raise ConfigError(f"{path}: unknown {_unknown(name, table)}")
-        values[name] = _read_section(path, name, known[name], table)
+        values[name] = read_section(path, name, known[name], table)
     return AppConfig(**values)
 
 
-def _read_section(path: Path, name: str, section: type[Any], table: dict[str, Any]) -> Any:
+def read_section(path: Path, name: str, section: type[Any], table: dict[str, Any]) -> Any:
+    """Read a section of a file, or one within it.
+
+    Raises ConfigError, which names the file, the section and the key, if a key or value is invalid.
+    """
     try:
         table, moved = in_sections(section, table)
     except ValueError as err:
@@ -58,7 +62,7 @@ def _read_section(path: Path, name: str, section: type[Any], table: dict[str, An
     values = {}
     for key, value in table.items():
         if key in inner and isinstance(value, dict):
-            values[key] = _read_section(path, f"{name}.{key}", inner[key], value)
+            values[key] = read_section(path, f"{name}.{key}", inner[key], value)
             continue
         if key not in kinds:
             raise ConfigError(f"{path}: unknown key {_short(f'{name}.{key}')}{_nearest(f'{name}.{key}')}")

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from nurbseg.app.atomic_file import write_atomically, write_json
+from nurbseg.app.atomic_file import read_json, write_atomically, write_json
 from nurbseg.app.export.exporter import differences
 from nurbseg.drivers.files import create_folder
 
@@ -38,12 +38,12 @@ class StudyStore:
     def frame(self, key: str) -> dict[str, Any] | None:
         """Return the results of a frame, or None."""
         path = self.folder / "frames" / f"{key}.json"
-        return read_json(path) if path.exists() else None
+        return _kept(path) if path.exists() else None
 
     def frames(self) -> Iterator[dict[str, Any]]:
         """Yield the finished frames in the order of their keys."""
         for path in sorted((self.folder / "frames").glob("*.json")):
-            yield read_json(path)
+            yield _kept(path)
 
     def keep(self, key: str, frame: Mapping[str, Any], images: Mapping[str, bytes]) -> None:
         """Write a frame's images and trees, by their path in the folder, and then its results."""
@@ -54,12 +54,8 @@ class StudyStore:
         write_json(self.folder / "frames" / f"{key}.json", frame)
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON object; raises ValueError if the file contains none."""
+def _kept(path: Path) -> dict[str, Any]:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        return read_json(path)
     except ValueError as err:
-        raise ValueError(f"{path}: not a JSON file ({err}); remove it to process its frame again") from err
-    if not isinstance(content, dict):
-        raise ValueError(f"{path}: expected a JSON object")
-    return content
+        raise ValueError(f"{err}; remove it to process its frame again") from err

@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nurbseg.app.atomic_file import write_atomically, write_json
+from nurbseg.app.atomic_file import read_json, write_atomically, write_json
 from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.object_table import ObjectTable
 from nurbseg.drivers.calibration.cameras import calibration_table
@@ -25,6 +25,8 @@ SETTINGS_FILE = "settings.json"
 #: The table of the objects of all frames.
 OBJECTS_FILE = "objects.csv"
 _OBJECTS_SUFFIX = "_objects.json"
+#: Characters of the differences from other settings: the file may hold anything.
+_DIFFERENCES_MOST = 2000
 
 
 class ExportError(Exception):
@@ -139,18 +141,18 @@ def refuse_other_results(directory: Path, settings: RunSettings) -> None:
     advice = "export to another folder, or delete this one"
     path = directory / SETTINGS_FILE
     try:
-        before = json.loads(path.read_text(encoding="utf-8"))
+        before = read_json(path)
     except FileNotFoundError:
         if any(directory.glob("*_tree.json")):
             raise ExportError(f"{directory}: holds results without {SETTINGS_FILE}; {advice}") from None
         return
-    except (OSError, ValueError) as err:
-        raise ExportError(f"{path}: cannot be read: {err}; {advice}") from err
-    if settings.camera is None and isinstance(before, dict):
+    except ValueError as err:
+        raise ExportError(f"{err}; {advice}") from err
+    if settings.camera is None:
         before["camera"] = None
     now = json.loads(json.dumps(settings.document()))
     if before != now:
-        differing = ", ".join(differences(before, now))
+        differing = ", ".join(differences(before, now))[:_DIFFERENCES_MOST]
         raise ExportError(f"{path}: belongs to another run: {differing}; {advice}")
 
 

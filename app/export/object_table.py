@@ -54,8 +54,8 @@ class ObjectTable:
         if self._path.exists():
             with self._path.open(encoding="utf-8", newline="") as file:
                 # The last line of a killed run may be incomplete.
-                before = [row for row in csv.reader(file) if len(row) == len(COLUMNS)]
-            rows += [row for row in before[1:] if int(row[0]) < frame]
+                before = (row for row in csv.reader(file) if len(row) == len(COLUMNS))
+                rows += [row for row in before if row[0].isdecimal() and int(row[0]) < frame]
         write_atomically(self._path, _lines(rows).encode())
 
 

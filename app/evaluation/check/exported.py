@@ -26,8 +26,10 @@ class Finding:
 
     def __str__(self) -> str:
         where = " ".join(each for each in (self.segment, self.field) if each)
-        contradiction = f"expected {self.expected}, found {self.found}"
-        return f"{self.file}: {where}: {contradiction}" if where else f"{self.file}: {contradiction}"
+        parts = (self.file, where, f"expected {self.expected}, found {self.found}")
+        # Names of files and segments may hold anything.
+        text = ": ".join(part for part in parts if part)
+        return "".join(each if each.isprintable() else ascii(each)[1:-1] for each in text)
 
 
 class Measured(NamedTuple):

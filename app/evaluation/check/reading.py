@@ -1,9 +1,9 @@
 """Reads the files of an export, strictly."""
 
-import json
-import zipfile
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
+from io import BytesIO
 from pathlib import Path
 from types import UnionType
 from typing import Any, get_args, get_origin, get_type_hints
@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.app.atomic_file import read_json
+from nurbseg.app.command.config_file import ConfigError, read_section
 from nurbseg.app.evaluation.check.exported import (
     ExportedFrame,
     ExportedSegment,
@@ -20,46 +22,76 @@ from nurbseg.app.evaluation.check.exported import (
 )
 from nurbseg.app.export.exporter import SETTINGS_FILE, RunSettings
 from nurbseg.drivers.calibration.file import cameras_of_table
-from nurbseg.drivers.errors import CalibrationError
-from nurbseg.drivers.settings import in_sections, updated
+from nurbseg.drivers.datasets.images import check_complete
+from nurbseg.drivers.errors import CalibrationError, DriverError, quoted
+from nurbseg.drivers.files import read_file
+from nurbseg.drivers.limits import FRAME_BYTES_MAX
+from nurbseg.drivers.settings import in_sections
 from nurbseg.segmentation.config import DepthConfig, SegmentationConfig
+
+#: Bytes of a frame's file of surfaces: 64 MiB, a hundred times what one takes.
+_NPZ_BYTES_MAX = 1 << 26
+#: Numbers in JSON are below it, so that products of some of them are numbers.
+_NUMBER_LIMIT = 1e100
+#: Kind of the numbers or texts of each array, its dimensions, and the length of its last axis, 0 for any.
+_ARRAYS = {
+    "names": ("U", 1, 0),
+    "degree": ("i", 2, 2),
+    "window": ("i", 2, 4),
+    "knots_u": ("f", 1, 0),
+    "knots_v": ("f", 1, 0),
+    "control_points_m": ("f", 3, 3),
+    "weights": ("f", 2, 0),
+    "measured": ("i", 1, 0),
+}
 
 
 class DamagedExportError(ValueError):
     """A file of an export cannot be read; the message says what is wrong, `file` which one it is."""
 
-    def __init__(self, file: str, message: str) -> None:
-        super().__init__(message)
-        self.file = file
+    def __init__(self, path: Path, message: str) -> None:
+        super().__init__(message.removeprefix(f"{path}: ").removeprefix("the file "))
+        self.file = path.name
+
+
+@dataclass(frozen=True, slots=True)
+class _Settings:
+    """The content of the file of settings; exports of earlier versions lack the last three."""
+
+    segmentation: dict[str, Any]
+    source: str
+    temporal: bool
+    target_fps: float
+    surfaces: bool
+    depth: dict[str, Any]
+    camera: dict[str, Any] | None
+    depth_scale: float | None
 
 
 def read_settings(folder: Path) -> RunSettings:
     """Read the settings of a folder of exports; raises ValueError if they are missing or damaged."""
     path = folder / SETTINGS_FILE
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-        camera, depth_scale = values.get("camera"), values.get("depth_scale")
-        segmentation, _ = in_sections(SegmentationConfig, values["segmentation"])
+        document = {"depth": {}, "camera": None, "depth_scale": None} | read_json(path)
+    except FileNotFoundError as err:
+        raise ValueError(f"{err}; nurbseg-live --export writes it") from None
+    try:
+        values: _Settings = _decoded(_Settings, document)
+        segmentation, _ = in_sections(SegmentationConfig, values.segmentation)
+        depth, _ = in_sections(DepthConfig, values.depth)
         return RunSettings(
-            updated(SegmentationConfig(), **segmentation),
-            str(values["source"]),
-            bool(values["temporal"]),
-            float(values["target_fps"]),
-            bool(values["surfaces"]),
-            # Exports of an earlier version have none.
-            updated(DepthConfig(), **in_sections(DepthConfig, values.get("depth", {}))[0]),
-            None if camera is None else cameras_of_table(path, camera).calibration(),
-            None if depth_scale is None else float(depth_scale),
+            read_section(path, "segmentation", SegmentationConfig, segmentation),
+            values.source,
+            values.temporal,
+            values.target_fps,
+            values.surfaces,
+            read_section(path, "depth", DepthConfig, depth),
+            None if values.camera is None else cameras_of_table(path, values.camera).calibration(),
+            values.depth_scale,
         )
-    except FileNotFoundError:
-        raise ValueError(f"{path}: does not exist; nurbseg-live --export writes it") from None
-    except OSError as err:
-        raise ValueError(f"{path}: cannot be read: {err.strerror}") from err
-    except KeyError as err:
-        raise ValueError(f"{path}: {err.args[0]} is missing; export again with this version") from err
-    except CalibrationError as err:
+    except (CalibrationError, ConfigError) as err:
         raise ValueError(f"{err}; export again with this version") from err
-    except (AttributeError, TypeError, ValueError) as err:
+    except ValueError as err:
         raise ValueError(f"{path}: {err}; export again with this version") from err
 
 
@@ -68,18 +100,16 @@ def read_frame(folder: Path, stem: str, settings: RunSettings) -> ExportedFrame:
 
     Raises DamagedExportError if a file is missing or not as expected.
     """
-    file = f"{stem}_tree.json"
+    path = folder / f"{stem}_tree.json"
     try:
-        tree: ExportedTree = _decoded(ExportedTree, _filled_in(json.loads((folder / file).read_bytes())))
+        tree: ExportedTree = _decoded(ExportedTree, _filled_in(read_json(path)))
         if len({each.name for each in tree.segments}) < len(tree.segments) or not tree.segments:
             raise ValueError("segments: expected at least one, and each name once")
-    except OSError as err:
-        raise DamagedExportError(file, f"cannot be read: {err.strerror}") from err
-    except (ValueError, TypeError, AttributeError) as err:
-        raise DamagedExportError(file, str(err)) from err
+    except (OSError, ValueError, TypeError, AttributeError) as err:
+        raise DamagedExportError(path, str(err)) from err
     kinds = ("labels", "surfaces", "objects") if tree.objects else ("labels",)
-    images = {kind: _image(folder, f"{stem}_{kind}.png", (tree.height, tree.width)) for kind in kinds}
-    surfaces, measured = _surfaces(folder, f"{stem}_surfaces.npz") if settings.surfaces else ({}, {})
+    images = {kind: _image(folder / f"{stem}_{kind}.png", (tree.height, tree.width)) for kind in kinds}
+    surfaces, measured = _surfaces(folder / f"{stem}_surfaces.npz") if settings.surfaces else ({}, {})
     return ExportedFrame(stem, settings, tree, images, surfaces, measured)
 
 
@@ -126,46 +156,58 @@ def _decoded(kind: Any, value: Any) -> Any:
         return kind(**fields)
     kinds = (float, int) if kind is float else origin or kind
     # In Python, bool is a subclass of int.
-    if isinstance(value, bool) == (kind is bool) and isinstance(value, kinds):
+    fits = isinstance(value, bool) == (kind is bool) and isinstance(value, kinds)
+    # NaN is not below it, either.
+    if fits and (kind not in (int, float) or abs(value) < _NUMBER_LIMIT):
         return value
-    raise TypeError(f"expected {getattr(kind, '__name__', kind)}, got {value!r}")
+    raise TypeError(f"expected {getattr(kind, '__name__', kind)}, got {quoted(value)}")
 
 
-def _image(folder: Path, file: str, shape: tuple[int, int]) -> NDArray[np.uint16]:
+def _image(path: Path, shape: tuple[int, int]) -> NDArray[np.uint16]:
     try:
-        content = np.frombuffer((folder / file).read_bytes(), dtype=np.uint8)
-    except OSError as err:
-        raise DamagedExportError(file, f"cannot be read: {err.strerror}") from err
-    image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
+        content = check_complete(read_file(path, FRAME_BYTES_MAX, what="file"), f"{path}")
+        image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except (DriverError, cv2.error) as err:
+        raise DamagedExportError(path, str(err)) from err
     if image is None or image.dtype != np.uint16 or image.shape != shape:
         got = "no image" if image is None else f"{image.shape} {image.dtype}"
-        raise DamagedExportError(file, f"expected an image {shape} uint16, got {got}")
+        raise DamagedExportError(path, f"expected an image {shape} uint16, got {got}")
     return np.asarray(image, dtype=np.uint16)
 
 
-def _surfaces(folder: Path, file: str) -> tuple[dict[str, ExportedSurface], dict[str, NDArray[np.int64]]]:
+def _surfaces(path: Path) -> tuple[dict[str, ExportedSurface], dict[str, NDArray[np.int64]]]:
     try:
-        with (folder / file).open("rb") as opened, np.load(opened) as arrays:
+        with np.load(BytesIO(read_file(path, _NPZ_BYTES_MAX, what="file"))) as arrays:
+            size = sum(each.file_size for each in arrays.zip.infolist())
+            if size > FRAME_BYTES_MAX:
+                raise ValueError(f"expected {FRAME_BYTES_MAX} bytes at most in its arrays, got {size}")
             surfaces = {
                 name: ExportedSurface(
                     degree=tuple(degree),
                     window=tuple(window),
                     **{
-                        part: arrays[f"{name}_{part}"]
+                        part: _array(arrays, name, part)
                         for part in ("knots_u", "knots_v", "control_points_m", "weights")
                     },
                 )
                 for name, degree, window in zip(
-                    *(arrays[key].tolist() for key in ("names", "degree", "window")), strict=True
+                    *(_array(arrays, "", key).tolist() for key in ("names", "degree", "window")), strict=True
                 )
             }
             measured = {
-                key.removesuffix("_measured"): np.cumsum(arrays[key], dtype=np.int64)
-                for key in arrays.files
-                if key.endswith("_measured")
+                name: np.cumsum(_array(arrays, name, part), dtype=np.int64)
+                for name, part in (key.split("_", 1) for key in arrays.files if key.endswith("_measured"))
             }
-    except OSError as err:
-        raise DamagedExportError(file, f"cannot be read: {err.strerror or err}") from err
-    except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as err:
-        raise DamagedExportError(file, str(err)) from err
+    # What NumPy and zipfile raise for damaged files is of many kinds, some of them without a text.
+    except Exception as err:
+        raise DamagedExportError(path, str(err) or type(err).__name__) from err
     return surfaces, measured
+
+
+def _array(arrays: Mapping[str, NDArray[Any]], name: str, part: str) -> NDArray[Any]:
+    """Return an array of a segment, or of all; raises ValueError if it is of another kind or shape."""
+    key = f"{name}_{part}".lstrip("_")
+    array, (kind, dimensions, columns) = arrays[key], _ARRAYS[part]
+    if array.dtype.kind != kind or array.ndim != dimensions or columns not in (0, array.shape[-1]):
+        raise ValueError(f"{key}: is an array {array.shape} of {array.dtype}, not as in docs/files.md")
+    return array

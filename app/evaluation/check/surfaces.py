@@ -89,8 +89,12 @@ def malformed(surface: ExportedSurface) -> tuple[str, str, str] | None:
         ("knots_u", surface.knots_u, m, surface.degree[0]),
         ("knots_v", surface.knots_v, n, surface.degree[1]),
     ):
-        if knots.shape != (count + degree + 1,) or (np.diff(knots) < 0).any():
-            return axis, f"{count + degree + 1} knots that ascend", str(knots.shape)
+        if not 0 < degree < count or knots.shape != (count + degree + 1,):
+            expected = f"{count + degree + 1} knots for {count} points of a degree from 1 to {count - 1}"
+            return axis, expected, f"{knots.size}, degree {degree}"
+        # NaN is not ascending.
+        if not (np.diff(knots) >= 0).all() or not knots[degree] < knots[count] < np.inf:
+            return axis, "numbers that ascend", "others"
     if not (np.isfinite(surface.control_points_m).all() and np.isfinite(surface.weights).all()):
         return "control_points_m", "finite numbers", "others"
     if not (surface.weights > 0).all():

@@ -37,6 +37,9 @@ def check_values(frame: ExportedFrame, cloud: PointMap) -> Iterator[Finding]:
     Damaged surfaces are skipped; `cloud` holds the points of the same frame.
     """
     labelled, config = frame.leaf_image > 0, frame.settings.config
+    if labelled.shape != cloud.valid.shape:
+        yield frame.wrong("", "height, width", f"{cloud.valid.shape} as recorded", labelled.shape)
+        return
     if not np.array_equal(labelled, cloud.valid):
         row, column = np.argwhere(labelled != cloud.valid)[0].tolist()
         expected = "a label" if cloud.valid[row, column] else "no label, there is no point"

@@ -133,6 +133,26 @@ def test_a_recording_that_changed_meanwhile_is_refused(at_home: Path, write_pair
     assert "has 4 frames, but had 9" in report(at_home / "out")["recordings"][0]["failure"]
 
 
+@pytest.mark.parametrize(
+    "content",
+    [
+        "[" * 100_000,
+        "[]",
+        '{"frames": 1e999, "done": 3, "damaged": {}}',
+        '{"frames": 4, "done": 5, "damaged": {}}',
+        '{"frames": 4, "done": -1, "damaged": {}}',
+        '{"frames": 4, "done": 4, "damaged": 7}',
+    ],
+)
+def test_progress_that_cannot_be_is_named(at_home: Path, write_pairs: Pairs, content: str) -> None:
+    write_pairs(4, name="one")
+    (at_home / "out" / "one").mkdir(parents=True)
+    (at_home / "out" / "one" / PROGRESS_FILE).write_text(content)
+    assert main(["one", "--export", "out", "--workers", "1"]) == 1
+    failure = report(at_home / "out")["recordings"][0]["failure"]
+    assert re.search(r"one/progress\.json: cannot be read .*; delete .*out/one to start over", failure)
+
+
 def test_other_settings_are_refused(at_home: Path, write_pairs: Pairs) -> None:
     write_pairs(1, name="one")
     assert main(["one", "--export", "out", "--workers", "1"]) == 0
