@@ -135,7 +135,6 @@ def _cheapest(
     flat, width = padded.reshape(-1), padded.shape[1]
     gaps = (config.extended.inverse_depth_gap * np.sqrt(_DISTANCES)).astype(np.float32)
     votes = np.where(_DISTANCES > 0, _VOTE / np.maximum(_DISTANCES, 1.0), 0.0).astype(np.float32)
-    neighbors = gaps, votes, np.float32(ACROSS_GAP) * votes
 
     reached = np.empty(flat.size, dtype=np.bool_)
     pixels = np.flatnonzero(_near_borders(padded))
@@ -143,7 +142,9 @@ def _cheapest(
         if pixels.size == 0:
             break
         best = np.empty(pixels.size, dtype=np.int32)
-        _find_cheapest(flat, depths, pixels, width, step, neighbors, splines, deviations, SQUARE_MOST, best)
+        _find_cheapest(
+            flat, depths, pixels, width, step, (gaps, votes), splines, deviations, SQUARE_MOST, best
+        )
         # Only pixels within reach of a change can change now. From the third sweep on only neighbours
         # that swap labels are left: one of two at a time.
         reached[:] = False
@@ -159,7 +160,7 @@ def _find_cheapest(
     pixels: Intp,
     width: int,
     step: int,
-    neighbors: tuple[F32, F32, F32],
+    neighbors: tuple[F32, F32],
     splines: Splines,
     deviations: Deviations,
     square_most: float,
@@ -167,16 +168,17 @@ def _find_cheapest(
 ) -> None:
     """Find the cheapest of the labels around each pixel, the smallest one among several.
 
-    Neighbours are given by the gaps to them and by their votes, without and with a gap in between.
+    Neighbours are given by the gaps to them and by their votes.
     """
     # Taken out of tuples once: in the loop, their references would be counted each time.
-    gaps_per_m, votes, votes_across = neighbors
+    gaps_per_m, votes = neighbors
     axes, weights, starts = splines
     precision_m, penalty = deviations
     # Pixels come row by row: a surface along its last row is kept.
     rows, curves = no_curves(axes)
     near, steps_per_m = np.empty(_AROUND, dtype=np.int32), np.empty(_AROUND, dtype=np.float32)
     near_votes = np.empty(_AROUND, dtype=np.float32)
+    one, across_gap = np.float32(1.0), np.float32(ACROSS_GAP)
     row = 0
     for n in range(pixels.size):
         pixel, own = pixels[n], labels[pixels[n]]
@@ -190,7 +192,8 @@ def _find_cheapest(
                 near[down * _SIDE + across] = labels[start + across]
                 steps_per_m[down * _SIDE + across] = inverse_depth[start + across] - inverse_depth[pixel]
         for k in range(_AROUND):
-            near_votes[k] = votes_across[k] if abs(steps_per_m[k]) >= gaps_per_m[k] else votes[k]
+            # A factor, as a choice between two arrays would be one of addresses.
+            near_votes[k] = votes[k] * (across_gap if abs(steps_per_m[k]) >= gaps_per_m[k] else one)
         best[n], least = own, np.float32(np.inf)
         # A pixel's own label comes first, then the others from the largest on.
         label, below = own, np.int32(2**31 - 1)
@@ -201,19 +204,22 @@ def _find_cheapest(
                 following = max(following, near[k] if near[k] < below and near[k] != own else np.int32(0))
             if label == own and following == 0:
                 break
-            cost = np.float32(square_most)
-            if axes[label, 0, 2] > 0.0:
-                if rows[label] != at_row:
-                    rows[label] = at_row
-                    fill_curve(axes, weights, starts, label, at_row, curves[label])
-                explained = on_curve(axes, curves, label, at_column)
-                residual = (np.float32(explained) - inverse_depth[pixel]) * precision_m[label]
-                # False for NaN and inf.
-                if residual * residual < cost:
-                    cost = residual * residual
-            cost += penalty[label] - total
-            if cost < least or (cost == least and label < best[n]):
-                least, best[n] = cost, label
+            # Without a residual; where that is too much already, the surface is not looked up.
+            cost = penalty[label] - total
+            if cost <= least:
+                square = np.float32(square_most)
+                if axes[label, 0, 2] > 0.0:
+                    if rows[label] != at_row:
+                        rows[label] = at_row
+                        fill_curve(axes, weights, starts, label, at_row, curves[label])
+                    explained = on_curve(axes, curves, label, at_column)
+                    residual = (np.float32(explained) - inverse_depth[pixel]) * precision_m[label]
+                    # False for NaN and inf.
+                    if residual * residual < square:
+                        square = residual * residual
+                cost += square
+                if cost < least or (cost == least and label < best[n]):
+                    least, best[n] = cost, label
             label = below = following
 
 

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.compiled import F32, F64, Intp, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.folding import UNFINISHED
 from nurbseg.segmentation.extended.grid_features import GridFeatures
@@ -81,9 +82,9 @@ def _in_front_of_surfaces(
     surfaces: list[NurbsSurface | None] = [None] * len(leaves)
     for label, leaf in enumerate(leaves, start=1):
         if leaf.fit.surface is not None:
-            at = leaf.grid_pixels
-            # A point at distance p, nearer than the surface by r 1/m, is more than r p / d away from it.
-            far = at[leaf.fit.residuals_m * inverse_depth[at] > limits_per_m[label] * distances_m[at]]
+            far = _far_from_surface(
+                leaf.grid_pixels, leaf.fit.residuals_m, inverse_depth, distances_m, limits_per_m[label]
+            )
             if far.size >= least:
                 flat[far], surfaces[label - 1] = label, leaf.fit.surface
     marked = np.flatnonzero(flat > 0)
@@ -92,6 +93,22 @@ def _in_front_of_surfaces(
     explained = SurfaceTable(surfaces).inverse_depths(flat[marked], rows * step, columns * step)
     flat[marked[inverse_depth[marked] - explained <= limits_per_m[flat[marked]]]] = 0
     return labels
+
+
+@compiled
+def _far_from_surface(
+    grid_pixels: Intp, residuals_m: F64, inverse_depth: F32, distances_m: F32, limit_per_m: float
+) -> Intp:
+    """Return the grid pixels that are farther from a surface than those nearer by the limit can be.
+
+    A point at distance p, nearer than the surface by r 1/m, is more than r p / d away from it.
+    """
+    far, count = np.empty_like(grid_pixels), 0
+    for n in range(grid_pixels.size):
+        pixel = grid_pixels[n]
+        far[count] = pixel
+        count += residuals_m[n] * inverse_depth[pixel] > limit_per_m * distances_m[pixel]
+    return far[:count].copy()
 
 
 def _split_off(

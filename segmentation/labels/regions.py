@@ -117,23 +117,51 @@ def connected_components(labels: NDArray[np.int32], adjacency: PixelAdjacency) -
     Components
         All of them, however small.
     """
-    grid_pixels = np.flatnonzero(labels > 0)
-    return _connected(
-        grid_pixels, labels.reshape(-1).take(grid_pixels).astype(np.int32, copy=False), adjacency
-    )
+    return _connected(_runs_in(labels, adjacency.right), adjacency.down, 0.0)[0]
 
 
-def _connected(
-    grid_pixels: NDArray[np.intp], labels: NDArray[np.int32], adjacency: PixelAdjacency
-) -> Components:
-    """Find the components of some flat grid pixels, ascending, that have a label."""
-    numbers = np.zeros(adjacency.right.shape, dtype=np.int32)
-    labels_of, sizes = (
-        np.empty(grid_pixels.size + 1, dtype=np.int32),
-        np.empty(grid_pixels.size + 1, dtype=np.intp),
-    )
-    count = _connect(grid_pixels, labels, adjacency.right, adjacency.down, numbers, labels_of, sizes)
-    return Components(numbers, labels_of[: count + 1].copy(), sizes[: count + 1].copy())
+def _connected(runs: I32, down: Bool, grid_pixels_min: float) -> tuple[Components, Intp]:
+    """Connect runs to components; list the grid pixels of those that are too small and get number 0."""
+    numbers = np.zeros(down.shape, dtype=np.int32)
+    labels_of, sizes, unassigned = _connect(runs, down, grid_pixels_min, numbers)
+    return Components(numbers, labels_of, sizes), unassigned
+
+
+@compiled
+def _runs_in(labels: I32, right: Bool) -> I32:
+    """Return the runs of connected grid pixels of each row: first, one past the last, and label."""
+    height, width = labels.shape
+    runs, count = np.empty((labels.size, 3), dtype=np.int32), 0
+    for row in range(height):
+        column = 0
+        while column < width:
+            label, begin = labels[row, column], column
+            column += 1
+            while column < width and labels[row, column] == label and (label == 0 or right[row, column - 1]):
+                column += 1
+            if label > 0:
+                runs[count, 0], runs[count, 1] = row * width + begin, row * width + column
+                runs[count, 2] = label
+                count += 1
+    return runs[:count]
+
+
+@compiled
+def _runs_of(grid_pixels: Intp, labels: I32, right: Bool) -> I32:
+    """Do what `_runs_in` does for some flat grid pixels, ascending, that have a label."""
+    runs, count, n = np.empty((grid_pixels.size, 3), dtype=np.int32), 0, 0
+    # Nothing is connected across the ends of rows.
+    linked = right.reshape(-1)
+    while n < grid_pixels.size:
+        end, label = grid_pixels[n] + 1, labels[n]
+        runs[count, 0], runs[count, 2] = grid_pixels[n], label
+        n += 1
+        while n < grid_pixels.size and grid_pixels[n] == end and labels[n] == label and linked[end - 1]:
+            end += 1
+            n += 1
+        runs[count, 1] = end
+        count += 1
+    return runs[:count]
 
 
 @compiled
@@ -145,64 +173,55 @@ def _root(parents: I32, number: int) -> int:
 
 
 @compiled
-def _connect(
-    grid_pixels: Intp, labels: I32, right: Bool, down: Bool, numbers: I32, labels_of: I32, sizes: Intp
-) -> int:
-    """Find components, and return how many there are.
+def _connect(runs: I32, down: Bool, grid_pixels_min: float, numbers: I32) -> tuple[I32, Intp, Intp]:
+    """Find the components of runs; return labels, sizes, and the grid pixels of those that are too small.
 
-    Union-find: a grid pixel takes the number of an earlier neighbour; where two components meet, the
-    smaller number becomes the parent of the larger one.
+    Union-find: where two runs meet, the earlier root becomes the parent of the later one.
     """
-    width = right.shape[1]
-    number_of, linked_right, linked_down = numbers.reshape(-1), right.reshape(-1), down.reshape(-1)
-    parents = np.empty(grid_pixels.size + 1, dtype=np.int32)
-    parents[0] = labels_of[0] = sizes[0] = 0
-    count = 0
-    number, size = 0, 0
-    for n in range(grid_pixels.size):
-        pixel, label, before = grid_pixels[n], labels[n], number
-        # Nothing is connected across the ends of rows; number 0 is of no label.
-        if not (
-            pixel > 0
-            and linked_right[pixel - 1]
-            and grid_pixels[n - 1] == pixel - 1
-            and labels[n - 1] == label
-        ):
-            number = 0
-        if pixel >= width and linked_down[pixel - width]:
-            above = number_of[pixel - width]
-            if above != number and labels_of[above] == label:
-                if number == 0:
-                    number = above
-                else:
-                    one, other = _root(parents, number), _root(parents, above)
-                    number = min(one, other)
-                    parents[max(one, other)] = number
+    width, linked, number_of = down.shape[1], down.reshape(-1), numbers.reshape(-1)
+    count = runs.shape[0]
+    parents, size_of = np.empty(count, dtype=np.int32), np.zeros(count, dtype=np.intp)
+    first = 0
+    for n in range(count):
+        begin, end, label = runs[n, 0] - width, runs[n, 1] - width, runs[n, 2]
+        parents[n] = n
+        while runs[first, 1] <= begin:
+            first += 1
+        above = first
+        while runs[above, 0] < end:
+            if runs[above, 2] == label:
+                for pixel in range(max(runs[above, 0], begin), min(runs[above, 1], end)):
+                    if linked[pixel]:
+                        one, other = _root(parents, n), _root(parents, above)
+                        parents[max(one, other)] = min(one, other)
+                        break
+            above += 1
+    for n in range(count):
+        # A parent comes earlier, so it is final already.
+        parents[n] = parents[parents[n]]
+        size_of[parents[n]] += runs[n, 1] - runs[n, 0]
+    labels_of, sizes = np.zeros(count + 1, dtype=np.int32), np.zeros(count + 1, dtype=np.intp)
+    last, small = 0, 0
+    for n in range(count):
+        if parents[n] == n:
+            if size_of[n] >= grid_pixels_min:
+                last += 1
+                labels_of[last], sizes[last] = runs[n, 2], size_of[n]
+                size_of[n] = last
+            else:
+                small += size_of[n]
+                size_of[n] = 0
+    unassigned, small = np.empty(small, dtype=np.intp), 0
+    for n in range(count):
+        # The number of its component, from here on.
+        number = size_of[parents[n]]
+        for pixel in range(runs[n, 0], runs[n, 1]):
+            number_of[pixel] = number
         if number == 0:
-            count += 1
-            number = count
-            parents[number], labels_of[number], sizes[number] = number, label, 0
-        number_of[pixel] = number
-        if number != before:
-            sizes[before] += size
-            size = 0
-        size += 1
-    sizes[number] += size
-    sizes[0] = 0
-    # A parent has a smaller number, so it is final already.
-    last = 0
-    for number in range(1, count + 1):
-        if parents[number] == number:
-            last += 1
-            labels_of[last], sizes[last] = labels_of[number], sizes[number]
-            parents[number] = last
-        else:
-            parents[number] = parents[parents[number]]
-            sizes[parents[number]] += sizes[number]
-    if last < count:
-        for pixel in grid_pixels:
-            number_of[pixel] = parents[number_of[pixel]]
-    return last
+            for pixel in range(runs[n, 0], runs[n, 1]):
+                unassigned[small] = pixel
+                small += 1
+    return labels_of[: last + 1].copy(), sizes[: last + 1].copy(), unassigned
 
 
 def large_components(
@@ -240,35 +259,18 @@ def large_components(
     width = adjacency.right.shape[1]
     rows = slice(int(grid_pixels[0]) // width, int(grid_pixels[-1]) // width + 1)
     at = grid_pixels - rows.start * width
-    found = _connected(at, labels, PixelAdjacency(adjacency.right[rows], adjacency.down[rows]))
-    kept = np.flatnonzero(found.sizes[1:] >= grid_pixels_min) + 1
-    if not kept.size:
+    runs = _runs_of(at, labels, adjacency.right[rows])
+    found, unassigned = _connected(runs, adjacency.down[rows], grid_pixels_min)
+    labels_of = found.labels_of[1:].tolist()
+    if not labels_of:
         return [], []
-    if kept.size + 1 < found.sizes.size:
-        number = np.zeros(found.sizes.size, dtype=np.int32)
-        number[kept] = np.arange(1, kept.size + 1)
-        unassigned = np.empty_like(at)
-        count = _renumber(at, number, found.numbers, unassigned)
-        spread_in_place(found.numbers, unassigned[:count], inverse_depth[rows], gap_per_m)
-    if kept.size == 1:
-        return [grid_pixels], found.labels_of[kept].tolist()
-    grouped, ends = np.empty_like(grid_pixels), np.zeros(kept.size + 2, dtype=np.intp)
+    if unassigned.size:
+        spread_in_place(found.numbers, unassigned, inverse_depth[rows], gap_per_m)
+    if len(labels_of) == 1:
+        return [grid_pixels], labels_of
+    grouped, ends = np.empty_like(grid_pixels), np.zeros(len(labels_of) + 2, dtype=np.intp)
     _group(grid_pixels, at, found.numbers, grouped, ends)
-    pieces = [grouped[ends[n - 1] : ends[n]] for n in range(1, kept.size + 1)]
-    return pieces, found.labels_of[kept].tolist()
-
-
-@compiled
-def _renumber(grid_pixels: Intp, number: I32, numbers: I32, unassigned: Intp) -> int:
-    """Renumber components; list grid pixels whose component is dropped, and return how many there are."""
-    number_of = numbers.reshape(-1)
-    count = 0
-    for pixel in grid_pixels:
-        number_of[pixel] = number[number_of[pixel]]
-        if number_of[pixel] == 0:
-            unassigned[count] = pixel
-            count += 1
-    return count
+    return [grouped[ends[n] : ends[n + 1]] for n in range(len(labels_of))], labels_of
 
 
 @compiled
@@ -279,7 +281,13 @@ def _group(grid_pixels: Intp, at: Intp, numbers: I32, grouped: Intp, ends: Intp)
         ends[number_of[at[n]] + 1] += 1
     for n in range(1, ends.size):
         ends[n] += ends[n - 1]
-    for n in range(grid_pixels.size):
+    n = 0
+    while n < grid_pixels.size:
+        # Run by run of equal numbers.
         number = number_of[at[n]]
-        grouped[ends[number]] = grid_pixels[n]
-        ends[number] += 1
+        end = ends[number]
+        while n < grid_pixels.size and number_of[at[n]] == number:
+            grouped[end] = grid_pixels[n]
+            end += 1
+            n += 1
+        ends[number] = end
