@@ -41,6 +41,7 @@ from cosmic_ray.mutating import mutate_code, use_mutation
 from cosmic_ray.testing import run_tests
 from cosmic_ray.work_item import MutationSpec, TestOutcome
 
+import nurbseg
 from nurbseg.drivers.compiled import content_digest
 
 #: Operators of one kind, by the names that Cosmic Ray gives them: one may stand for another where it was
@@ -164,15 +165,23 @@ class Copy:
     def __init__(self, folder: Path) -> None:
         self._folder, self._code, self._unchanged = folder, folder / "code", folder / "unchanged"
         self._package = folder / "nurbseg"
+        self._environment = ["env", f"PYTHONPATH={folder}", f"NUMBA_CACHE_DIR={self._code}"]
         for package in ("app", "drivers", "recordings", "segmentation"):
             spec = importlib.util.find_spec(f"nurbseg.{package}")
             if spec is None or not spec.submodule_search_locations:
                 raise SystemExit(f"nurbseg.{package} is not installed here: make setup-test")
             without = shutil.ignore_patterns("__pycache__")
             shutil.copytree(spec.submodule_search_locations[0], self._package / package, ignore=without)
+        # Without it, the installed one would be found first, and no change be seen.
+        shutil.copy(nurbseg.__file__, self._package)
 
     def measure(self, tests: Sequence[str]) -> float:
         """Run tests without a change, which must pass, and keep the machine code; return the seconds."""
+        program = "import nurbseg.segmentation; print(nurbseg.segmentation.__file__)"
+        find = [*self._environment, sys.executable, "-c", program]
+        found = subprocess.run(find, capture_output=True, text=True, check=True).stdout.strip()
+        if not Path(found).is_relative_to(self._package):
+            raise SystemExit(f"the tests would run {found}, not the copy in {self._package}")
         begin = time.monotonic()
         run = subprocess.run(self._command(tests), capture_output=True, text=True, timeout=1800)
         if run.returncode:
@@ -199,8 +208,7 @@ class Copy:
 
     def _command(self, tests: Sequence[str]) -> list[str]:
         pytest = str(Path(sys.executable).parent / "pytest")
-        variables = [f"PYTHONPATH={self._folder}", f"NUMBA_CACHE_DIR={self._code}"]
-        return ["env", *variables, pytest, "-x", "-q", "-p", "no:cacheprovider", *tests]
+        return [*self._environment, pytest, "-x", "-q", "-p", "no:cacheprovider", *tests]
 
     def _keep_machine_code_beside(self, changed: Path) -> None:
         """Lay out the code of all loops that do not call those of a changed file."""
