@@ -115,11 +115,12 @@ def test_right_borders_stay(cloud_of, box_on_table):
 def test_no_label_loses_its_last_pixel(cloud_of, box_on_table):
     depth, truth = box_on_table()
     cloud = cloud_of(depth)
-    labels = truth
-    labels[120:122, 160:162] = 5
-    surfaces = [*fitted(cloud, truth), None]
-    refined = refine_borders(labels, inverse_depth_image(cloud), surfaces, CONFIG)
-    assert set(np.unique(refined)) == {1, 2, 3, 4, 5}
+    # Of the last label, and of one before it.
+    surfaces = [*fitted(cloud, truth), None, None]
+    for label in (5, 6):
+        truth[120:122, 40 * label : 40 * label + 2] = label
+    refined = refine_borders(truth, inverse_depth_image(cloud), surfaces, CONFIG)
+    assert set(np.unique(refined)) == {1, 2, 3, 4, 5, 6}
 
 
 def test_a_single_surface_is_left_alone():

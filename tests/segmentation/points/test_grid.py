@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from nurbseg.segmentation.points.grid import PixelGrid, grid_step, united, without
+from nurbseg.segmentation.points.grid import (
+    PixelGrid,
+    decimated_grid,
+    grid_step,
+    marked_pixels,
+    united,
+    without,
+)
+from nurbseg.segmentation.points.registration import PointMap
 
 
 @pytest.mark.parametrize(
@@ -48,3 +56,27 @@ def test_parts_are_united_and_removed_in_ascending_order(sizes):
     # Arrays of a fit are read-only.
     whole.flags.writeable = False
     assert without(whole, whole).size == 0
+
+
+@pytest.mark.parametrize("step", [1, 2, 3])
+def test_grid_pixels_are_those_of_every_few_rows_and_columns(step):
+    rng = np.random.default_rng(step)
+    valid = rng.random((23, 31)) < 0.8
+    points_m = np.where(valid[..., np.newaxis], rng.random((23, 31, 3)), np.nan).astype(np.float32)
+    grid = decimated_grid(PointMap(points_m, np.zeros((23, 31, 3), dtype=np.uint8), valid), step)
+    assert np.array_equal(grid.valid, valid[::step, ::step])
+    assert np.array_equal(grid.coordinates_m, np.nan_to_num(points_m[::step, ::step]).transpose(2, 0, 1))
+
+    numbers = np.arange(grid.valid.size).reshape(grid.shape)
+    some = np.sort(rng.choice(numbers.size, numbers.size // 3, replace=False))
+    image = np.arange(valid.size).reshape(valid.shape)
+    assert grid.every_second(some).tolist() == [n for n in some if n in numbers[::2, ::2]]
+    pixels = image[::step, ::step].ravel()[some]
+    assert np.array_equal(grid.pixels(some), pixels)
+    assert grid.pixel_share == pytest.approx(valid.size / step**2 / (640 * 480))
+
+    some = some[(some // grid.shape[1] >= 2) & (some % grid.shape[1] >= 3)]
+    window, mask = grid.window_mask(some)
+    assert np.array_equal(marked_pixels(mask, window[:2], 31, step), image[::step, ::step].ravel()[some])
+    rows, columns = np.divmod(image[::step, ::step].ravel()[some], 31)
+    assert grid.full_window(window) == (rows.min(), columns.min(), rows.max() + 1, columns.max() + 1)
