@@ -1,4 +1,4 @@
-"""What a frame takes over from the one before: surfaces moved, labels carried, grown and settled."""
+"""What a frame takes over from the one before: surfaces moved, labels warped, grown and refined."""
 
 import cv2
 import numpy as np
@@ -14,7 +14,7 @@ from nurbseg.segmentation.points.depth_grid import depth_grid
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
-from nurbseg.segmentation.surfaces.surface import NurbsSurface
+from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate_lattice
 
 SHAPE = (96, 128)
 STEP = 2
@@ -30,7 +30,7 @@ def cloud_of(inverse_depth: np.ndarray) -> PointMap:
 
 
 def wavy() -> np.ndarray:
-    """Inverse depth of a smooth features."""
+    """Inverse depth of a smooth surface."""
     rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]]
     return 0.8 + 0.001 * columns + 0.05 * np.sin(rows / 30.0)
 
@@ -49,11 +49,11 @@ Three = tuple[np.ndarray, np.ndarray, SurfaceLattice, Deviations]
 
 @pytest.fixture(scope="module")
 def three() -> Three:
-    """Three labels at random, left of what is all of the second one."""
+    """Three labels at random, on both sides of what is all of the second one."""
     rng = np.random.default_rng(5)
     lattice = SurfaceLattice([fitted(np.full(SHAPE, value)) for value in (1.0, 1.003, 0.994)], STEP)
     labels = rng.integers(0, 4, SHAPE).astype(np.uint16)
-    labels[:, 64:] = 2
+    labels[:, 64:120] = 2
     inverse_depth = (1.0 + 0.004 * rng.standard_normal(SHAPE)).astype(np.float32)
     inverse_depth[rng.random(SHAPE) < 0.05] = 0.0
     return labels, inverse_depth, lattice, own_deviations([1e-3, 2.5e-3, 4e-3], 2.5e-3)
@@ -61,7 +61,7 @@ def three() -> Three:
 
 @pytest.fixture(scope="module")
 def surface() -> NurbsSurface:
-    """Of the smooth features."""
+    """Of the smooth inverse depth."""
     return fitted(wavy())
 
 
@@ -116,6 +116,13 @@ def test_a_surface_follows_a_linear_change(surface: NurbsSurface) -> None:
     now[10:16, 10:16] -= 0.5
     # The ridge that steadies slivers holds it back by a tenth of the noise.
     assert np.abs(found - now).max() < 5e-4
+    # Its points are as deep as that, on the rays they were on.
+    assert moved is not None
+    u, v = columns[0].astype(float), rows[:, 0].astype(float)
+    points_m = evaluate_lattice(moved, u, v)
+    assert points_m[..., 2] * found == pytest.approx(np.ones(found.shape), abs=1e-5)
+    rays = [each[..., :2] / each[..., 2:] for each in (points_m, evaluate_lattice(surface, u, v))]
+    assert rays[0] == pytest.approx(rays[1], abs=1e-9)
 
 
 def test_the_change_is_that_of_least_squares(surface: NurbsSurface) -> None:
@@ -132,10 +139,14 @@ def test_the_change_is_that_of_least_squares(surface: NurbsSurface) -> None:
         own = np.full(rows.shape, label, np.int32)
         # Away from other labels, whose places tell nothing; noise is far within the limit.
         inner = cv2.erode((labels == label).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        terms = np.column_stack([np.ones(inner.sum()), columns[inner], rows[inner]])
         change = (now - lattice.image(own))[inner]
-        fitted = terms @ np.linalg.lstsq(terms, change, rcond=None)[0]
-        assert (found.image(own) - lattice.image(own))[inner] == pytest.approx(fitted, abs=2e-4)
+        along = np.column_stack([columns[inner], rows[inner]]) / STEP
+        around = along - along.mean(axis=0)
+        # The ridge is one grid pixel more in each direction, and four for each.
+        ridge = np.vstack([around, np.sqrt(4.0 * len(around) + 1.0) * np.eye(2)])
+        slopes = np.linalg.lstsq(ridge, np.append(change - change.mean(), [0.0, 0.0]), rcond=None)[0]
+        fitted = change.mean() + around @ slopes
+        assert (found.image(own) - lattice.image(own))[inner] == pytest.approx(fitted, abs=1e-6)
 
 
 def test_labels_stay_and_grow_only_where_their_surface_explains() -> None:
@@ -151,6 +162,28 @@ def test_labels_stay_and_grow_only_where_their_surface_explains() -> None:
     assert np.array_equal(kept, labels * (inverse_depth == np.float32(0.8)))
     grown = grown_labels(kept, inverse_depth, lattice, limits)
     assert np.array_equal(grown, inverse_depth == np.float32(0.8))
+
+
+def test_labels_grow_to_the_neighbor_that_explains_best(three: Three) -> None:
+    _, inverse_depth, lattice, _ = three
+    depths = np.ascontiguousarray(inverse_depth[:20, :24])
+    rng = np.random.default_rng(8)
+    limits, values = (0.004, 0.006, 0.003), (1.0, 1.003, 0.994)
+    labels = (rng.integers(1, 4, depths.shape) * (rng.random(depths.shape) < 0.05)).astype(np.int32)
+    # What touches only the other end of a row or column is no neighbour.
+    labels[:3], labels[:, :3], labels[-1], labels[:, -1] = 0, 0, 2, 3
+    expected = labels.copy()
+    for _ in range(12):
+        before = expected.copy()
+        for r, c in np.argwhere((before == 0) & (depths > 0)):
+            beside = [(r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)]
+            around = {int(before[at]) for at in beside if min(at) >= 0 and at[0] < 20 and at[1] < 24} - {0}
+            fits = {each: abs(values[each - 1] - depths[r, c]) for each in around}
+            fits = {each: residual for each, residual in fits.items() if residual < limits[each - 1]}
+            expected[r, c] = min(fits, key=lambda each: fits[each], default=0)
+    assert 100 < np.count_nonzero(expected != labels) < np.count_nonzero((labels == 0) & (depths > 0))
+    found = grown_labels(labels, depths, lattice, np.array([0.0, *limits], np.float32))
+    assert np.array_equal(found, expected)
 
 
 def test_pixels_follow_their_grid_pixel_where_its_label_changed() -> None:
@@ -190,7 +223,8 @@ def test_one_sweep_takes_the_cheapest_of_three_labels(three: Three) -> None:
     labels, inverse_depth, *_ = three
     rng, deviations = np.random.default_rng(6), (2.5e-3, 2.5e-3, 4e-3)
     settled = relax_borders(*three, gap_per_m=0.006, sweeps=1)
-    for r, c in zip(*(rng.integers(0, extent, 300) for extent in SHAPE), strict=True):
+    rim = [(r, c) for r, c in np.ndindex(SHAPE) if r in (0, SHAPE[0] - 1) or c in (0, SHAPE[1] - 1)]
+    for r, c in [*rim, *zip(*(rng.integers(0, extent, 300) for extent in SHAPE), strict=True)]:
         near = [
             (y, x)
             for y in range(max(r - 1, 0), min(r + 2, SHAPE[0]))

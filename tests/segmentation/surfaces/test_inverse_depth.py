@@ -4,11 +4,16 @@ from inverse_depth_lattice import inverse_depth_lattice
 from numpy.testing import assert_allclose
 from scipy.interpolate import BSpline
 
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.points.depth_grid import depth_grid
 from nurbseg.segmentation.surfaces.bspline import averaged_knots, basis_matrix
 from nurbseg.segmentation.surfaces.fit import fit_surface
-from nurbseg.segmentation.surfaces.inverse_depth import fit_window, rational_surface, ray_control_values
+from nurbseg.segmentation.surfaces.inverse_depth import (
+    fit_window,
+    knots_on,
+    rational_surface,
+    ray_control_values,
+)
 from nurbseg.segmentation.surfaces.surface import evaluate, evaluate_lattice
 
 SIZE = (60, 80)
@@ -125,3 +130,14 @@ def test_control_values_make_splines_that_are_the_rays(cloud_of):
     for image, expected in zip(control, rays.lattice(u, v), strict=True):
         along_v = BSpline(knots_v, image, 3)(v)
         assert_allclose(BSpline(knots_u, along_v.T, 3)(u).T, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("repeated", "step", "expected"),
+    # Of four times as many points the squared residuals sum to four times as much.
+    [(8, 2, (16.0, 0.1)), (8, 1, (32.0, 0.4)), (4, 1, (16.0, 0.1)), (16, 2, (32.0, 0.4))],
+)
+def test_knots_and_smoothness_are_as_set_at_any_size_of_the_image(cloud_of, repeated, step, expected):
+    grid = depth_grid(cloud_of(np.ones((6, 80 * repeated))), step)
+    config = SegmentationConfig(extended=ExtendedConfig(knot_spacing_px=32.0, smoothness=0.1))
+    assert knots_on(grid, config) == pytest.approx(expected)
