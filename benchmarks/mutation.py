@@ -16,7 +16,7 @@ import argparse
 import ast
 import difflib
 import hashlib
-import importlib.util
+import importlib
 import os
 import queue
 import resource
@@ -167,18 +167,14 @@ class Copy:
         self._package = folder / "nurbseg"
         self._environment = ["env", f"PYTHONPATH={folder}", f"NUMBA_CACHE_DIR={self._code}"]
         for package in ("app", "drivers", "recordings", "segmentation"):
-            spec = importlib.util.find_spec(f"nurbseg.{package}")
-            if spec is None or not spec.submodule_search_locations:
-                raise SystemExit(f"nurbseg.{package} is not installed here: make setup-test")
-            without = shutil.ignore_patterns("__pycache__")
-            shutil.copytree(spec.submodule_search_locations[0], self._package / package, ignore=without)
+            (source,) = importlib.import_module(f"nurbseg.{package}").__path__
+            shutil.copytree(source, self._package / package, ignore=shutil.ignore_patterns("__pycache__"))
         # Without it, the installed one would be found first, and no change be seen.
         shutil.copy(nurbseg.__file__, self._package)
 
     def measure(self, tests: Sequence[str]) -> float:
         """Run tests without a change, which must pass, and keep the machine code; return the seconds."""
-        program = "import nurbseg.segmentation; print(nurbseg.segmentation.__file__)"
-        find = [*self._environment, sys.executable, "-c", program]
+        find = [*self._environment, sys.executable, "-c", "import nurbseg; print(nurbseg.__file__)"]
         found = subprocess.run(find, capture_output=True, text=True, check=True).stdout.strip()
         if not Path(found).is_relative_to(self._package):
             raise SystemExit(f"the tests would run {found}, not the copy in {self._package}")
