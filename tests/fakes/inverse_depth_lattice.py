@@ -1,11 +1,11 @@
-"""Inverse depth and slopes of any surface by basis matrices, to hold the compiled loops against."""
+"""Inverse depth and slopes of any surface by SciPy's splines, to compare compiled loops with."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy_basis import scipy_basis
 
-from nurbseg.segmentation.surfaces.bspline import basis_matrix
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 
@@ -26,8 +26,8 @@ def inverse_depth_lattice(
     inverse_depth, slope_u, slope_v : (H, W) float64
         Inverse depth in 1/m and its change by one pixel along u and v.
     """
-    Bu, Du = (basis_matrix(surface.knots_u, surface.degree[0], u, order).T for order in (0, 1))
-    Bv, Dv = (basis_matrix(surface.knots_v, surface.degree[1], v, order) for order in (0, 1))
+    Bu, Du = (scipy_basis(surface.knots_u, surface.degree[0], u, order).T for order in (0, 1))
+    Bv, Dv = (scipy_basis(surface.knots_v, surface.degree[1], v, order) for order in (0, 1))
     weights = surface.weights
     depths = surface.control_points_m[..., 2] * weights
     w = Bv @ weights @ Bu, Bv @ weights @ Du, Dv @ weights @ Bu

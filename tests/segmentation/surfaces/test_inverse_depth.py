@@ -3,10 +3,11 @@ import pytest
 from inverse_depth_lattice import inverse_depth_lattice
 from numpy.testing import assert_allclose
 from scipy.interpolate import BSpline
+from scipy_basis import scipy_basis
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.points.depth_grid import depth_grid
-from nurbseg.segmentation.surfaces.bspline import averaged_knots, basis_matrix
+from nurbseg.segmentation.surfaces.bspline import averaged_knots
 from nurbseg.segmentation.surfaces.fit import fit_surface
 from nurbseg.segmentation.surfaces.inverse_depth import (
     fit_window,
@@ -52,7 +53,7 @@ def test_the_surface_is_the_ray_over_the_spline(cloud_of):
     knots_v = averaged_knots(np.arange(60.0), 6)
     surface = rational_surface(control, knots_u, knots_v, rays, WHOLE)
     u, v = rng.uniform(0, 79, 200), rng.uniform(0, 59, 200)
-    d = np.einsum("na,ab,nb->n", basis_matrix(knots_v, 3, v), control, basis_matrix(knots_u, 3, u))
+    d = np.einsum("na,ab,nb->n", scipy_basis(knots_v, 3, v), control, scipy_basis(knots_u, 3, u))
     x, y = rays.at(u, v)
     assert_allclose(evaluate(surface, u, v), np.stack([x, y, np.ones(200)], axis=1) / d[:, np.newaxis])
 

@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
+from scipy_basis import scipy_basis
 
 from nurbseg.segmentation.surfaces import leastsquares
-from nurbseg.segmentation.surfaces.bspline import basis_matrix, pixel_knots
+from nurbseg.segmentation.surfaces.bspline import pixel_knots
 from nurbseg.segmentation.surfaces.knot_lattice import lattice_basis
 
 
 def pixel_basis(size: int, count: int) -> NDArray[np.float64]:
-    return basis_matrix(pixel_knots(size, count), 3, np.arange(float(size)))
+    return scipy_basis(pixel_knots(size, count), 3, np.arange(float(size)))
 
 
 def fit_control_points(values, mask: NDArray[np.bool_], counts: tuple[int, int]) -> NDArray[np.float64]:
@@ -119,7 +120,7 @@ def test_smooth_fits_solve_the_penalised_normal_equations(spacing: float, margin
     columns, knots_u = lattice_basis(4, 35, margin, spacing)
     assert knots_u[3] <= 4 - margin
     assert knots_u[-4] > 34 + margin
-    Bu, Bv = basis_matrix(knots_u, 3, np.arange(4.0, 35.0)), basis_matrix(knots_v, 3, np.arange(7.0, 30.0))
+    Bu, Bv = scipy_basis(knots_u, 3, np.arange(4.0, 35.0)), scipy_basis(knots_v, 3, np.arange(7.0, 30.0))
     at = np.nonzero(mask)
     A = np.einsum("na,nb->nab", Bv[at[0]], Bu[at[1]])
     bends = [np.diff(np.eye(count), n=2, axis=0) for count in (rows.size, columns.size)]

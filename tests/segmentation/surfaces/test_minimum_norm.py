@@ -7,10 +7,11 @@ import pytest
 from numpy.linalg import LinAlgError
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
+from scipy_basis import scipy_basis
 
 from nurbseg.segmentation.config import Metric, SegmentationConfig, Stag15Config
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.surfaces.bspline import averaged_knots, basis_matrix
+from nurbseg.segmentation.surfaces.bspline import averaged_knots
 from nurbseg.segmentation.surfaces.curvature import all_metrics, curvatures_at_pixels
 from nurbseg.segmentation.surfaces.fit import fit_surface, has_least_norm
 from nurbseg.segmentation.surfaces.minimum_norm import minimum_norm_control_points
@@ -21,7 +22,7 @@ CURVATURE = {"vmxc", "vmec", "vgc", "mmxc", "nlc"}
 def dense_system(mask: NDArray[np.bool_], nu: int, nv: int) -> NDArray[np.float64]:
     rows, columns = np.nonzero(mask)
     Bv, Bu = (
-        basis_matrix(averaged_knots(np.arange(float(size)), count), 3, places.astype(float))
+        scipy_basis(averaged_knots(np.arange(float(size)), count), 3, places.astype(float))
         for places, count, size in ((rows, nv, mask.shape[0]), (columns, nu, mask.shape[1]))
     )
     return np.einsum("na,nb->nab", Bv, Bu).reshape(rows.size, nv * nu)
@@ -120,8 +121,8 @@ def dense_curvatures(cloud: PointMap, nu: int, nv: int):
     knots = [averaged_knots(np.arange(float(size)), n) for size, n in zip(mask.shape, (nv, nu), strict=True)]
 
     def derivative(du: int, dv: int) -> NDArray[np.float64]:
-        Bv = basis_matrix(knots[0], 3, (rows - top).astype(float), dv)
-        Bu = basis_matrix(knots[1], 3, (columns - left).astype(float), du)
+        Bv = scipy_basis(knots[0], 3, (rows - top).astype(float), dv)
+        Bu = scipy_basis(knots[1], 3, (columns - left).astype(float), du)
         return np.einsum("na,cab,nb->nc", Bv, control, Bu)
 
     Su, Sv = derivative(1, 0), derivative(0, 1)
