@@ -184,6 +184,8 @@ def in_sections(config_type: type[Any], values: Mapping[str, Any]) -> tuple[dict
         target = placed
         for section in sections:
             target = target.setdefault(section, {})
+            if not isinstance(target, dict):
+                raise ValueError(f"{section}: expected a section, got {quoted(target)}")
         if last in target:
             raise ValueError(f"{name}: is also given as {paths[name]}")
         target[last] = placed.pop(name)

@@ -9,6 +9,7 @@ from typing import Any
 
 from nurbseg.app.config import AppConfig, sections
 from nurbseg.drivers.errors import quoted
+from nurbseg.drivers.limits import TEXT_BYTES_MAX
 from nurbseg.drivers.settings import described_fields, in_sections, subsections, value_kinds
 
 _log = logging.getLogger("nurbseg.config")
@@ -32,7 +33,9 @@ def read_config(path: Path) -> AppConfig:
     from nurbseg.drivers.structured_text import parse_toml
 
     try:
-        tables = parse_toml(path.read_text(encoding="utf-8"))
+        with path.open("rb") as file:
+            # A pipe may be given as well, and a device has no end.
+            tables = parse_toml(file.read(TEXT_BYTES_MAX + 1).decode())
     except OSError as err:
         raise ConfigError(f"{path}: cannot be read: {err.strerror}") from err
     except ValueError as err:
@@ -82,7 +85,7 @@ def _short(key: str) -> str:
 
 def _unknown(name: str, table: object) -> str:
     if isinstance(table, dict):
-        return f"section [{name}]: expected one of {', '.join(f'[{each}]' for each in sections())}"
+        return f"section [{_short(name)}]: expected one of {', '.join(f'[{each}]' for each in sections())}"
     return f"key {_short(name)}: keys must be in a section{_nearest(name)}"
 
 

@@ -114,6 +114,7 @@ def test_every_field_of_a_section_is_a_setting() -> None:
         ),
         ("[segmentation.stag51]\nlevel = 'objects'\n", r"unknown key segmentation\.stag51"),
         ("[segmentation]\nstag15 = 3\n", r"unknown key segmentation\.stag15"),
+        ("[segmentation]\nextended = 3\ncuts = 5\n", r"segmentation\.extended: expected a section, got 3"),
         (
             "[segmentation.extended]\ncuts = 0\n",
             r"segmentation\.extended\.cuts: expected at least 1, got 0",
@@ -148,6 +149,11 @@ def test_a_missing_file_and_a_file_of_other_bytes_are_refused(tmp_path: Path) ->
         read_config(tmp_path / "binary.toml")
 
 
+def test_a_device_without_an_end_is_not_read_to_it() -> None:
+    with pytest.raises(ConfigError, match=r"/dev/zero: is not TOML: "):
+        read_config(Path("/dev/zero"))
+
+
 def test_whole_numbers_may_stand_for_others(tmp_path: Path) -> None:
     config = read_config(written(tmp_path, "[source]\nspeed = 2\nintrinsics = [1, 2, 3, 4]\n"))
     assert (config.source.speed, type(config.source.speed)) == (2.0, float)
@@ -172,10 +178,11 @@ def test_a_kind_that_a_flag_cannot_express_is_a_mistake_of_ours() -> None:
         (f"[source]\nspeed = 0x{'f' * 4000}\n", "source.speed: expected a number of a float's range, got"),
         (f"[source]\nspeed = '{'x' * 4000}'\n", "source.speed: expected a number, got"),
         (f"[source]\n{'x' * 4000} = 1\n", "unknown key source.xxx"),
+        (f"['{'x' * 4000}']\n", "unknown section .xxx"),
         ("[source]\nspeed = 2001-13-45\n", "is not TOML"),
         ("# " + "\n# " * 100_000, "characters at most"),
     ],
-    ids=["nested", "nested lines", "digits", "hexadecimal", "text", "key", "date", "large"],
+    ids=["nested", "nested lines", "digits", "hexadecimal", "text", "key", "section", "date", "large"],
 )
 def test_a_hostile_file_gets_a_short_typed_error(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message) as found:
