@@ -1,6 +1,7 @@
 """The program of a worker process of `nurbseg.app.workers`."""
 
 import importlib
+import logging
 import pickle
 import sys
 import traceback
@@ -11,6 +12,8 @@ from typing import Any
 
 def serve(descriptor: int, module: str) -> None:
     """Import a module, if named; execute the calls that arrive through a connection until its end."""
+    # The process that started this one reads each recording as well, and says what is wrong with it.
+    logging.getLogger("nurbseg").addHandler(logging.NullHandler())
     calls = Connection(descriptor)
     if module:
         importlib.import_module(module)

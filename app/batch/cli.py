@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import sys
 import time
 from collections.abc import Sequence
@@ -14,6 +15,7 @@ from nurbseg.app.command.arguments import add_flag
 from nurbseg.app.command.threads import one_thread_for_products
 from nurbseg.app.config import warn_of_unread
 from nurbseg.app.export.config import ExportConfig, export_forms
+from nurbseg.app.messages import message_handler
 from nurbseg.app.parser import add_calibration_flags, add_setting_flags, command_parser
 from nurbseg.drivers.settings import changed_paths, value_kinds
 
@@ -57,6 +59,7 @@ def _parser() -> argparse.ArgumentParser:
 def main(words: Sequence[str] | None = None) -> int:
     """Run the command with the process's arguments, or others; return its exit code."""
     one_thread_for_products()
+    logging.basicConfig(handlers=[message_handler("nurbseg-batch")])
     given = _parser().parse_args(words)
     given.seed = None
     try:

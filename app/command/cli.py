@@ -12,6 +12,7 @@ from nurbseg.app.command.arguments import Arguments, parse_arguments
 from nurbseg.app.command.threads import one_thread_for_products
 from nurbseg.app.config import warn_of_unread
 from nurbseg.app.live.interruption import Interruption
+from nurbseg.app.messages import message_handler
 from nurbseg.drivers.settings import changed_paths
 
 _log = logging.getLogger("nurbseg.live")
@@ -35,7 +36,9 @@ def main(words: Sequence[str] | None = None) -> int:
     Raises SystemExit as `parse_arguments` does.
     """
     one_thread_for_products()
-    _begin_logging()
+    handler = message_handler("nurbseg-live", repeated=True)
+    logging.basicConfig(level=logging.WARNING, handlers=[handler], force=True)
+    logging.captureWarnings(True)
     arguments = parse_arguments(words)
     if arguments.print_config:
         from nurbseg.app.command.config_file import format_config
@@ -106,21 +109,6 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
         if where is not None:
             _log.info("%s: %s", what, where)
     return DONE
-
-
-class _Format(logging.Formatter):
-    """Formats progress as plain lines, and warnings and errors with their level."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        level = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
-        return f"nurbseg-live: {level}{super().format(record)}"
-
-
-def _begin_logging() -> None:
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(_Format())
-    logging.basicConfig(level=logging.WARNING, handlers=[handler], force=True)
-    logging.captureWarnings(True)
 
 
 if __name__ == "__main__":

@@ -1,12 +1,14 @@
 """The command nurbseg-eval, which scores segmentations of labelled frames."""
 
 import argparse
+import logging
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from nurbseg.app.command.threads import one_thread_for_products
 from nurbseg.app.computer import same_products_everywhere
+from nurbseg.app.messages import message_handler
 from nurbseg.app.parser import add_calibration_flags, add_setting_flags, command_parser
 
 _COMMANDS = ("run", "tune", "noise", "check")
@@ -109,6 +111,7 @@ def command() -> int:
 def main(words: Sequence[str] | None = None) -> int:
     """Run the command in this process, by default ``run``; return its exit code."""
     one_thread_for_products()
+    logging.basicConfig(handlers=[message_handler("nurbseg-eval")])
     words = list(sys.argv[1:] if words is None else words)
     if words and words[0] not in (*_COMMANDS, "-h", "--help", "--version"):
         words.insert(0, "run")

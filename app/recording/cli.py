@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 import os
 import shlex
 import sys
@@ -12,6 +13,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nurbseg.app.messages import message_handler
 from nurbseg.app.parser import command_parser
 
 if TYPE_CHECKING:
@@ -31,6 +33,7 @@ example: nurbseg-record check *.mcap; nurbseg-record repair kitchen.mcap"""
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run the command with the process's arguments, or others; return its exit code."""
+    logging.basicConfig(handlers=[message_handler("nurbseg-record")])
     given = _parser().parse_args(words)
     from nurbseg.drivers.errors import DriverError
 

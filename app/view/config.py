@@ -3,6 +3,7 @@
 import re
 from dataclasses import dataclass
 from ipaddress import ip_address
+from pathlib import Path
 from typing import Literal
 from urllib.parse import urlsplit
 
@@ -61,6 +62,8 @@ class ViewConfig(Settings):
             ip_address(self.bind)
         except ValueError:
             raise ValueError(f"bind: expected an IP address such as 127.0.0.1, got {self.bind!r}") from None
+        if self.save is not None and Path(self.save).suffix.lower() not in (".rrd", ""):
+            raise ValueError(f"save: expected a name that ends in .rrd, got {self.save!r}")
         if re.fullmatch(r"\d+(%|[KMG]i?B)", self.memory_limit) is None:
             raise ValueError(f"memory_limit: expected a size such as 2GB or 25%, got {self.memory_limit!r}")
         if self.connect is not None:

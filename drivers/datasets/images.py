@@ -68,7 +68,8 @@ def _check_pnm(content: bytes, name: str) -> None:
         raise FrameFormatError(f"{name}: the image is cut off: {len(content) - start} bytes of {expected}")
 
 
-def _decode(content: bytes, flags: int, name: str) -> NDArray[Any]:
+def decode(content: bytes, flags: int, name: str) -> NDArray[Any]:
+    """Decode an image as OpenCV does with these flags; raises FrameFormatError, which calls it `name`."""
     checked = check_complete(content, name)
     try:
         image = cv2.imdecode(np.frombuffer(checked, np.uint8), flags)
@@ -84,7 +85,7 @@ def decode_color(content: bytes, name: str) -> NDArray[np.uint8]:
 
     Raises FrameFormatError, which calls the image `name`, if it is cut off, damaged or of an unknown form.
     """
-    bgr = _decode(content, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION, name)
+    bgr = decode(content, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION, name)
     return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB).astype(np.uint8, copy=False)
 
 
@@ -103,7 +104,7 @@ def decode_depth(content: bytes, name: str, *, units_per_metre: float = 1000.0) 
     .. [2] S. Song, S. Lichtenberg, J. Xiao, "SUN RGB-D: a RGB-D scene understanding benchmark suite",
        CVPR 2015.
     """
-    image = _decode(content, cv2.IMREAD_UNCHANGED, name)
+    image = decode(content, cv2.IMREAD_UNCHANGED, name)
     if image.ndim == 2 and image.dtype == np.float32:
         return millimetres(image, units_per_metre=1.0)
     if image.ndim != 2 or image.dtype != np.uint16:
@@ -124,7 +125,7 @@ def decode_labels(content: bytes, name: str) -> NDArray[np.uint16]:
 
     Raises FrameFormatError if the image is cut off, damaged or has more than one channel.
     """
-    image = _decode(content, cv2.IMREAD_UNCHANGED, name)
+    image = decode(content, cv2.IMREAD_UNCHANGED, name)
     if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
         raise FrameFormatError(f"{name}: expected labels of 1 channel of 8 or 16 bits, got {image.shape}")
     return image.astype(np.uint16)

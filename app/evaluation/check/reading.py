@@ -22,8 +22,8 @@ from nurbseg.app.evaluation.check.exported import (
 )
 from nurbseg.app.export.exporter import SETTINGS_FILE, RunSettings
 from nurbseg.drivers.calibration.file import cameras_of_table
-from nurbseg.drivers.datasets.images import check_complete
-from nurbseg.drivers.errors import CalibrationError, DriverError, quoted
+from nurbseg.drivers.datasets.images import decode
+from nurbseg.drivers.errors import CalibrationError, RecordingFormatError, quoted
 from nurbseg.drivers.files import read_file
 from nurbseg.drivers.limits import FRAME_BYTES_MAX
 from nurbseg.drivers.settings import in_sections
@@ -165,13 +165,11 @@ def _decoded(kind: Any, value: Any) -> Any:
 
 def _image(path: Path, shape: tuple[int, int]) -> NDArray[np.uint16]:
     try:
-        content = check_complete(read_file(path, FRAME_BYTES_MAX, what="file"), f"{path}")
-        image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    except (DriverError, cv2.error) as err:
+        image = decode(read_file(path, FRAME_BYTES_MAX, what="file"), cv2.IMREAD_UNCHANGED, f"{path}")
+    except RecordingFormatError as err:
         raise DamagedExportError(path, str(err)) from err
-    if image is None or image.dtype != np.uint16 or image.shape != shape:
-        got = "no image" if image is None else f"{image.shape} {image.dtype}"
-        raise DamagedExportError(path, f"expected an image {shape} uint16, got {got}")
+    if image.dtype != np.uint16 or image.shape != shape:
+        raise DamagedExportError(path, f"expected an image {shape} uint16, got {image.shape} {image.dtype}")
     return np.asarray(image, dtype=np.uint16)
 
 

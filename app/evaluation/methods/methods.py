@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from nurbseg.app.evaluation.methods import pcl, rivals
 from nurbseg.app.evaluation.methods.flat import best_lambda
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, TREE_METHODS
+from nurbseg.drivers.datasets.images import decode
+from nurbseg.drivers.files import read_file
+from nurbseg.drivers.limits import FRAME_BYTES_MAX
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap
 
@@ -64,7 +67,8 @@ def labels_on_disk(folder: Path, frame_name: str, index: int) -> NDArray[np.inte
     """Read another program's labels of a frame, (H, W).
 
     ``NAME_labels.png``, ``NAME_label.png``, ``NAME.png``, ``NNNNNN_labels.png`` and ``NNNNNN.png`` (the
-    frame's number) are tried in this order. Raises ValueError if none exists, or it has several channels.
+    frame's number) are tried in this order. Raises ValueError if none exists, or it is damaged or
+    has several channels.
     """
     names = [f"{index:06d}_labels.png", f"{index:06d}.png"]
     if frame_name:
@@ -72,8 +76,9 @@ def labels_on_disk(folder: Path, frame_name: str, index: int) -> NDArray[np.inte
     for name in names:
         path = folder / name
         if path.exists():
-            image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-            if image is None or image.ndim != 2:
-                raise ValueError(f"{path}: expected a label image of one channel")
+            content = read_file(path, FRAME_BYTES_MAX, what="label image")
+            image = decode(content, cv2.IMREAD_UNCHANGED, f"{path}")
+            if image.ndim != 2 or image.dtype.kind not in "ui":
+                raise ValueError(f"{path}: expected a label image of one channel of whole numbers")
             return np.asarray(image, dtype=np.int64)
     raise ValueError(f"{folder}: no labels of frame {frame_name or index}; expected {names[0]}")

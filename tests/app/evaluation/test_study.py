@@ -12,6 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from hostile_files import black_png
 
 from nurbseg.app.evaluation.cli import main
 from nurbseg.app.evaluation.methods.methods import labels_on_disk
@@ -196,6 +197,27 @@ def test_a_camera_is_no_data_set(
 def test_a_missing_label_image_names_what_was_looked_for(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"learn3_labels\.png"):
         labels_on_disk(tmp_path, "learn3", 3)
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        (black_png(60_000, 50_000), "got 60000 x 50000"),
+        (cv2.imencode(".tiff", np.ones((3, 4), np.float32))[1].tobytes(), "whole numbers"),
+        (b"GIF89a", "not an image that can be decoded"),
+    ],
+)
+def test_a_hostile_label_image_is_named(tmp_path: Path, content: bytes, text: str) -> None:
+    (tmp_path / "000003.png").write_bytes(content)
+    with pytest.raises(ValueError, match=text) as found:
+        labels_on_disk(tmp_path, "", 3)
+    assert str(found.value).startswith(f"{tmp_path}/000003.png: ")
+
+
+def test_a_pipe_is_no_label_image(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "000003.png")
+    with pytest.raises(ValueError, match="not a regular file"):
+        labels_on_disk(tmp_path, "", 3)
 
 
 def test_frames_without_ground_truth_are_no_data_set(

@@ -56,3 +56,14 @@ def test_memory_is_limited_in_reruns_units(limit: str) -> None:
 
 def test_nothing_listens_beyond_this_computer_by_default() -> None:
     assert ViewConfig().bind == "127.0.0.1"
+
+
+@pytest.mark.parametrize("name", ["a.txt", "run.mcap", "run.2024"])
+def test_what_is_saved_is_a_file_of_rerun(name: str) -> None:
+    with pytest.raises(ValueError, match=rf"save: expected a name that ends in \.rrd, got '{name}'"):
+        ViewConfig(save=name)
+
+
+@pytest.mark.parametrize("name", ["a.rrd", "A.RRD", "/dev/full", "run-{date}"])
+def test_a_device_and_a_name_without_an_ending_are_taken(name: str) -> None:
+    assert ViewConfig(save=name).save == name

@@ -1,0 +1,39 @@
+"""The messages of a command on standard error, each line after the command's name."""
+
+import logging
+import sys
+
+
+class _Format(logging.Formatter):
+    """Formats progress as plain lines, and warnings and errors with their level."""
+
+    def __init__(self, command: str) -> None:
+        super().__init__()
+        self._command = command
+
+    def format(self, record: logging.LogRecord) -> str:
+        level = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
+        return f"{self._command}: {level}{super().format(record)}"
+
+
+class _Once(logging.Filter):
+    """Leaves out repeated messages: a recording is opened once for each frame, or by each process."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._said: set[str] = set()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        text = record.getMessage()
+        new = text not in self._said
+        self._said.add(text)
+        return new
+
+
+def message_handler(command: str, *, repeated: bool = False) -> logging.Handler:
+    """Return a handler that writes messages to standard error, repeated ones only if they are `repeated`."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(_Format(command))
+    if not repeated:
+        handler.addFilter(_Once())
+    return handler
