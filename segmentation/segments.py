@@ -244,3 +244,20 @@ def depth_first(root: Node) -> list[Node]:
         nodes.append(node)
         stack.extend(reversed(node.children))
     return nodes
+
+
+def leaf_ranges(nodes: list[Node]) -> dict[str, tuple[int, int]]:
+    """Return the labels of the leaves below each node, by its name: the first, and one past the last.
+
+    Nodes are depth first, and so are the labels of their leaves, from 1 on.
+    """
+    ranges: dict[str, tuple[int, int]] = {}
+    end = 1 + sum(not node.children for node in nodes)
+    for node in reversed(nodes):
+        if node.children:
+            first, second = (ranges[child.name] for child in node.children)
+            ranges[node.name] = first[0], second[1]
+        else:
+            ranges[node.name] = end - 1, end
+            end -= 1
+    return ranges

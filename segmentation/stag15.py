@@ -19,7 +19,7 @@ from nurbseg.segmentation.cut.features import normalization, normalized, raw_vec
 from nurbseg.segmentation.cut.ncut import Cut, normalized_cut
 from nurbseg.segmentation.growth import Clock, grow, time_limit
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
-from nurbseg.segmentation.labels.upsample import Split, upsample_labels
+from nurbseg.segmentation.labels.upsample import upsample_labels
 from nurbseg.segmentation.points.grid import PixelGrid, decimated_grid, grid_step
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, SegmentationTree, Trial, depth_first
@@ -134,17 +134,9 @@ def segment_stag15(
         time_is_over,
     )
 
-    nodes = depth_first(root)
-    leaves = [node for node in nodes if not node.children]
-    labels = upsample_labels(
-        cloud,
-        grid,
-        [leaf.grid_pixels for leaf in leaves],
-        _kept_splits(nodes, leaves),
-        lambda pixels: normalized(raw_vectors(cloud, pixels), scale),
-    )
-    image = ((labels + 1) % (len(leaves) + 1)).astype(np.uint16).reshape(cloud.valid.shape)
-    return SegmentationTree(finished_segments(nodes, leaves, image), cloud.valid.shape, image=image)
+    image = upsample_labels(cloud, grid, root, lambda pixels: normalized(raw_vectors(cloud, pixels), scale))
+    segments = finished_segments(depth_first(root), image)
+    return SegmentationTree(segments, cloud.valid.shape, image=image)
 
 
 def _split(
@@ -192,15 +184,3 @@ def _cleaned(
     image = np.zeros_like(mask)
     image[mask] = side
     return remove_small_components(mask, image, points_min)[mask]
-
-
-def _kept_splits(nodes: list[Node], leaves: list[Node]) -> list[Split]:
-    """Describe each kept split by the ranges of leaves below its parts, in depth-first order."""
-    names = [leaf.name for leaf in leaves]
-    splits = []
-    for node in nodes:
-        if node.children and node.cut is not None:
-            below = [i for i, name in enumerate(names) if name.startswith(node.name)]
-            first = sum(names[i].startswith(node.children[0].name) for i in below)
-            splits.append(Split(below[0], below[0] + first, below[-1] + 1, node.cut))
-    return splits

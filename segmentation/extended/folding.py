@@ -12,7 +12,7 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.parts import Part, fit_segment, fit_together, judge_split
 from nurbseg.segmentation.growth import stop_without_cut
-from nurbseg.segmentation.points.grid import united, without
+from nurbseg.segmentation.points.grid import united
 from nurbseg.segmentation.segments import Node, Trial, depth_first
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
@@ -173,7 +173,7 @@ def _fold(
     for node in above[shared:]:
         node.grid_pixels = united((node.grid_pixels, moved))
     for node in above_gone[shared:-1]:
-        node.grid_pixels = without(node.grid_pixels, moved)
+        node.grid_pixels = np.setdiff1d(node.grid_pixels, moved, assume_unique=True)
     (_, leaves[kept].fit, stop), trial = judged
     leaf_of = {id(leaf): number for number, leaf in leaves.items()}
     sibling, parent = remove_node(root, leaves[gone])

@@ -10,7 +10,7 @@ from nurbseg.segmentation.extended.folding import UNFINISHED
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.parts import chain_components, fit_segment
 from nurbseg.segmentation.labels.regions import connected_components
-from nurbseg.segmentation.points.grid import united, without
+from nurbseg.segmentation.points.grid import united
 from nurbseg.segmentation.segments import Node, depth_first
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
@@ -118,7 +118,7 @@ def _split_off(
     protruding = united(pieces)
     if protruding.size > _SHARE_MOST * leaf.grid_pixels.size:
         return
-    remaining = without(leaf.grid_pixels, protruding)
+    remaining = np.setdiff1d(leaf.grid_pixels, protruding, assume_unique=True)
     rest, *parts = (
         part._replace(stop=part.stop or StopReason.UNTRIED)
         for part in (fit_segment(features, each, config) for each in (remaining, *pieces))

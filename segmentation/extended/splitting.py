@@ -75,7 +75,7 @@ def segment_nurbseg(
         labels = refine_borders(labels, inverse_depth, surfaces, config, rms_per_m=rms_per_m)
 
     image = labels.astype(np.uint16)
-    segments = finished_segments(nodes, leaves, image)
+    segments = finished_segments(nodes, image)
     names = [leaf.name for leaf in leaves]
     objects, contacts = merge_surfaces(labels, features.grid, names, surfaces, config)
     on_grid = labels[:: features.grid.step, :: features.grid.step]

@@ -1,11 +1,13 @@
 """Connected components of labels; a gap in depth separates neighbours."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, I32, Bool, Intp, compiled
+from nurbseg.segmentation.labels.segment_pixels import by_label
 from nurbseg.segmentation.labels.spreading import spread_in_place
 
 
@@ -268,26 +270,5 @@ def large_components(
         spread_in_place(found.numbers, unassigned, inverse_depth[rows], gap_per_m)
     if len(labels_of) == 1:
         return [grid_pixels], labels_of
-    grouped, ends = np.empty_like(grid_pixels), np.zeros(len(labels_of) + 2, dtype=np.intp)
-    _group(grid_pixels, at, found.numbers, grouped, ends)
-    return [grouped[ends[n] : ends[n + 1]] for n in range(len(labels_of))], labels_of
-
-
-@compiled
-def _group(grid_pixels: Intp, at: Intp, numbers: I32, grouped: Intp, ends: Intp) -> None:
-    """Sort grid pixels by the number at each, from 1 on; `ends`, zeros, becomes where each number ends."""
-    number_of = numbers.reshape(-1)
-    for n in range(grid_pixels.size):
-        ends[number_of[at[n]] + 1] += 1
-    for n in range(1, ends.size):
-        ends[n] += ends[n - 1]
-    n = 0
-    while n < grid_pixels.size:
-        # Run by run of equal numbers.
-        number = number_of[at[n]]
-        end = ends[number]
-        while n < grid_pixels.size and number_of[at[n]] == number:
-            grouped[end] = grid_pixels[n]
-            end += 1
-            n += 1
-        ends[number] = end
+    order, bounds = by_label(found.numbers.reshape(-1)[at], len(labels_of) + 1)
+    return [grid_pixels[order[begin:end]] for begin, end in pairwise(bounds[1:])], labels_of

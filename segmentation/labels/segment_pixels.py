@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from nurbseg.drivers.compiled import I64, U16, Intp, compiled
 from nurbseg.segmentation.labels.boxes import bounding_boxes
 from nurbseg.segmentation.points.grid import Window
-from nurbseg.segmentation.segments import Node, Segment, history
+from nurbseg.segmentation.segments import Node, Segment, history, leaf_ranges
 from nurbseg.segmentation.surfaces.fit import Fit
 
 
@@ -56,14 +56,12 @@ def _sort_by_label(labels: U16, order: Intp, bounds: I64) -> None:
         following[labels[pixel]] += size
 
 
-def finished_segments(
-    nodes: list[Node], leaves: list[Node], labels: NDArray[np.uint16]
-) -> tuple[Segment, ...]:
+def finished_segments(nodes: list[Node], labels: NDArray[np.uint16]) -> tuple[Segment, ...]:
     """Make segments of nodes: with all pixels below, inside the windows of their surfaces.
 
     Parameters
     ----------
-    nodes, leaves : list of Node
+    nodes : list of Node
         Depth first.
     labels : (H, W) uint16
         Index of each pixel's leaf plus one; 0 where there is no point.
@@ -73,45 +71,30 @@ def finished_segments(
     tuple of Segment
         In the order of the nodes.
     """
-    order, bounds = by_label(labels.reshape(-1), len(leaves) + 1)
-    label = {leaf.name: number for number, leaf in enumerate(leaves, start=1)}
-    boxes = bounding_boxes(labels, len(leaves) + 1)
-    # Leaves are depth first, so that those below a node are contiguous.
-    reach: dict[str, tuple[int, int]] = {}
-    box: dict[str, Window] = {}
-    for node in reversed(nodes):
-        if node.children:
-            first, second = (child.name for child in node.children)
-            reach[node.name] = reach[first][0], reach[second][1]
-            box[node.name] = _union(box[first], box[second])
-        else:
-            number = label[node.name]
-            reach[node.name] = bounds[number], bounds[number + 1]
-            box[node.name] = boxes[number]
+    ranges = leaf_ranges(nodes)
+    count = ranges[nodes[0].name][1]
+    order, bounds = by_label(labels.reshape(-1), count)
+    boxes = bounding_boxes(labels, count)
     return tuple(
         Segment(
             name=node.name,
             parent=node.name[:-1] if node.name else None,
             children=tuple(child.name for child in node.children),  # type: ignore[arg-type]
-            pixels=order[slice(*reach[node.name])],
-            fit=_widened(node.fit, box[node.name]),
+            pixels=order[bounds[first] : bounds[end]],
+            fit=_widened(node.fit, boxes[first:end]),
             **history(node),
         )
-        for node in nodes
+        for node, (first, end) in ((node, ranges[node.name]) for node in nodes)
     )
 
 
-def _union(first: Window, second: Window) -> Window:
-    """Return the bounding box of two boxes; an empty one changes nothing."""
-    (top, left, bottom, right), (other_top, other_left, other_bottom, other_right) = first, second
-    return min(top, other_top), min(left, other_left), max(bottom, other_bottom), max(right, other_right)
-
-
-def _widened(fit: Fit, box: Window) -> Fit:
-    """Extend the window of a fit's surface to a box of pixels: borders move after surfaces are fitted."""
-    if fit.surface is None or box[2] == 0:
+def _widened(fit: Fit, boxes: list[Window]) -> Fit:
+    """Extend the window of a fit's surface to boxes of pixels: borders move after surfaces are fitted."""
+    if fit.surface is None:
         return fit
-    window = _union(fit.surface.window, box)
+    # An empty box changes nothing.
+    top, left, bottom, right = zip(fit.surface.window, *boxes, strict=True)
+    window = min(top), min(left), max(bottom), max(right)
     if window == fit.surface.window:
         return fit
     return replace(fit, surface=replace(fit.surface, window=window))

@@ -1,44 +1,22 @@
 """Labels of every pixel from those on a coarser grid: by the cuts of a tree, or by depth."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, I32, Bool, compiled
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.cut.ncut import Cut
 from nurbseg.segmentation.labels.spreading import spread_in_place
 from nurbseg.segmentation.points.grid import PixelGrid
 from nurbseg.segmentation.points.registration import PointMap
-
-_LEAVES_MAX = np.iinfo(np.uint16).max - 1
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Split:
-    """A kept split: leaves ``first`` to ``middle - 1`` are below part 0, ``middle`` to ``end - 1`` below 1.
-
-    Parameters
-    ----------
-    first, middle, end : int
-        Numbers of leaves in depth-first order.
-    cut : Cut
-        Says which part a vector belongs to.
-    """
-
-    first: int
-    middle: int
-    end: int
-    cut: Cut
+from nurbseg.segmentation.segments import Node, depth_first, leaf_ranges
 
 
 def upsample_labels(
     cloud: PointMap,
     grid: PixelGrid,
-    leaves: Sequence[NDArray[np.intp]],
-    splits: Sequence[Split],
+    root: Node,
     vectors_of: Callable[[NDArray[np.intp]], NDArray[np.float32]],
 ) -> NDArray[np.uint16]:
     """Give every pixel that has a point to a leaf.
@@ -53,93 +31,63 @@ def upsample_labels(
         The frame.
     grid : PixelGrid
         The grid on which the tree was decided.
-    leaves : sequence of (N,) intp
-        Flat indices of each leaf's grid pixels, in depth-first order.
-    splits : sequence of Split
-        The kept splits, a segment before its parts.
+    root : Node
+        Of the tree, in which every segment that has parts has a cut.
     vectors_of : callable
         Returns the (N, D) float32 feature vectors of some flat pixels of the image.
 
     Returns
     -------
-    (H * W,) uint16
-        Number of each pixel's leaf; ``len(leaves)`` where there is no point.
-
-    Raises
-    ------
-    ValueError
-        If there are more leaves than labels of 16 bits.
+    (H, W) uint16
+        Index of each pixel's leaf in depth-first order plus one; 0 where there is no point.
     """
-    none = len(leaves)
-    if none > _LEAVES_MAX:
-        raise ValueError(f"leaves: expected at most {_LEAVES_MAX}, got {none}")
-    on_grid = np.full(grid.valid.size, none, dtype=np.uint16)
-    for number, grid_pixels in enumerate(leaves):
-        on_grid[grid_pixels] = number
+    nodes = depth_first(root)
+    on_grid = np.zeros(grid.shape, dtype=np.uint16)
+    for label, leaf in enumerate((node for node in nodes if not node.children), start=1):
+        on_grid.reshape(-1)[leaf.grid_pixels] = label
     if grid.step == 1:
         return on_grid
-    labels = np.full(grid.image_shape, none, dtype=np.uint16)
-    if none == 1:
-        labels[cloud.valid] = 0
-        return labels.reshape(-1)
 
-    corners = _corners(on_grid.reshape(grid.shape))
-    greatest = np.where(corners == none, np.int32(-1), corners).max(axis=0)
-    agreed = (corners.min(axis=0) == greatest) | ((corners == greatest) | (corners == none)).all(axis=0)
-    agreed &= greatest >= 0
-    cells = _enlarged(np.where(agreed, greatest, none).astype(np.uint16), grid)
-    np.copyto(labels, cells, where=cloud.valid)
-    grid_pixels = np.flatnonzero(grid.valid)
-    labels.reshape(-1)[grid.pixels(grid_pixels)] = on_grid[grid_pixels]
-
-    undecided = np.flatnonzero((labels == none) & cloud.valid)
-    rows, columns = np.divmod(undecided, grid.image_shape[1])
-    candidates = corners[:, rows // grid.step, columns // grid.step]
-    labels.reshape(-1)[undecided] = _decide(candidates, vectors_of(undecided), none, splits)
-    return labels.reshape(-1)
-
-
-def _corners(on_grid: NDArray[np.uint16]) -> NDArray[np.int32]:
-    """Return the leaves at the corners of each cell, (4, h, w); the last row and column are repeated."""
-    padded = np.pad(on_grid.astype(np.int32), ((0, 1), (0, 1)), mode="edge")
-    return np.stack([padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:]])
-
-
-def _enlarged(cells: NDArray[np.uint16], grid: PixelGrid) -> NDArray[np.uint16]:
+    # The leaves at the corners of each cell; the last row and column are repeated.
+    padded = np.pad(on_grid, ((0, 1), (0, 1)), mode="edge")
+    corners = np.stack([padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:]])
+    greatest = corners.max(axis=0)
+    agreed = ((corners == greatest) | (corners == 0)).all(axis=0)
     height, width = grid.image_shape
-    tall = np.repeat(cells, grid.step, axis=0)[:height]
-    return np.repeat(tall, grid.step, axis=1)[:, :width]
+    cells = np.repeat(np.where(agreed, greatest, 0), grid.step, axis=0)[:height]
+    labels = np.where(cloud.valid, np.repeat(cells, grid.step, axis=1)[:, :width], 0)
+    labels[:: grid.step, :: grid.step] = on_grid
+
+    undecided = np.flatnonzero((labels == 0) & cloud.valid)
+    rows, columns = np.divmod(undecided, width)
+    candidates = corners[:, rows // grid.step, columns // grid.step]
+    labels.reshape(-1)[undecided] = _decide(nodes, candidates, vectors_of(undecided))
+    return labels
 
 
 def _decide(
-    candidates: NDArray[np.int32],
-    vectors: NDArray[np.float32],
-    leaf_count: int,
-    splits: Sequence[Split],
+    nodes: list[Node], candidates: NDArray[np.uint16], vectors: NDArray[np.float32]
 ) -> NDArray[np.uint16]:
     """Classify pixels down the tree, by the cuts both of whose parts hold candidates.
 
-    `candidates` (4, N) holds leaves, `leaf_count` for none; without any, all leaves are candidates.
+    `candidates` (4, N) holds labels of leaves, 0 for none; without any, all leaves are candidates.
     """
-    numbers = np.zeros(candidates.shape[1], dtype=np.uint16)
-    by_range = {(split.first, split.end): split for split in splits}
-    stack = [(0, leaf_count, np.arange(candidates.shape[1]))]
+    labels = np.zeros(candidates.shape[1], dtype=np.uint16)
+    ranges = leaf_ranges(nodes)
+    stack = [(nodes[0], np.arange(labels.size))]
     while stack:
-        first, end, rows = stack.pop()
-        if rows.size == 0:
-            continue
-        if end - first == 1:
-            numbers[rows] = first
-            continue
-        split = by_range[first, end]
-        near = candidates[:, rows]
-        in_first = np.any((near >= first) & (near < split.middle), axis=0)
-        second = np.any((near >= split.middle) & (near < end), axis=0)
-        asked = in_first == second
-        second[asked] = split.cut.classify(vectors[rows[asked]])
-        stack.append((first, split.middle, rows[~second]))
-        stack.append((split.middle, end, rows[second]))
-    return numbers
+        node, pixels = stack.pop()
+        first, end = ranges[node.name]
+        if not node.children or node.cut is None:
+            labels[pixels] = first
+        elif pixels.size:
+            near, middle = candidates[:, pixels], ranges[node.children[1].name][0]
+            in_first = np.any((near >= first) & (near < middle), axis=0)
+            second = np.any((near >= middle) & (near < end), axis=0)
+            asked = in_first == second
+            second[asked] = node.cut.classify(vectors[pixels[asked]])
+            stack += [(node.children[0], pixels[~second]), (node.children[1], pixels[second])]
+    return labels
 
 
 def upsample_by_depth(

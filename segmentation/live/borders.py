@@ -45,7 +45,6 @@ def relax_borders(
     deviations: Deviations,
     *,
     gap_per_m: float,
-    sweeps: int = _SWEEPS,
 ) -> NDArray[np.uint16]:
     """Give every pixel at a border the cheapest of its own label, the largest and the smallest next to it.
 
@@ -63,8 +62,6 @@ def relax_borders(
         Of these surfaces.
     gap_per_m : float
         Smallest gap, 1/m.
-    sweeps : int
-        How often pixels are judged, at most.
 
     Returns
     -------
@@ -72,7 +69,7 @@ def relax_borders(
         The new labels.
     """
     relaxed = labels.copy()
-    _relax(relaxed, inverse_depth, lattice.samples, lattice.step, deviations, gap_per_m, sweeps)
+    _relax(relaxed, inverse_depth, lattice.samples, lattice.step, deviations, gap_per_m, _SWEEPS)
     return relaxed
 
 

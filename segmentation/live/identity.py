@@ -17,6 +17,8 @@ _IDENTITY_MAX = np.iinfo(np.uint16).max
 _OVERLAP_MIN = 0.2
 #: Least share of a segment that changes its identity for a split or a merge to be reported.
 _TAKEN_SHARE = 0.3
+#: Frames for which a lost identity is kept.
+_REMEMBERED = 30
 #: Pixels of the image are compared on a grid of about this width.
 _GRID_WIDTH = 160
 
@@ -96,7 +98,6 @@ def track_identities(
     cloud: PointMap,
     *,
     before: NDArray[np.uint16] | None = None,
-    remembered: int = 30,
 ) -> Identities:
     """Give each segment the identity of the segment of the frame before that it continues.
 
@@ -115,8 +116,6 @@ def track_identities(
     before : (H, W) uint16, optional
         Labels of the frame before, warped to this one; 0 is none. By default segments are assumed not to
         have moved.
-    remembered : int
-        Frames for which a lost identity is kept.
 
     Returns
     -------
@@ -132,7 +131,7 @@ def track_identities(
         # Slivers between the grid's pixels.
         seen |= appearances_of(labels, between, cloud, 1)
     if previous is None or previous.grid.shape != coarse.shape:
-        previous = Identities({}, np.zeros_like(coarse), {}, (), 1)
+        previous = Identities({}, np.zeros_like(coarse))
     elif before is not None:
         previous = replace(previous, grid=previous.image(before[::step, ::step]))
     overlap, identities, present = _overlaps(previous.grid, coarse)
@@ -174,10 +173,10 @@ def track_identities(
             into = _most(overlap[rows[identity]], present) if identity in rows else None
             into = None if into is None else of_label.get(into)
             events.append(Event("lost", identity) if into is None else Event("merge", identity, into))
-        if unseen <= remembered:
+        if unseen <= _REMEMBERED:
             appearances[identity] = replace(appearance, unseen=unseen)
-    found = Identities(of_label, np.zeros_like(coarse), appearances, tuple(events), next_identity)
-    return Identities(of_label, found.image(coarse), appearances, tuple(events), next_identity)
+    found = Identities(of_label, coarse, appearances, tuple(events), next_identity)
+    return replace(found, grid=found.image(coarse))
 
 
 def _overlaps(

@@ -1,6 +1,6 @@
 """Leaves of the live tree, and how well their surfaces still explain them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -83,6 +83,12 @@ class LiveLeaf:
     def attempt_age(self) -> int:
         """Frames since the last attempt to split it; 0 without one."""
         return 0 if self.attempt is None else self.attempt.age
+
+
+def number_pair(leaves: Iterable[LiveLeaf]) -> tuple[int, int]:
+    """Return the numbers of two leaves, the smaller one first."""
+    first, second = sorted(leaf.number for leaf in leaves)
+    return first, second
 
 
 @dataclass(frozen=True, slots=True, eq=False)

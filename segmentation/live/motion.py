@@ -14,21 +14,13 @@ def brightness(color: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
     return np.asarray(cv2.resize(gray, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def resized(image: NDArray[np.uint8], shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    """Return a gray image at another size, (rows, columns)."""
-    if image.shape == shape:
-        return image
-    found = cv2.resize(image, (shape[1], shape[0]), interpolation=cv2.INTER_AREA)
-    return np.asarray(found, dtype=np.uint8)
-
-
 def flow_back(now: NDArray[np.uint8], before: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Find by dense inverse search where each pixel was in the frame before.
 
     Parameters
     ----------
     now, before : (h, w) uint8
-        Gray images.
+        Gray images; the one before may be of another size.
 
     Returns
     -------
@@ -42,6 +34,8 @@ def flow_back(now: NDArray[np.uint8], before: NDArray[np.uint8]) -> NDArray[np.f
     """
     if min(now.shape) < 32:
         return np.zeros((*now.shape, 2), dtype=np.float32)
+    if before.shape != now.shape:
+        before = np.asarray(cv2.resize(before, now.shape[::-1], interpolation=cv2.INTER_AREA), dtype=np.uint8)
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
     found = search.calc(now, before, np.zeros((*now.shape, 2), dtype=np.float32))
     return np.asarray(found, dtype=np.float32)

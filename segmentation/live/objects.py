@@ -12,7 +12,7 @@ from nurbseg.segmentation.extended.evidence import DIGITS, ITEMS, evidence
 from nurbseg.segmentation.extended.merge import Contact, SceneObject, WeighedBorders, merged_objects
 from nurbseg.segmentation.extended.surface_statistics import surface_statistics
 from nurbseg.segmentation.extended.things import Join, join_objects
-from nurbseg.segmentation.live.leaf import LiveLeaf
+from nurbseg.segmentation.live.leaf import LiveLeaf, number_pair
 from nurbseg.segmentation.points.depth_grid import DepthGrid
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 
@@ -84,7 +84,7 @@ class ObjectMemory:
         found = _borders_on_grid(on_grid, lattice, grid, config)
         noise_per_m = config.extended.inverse_depth_noise
         items = evidence(found, surface_statistics(on_grid, len(leaves), grid), noise_per_m)
-        pairs = [_pair(leaves, labels) for labels in found.labels.tolist()]
+        pairs = [number_pair(leaves[label - 1] for label in labels) for labels in found.labels.tolist()]
         measured = np.column_stack([found.samples, found.touching, items])
         borders = [self._remembered(pair, each) for pair, each in zip(pairs, measured, strict=True)]
 
@@ -155,12 +155,6 @@ def _borders_on_grid(
     # Scaled to samples on every pixel.
     sums = (found.samples, found.touching, found.concavity, found.concavity_square, found.apart)
     return BorderStatistics(found.labels, *(step * each for each in sums))
-
-
-def _pair(leaves: Sequence[LiveLeaf], labels: Sequence[int]) -> _Pair:
-    """Return the numbers of two labels' leaves, the smaller one first."""
-    first, second = (leaves[label - 1].number for label in labels)
-    return (first, second) if first < second else (second, first)
 
 
 def _weighed(found: BorderStatistics, borders: Sequence[_Border]) -> WeighedBorders:

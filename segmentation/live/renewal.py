@@ -12,7 +12,7 @@ from nurbseg.segmentation.extended.parts import at_noise_floor, fit_segment, jud
 from nurbseg.segmentation.growth import stop_without_cut
 from nurbseg.segmentation.live.editor import NOT_CUT
 from nurbseg.segmentation.live.leaf import LiveLeaf
-from nurbseg.segmentation.segments import Node, depth_first
+from nurbseg.segmentation.segments import Node, depth_first, leaf_ranges
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
@@ -79,15 +79,8 @@ def renew_splits(
         Rejected splits are undone in the next frame; until then they have the trial by which they were kept
         last.
     """
-    label = {id(leaf.node): number for number, leaf in enumerate(leaves, start=1)}
-    reach: dict[int, tuple[int, int]] = {}
     nodes = depth_first(root)
-    for node in reversed(nodes):
-        if node.children:
-            first, second = node.children
-            reach[id(node)] = reach[id(first)][0], reach[id(second)][1]
-        else:
-            reach[id(node)] = label[id(node)], label[id(node)]
+    ranges = leaf_ranges(nodes)
     ends = np.cumsum([0, *(leaf.node.grid_pixels.size for leaf in leaves)])
     for node in nodes:
         if node.division not in (None, Division.CUT) and node.fit.pixels.size:
@@ -98,11 +91,11 @@ def renew_splits(
     splits = [node for node in nodes if node.division is Division.CUT]
     judged = counted = 0
     for node in sorted(splits, key=lambda node: -node.age):
-        first_label, last_label = reach[id(node)]
-        size = int(ends[last_label] - ends[first_label - 1])
+        first, end = ranges[node.name]
+        size = int(ends[end - 1] - ends[first - 1])
         turn = judged == 0 or counted + size <= _JUDGED_PIXELS or node.age >= SPLIT_FRAMES
         if turn or every_surface:
-            own = np.flatnonzero((labels >= first_label) & (labels <= last_label))
+            own = np.flatnonzero((labels >= first) & (labels < end))
             node.fit, node.measured = fit_segment(features, own, config).fit, frame
         elif node.measured != frame and node.fit.surface is not None:
             reason = f"measured in frame {node.measured}"
@@ -110,7 +103,7 @@ def renew_splits(
         if not turn:
             continue
         judged, counted = judged + 1, counted + size
-        below = (leaf.node for leaf in leaves[first_label - 1 : last_label] if leaf.node.grid_pixels.size)
+        below = (leaf.node for leaf in leaves[first - 1 : end - 1] if leaf.node.grid_pixels.size)
         parts = [(each.value(config), each.grid_pixels.size) for each in below]
         trial = judge_split((node.value(config), size), parts, config)
         if trial.kept:

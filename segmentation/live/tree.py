@@ -11,6 +11,7 @@ from nurbseg.segmentation.extended.borders import own_deviations
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.parts import fit_segment
 from nurbseg.segmentation.extended.splitting import segment_nurbseg
+from nurbseg.segmentation.labels.lookup import apply_lookup_table
 from nurbseg.segmentation.labels.regions import pixel_adjacency
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
 from nurbseg.segmentation.labels.spreading import spread_labels
@@ -18,7 +19,7 @@ from nurbseg.segmentation.live.borders import relax_borders, spread_to_pixels
 from nurbseg.segmentation.live.editor import UpdateReport
 from nurbseg.segmentation.live.follow import explained_labels, grown_labels, moved_surfaces, new_components
 from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf, misfit, update_residuals
-from nurbseg.segmentation.live.motion import brightness, flow_back, resized, warped
+from nurbseg.segmentation.live.motion import brightness, flow_back, warped
 from nurbseg.segmentation.live.objects import ObjectMemory
 from nurbseg.segmentation.live.renewal import renew_splits, set_stop_reasons
 from nurbseg.segmentation.live.updater import Budget, TreeUpdater
@@ -69,7 +70,6 @@ class LiveTree:
         if not supports_live_tree(config):
             raise ValueError(f"method: expected nurbseg, got {config.method}")
         self._config = config
-        self._configs: dict[int, SegmentationConfig] = {}
         self.report = UpdateReport()
         self._leaves: list[LiveLeaf] = []
         self._root = Node(
@@ -123,7 +123,7 @@ class LiveTree:
 
     def _segmented(self, cloud: PointMap, budget: Budget, every_surface: bool) -> SegmentationTree:
         usual_step = grid_step(cloud.valid, self._config.decimation)
-        config = self._config_on(min(usual_step + budget.coarser, _STEP_MOST))
+        config = replace(self._config, decimation=min(usual_step + budget.coarser, _STEP_MOST))
         reason = self._no_continuation(cloud)
         if not reason:
             tree = self._followed(cloud, config, budget, every_surface)
@@ -132,14 +132,8 @@ class LiveTree:
             reason = self.report.reset
         tree = segment_nurbseg(cloud, config)
         self._take_over(tree, cloud, config.decimation)
-        self.report = replace(self.report, reset=reason, step=config.decimation)
+        self.report.reset, self.report.step = reason, config.decimation
         return tree
-
-    def _config_on(self, step: int) -> SegmentationConfig:
-        """Return the configuration with a grid step, pixels."""
-        if step not in self._configs:
-            self._configs[step] = replace(self._config, decimation=step)
-        return self._configs[step]
 
     def _no_continuation(self, cloud: PointMap) -> str:
         if not self._leaves:
@@ -194,7 +188,7 @@ class LiveTree:
         on_every = np.ascontiguousarray(inverse_depth[::step, ::step])
         grid = DepthGrid(decimated_grid(cloud, step), on_every, cloud.rays)
         gray = brightness(cloud.color, step)
-        before = warped(self._labels, flow_back(gray, resized(self._gray, gray.shape)))
+        before = warped(self._labels, flow_back(gray, self._gray))
         on_grid = np.where(grid.valid, before[::step, ::step], 0).astype(np.int32)
 
         # Surfaces move with their points; pixels that they do not explain lose their label.
@@ -205,7 +199,8 @@ class LiveTree:
             surfaces, self._lattice, on_grid, grid.inverse_depth, config.extended.inverse_depth_noise
         )
         lattice = SurfaceLattice(surfaces, step)
-        limits = self._limits_per_m()
+        own = [OUTLIER_DEVIATIONS * leaf.rms_per_m for leaf in self._leaves]
+        limits = np.maximum([0.0, *own], config.extended.inverse_depth_gap).astype(np.float32)
         points, known = int(np.count_nonzero(grid.valid)), int(np.count_nonzero(on_grid))
         on_grid = explained_labels(on_grid, grid.inverse_depth, lattice, limits)
         unexplained = 1.0 - int(np.count_nonzero(on_grid)) / max(1, known)
@@ -264,25 +259,22 @@ class LiveTree:
                 labels.astype(np.int32), missed, inverse_depth, config.extended.inverse_depth_gap
             ).astype(np.uint16)
         self.labels_before = before
+        # Pixels without depth in this frame keep their label for the next one.
+        self._labels = apply_lookup_table(done.final, before)
+        np.copyto(self._labels, labels, where=labels > 0)
         self._gray = gray
         # A time budget would leave a tree from scratch just as unfinished.
         late = done.report.waiting > _WAITING_MOST and config.budget_ms == 0
         self._overdue = self._overdue + 1 if late else 0
-        self.report = replace(done.report, unexplained=unexplained, step=step)
-        return self._finished(cloud, features, labels, before, config, every_surface)
-
-    def _limits_per_m(self) -> NDArray[np.float32]:
-        """Return the residual from which a leaf's surface does not explain a grid pixel, by label."""
-        own = [OUTLIER_DEVIATIONS * leaf.rms_per_m for leaf in self._leaves]
-        limits = np.maximum(np.array([0.0, *own]), self._config.extended.inverse_depth_gap)
-        return np.asarray(limits, dtype=np.float32)
+        self.report = done.report
+        self.report.unexplained, self.report.step = unexplained, step
+        return self._finished(cloud, features, labels, config, every_surface)
 
     def _finished(
         self,
         cloud: PointMap,
         features: GridFeatures,
         labels: NDArray[np.uint16],
-        before: NDArray[np.uint16],
         config: SegmentationConfig,
         every_surface: bool,
     ) -> SegmentationTree:
@@ -302,20 +294,11 @@ class LiveTree:
         cuts = sum(node.division is Division.CUT for node in nodes)
         set_stop_reasons(leaves, cuts, features.grid_pixels_min(config), self._frame, config)
         self._rejected = renewal.rejected
-        self.report = replace(
-            self.report,
-            judged=renewal.judged,
-            oldest=renewal.oldest,
-            oldest_trial=max(leaf.attempt_age for leaf in leaves),
-        )
-        segments = finished_segments(nodes, [leaf.node for leaf in leaves], labels)
-        objects, contacts = self._objects.merged(self._leaves, on_grid, self._lattice, grid, config)
-        objects, joins = self._objects.joined(
-            objects, contacts, self._leaves, on_grid, grid, cloud.color, config
-        )
-        # Pixels without depth in this frame keep their label for the next one.
-        self._labels = self._updater.renumbered(before)
-        np.copyto(self._labels, labels, where=labels > 0)
+        self.report.judged, self.report.oldest = renewal.judged, renewal.oldest
+        self.report.oldest_trial = max(leaf.attempt_age for leaf in leaves)
+        segments = finished_segments(nodes, labels)
+        objects, contacts = self._objects.merged(leaves, on_grid, self._lattice, grid, config)
+        objects, joins = self._objects.joined(objects, contacts, leaves, on_grid, grid, cloud.color, config)
         return SegmentationTree(
             segments, cloud.valid.shape, objects, contacts, config.extended.level, labels, joins
         )

@@ -19,9 +19,8 @@ from nurbseg.segmentation.extended.parts import (
     judge_split,
 )
 from nurbseg.segmentation.extended.splitting import best_split
-from nurbseg.segmentation.labels.lookup import apply_lookup_table
 from nurbseg.segmentation.live.editor import TreeEditor, TreeUpdate
-from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf, Misfit
+from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf, Misfit, number_pair
 from nurbseg.segmentation.live.renewal import TRIAL_FRAMES
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, Trial, depth_first
@@ -69,16 +68,10 @@ class TreeUpdater:
     def __init__(self) -> None:
         self._numbers = count(1)
         self._asked: dict[tuple[int, int], int] = {}
-        self._turn = 0
-        self._final = np.zeros(1, dtype=np.uint16)
 
     def leaf(self, node: Node) -> LiveLeaf:
         """Make a leaf of a node, with a number of its own."""
         return LiveLeaf(node, next(self._numbers))
-
-    def renumbered(self, labels: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Apply the last update to labels from before it; 0 for those that are gone."""
-        return apply_lookup_table(self._final, labels)
 
     def update(
         self,
@@ -127,19 +120,16 @@ class TreeUpdater:
         TreeUpdate
             The leaves in their new order, and their labels.
         """
-        self._turn += 1
         editor = TreeEditor(root, leaves, on_grid, self.leaf)
-        work = _Update(editor, cloud, features, measures, config, self._turn, frame)
+        work = _Update(editor, cloud, features, measures, config, frame)
         work.collapse(rejected)
         work.add_appeared(appeared)
         work.remove_vanished()
         work.refit(budget.refits)
         work.split(budget.trials)
         work.merge_leaves(budget.merges, same_object, self._asked)
-        self._asked = {pair: at for pair, at in self._asked.items() if self._turn - at < _FORGOTTEN}
-        done = editor.finished()
-        self._final = done.final
-        return done
+        self._asked = {pair: at for pair, at in self._asked.items() if frame - at < _FORGOTTEN}
+        return editor.finished()
 
 
 @dataclass(slots=True, eq=False)
@@ -151,7 +141,6 @@ class _Update:
     features: GridFeatures
     measures: Misfit
     config: SegmentationConfig
-    turn: int
     frame: int
 
     def __post_init__(self) -> None:
@@ -267,16 +256,11 @@ class _Update:
     ) -> None:
         """Merge leaves of an object, in turn, if the ratio does not keep them apart."""
         editor = self.editor
-
-        def pair_of(pair: tuple[int, int]) -> tuple[int, int]:
-            one, two = (editor.by_number[n].number for n in pair)
-            return (one, two) if one < two else (two, one)
-
         neighbors = editor.neighbors(self.features.adjacency, BORDER_LEAST) if most else []
-        candidates = [pair for pair in neighbors if pair_of(pair) in same_object]
-        pairs = sorted((asked.get(pair_of(pair), 0), pair) for pair in candidates)
-        for _, pair in pairs[:most]:
-            asked[pair_of(pair)] = self.turn
+        met = [(number_pair(editor.by_number[each] for each in pair), pair) for pair in neighbors]
+        pairs = sorted((asked.get(known, 0), pair, known) for known, pair in met if known in same_object)
+        for _, pair, known in pairs[:most]:
+            asked[known] = self.frame
             own = [np.flatnonzero(editor.labels == number) for number in pair]
             whole, trial = self._compare(own, [editor.by_number[number].node for number in pair])
             if trial.kept or whole.fit.surface is None:

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,9 +65,8 @@ class PixelGrid:
 
     def pixels(self, grid_pixels: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the flat indices into the full image of flat indices of grid pixels."""
-        if self.step == 1:
-            return grid_pixels
-        return _on_image(grid_pixels, self.shape[1], self.image_shape[1], self.step)
+        width = self.shape[1]
+        return (grid_pixels + grid_pixels // width * (self.image_shape[1] - width)) * self.step
 
     def every_second(self, grid_pixels: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return those of some flat grid pixels that are on even rows and columns."""
@@ -124,15 +122,6 @@ def marked_pixels(mask: Bool, corner: tuple[int, int], width: int, step: int) ->
 
 
 @compiled
-def _on_image(grid_pixels: Intp, width: int, image_width: int, step: int) -> Intp:
-    pixels = np.empty(grid_pixels.size, dtype=np.intp)
-    for n in range(grid_pixels.size):
-        row = grid_pixels[n] // width
-        pixels[n] = (row * image_width + grid_pixels[n] - row * width) * step
-    return pixels
-
-
-@compiled
 def _every_second(grid_pixels: Intp, width: int) -> Intp:
     found = np.empty(grid_pixels.size, dtype=np.intp)
     count, row = 0, 0
@@ -147,46 +136,8 @@ def _every_second(grid_pixels: Intp, width: int) -> Intp:
 
 def united(parts: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:
     """Return the pixels of parts that share none, each ascending, in ascending order."""
-    return reduce(lambda first, second: _merge(_read_only(first), _read_only(second)), parts)
-
-
-def without(pixels: NDArray[np.intp], gone: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return pixels but for some of them; both ascend."""
-    return _remove(_read_only(pixels), _read_only(gone))
-
-
-def _read_only(pixels: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return a read-only view, so that compiled loops see only one type."""
-    view = pixels.view()
-    view.flags.writeable = False
-    return view
-
-
-@compiled
-def _merge(first: Intp, second: Intp) -> Intp:
-    merged = np.empty(first.size + second.size, dtype=np.intp)
-    a, b = 0, 0
-    for n in range(merged.size):
-        if b == second.size or (a < first.size and first[a] < second[b]):
-            merged[n] = first[a]
-            a += 1
-        else:
-            merged[n] = second[b]
-            b += 1
-    return merged
-
-
-@compiled
-def _remove(pixels: Intp, gone: Intp) -> Intp:
-    left = np.empty(pixels.size - gone.size, dtype=np.intp)
-    count, n = 0, 0
-    for pixel in pixels:
-        if n < gone.size and gone[n] == pixel:
-            n += 1
-        else:
-            left[count] = pixel
-            count += 1
-    return left
+    # Stable sorting merges ascending runs.
+    return np.sort(np.concatenate(parts), kind="stable")
 
 
 def decimated_grid(cloud: PointMap, step: int) -> PixelGrid:

@@ -27,9 +27,8 @@ def node(name: str, *children: Node) -> Node:
 
 def test_a_segment_has_the_pixels_of_the_leaves_below_it() -> None:
     root = node("", node("0", node("00"), node("01")), node("1"))
-    nodes = depth_first(root)
     image = np.array([[1, 2, 0], [3, 2, 1]], np.uint16)
-    segments = finished_segments(nodes, [each for each in nodes if not each.children], image)
+    segments = finished_segments(depth_first(root), image)
     pixels = {each.name: each.pixels.tolist() for each in segments}
     assert pixels == {"": [0, 5, 1, 4, 3], "0": [0, 5, 1, 4], "00": [0, 5], "01": [1, 4], "1": [3]}
     assert [(each.name, each.parent, each.children) for each in segments[:2]] == [

@@ -1,5 +1,7 @@
 """What a frame takes over from the one before: surfaces moved, labels warped, grown and refined."""
 
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ from inverse_depth_lattice import inverse_depth_lattice
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.borders import Deviations, own_deviations
+from nurbseg.segmentation.live import borders
 from nurbseg.segmentation.live.borders import relax_borders, spread_to_pixels
 from nurbseg.segmentation.live.follow import explained_labels, grown_labels, moved_surfaces
 from nurbseg.segmentation.live.motion import brightness, flow_back, warped
@@ -195,6 +198,13 @@ def test_pixels_follow_their_grid_pixel_where_its_label_changed() -> None:
     assert found.tolist() == [[1, 1, 3, 3, 2], [1, 2, 3, 0, 2], [1, 1, 1, 1, 0]]
 
 
+def swept(*given: Any, sweeps: int, gap_per_m: float = 0.006) -> np.ndarray:
+    """Relax borders in another number of sweeps."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(borders, "_SWEEPS", sweeps)
+        return relax_borders(*given, gap_per_m=gap_per_m)
+
+
 def test_borders_go_to_the_surface_that_explains_the_pixels() -> None:
     near, far = fitted(np.full(SHAPE, 1.0)), fitted(np.full(SHAPE, 0.8))
 
@@ -205,24 +215,22 @@ def test_borders_go_to_the_surface_that_explains_the_pixels() -> None:
     given = inverse_depth, SurfaceLattice([near, far], STEP), own_deviations([0.0, 0.0], 2.5e-3)
     # One column in a sweep, the one next to the border, and two sweeps in a frame.
     for sweeps, middle in ((1, 62), (2, 63), (3, 64), (9, 64)):
-        assert np.array_equal(
-            relax_borders(halves(61), *given, gap_per_m=0.025, sweeps=sweeps), halves(middle)
-        )
+        assert np.array_equal(swept(halves(61), *given, gap_per_m=0.025, sweeps=sweeps), halves(middle))
     assert np.array_equal(relax_borders(halves(61), *given, gap_per_m=0.025), halves(63))
 
 
 def test_a_second_sweep_goes_on_where_the_first_one_ended(three: Three) -> None:
     labels, *given = three
-    once = relax_borders(labels, *given, gap_per_m=0.006, sweeps=1)
-    twice = relax_borders(once, *given, gap_per_m=0.006, sweeps=1)
+    once = swept(labels, *given, sweeps=1)
+    twice = swept(once, *given, sweeps=1)
     assert np.count_nonzero(twice != once) > 100
-    assert np.array_equal(relax_borders(labels, *given, gap_per_m=0.006, sweeps=2), twice)
+    assert np.array_equal(swept(labels, *given, sweeps=2), twice)
 
 
 def test_one_sweep_takes_the_cheapest_of_three_labels(three: Three) -> None:
     labels, inverse_depth, *_ = three
     rng, deviations = np.random.default_rng(6), (2.5e-3, 2.5e-3, 4e-3)
-    settled = relax_borders(*three, gap_per_m=0.006, sweeps=1)
+    settled = swept(*three, sweeps=1)
     rim = [(r, c) for r, c in np.ndindex(SHAPE) if r in (0, SHAPE[0] - 1) or c in (0, SHAPE[1] - 1)]
     for r, c in [*rim, *zip(*(rng.integers(0, extent, 300) for extent in SHAPE), strict=True)]:
         near = [

@@ -1,11 +1,13 @@
 """Identities live as long as what they name."""
 
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from nurbseg.segmentation.live import identity
 from nurbseg.segmentation.live.appearance import Appearance, updated
 from nurbseg.segmentation.live.identity import Event, Identities, track_identities
 from nurbseg.segmentation.points.registration import PointMap
@@ -96,9 +98,9 @@ def test_another_thing_in_its_place_is_new() -> None:
 
 def test_a_forgotten_segment_is_new() -> None:
     state = first = track_identities(None, *scene((50, 20, 15, 20, 240)))
-    for _ in range(4):
-        state = track_identities(state, *scene(), remembered=3)
-    again = track_identities(state, *scene((50, 20, 15, 20, 240)), remembered=3)
+    for _ in range(31):
+        state = track_identities(state, *scene())
+    again = track_identities(state, *scene((50, 20, 15, 20, 240)))
     assert again.of_label[2] != first.of_label[2]
 
 
@@ -154,7 +156,8 @@ def test_no_two_segments_of_a_frame_share_an_identity(seed: int) -> None:
     state: Identities | None = None
     for _ in range(4):
         labels = np.repeat(np.repeat(rng.integers(0, 6, (6, 8)), 10, 0), 10, 1).astype(np.uint16)
-        state = track_identities(state, labels, cloud, remembered=2)
+        with mock.patch.object(identity, "_REMEMBERED", 2):
+            state = track_identities(state, labels, cloud)
         assert len(set(state.of_label.values())) == len(state.of_label)
         assert set(state.of_label) == set(np.unique(labels[labels > 0]))
 

@@ -387,9 +387,7 @@ def test_pairs_are_compared_in_turn() -> None:
 
 
 def test_labels_of_the_frame_before_are_known_after_an_update(flush: DesignedTree) -> None:
-    flush.update(rejected=[flush.nodes["1"]])
-    labels = np.array([[0, 1, 2, 3, 4, 9]], np.uint16)
-    assert flush.updater.renumbered(labels).tolist() == [[0, 1, 2, 2, 2, 0]]
+    assert flush.update(rejected=[flush.nodes["1"]]).final.tolist() == [0, 1, 2, 2, 2]
 
 
 def test_nothing_is_done_without_need(thirds: DesignedTree) -> None:
