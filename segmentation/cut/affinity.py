@@ -44,11 +44,7 @@ def affinity(
     if rows.size == 0 or landmarks.shape[0] == 0:
         return np.zeros((rows.size, landmarks.shape[0]), dtype=np.float32)
     # One matrix product gives the exponent: [f, |f|^2, 1] . [s, -1/2, -|s|^2/2] / scale^2, of base 2.
-    left = _with_squares(vectors, rows)
-    right = _with_squares(landmarks, np.arange(landmarks.shape[0]))
-    right[:, -2], right[:, -1] = -0.5, -0.5 * right[:, -2]
-    right *= np.float32(1.0 / (scale**2 * math.log(2.0)))
-    exponents = left @ right.T
+    exponents = _with_squares(vectors, rows) @ _scaled(landmarks, 1.0 / (scale**2 * math.log(2.0))).T
     _raise_two(exponents.reshape(-1))
     return exponents
 
@@ -67,6 +63,21 @@ def _with_squares(vectors: F32, rows: Intp) -> F32:
         target[dimensions] = square
         target[dimensions + 1] = np.float32(1.0)
     return taken
+
+
+@compiled
+def _scaled(landmarks: F32, factor: float) -> F32:
+    """Return the right side of the product, a row for each landmark."""
+    count, dimensions = landmarks.shape
+    scaled, by = np.empty((count, dimensions + 2), dtype=np.float32), np.float32(factor)
+    for n in range(count):
+        square = np.float32(0.0)
+        for k in range(dimensions):
+            scaled[n, k] = landmarks[n, k] * by
+            square += landmarks[n, k] * landmarks[n, k]
+        scaled[n, dimensions] = np.float32(-0.5) * by
+        scaled[n, dimensions + 1] = np.float32(-0.5) * square * by
+    return scaled
 
 
 @compiled

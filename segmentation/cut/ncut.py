@@ -161,20 +161,21 @@ def normalized_cuts(
     ValueError
         As `normalized_cut`.
     """
-    if vectors.ndim != 2 or not np.isfinite(vectors).all():
+    vectors = np.ascontiguousarray(vectors, dtype=np.float32)
+    finite, equal = _examine(vectors) if vectors.ndim == 2 else (False, False)
+    if not finite:
         raise ValueError(f"vectors: expected finite (N, D) values, got shape {vectors.shape}")
-    vectors = np.asarray(vectors, dtype=np.float32)
     n = vectors.shape[0]
     if n < 2:
         yield _no_cut(vectors, affinity_scale, f"{n} points, 2 needed")
+        return
+    if equal:
+        yield _no_cut(vectors, affinity_scale, "all points are equal")
         return
     size = n if points is None else min(n, max(points, samples))
     chosen: NDArray[np.intp] = rng.choice(n, size=(size,), replace=False)
     sample = chosen[:samples]
     drawn = vectors[sample]
-    if not np.any(drawn != drawn[0]) and not np.any(vectors != drawn[0]):
-        yield _no_cut(vectors, affinity_scale, "all points are equal")
-        return
     if size == n:
         chosen = np.arange(n)
     else:
@@ -198,8 +199,8 @@ def normalized_cuts(
     eigenvalues, eigenvectors, known, _, failed = dsyevr(
         S.T, range="I", il=max(1, last - count + 1), iu=last, lower=1, overwrite_a=1
     )
-    found = np.flatnonzero(eigenvalues[:known] > _LEAST_EIGENVALUE)[::-1]
-    if failed or found.size == 0:
+    found = [each for each in reversed(range(known)) if eigenvalues[each] > _LEAST_EIGENVALUE]
+    if failed or not found:
         yield _no_cut(vectors, affinity_scale, "the affinities of all points are alike")
         return
     for each in found:
@@ -211,16 +212,27 @@ def normalized_cuts(
         if splitting_point != "zero":
             a -= _threshold(splitting_point, sums * by_root, K, inverse, by_root) * b
             sums = K @ a.astype(np.float32)
-        side = np.empty(n, dtype=np.bool_)
+        side = sums > 0 if size == n else np.ones(n, dtype=np.bool_)
         cut = Cut(side, kept, a.astype(np.float32), affinity_scale)
-        side[chosen] = sums > 0
         if size < n:
-            others = np.delete(np.arange(n), chosen)
-            side[others] = cut._classify(vectors, others)
+            side[chosen] = False
+            others = np.flatnonzero(side)
+            side[chosen], side[others] = sums > 0, cut._classify(vectors, others)
         if side.all() or not side.any():
             yield _no_cut(vectors, affinity_scale, "all points fall on one side")
         else:
             yield cut
+
+
+@compiled
+def _examine(vectors: F32) -> tuple[bool, bool]:
+    """Return whether vectors are finite, and whether they are all equal."""
+    flat, dimensions, infinite, same = vectors.reshape(-1), vectors.shape[1], 0, vectors.shape[1]
+    for value in flat:
+        infinite += not abs(value) < np.inf
+    while same < flat.size and flat[same] == flat[same - dimensions]:
+        same += 1
+    return infinite == 0, same >= flat.size
 
 
 @compiled
@@ -249,13 +261,15 @@ def _divide_by_roots(K: F32, b: F32) -> F32:
     """Divide each point's affinities by the root of its degree, their sum times b; return 1 over roots."""
     by_root = np.empty(K.shape[0], dtype=np.float32)
     for n in range(K.shape[0]):
-        row, degree = K[n], np.float32(0.0)
-        for k in range(row.size):
-            degree += row[k] * b[k]
+        by_root[n] = np.float32(0.0)
+        for k in range(K.shape[1]):
+            by_root[n] += K[n, k] * b[k]
+    for n in range(K.shape[0]):
         # It holds at least the affinity of 1 to the point itself; the approximation may fall below.
-        by_root[n] = np.float32(1.0) / np.sqrt(max(degree, np.float32(1.0)))
-        for k in range(row.size):
-            row[k] *= by_root[n]
+        by_root[n] = np.float32(1.0) / np.sqrt(max(by_root[n], np.float32(1.0)))
+    for n in range(K.shape[0]):
+        for k in range(K.shape[1]):
+            K[n, k] *= by_root[n]
     return by_root
 
 

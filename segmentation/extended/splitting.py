@@ -214,14 +214,15 @@ def _neighbors_side(
         while drawn[n] >= (row + 1) * width:
             row += 1
         corners[row >> 1, (drawn[n] - row * width) >> 1] = 2 if drawn_side[n] else 1
+    for a in range(corners.shape[0] - 1):
+        for b in range(corners.shape[1] - 1):
+            corners[a, b] |= corners[a + 1, b] | corners[a, b + 1] | corners[a + 1, b + 1]
     sides, asked = np.empty(grid_pixels.size, dtype=np.bool_), np.empty(grid_pixels.size, dtype=np.intp)
     row, count = 0, 0
     for n in range(grid_pixels.size):
         while grid_pixels[n] >= (row + 1) * width:
             row += 1
-        column = grid_pixels[n] - row * width
-        a, b = row >> 1, column >> 1
-        around = corners[a, b] | corners[a + 1, b] | corners[a, b + 1] | corners[a + 1, b + 1]
+        around = corners[row >> 1, (grid_pixels[n] - row * width) >> 1]
         sides[n] = around == 2
         asked[count] = n
         count += (around == 0) | (around == 3)

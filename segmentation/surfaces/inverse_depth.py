@@ -71,20 +71,19 @@ def fit_window(
     square_most = SQUARE_MOST * config.extended.inverse_depth_noise**2
     margin = math.ceil(_MARGIN_PX * grid.unit_px / grid.step)
     for stiffer in _STIFFER:
-        pixels, solved, positive, control_per_m, knots_u, knots_v, residuals_m, square, sums = (
-            fit_inverse_depth(
-                grid.inverse_depth[np.newaxis],
-                grid.distances_m,
-                mask,
-                window[:2],
-                grid.points.image_shape[1],
-                grid.step,
-                margin,
-                spacing,
-                stiffer * smoothness,
-                square_most,
-                config.large_error_m,
-            )
+        pixels, solved, positive, spline, residuals_m, square, sums = fit_inverse_depth(
+            grid.inverse_depth[np.newaxis],
+            grid.distances_m,
+            mask,
+            window[:2],
+            grid.points.image_shape[1],
+            grid.step,
+            margin,
+            spacing,
+            stiffer * smoothness,
+            square_most,
+            config.large_error_m,
+            (grid.rays.coefficients, *grid.rays.center, grid.rays.scale),
         )
         if not solved:
             reason = "no least-squares solution: the normal equations have no finite solution"
@@ -92,13 +91,12 @@ def fit_window(
         if positive:
             break
         margin = 1
-    surface = rational_surface(
-        control_per_m,
-        knots_u * grid.step,
-        knots_v * grid.step,
-        grid.rays,
-        grid.points.full_window(window),
-    )
+    knots_u, knots_v, points_m, weights = spline
+    pixel_window = grid.points.full_window(window)
+    if grid.rays.linear:
+        surface = NurbsSurface((CUBIC, CUBIC), knots_u, knots_v, points_m, weights, pixel_window)
+    else:
+        surface = rational_surface(weights, knots_u, knots_v, grid.rays, pixel_window)
     rms_per_m = math.sqrt(square / max(pixels.size, 1))
     return Fit(surface, residuals_m, metrics_of_sums(pixels.size, sums), "", pixels, floor, rms_per_m)
 
@@ -124,13 +122,15 @@ def fit_inverse_depth(
     smoothness: float,
     square_most: float,
     large_m: float,
-) -> tuple[Intp, bool, bool, F64, F64, F64, F64, float, tuple[float, float, float, int]]:
+    rays: tuple[F64, float, float, float],
+) -> tuple[Intp, bool, bool, tuple[F64, F64, F64, F64], F64, float, tuple[float, float, float, int]]:
     """Fit a spline to the inverse depth of the marked grid pixels, and raise control values to the least.
 
     Returns the marked pixels, flat in the image; whether there is a solution; whether it is positive where
-    points hold it; the control values; the knots along columns and rows, grid pixels; the distances at the
-    marked grid pixels, metres; the sum of the squared residuals of inverse depth, each limited, 1/m^2; and
-    the sums of the distances.
+    points hold it; the knots along columns and rows, pixels, the control points if rays are linear, and the
+    control values; the distances at the marked grid pixels, metres; the sum of the squared residuals of
+    inverse depth, each limited, 1/m^2; and the sums of the distances. Rays are given by their coefficients,
+    both coordinates of the center, and the scale.
     """
     pixels = marked_pixels(mask, corner, image_width, step)
     rows, knots_v = lattice_basis(corner[0], corner[0] + mask.shape[0], margin, spacing)
@@ -138,7 +138,8 @@ def fit_inverse_depth(
     solved, controls, held = solve_splines(images, mask, corner, rows, columns, smoothness)
     control = controls[0]
     if not solved:
-        return pixels, False, False, control, knots_u, knots_v, np.empty(0), 0.0, (0.0, 0.0, 0.0, 0)
+        spline = knots_u, knots_v, np.empty((0, 0, 3)), control
+        return pixels, False, False, spline, np.empty(0), 0.0, (0.0, 0.0, 0.0, 0)
     positive = True
     for a in range(rows.size):
         for b in range(columns.size):
@@ -148,7 +149,11 @@ def fit_inverse_depth(
         images[0], distances_m, mask, corner, control, rows, columns, square_most
     )
     sums = residual_sums(residuals_m, large_m)
-    return pixels, True, positive, control, knots_u, knots_v, residuals_m, squares, sums
+    for knots in (knots_u, knots_v):
+        for k in range(knots.size):
+            knots[k] *= step
+    points_m = _divided(_linear_control_values(*rays, knots_u, knots_v), control)
+    return pixels, True, positive, (knots_u, knots_v, points_m, control), residuals_m, squares, sums
 
 
 @inlined_once
@@ -260,9 +265,6 @@ def ray_control_values(
     ----------
     .. [1] C. de Boor, "A Practical Guide to Splines", 1978, chapter 13.
     """
-    if rays.linear:
-        # The control values of a linear function lie on it.
-        return _linear_control_values(rays.coefficients, *rays.center, rays.scale, knots_u, knots_v)
     u, take_u = _interpolator(knots_u)
     v, take_v = _interpolator(knots_v)
     return np.stack([take_v @ each @ take_u.T for each in rays.lattice(u, v)])
@@ -272,7 +274,7 @@ def ray_control_values(
 def _linear_control_values(
     coefficients: F64, center_u: float, center_v: float, scale: float, knots_u: F64, knots_v: F64
 ) -> F64:
-    """Evaluate linear rays at the Greville abscissae of cubic knot vectors."""
+    """Return the control values of linear rays: their values at the Greville abscissae."""
     height, width = knots_v.size - 4, knots_u.size - 4
     values = np.empty((2, height, width))
     for row in range(height):

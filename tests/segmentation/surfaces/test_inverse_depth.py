@@ -99,6 +99,22 @@ def test_residuals_are_distances_to_the_surface_that_is_returned(cloud_of, step)
     assert fit.rms_per_m == pytest.approx(np.sqrt(np.mean(limited**2)))
 
 
+@pytest.mark.parametrize("bent", [0.0, 0.05])
+def test_points_of_a_fitted_surface_are_on_the_rays_of_their_pixels(cloud_of, bent):
+    cloud = cloud_of(plane())
+    coefficients = cloud.rays.coefficients.copy()
+    coefficients[:, 2, 1] = bent
+    rays = type(cloud.rays)(coefficients, cloud.rays.center, cloud.rays.scale)
+    assert rays.linear == (bent == 0.0)
+    at_every_second = depth_grid(cloud, 2)
+    grid = type(at_every_second)(at_every_second.points, at_every_second.inverse_depth, rays)
+    surface = fit_window(grid, (0, 0, *grid.valid.shape), grid.valid, CONFIG).surface
+    u, v = np.linspace(0, 78, 13), np.linspace(0, 58, 13)
+    x, y, z = evaluate(surface, u, v).T
+    assert_allclose([x / z, y / z], rays.at(u, v), atol=1e-4)
+    assert_allclose(1.0 / z, 0.8 + 0.004 * u - 0.003 * v, atol=1e-5)
+
+
 def test_a_surface_never_passes_through_infinity_where_nothing_holds_it(cloud_of):
     rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
     inverse_depth = np.where(columns < 12, 1.6 - 0.13 * columns, 0.05)
