@@ -15,14 +15,16 @@ _JSON_BYTES_MAX = 1 << 24
 def write_atomically(path: Path, content: bytes) -> None:
     """Write a file under a temporary name and rename it, so that nobody reads an incomplete file.
 
-    Raises OSError if it cannot be written; an existing file is kept then.
+    Raises OSError, which names the file, if it cannot be written; an existing file is kept then.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         temporary.write_bytes(content)
         temporary.replace(path)
-    except BaseException:
+    except BaseException as err:
         temporary.unlink(missing_ok=True)
+        if isinstance(err, OSError):
+            err.filename = str(path)
         raise
 
 

@@ -1,6 +1,7 @@
 """The command nurbseg-eval, which scores segmentations of labelled frames."""
 
 import argparse
+import errno
 import logging
 import sys
 from collections.abc import Sequence
@@ -135,7 +136,12 @@ def main(words: Sequence[str] | None = None) -> int:
         print(f"nurbseg-eval: error: {err}", file=sys.stderr)
         return 2
     except (DriverError, OSError, RuntimeError) as err:
-        print(f"nurbseg-eval: error: {err}", file=sys.stderr)
+        file = getattr(err, "filename", None)
+        if file is None and getattr(err, "errno", None) in (errno.EPIPE, errno.ENOSPC):
+            # Of standard output: all files are named.
+            raise
+        what = f"{file}: {err.strerror}" if isinstance(err, OSError) and file else err
+        print(f"nurbseg-eval: error: {what}", file=sys.stderr)
         return 1
     except ModuleNotFoundError as err:
         print(

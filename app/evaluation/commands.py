@@ -94,7 +94,7 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
     markdown = given.out / "tables.md"
     parts = [about, "\n".join(f"- {each}" for each in sentences)]
     parts += [f"**{caption}**\n\n{as_markdown(rows)}" for caption, rows in tables]
-    markdown.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+    write_atomically(markdown, ("\n\n".join(parts) + "\n").encode())
     files.append(markdown)
     if not given.no_report:
         files.append(

@@ -2,6 +2,7 @@
 
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Self
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
+from nurbseg.app.atomic_file import write_atomically
 from nurbseg.app.evaluation.scoring import SCORES
 from nurbseg.app.evaluation.store import StudyStore
 from nurbseg.app.evaluation.variants import Variant
@@ -158,6 +160,8 @@ def write_rows(results: StudyResults, folder: Path) -> tuple[Path, Path]:
 
     table = pyarrow.Table.from_pylist(results.rows())
     parquet, csv = folder / "results.parquet", folder / "results.csv"
-    pyarrow.parquet.write_table(table, parquet)
-    pyarrow.csv.write_csv(table, csv)
+    for path, write in ((parquet, pyarrow.parquet.write_table), (csv, pyarrow.csv.write_csv)):
+        content = BytesIO()
+        write(table, content)
+        write_atomically(path, content.getvalue())
     return parquet, csv

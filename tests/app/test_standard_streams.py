@@ -9,7 +9,12 @@ import pytest
 COMMANDS = Path(sys.executable).parent
 DEMO = Path(__file__).parents[2] / "recordings" / "demo.mcap"
 #: Commands that print a lot, a little, and what `argparse` does not print itself.
-PRINTING = [f"nurbseg-record check {DEMO}", "nurbseg-devices --json", "nurbseg-live --print-config"]
+PRINTING = [
+    f"nurbseg-record check {DEMO}",
+    f"nurbseg-eval noise {DEMO} --frames 1",
+    "nurbseg-devices --json",
+    "nurbseg-live --print-config",
+]
 
 
 def shell(line: str, folder: Path) -> subprocess.CompletedProcess[str]:
@@ -52,3 +57,16 @@ def test_a_run_without_standard_streams_writes_its_files_and_nothing_else_into_t
     assert done.returncode == 0
     checked = shell("nurbseg-record check a.mcap", tmp_path)
     assert "a.mcap: whole, 1 frame" in checked.stdout, checked
+
+
+def test_a_full_disk_under_the_files_of_a_study_is_named(tmp_path: Path) -> None:
+    command = "nurbseg-eval run 'synthetic:?width=96&height=72&frames=1' --methods fh04 --time-frames 0"
+    command += " --no-report --out s"
+    assert shell(command, tmp_path).returncode == 0
+    whole = sorted(path.name for path in (tmp_path / "s").iterdir())
+    table = (tmp_path / "s" / "results.csv").read_bytes()
+    done = shell(f"ulimit -f 1; {command}", tmp_path)
+    assert done.returncode == 1
+    assert "nurbseg-eval: error: s/results.parquet: File too large" in done.stderr
+    assert sorted(path.name for path in (tmp_path / "s").iterdir()) == whole
+    assert (tmp_path / "s" / "results.csv").read_bytes() == table

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.app.atomic_file import write_atomically
 from nurbseg.app.computer import versions_line
 from nurbseg.app.evaluation.answers import Answers
 from nurbseg.app.evaluation.report import pictures, plots
@@ -60,7 +61,7 @@ def write_report(
         ("Covering against time", "time.png", plots.time_plot(results, seconds)),
     ):
         if image is not None:
-            (folder / name).write_bytes(image)
+            write_atomically(folder / name, image)
             drawn_plots.append((caption, _base64(image)))
     trees_of = next((each for each in shown if each.method in TREE_METHODS), None)
     template = jinja2.Environment(autoescape=True).from_string(
@@ -93,7 +94,7 @@ def write_report(
         stops=[(stop.value, plots.stop_color(stop)) for stop in STOP_COLORS],
     )
     path = store.folder / "report.html"
-    path.write_text(html, encoding="utf-8")
+    write_atomically(path, html.encode())
     return path
 
 
@@ -123,7 +124,7 @@ def _frame_pictures(
         caption = f"{variant.name}: GTRC {score['gtrc']:.3f}, VoI {score['voi']:.2f}"
         counted = np.where(cloud.valid, labels, 0)
         tiles.append((caption, pictures.label_colors(counted, np.where(cloud.valid, truth, 0))))
-    (folder / f"{frame['key']}-{frame['name']}.png").write_bytes(pictures.strip_png(tiles))
+    write_atomically(folder / f"{frame['key']}-{frame['name']}.png", pictures.strip_png(tiles))
     return {
         "name": frame["name"],
         "category": frame["category"],
@@ -145,10 +146,10 @@ def _tree_pictures(
             continue
         segments = json.loads(path.read_text(encoding="utf-8"))["segments"]
         image = plots.tree_plot(segments)
-        (folder / f"{key}-{frame['name']}-tree.png").write_bytes(image)
+        write_atomically(folder / f"{key}-{frame['name']}-tree.png", image)
         drawn.append((f"{frame['name']}: tree of {variant.name}", _base64(image)))
         errors = pictures.strip_png(_error_tiles(study, frame, variant), 420)
-        (folder / f"{key}-{frame['name']}-errors.png").write_bytes(errors)
+        write_atomically(folder / f"{key}-{frame['name']}-errors.png", errors)
         drawn.append((f"{frame['name']}: fitting error, blue 0 to red {_ERROR_M} m", _base64(errors)))
     return drawn
 
