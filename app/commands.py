@@ -13,13 +13,28 @@ from typing import Any
 _FAILED, _INTERRUPTED = 1, 130
 
 
-def _run(module: str, function: str = "main", *, on_interrupt: Any = signal.default_int_handler) -> int:
-    """Run a command; Ctrl-C ends the process silently during imports, and then as `on_interrupt` says."""
+#: What ends a command that writes files as Ctrl-C does: `kill`, the end of a job, and the closed terminal.
+_ENDS = (signal.SIGTERM, signal.SIGHUP)
+
+
+def _run(
+    module: str,
+    function: str = "main",
+    *,
+    on_interrupt: Any = signal.default_int_handler,
+    also: tuple[signal.Signals, ...] = (),
+) -> int:
+    """Run a command.
+
+    Ctrl-C ends the process silently during imports. Then it, and the signals `also` named, do what
+    `on_interrupt` says.
+    """
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     _open_closed_streams()
     run = getattr(import_module(module), function)
     try:
-        signal.signal(signal.SIGINT, on_interrupt)
+        for number in (signal.SIGINT, *(each for each in also if signal.getsignal(each) == signal.SIG_DFL)):
+            signal.signal(number, on_interrupt)
         code: int = run()
         sys.stdout.flush()
     except KeyboardInterrupt:
@@ -46,7 +61,7 @@ def _open_closed_streams() -> None:
 
 #: nurbseg-live handles signals itself once there is something to finish.
 live = partial(_run, "nurbseg.app.command.cli", "command", on_interrupt=signal.SIG_DFL)
-batch = partial(_run, "nurbseg.app.batch.cli")
+batch = partial(_run, "nurbseg.app.batch.cli", also=_ENDS)
 devices = partial(_run, "nurbseg.app.devices.cli")
-evaluation = partial(_run, "nurbseg.app.evaluation.cli", "command")
-record = partial(_run, "nurbseg.app.recording.cli")
+evaluation = partial(_run, "nurbseg.app.evaluation.cli", "command", also=_ENDS)
+record = partial(_run, "nurbseg.app.recording.cli", also=_ENDS)

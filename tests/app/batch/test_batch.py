@@ -317,3 +317,21 @@ def test_a_recording_that_fails_at_its_first_frame_leaves_no_folder(tmp_path: Pa
     run_batch(recordings, FailingWorkers(0), *PLAIN)
     assert "frames 0 to 3: WorkerLostError: gone" in recordings[0].failure
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_batch_that_is_ended_reports_how_far_it_came(at_home: Path, number: int) -> None:
+    command = Path(sys.executable).with_name("nurbseg-batch")
+    words = ["synthetic:?width=96&height=72&frames=900", "--export", "out", "--workers", "2"]
+    process = subprocess.Popen([command, *words], stderr=subprocess.PIPE, text=True)
+    limit_s = time.monotonic() + 200
+    while not list(Path("out").glob(f"*/{PROGRESS_FILE}")):
+        assert process.poll() is None
+        assert time.monotonic() < limit_s
+        time.sleep(0.01)
+    process.send_signal(number)
+    _, told = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert told.endswith("nurbseg-batch: interrupted; run the same command to resume\n")
+    assert report(at_home / "out")["ended"] == "interrupted"
+    assert not list(Path("out").rglob("*.part"))
