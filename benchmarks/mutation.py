@@ -91,7 +91,7 @@ class Outcome:
 def source_of(module: str) -> Path:
     """Return the file of a module, below the folder of all packages."""
     path = Path(f"{module}.py")
-    return path if path.parts[0] == "drivers" else "segmentation" / path
+    return path if path.parts[0] in {"app", "drivers"} else "segmentation" / path
 
 
 def declared(source: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
