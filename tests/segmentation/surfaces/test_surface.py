@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -58,10 +60,7 @@ def test_normals_of_a_cylinder_are_radial():
 
 
 def test_unit_weights_give_the_spline_of_scipy():
-    cloud = wavy_rational()
-    spline = NurbsSurface(
-        (3, 3), cloud.knots_u, cloud.knots_v, cloud.control_points_m, np.ones((5, 5)), cloud.window
-    )
+    spline = replace(wavy_rational(), weights=np.ones((5, 5)))
     u, v = np.linspace(0, 10, 30), np.linspace(10, 0, 30)
     along_u = BSpline(spline.knots_u, spline.control_points_m.transpose(1, 0, 2), 3)(u)
     expected = [BSpline(spline.knots_v, along_u[k], 3)(v[k]) for k in range(30)]
@@ -82,9 +81,9 @@ def test_rational_derivatives_agree_with_finite_differences(order):
     assert_allclose(evaluate(surface, u, v, *order), differences, rtol=1e-4, atol=1e-4)
 
 
-def test_a_lattice_has_the_points_of_its_places():
-    surface = wavy_rational()
-    u, v = np.linspace(0, 10, 4), np.linspace(0, 10, 3)
+@pytest.mark.parametrize(("surface", "end"), [(wavy_rational(), 10), (quarter_cylinder(), 1)])
+def test_a_lattice_has_the_points_of_its_places(surface, end):
+    u, v = np.linspace(0, end, 4), np.linspace(0, end, 3)
     lattice = evaluate_lattice(surface, u, v, 1, 1)
     columns, rows = np.meshgrid(u, v)
     scattered = evaluate(surface, columns.ravel(), rows.ravel(), 1, 1)
