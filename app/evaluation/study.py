@@ -90,11 +90,13 @@ class Study:
 
 
 def frame_refs(study: Study) -> list[FrameRef]:
-    """List the frames of a study without decoding them."""
+    """List the frames of a study without decoding them; raises ValueError if there are none."""
     refs = []
     for place, uri in enumerate(study.sources):
         found, _ = survey(uri, study.options, study.start, study.frames)
         refs += [FrameRef(uri, i, f"{place:02d}-{i:06d}") for i in found]
+    if not refs:
+        raise ValueError(f"{', '.join(study.sources)}: no frames after --start {study.start}")
     return refs
 
 

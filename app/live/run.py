@@ -113,7 +113,9 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 else:
                     _segment(config, settings, opened, feed, recorder, exporter, view, report)
             if report.segmented + report.recorded_only == 0 and not report.quit:
-                raise DriverError(f"{opened.uri}: no frame could be read ({capture.damaged} damaged)")
+                start = f" after --start {config.source.start}" if config.source.start else ""
+                damaged = f"({capture.damaged} damaged)"
+                raise DriverError(f"{opened.uri}: no frame could be read{start} {damaged}")
         if view.serving and not report.quit:
             wait_for_quit(config.live.control, interruption)
         return report

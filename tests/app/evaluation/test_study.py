@@ -220,6 +220,13 @@ def test_a_pipe_is_no_label_image(tmp_path: Path) -> None:
         labels_on_disk(tmp_path, "", 3)
 
 
+def test_a_start_behind_the_last_frame_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["synthetic:?width=64&height=48&frames=2", "--start", "2"]
+    for command in (["run", "--out", str(tmp_path / "out")], ["noise"]):
+        assert main([*command, *words]) == 2
+        assert "frames=2: no frames after --start 2" in capsys.readouterr().err
+
+
 def test_frames_without_ground_truth_are_no_data_set(
     frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
