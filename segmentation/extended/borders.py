@@ -22,6 +22,8 @@ _REACH = 2
 _VOTE = 0.7
 #: Vote of a neighbour across a gap in depth, relative to others.
 ACROSS_GAP = 0.25
+#: Margins below this may be due to rounding.
+_ROUNDING = np.float32(1e-3)
 #: Passes over the pixels at borders.
 _SWEEPS = 4
 #: Pixels within reach along a row or column, and of the square around a pixel with its own.
@@ -136,19 +138,19 @@ def _cheapest(
     gaps = (config.extended.inverse_depth_gap * np.sqrt(_DISTANCES)).astype(np.float32)
     votes = np.where(_DISTANCES > 0, _VOTE / np.maximum(_DISTANCES, 1.0), 0.0).astype(np.float32)
 
-    reached = np.empty(flat.size, dtype=np.bool_)
+    reached, margins = np.empty(flat.size, dtype=np.bool_), np.zeros(flat.size, dtype=np.float32)
     pixels = np.flatnonzero(_near_borders(padded))
     for sweep in range(sweeps):
         if pixels.size == 0:
             break
         best = np.empty(pixels.size, dtype=np.int32)
         _find_cheapest(
-            flat, depths, pixels, width, step, (gaps, votes), splines, deviations, SQUARE_MOST, best
+            flat, depths, pixels, width, step, (gaps, votes), splines, deviations, SQUARE_MOST, best, margins
         )
         # Only pixels within reach of a change can change now. From the third sweep on only neighbours
         # that swap labels are left: one of two at a time.
         reached[:] = False
-        _move(flat, width, pixels, best, sweep + 1 if sweep > 0 else -1, reached)
+        _move(flat, width, pixels, best, sweep + 1 if sweep > 0 else -1, votes, margins, reached)
         pixels = np.flatnonzero(reached)
     return np.ascontiguousarray(padded[_REACH:-_REACH, _REACH:-_REACH])
 
@@ -165,10 +167,12 @@ def _find_cheapest(
     deviations: Deviations,
     square_most: float,
     best: I32,
+    margins: F32,
 ) -> None:
     """Find the cheapest of the labels around each pixel, the smallest one among several.
 
-    Neighbours are given by the gaps to them and by their votes.
+    Neighbours are given by the gaps to them and by their votes. The margin of a pixel becomes by how much any
+    other label costs more, at least.
     """
     # Taken out of tuples once: in the loop, their references would be counted each time.
     gaps_per_m, votes = neighbors
@@ -194,7 +198,8 @@ def _find_cheapest(
         for k in range(_AROUND):
             # A factor, as a choice between two arrays would be one of addresses.
             near_votes[k] = votes[k] * (across_gap if abs(steps_per_m[k]) >= gaps_per_m[k] else one)
-        best[n], least = own, np.float32(np.inf)
+        # A label that is not around costs no less than 0.
+        best[n], least, others = own, np.float32(np.inf), np.float32(0.0)
         # A pixel's own label comes first, then the others from the largest on.
         label, below = own, np.int32(2**31 - 1)
         while label > 0:
@@ -219,26 +224,40 @@ def _find_cheapest(
                         square = residual * residual
                 cost += square
                 if cost < least or (cost == least and label < best[n]):
-                    least, best[n] = cost, label
+                    cost, least, best[n] = least, cost, label
+            others = min(others, cost)
             label = below = following
+        margins[pixel] = others - least
 
 
 @compiled
-def _move(labels: I32, width: int, pixels: Intp, best: I32, parity: int, reached: Bool) -> None:
+def _move(
+    labels: I32,
+    width: int,
+    pixels: Intp,
+    best: I32,
+    parity: int,
+    votes: F32,
+    margins: F32,
+    reached: Bool,
+) -> None:
     """Give pixels new labels, and mark the labelled pixels within reach of those that changed.
 
-    Of these only the ones whose row and column add up to an even number with `parity`, unless that is less
-    than 0.
+    Of these only the ones that can change now, and whose row and column add up to an even number with
+    `parity`, unless that is less than 0.
     """
     for n in range(pixels.size):
         if best[n] == labels[pixels[n]]:
             continue
         labels[pixels[n]] = best[n]
         row, column = pixels[n] // width, pixels[n] % width
-        for r in range(row - _REACH, row + _REACH + 1):
-            for c in range(column - _REACH, column + _REACH + 1):
-                wanted = parity < 0 or (r + c + parity) % 2 == 0
-                reached[r * width + c] = wanted and labels[r * width + c] > 0
+        for k in range(_AROUND):
+            r, c = row + k // _SIDE - _REACH, column + k % _SIDE - _REACH
+            at = r * width + c
+            # What votes for another label no longer votes for the pixel's own.
+            margins[at] -= np.float32(2.0) * votes[k]
+            wanted = parity < 0 or (r + c + parity) % 2 == 0
+            reached[at] = wanted and labels[at] > 0 and margins[at] <= _ROUNDING
 
 
 def _near_borders(labels: NDArray[np.int32]) -> NDArray[np.bool_]:

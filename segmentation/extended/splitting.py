@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,7 +152,7 @@ def best_split(
     points = features.grid.points
     drawn = points.every_second(node.grid_pixels) if node.grid_pixels.size >= thin_from else node.grid_pixels
     scale = segment_normalization(features.raw, drawn, config)
-    rng = np.random.default_rng([config.seed, int(f"1{node.name}", 2)])
+    rng = np.random.default_rng(_entropy(config.seed, node.name))
     node.stop, node.trial = StopReason.NO_CUT, None
     count, least_per_m = config.extended.cuts, _DEVIATIONS * config.extended.inverse_depth_noise
     unexplained = node.value(config) > _FLOORS * node.fit.floor > 0 and node.fit.rms_per_m > least_per_m
@@ -190,6 +191,12 @@ def best_split(
         # The ratio of an earlier cut counts more than why a later one failed.
         node.stop = StopReason.CRITERION
     return ([], []), None
+
+
+@lru_cache(maxsize=256)
+def _entropy(seed: int, name: str) -> np.random.SeedSequence:
+    """Return what the random numbers of a node begin with: frames have nodes of the same names."""
+    return np.random.SeedSequence([seed, int(f"1{name}", 2)])
 
 
 def _extended(
