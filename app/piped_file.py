@@ -49,7 +49,7 @@ class PipedFile:
     def _copy(self) -> None:
         while part := memoryview(os.read(self._read_end, _PART)):
             try:
-                if part and self.error is None and os.fstat(self._file.fileno()).st_nlink == 0:
+                if self.error is None and os.fstat(self._file.fileno()).st_nlink == 0:
                     raise OSError(errno.ENOENT, "it was deleted while it was written")
                 while part and self.error is None:
                     part = part[self._file.write(part) :]

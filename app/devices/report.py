@@ -111,7 +111,7 @@ def _looked_at(system: System) -> str:
         ("OpenNI2", installation.library or "not found"),
         (
             "its drivers",
-            f"{drivers}" + (f" in {installation.drivers_folder}" if installation.library else ""),
+            drivers + (f" in {installation.drivers_folder}" if installation.library else ""),
         ),
     )
     return "\n".join(["Looked at", *(_row(label, text) for label, text in rows)])

@@ -36,6 +36,8 @@ NYU_COLOR_CAMERA = Intrinsics(
 )
 #: Longest wait for an answer, seconds; the first comes after the libraries are loaded.
 _ANSWER_S = 60.0
+#: Largest class of the 13-class labels; each class takes a pass over the image.
+_CLASS_MOST = 13
 #: A process whose channel is closed ends within this time, seconds.
 _END_S = 5.0
 
@@ -220,6 +222,10 @@ def _class_regions(path: Path, width: int, height: int) -> NDArray[np.uint16] | 
     classes = cv2.resize(
         decode_labels(content, str(labels_path)), (width, height), interpolation=cv2.INTER_NEAREST
     )
+    if classes.max(initial=0) > _CLASS_MOST:
+        raise FrameFormatError(
+            f"{labels_path}: expected classes from 0 to {_CLASS_MOST}, got {classes.max()}"
+        )
     regions = np.zeros((height, width), np.uint16)
     count = 0
     for value in np.unique(classes[classes > 0]):

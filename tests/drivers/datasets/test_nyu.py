@@ -91,6 +91,17 @@ def test_single_frames_split_a_class_into_its_connected_parts(tmp_path: Path) ->
     assert frame.depth_mm[5, 5] == 1500
 
 
+def test_a_class_that_is_none_of_the_13_costs_its_frame(tmp_path: Path) -> None:
+    record = {"rgb": np.full((24, 32, 3), 0.5), "realDepth": np.full((24, 32), 1.5)}
+    scipy.io.savemat(tmp_path / "nyu_v2_12.mat", {"data": record})
+    classes = np.arange(24 * 32, dtype=np.uint16).reshape(24, 32)
+    cv2.imwrite(str(tmp_path / "new_nyu_class13_0012.png"), classes)
+    with pytest.raises(
+        RecordingFormatError, match=r"class13_0012\.png: expected classes from 0 to 13, got 767"
+    ):
+        open_source(tmp_path)
+
+
 @pytest.mark.parametrize("name", ["labels", "instances", "images"])
 def test_a_labelled_set_of_disagreeing_shapes_is_refused_by_name(tmp_path: Path, name: str) -> None:
     path = labelled_set(tmp_path / "set.mat")
