@@ -11,6 +11,7 @@ from nurbseg.app.view.drawing.frame import SurfaceMesh
 from nurbseg.app.view.drawing.surface_mesh import surface_mesh
 from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.labels.lookup import apply_lookup_table
+from nurbseg.segmentation.labels.segment_pixels import by_label
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Segment, SegmentationTree
 from nurbseg.segmentation.surfaces.surface import normals
@@ -100,14 +101,12 @@ def measure_objects(
     """
     leaf_image = tree.labels("surfaces")
     labels = apply_lookup_table(object_of_leaf, leaf_image).ravel()
-    order = np.argsort(labels, kind="stable")
-    counts = np.bincount(labels, minlength=int(object_of_leaf.max()) + 1)
-    ends = np.cumsum(counts)
+    order, bounds = by_label(labels, int(object_of_leaf.max()) + 1)
     points, colors = cloud.points_m.reshape(-1, 3), cloud.color.reshape(-1, 3)
     leaves = tree.leaves()
     measured = []
-    for label in (int(each) for each in np.flatnonzero(counts) if each):
-        pixels = order[ends[label] - counts[label] : ends[label]]
+    for label in (np.flatnonzero(np.diff(bounds)[1:]) + 1).tolist():
+        pixels = order[bounds[label] : bounds[label + 1]]
         own = [leaf for leaf, of in zip(leaves, object_of_leaf[1:], strict=True) if of == label]
         residuals = [leaf.fit.residuals_m for leaf in own if leaf.fit.surface is not None]
         residuals_m = np.concatenate([np.zeros(0), *residuals])

@@ -91,7 +91,7 @@ def border_statistics(
     """
     unit = labels.shape[1] / REFERENCE_WIDTH
     crossings = np.empty((5, 2 * labels.size), dtype=np.int32)
-    count = _find_crossings(np.ascontiguousarray(labels), max(1, round(_REACH_PX * unit)), crossings)
+    count = _find_crossings(labels, max(1, round(_REACH_PX * unit)), crossings)
     if count == 0:
         return BorderStatistics(np.zeros((0, 2), dtype=np.int64), *np.zeros((5, 0)))
     # Both surfaces are evaluated inside of the border: first the one before it, then the one after.

@@ -10,7 +10,7 @@ import numpy as np
 from nurbseg.drivers.compiled import F32, F64, I64, Bool, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
-from nurbseg.segmentation.extended.parts import Part, fit_segment, fit_together, judge_split
+from nurbseg.segmentation.extended.parts import Part, fit_segment, judge_split
 from nurbseg.segmentation.growth import stop_without_cut
 from nurbseg.segmentation.points.grid import united
 from nurbseg.segmentation.segments import Node, Trial, depth_first
@@ -151,7 +151,7 @@ def _add_borders(
 
 def _judged(parts: list[Node], features: GridFeatures, config: SegmentationConfig) -> tuple[Part, Trial]:
     """Fit one surface to leaves, and judge a split of it into them."""
-    whole = fit_together(features, [part.grid_pixels for part in parts], config)
+    whole = fit_segment(features, united([part.grid_pixels for part in parts]), config)
     weighed = [(part.value(config), part.grid_pixels.size) for part in parts]
     return whole, judge_split(whole.weighed(config), weighed, config)
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, compiled
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.cut.features import Normalization, lab, normalization, raw_vectors
+from nurbseg.segmentation.cut.features import lab, raw_vectors
 from nurbseg.segmentation.labels.regions import PixelAdjacency, pixel_adjacency
 from nurbseg.segmentation.points.depth_grid import DepthGrid, depth_grid
 from nurbseg.segmentation.points.grid import grid_step
@@ -75,40 +75,12 @@ def _normals(
     """Return the normals of a window of the grid."""
     column, row = grid.rays.center
     return facet_normals(
-        np.ascontiguousarray(grid.inverse_depth[top:bottom, left:right]),
-        np.ascontiguousarray(grid.valid[top:bottom, left:right]),
+        grid.inverse_depth[top:bottom, left:right],
+        grid.valid[top:bottom, left:right],
         replace(grid.rays, center=(column - left * grid.step, row - top * grid.step)),
         step=grid.step,
         window=2 * _half_window(grid, config) + 1,
         noise_per_m=config.extended.inverse_depth_noise,
-    )
-
-
-def segment_normalization(
-    raw: NDArray[np.float32], grid_pixels: NDArray[np.intp], config: SegmentationConfig
-) -> Normalization:
-    """Compute the normalization of a segment's vectors, with the weights that are set.
-
-    Parameters
-    ----------
-    raw : (N, 9) float32
-        As `GridFeatures.raw`.
-    grid_pixels : (M,) intp
-        Of the segment.
-    config : SegmentationConfig
-        The weights.
-
-    Returns
-    -------
-    Normalization
-        Of the vectors at these grid pixels.
-    """
-    return normalization(
-        raw,
-        config.geometry_weight,
-        color_weight=config.extended.color_weight,
-        normal_weight=config.extended.normal_weight,
-        rows=grid_pixels,
     )
 
 
@@ -129,9 +101,9 @@ def with_features_at(
     grid, half = features.grid, _half_window(features.grid, config)
     raw = np.zeros((grid.valid.size, 9), dtype=np.float32)
     raw[grid_pixels, :6] = raw_vectors(cloud, grid.points.pixels(grid_pixels))
-    rows, columns, (top, left, bottom, right) = grid.points.locate(grid_pixels)
+    (top, left, bottom, right), mask = grid.points.window_mask(grid_pixels)
     # Windows for normals extend beyond the segment.
-    top, left = max(0, top - 2 * half), max(0, left - 2 * half)
-    normals = _normals(grid, top, left, bottom + 2 * half, right + 2 * half, config)
-    raw[grid_pixels, 6:] = normals[rows - top, columns - left]
+    above, before = max(0, top - 2 * half), max(0, left - 2 * half)
+    normals = _normals(grid, above, before, bottom + 2 * half, right + 2 * half, config)
+    raw[grid_pixels, 6:] = normals[top - above : bottom - above, left - before : right - before][mask]
     return replace(features, raw=raw)

@@ -53,20 +53,13 @@ def fit_segment(features: GridFeatures, grid_pixels: NDArray[np.intp], config: S
             grid_pixels, Fit(None, np.zeros(0), {}, "0 points, 1 needed", grid_pixels), StopReason.NO_POINTS
         )
     window, mask = features.grid.points.window_mask(grid_pixels)
-    floor = noise_floor(features.grid, window, mask, config) if config.extended.noise_floor > 0 else 0.0
+    floor = noise_floor(features.grid, window, mask, config)
     fit = fit_window(features.grid, window, mask, config, floor=floor)
     if fit.surface is None:
         return Part(grid_pixels, fit, None)
     if config.metric in CURVATURE_METRICS:
         fit = replace(fit, values=all_metrics(fit, features.grid.points.image_shape[1], config))
     return Part(grid_pixels, fit, StopReason.NOISE if at_noise_floor(fit, config) else None)
-
-
-def fit_together(
-    features: GridFeatures, grid_pixels: Sequence[NDArray[np.intp]], config: SegmentationConfig
-) -> Part:
-    """Fit one surface to several parts, as `fit_segment` to one."""
-    return fit_segment(features, united(grid_pixels), config)
 
 
 def at_noise_floor(fit: Fit, config: SegmentationConfig) -> bool:

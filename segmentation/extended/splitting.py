@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import Bool, Intp, compiled
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.cut.features import Normalization, normalized
+from nurbseg.segmentation.cut.features import Normalization, normalization, normalized
 from nurbseg.segmentation.cut.ncut import Cut, normalized_cuts
 from nurbseg.segmentation.extended.borders import refine_borders
 from nurbseg.segmentation.extended.folding import fold_leaves
-from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features, segment_normalization
+from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
 from nurbseg.segmentation.extended.merge import merge_surfaces
 from nurbseg.segmentation.extended.parts import Part, chain_components, children_of, fit_segment, judge_split
 from nurbseg.segmentation.extended.protrusions import split_off_protrusions
@@ -151,7 +151,13 @@ def best_split(
     """
     points = features.grid.points
     drawn = points.every_second(node.grid_pixels) if node.grid_pixels.size >= thin_from else node.grid_pixels
-    scale = segment_normalization(features.raw, drawn, config)
+    scale = normalization(
+        features.raw,
+        config.geometry_weight,
+        color_weight=config.extended.color_weight,
+        normal_weight=config.extended.normal_weight,
+        rows=drawn,
+    )
     rng = np.random.default_rng(_entropy(config.seed, node.name))
     node.stop, node.trial = StopReason.NO_CUT, None
     count, least_per_m = config.extended.cuts, _DEVIATIONS * config.extended.inverse_depth_noise

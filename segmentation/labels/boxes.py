@@ -23,7 +23,7 @@ def bounding_boxes(labels: NDArray[np.uint16], count: int) -> list[Window]:
         By label; (H, W, 0, 0) for one without pixels.
     """
     boxes = np.empty((count, 4), dtype=np.int64)
-    _find_boxes(np.ascontiguousarray(labels), boxes)
+    _find_boxes(labels, boxes)
     return [(top, left, bottom, right) for top, left, bottom, right in boxes.tolist()]
 
 
@@ -60,7 +60,7 @@ def label_sizes(labels: NDArray[np.int32], count: int) -> NDArray[np.int64]:
         By label.
     """
     sizes = np.zeros(count, dtype=np.int64)
-    _count(np.ascontiguousarray(labels).reshape(-1), sizes)
+    _count(labels.reshape(-1), sizes)
     return sizes
 
 

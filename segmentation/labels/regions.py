@@ -77,13 +77,7 @@ def pixel_adjacency(
         Between points only.
     """
     adjacency = PixelAdjacency(np.empty(valid.shape, dtype=np.bool_), np.empty(valid.shape, dtype=np.bool_))
-    _connect_neighbors(
-        np.ascontiguousarray(inverse_depth),
-        np.ascontiguousarray(valid),
-        np.float32(gap_per_m),
-        adjacency.right,
-        adjacency.down,
-    )
+    _connect_neighbors(inverse_depth, valid, np.float32(gap_per_m), adjacency.right, adjacency.down)
     return adjacency
 
 

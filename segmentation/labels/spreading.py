@@ -61,7 +61,7 @@ def spread_in_place(
         As for `spread_labels`.
     """
     labels.reshape(-1)[grid_pixels] = _OPEN
-    islands = _spread(labels, np.ascontiguousarray(inverse_depth), grid_pixels, np.float32(gap_per_m))
+    islands = _spread(labels, inverse_depth, grid_pixels, np.float32(gap_per_m))
     if islands:
         _take_nearest(labels, grid_pixels[:islands])
 

@@ -119,10 +119,10 @@ def upsample_by_depth(
     labels = np.empty(valid.shape, dtype=np.int32)
     open_pixels = np.empty(valid.shape, dtype=np.bool_)
     _take_over(
-        np.ascontiguousarray(on_grid),
-        np.ascontiguousarray(grid_inverse_depth),
-        np.ascontiguousarray(inverse_depth),
-        np.ascontiguousarray(valid),
+        on_grid,
+        grid_inverse_depth,
+        inverse_depth,
+        valid,
         config.decimation,
         np.float32(config.extended.inverse_depth_gap),
         labels,

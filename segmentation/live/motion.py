@@ -57,7 +57,7 @@ def warped(image: NDArray[np.uint16], flow: NDArray[np.float32]) -> NDArray[np.u
         The nearest value at each pixel's position; 0 for what comes into view.
     """
     found = np.empty_like(image)
-    _warp(np.ascontiguousarray(image), np.ascontiguousarray(flow), found)
+    _warp(image, flow, found)
     return found
 
 

@@ -15,13 +15,13 @@ from nurbseg.segmentation.extended.parts import (
     at_noise_floor,
     children_of,
     fit_segment,
-    fit_together,
     judge_split,
 )
 from nurbseg.segmentation.extended.splitting import best_split
 from nurbseg.segmentation.live.editor import TreeEditor, TreeUpdate
 from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf, Misfit, number_pair
 from nurbseg.segmentation.live.renewal import TRIAL_FRAMES
+from nurbseg.segmentation.points.grid import united
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, Trial, depth_first
 from nurbseg.segmentation.vocabulary import Division, StopReason
@@ -275,7 +275,7 @@ class _Update:
     ) -> tuple[Part, Trial]:
         """Compare one surface with nodes as they are and, if these are not better, with new fits."""
         config = self.config
-        whole = fit_together(self.features, grid_pixels, config)
+        whole = fit_segment(self.features, united(grid_pixels), config)
         if nodes:
             as_they_are = [
                 (node.value(config), own.size) for node, own in zip(nodes, grid_pixels, strict=True)

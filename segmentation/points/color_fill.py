@@ -73,40 +73,26 @@ def _fill_along_lines(color: U8, sources: Bool, wanted: Intp, depth_m: F32, tole
     height, width = sources.shape
     # The nearest source in each direction, a flat index or -1, found by sweeping down and up.
     nearest = np.full((4, wanted.size), -1, dtype=np.intp)
-    column_source = np.full(width, -1, dtype=np.intp)
-    n = 0
-    for row in range(height):
-        row_source = -1
-        begin = row * width
-        if n == wanted.size:
-            break
-        if wanted[n] >= begin + width:
-            for column in range(width):
-                column_source[column] = begin + column if sources[row, column] else column_source[column]
-            continue
-        for column in range(width):
-            if sources[row, column]:
-                row_source = column_source[column] = begin + column
-            if n < wanted.size and wanted[n] == begin + column:
-                nearest[0, n], nearest[2, n] = row_source, column_source[column]
-                n += 1
-    column_source[:] = -1
-    n = wanted.size - 1
-    for row in range(height - 1, -1, -1):
-        row_source = -1
-        begin = row * width
-        if n < 0:
-            break
-        if wanted[n] < begin:
-            for column in range(width):
-                column_source[column] = begin + column if sources[row, column] else column_source[column]
-            continue
-        for column in range(width - 1, -1, -1):
-            if sources[row, column]:
-                row_source = column_source[column] = begin + column
-            if n >= 0 and wanted[n] == begin + column:
-                nearest[1, n], nearest[3, n] = row_source, column_source[column]
-                n -= 1
+    column_source = np.empty(width, dtype=np.intp)
+    for step in (1, -1):
+        column_source[:] = -1
+        n, along = (0, 0) if step > 0 else (wanted.size - 1, 1)
+        for k in range(height):
+            if not 0 <= n < wanted.size:
+                break
+            row, row_source = k if step > 0 else height - 1 - k, -1
+            begin = row * width
+            if not begin <= wanted[n] < begin + width:
+                for column in range(width):
+                    column_source[column] = begin + column if sources[row, column] else column_source[column]
+                continue
+            for m in range(width):
+                column = m if step > 0 else width - 1 - m
+                if sources[row, column]:
+                    row_source = column_source[column] = begin + column
+                if 0 <= n < wanted.size and wanted[n] == begin + column:
+                    nearest[along, n], nearest[2 + along, n] = row_source, column_source[column]
+                    n += step
     flat_color, source = color.reshape(-1, 3), sources.reshape(-1)
     left = np.empty(wanted.size, dtype=np.intp)
     count = 0

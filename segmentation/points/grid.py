@@ -48,17 +48,8 @@ class PixelGrid:
         """Grid pixels for each pixel of a 640x480 image, the unit of the paper's thresholds."""
         return self.image_shape[0] * self.image_shape[1] / REFERENCE_PIXELS / self.step**2
 
-    def locate(self, grid_pixels: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], Window]:
-        """Return rows, columns and the tight window (one past the last) of ascending flat grid pixels."""
-        rows, columns = np.divmod(grid_pixels, self.shape[1])
-        return (
-            rows,
-            columns,
-            (int(rows[0]), int(columns.min()), int(rows[-1]) + 1, int(columns.max()) + 1),
-        )
-
     def window_mask(self, grid_pixels: NDArray[np.intp]) -> tuple[Window, NDArray[np.bool_]]:
-        """Return the tight window of flat grid pixels and which of its pixels they are."""
+        """Return the tight window of flat grid pixels, and which of its pixels they are."""
         *window, mask = _window_mask(grid_pixels, self.shape[1])
         top, left, bottom, right = window
         return (top, left, bottom, right), mask

@@ -1,5 +1,6 @@
 """Registration of a depth image and its color image to a map of colored points."""
 
+import pickle
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TypeAlias
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, I32, U8, U16, Bool, compiled, inlined
-from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.segmentation.points.color_fill import fill_colors
 from nurbseg.segmentation.points.rays import Rays, rays_through
 
@@ -100,33 +101,8 @@ def register(frame: RGBDFrame) -> PointMap:
     PointMap
         On the depth image's grid, in the depth camera's frame.
     """
-    prepared = _prepared(_Key(frame.calibration))
-    return prepared.register(frame)
-
-
-class _Key:
-    """A calibration compared by value, so that sources may make a new one for every frame."""
-
-    __slots__ = ("_values", "calibration")
-
-    def __init__(self, calibration: Calibration) -> None:
-        self.calibration = calibration
-        self._values = (
-            *_values(calibration.depth),
-            *_values(calibration.color),
-            calibration.color_from_depth.tobytes(),
-        )
-
-    def __hash__(self) -> int:
-        return hash(self._values)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Key) and self._values == other._values
-
-
-def _values(camera: Intrinsics) -> tuple[float | bytes, ...]:
-    size = (camera.width, camera.height)
-    return (*size, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion.tobytes())
+    # By value, as sources may make a new calibration for every frame.
+    return _prepared(pickle.dumps(frame.calibration)).register(frame)
 
 
 class _Registration:
@@ -178,8 +154,8 @@ class _Registration:
 
 
 @lru_cache(maxsize=4)
-def _prepared(key: _Key) -> _Registration:
-    return _Registration(key.calibration)
+def _prepared(calibration: bytes) -> _Registration:
+    return _Registration(pickle.loads(calibration))
 
 
 def _numbers(values: NDArray[np.float64]) -> Numbers:

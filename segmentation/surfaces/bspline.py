@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F64, compiled, inlined
+from nurbseg.drivers.compiled import F64, Intp, compiled, inlined
 
 #: The paper's surfaces are cubic in both directions.
 CUBIC = 3
@@ -120,43 +120,17 @@ def _even_basis(
     position = (parameters - first) * (1.0 / spacing)
     span = np.minimum(np.maximum(np.floor(position), CUBIC), count - 1).astype(np.intp)
     values = np.zeros((parameters.size, count))
-    at = np.arange(parameters.size) * count + (span - CUBIC)
-    flat = values.reshape(-1)
-    functions = even_functions(position - span, spacing, derivative)
-    for step in range(CUBIC + 1):
-        flat[at + step] = functions[:, step]
-    return values
-
-
-def even_functions(t: NDArray[np.float64], spacing: float, derivative: int = 0) -> NDArray[np.float64]:
-    """Evaluate the four cubic functions on a span of evenly spaced knots.
-
-    Parameters
-    ----------
-    t : (M,) float64
-        Positions on the span, in units of the spacing from its beginning.
-    spacing : float
-        Distance of the knots.
-    derivative : int
-        0 for the functions, 1 for their slopes.
-
-    Returns
-    -------
-    (M, 4) float64
-        In the order in which the functions begin.
-    """
-    values = np.empty((t.size, CUBIC + 1))
-    _fill_even(t, 1.0 / spacing, derivative, values)
+    _fill_even(position - span, span - CUBIC, 1.0 / spacing, derivative, values)
     return values
 
 
 @compiled
-def _fill_even(t: F64, per_spacing: float, derivative: int, values: F64) -> None:
-    """Evaluate the functions, or their slopes, at every position."""
+def _fill_even(t: F64, starts: Intp, per_spacing: float, derivative: int, values: F64) -> None:
+    """Evaluate the four functions from `starts` on, or their slopes, at every position on a span."""
     for n in range(t.size):
         four = even_values(t[n]) if derivative == 0 else even_slopes(t[n], per_spacing)
         for k in range(4):
-            values[n, k] = four[k]
+            values[n, starts[n] + k] = four[k]
 
 
 @inlined

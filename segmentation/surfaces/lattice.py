@@ -75,7 +75,7 @@ class SurfaceLattice:
     def image(self, labels: NDArray[np.int32]) -> NDArray[np.float32]:
         """Return the inverse depth of each pixel's own surface, (h, w) float32; inf where there is none."""
         found = np.empty(labels.shape, dtype=np.float32)
-        _take(self.samples, np.ascontiguousarray(labels), found)
+        _take(self.samples, labels, found)
         return found
 
     def slopes_at(
@@ -83,13 +83,7 @@ class SurfaceLattice:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Do what `SurfaceTable.slopes` does, interpolating linearly; NaN where a surface does not reach."""
         found = np.empty((3, labels.size))
-        _interpolate(
-            self.samples,
-            np.ascontiguousarray(labels, dtype=np.int32),
-            np.asarray(v / self.step, dtype=np.float64),
-            np.asarray(u / self.step, dtype=np.float64),
-            found,
-        )
+        _interpolate(self.samples, labels, v / self.step, u / self.step, found)
         found[1:] /= self.step
         return found[0], found[1], found[2]
 

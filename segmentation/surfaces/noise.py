@@ -69,8 +69,6 @@ def noise_floors(
     (size,) float64
         As of `noise_floor`, by label; 0 where a label has no grid pixel.
     """
-    if config.extended.noise_floor == 0:
-        return np.zeros(size)
     return np.array(_floors(grid, (0, 0), labels, size, config))
 
 
@@ -83,6 +81,8 @@ def _floors(
 ) -> list[float]:
     """Return the floor of each label of a window that begins at a row and a column; 0 is no label."""
     deviation_per_m = config.extended.noise_floor * config.extended.inverse_depth_noise
+    if deviation_per_m == 0:
+        return [0.0] * size
     if config.metric in CURVATURE_METRICS:
         counts = np.bincount(labels.ravel(), minlength=size)
         return [_curvature_floor(deviation_per_m, int(n), grid, config) for n in counts]

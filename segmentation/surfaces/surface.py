@@ -102,7 +102,7 @@ def evaluate(
             Bv = basis_matrix(surface.knots_v, surface.degree[1], v[part], m)
             return np.asarray(np.einsum("cnk,nk->cn", Bv @ net, Bu))
 
-        points[part] = _derivatives(surface, at)(du, dv).T
+        points[part] = _derivative(surface, at, du, dv).T
     return points
 
 
@@ -123,7 +123,7 @@ def evaluate_lattice(
         Bv = basis_matrix(surface.knots_v, surface.degree[1], v, m)
         return np.asarray(Bv @ net @ Bu.T)
 
-    return np.moveaxis(_derivatives(surface, at)(du, dv), 0, -1)
+    return np.moveaxis(_derivative(surface, at, du, dv), 0, -1)
 
 
 def normals(surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -147,15 +147,17 @@ def normals(surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64
     return unit
 
 
-def _derivatives(surface: NurbsSurface, at: _At) -> Callable[[int, int], NDArray[np.float64]]:
-    """Return a function that evaluates eq. 4, or its partial derivative of an order: (3, ...) coordinates.
+def _derivative(surface: NurbsSurface, at: _At, du: int, dv: int) -> NDArray[np.float64]:
+    """Evaluate eq. 4, or its partial derivative of an order: (3, ...) coordinates.
 
     `at` gives the coordinates of a net of control values, or their derivatives, at the parameters.
     """
+    if du < 0 or dv < 0 or du + dv > 2:
+        raise ValueError(f"du, dv: expected orders of 0 to 2 together, got {du} and {dv}")
     weights = surface.weights
-    # Equal weights cancel: the surface is a polynomial spline.
-    polynomial = bool((weights == weights[0, 0]).all())
-    points = np.moveaxis(surface.control_points_m, -1, 0)
+    if (weights == weights[0, 0]).all():
+        # Equal weights cancel: the surface is a polynomial spline.
+        return at(np.moveaxis(surface.control_points_m, -1, 0), du, dv)
     weighted = surface.control_points_m * weights[..., np.newaxis]
     net = np.concatenate([np.moveaxis(weighted, -1, 0), weights[np.newaxis]])
 
@@ -171,9 +173,4 @@ def _derivatives(surface: NurbsSurface, at: _At) -> Callable[[int, int], NDArray
             total = total - comb(k, i) * comb(m, j) * homogeneous(i, j)[3] * derivative(k - i, m - j)
         return np.asarray(total / homogeneous(0, 0)[3])
 
-    def checked(du: int, dv: int) -> NDArray[np.float64]:
-        if du < 0 or dv < 0 or du + dv > 2:
-            raise ValueError(f"du, dv: expected orders of 0 to 2 together, got {du} and {dv}")
-        return at(points, du, dv) if polynomial else derivative(du, dv)
-
-    return checked
+    return derivative(du, dv)

@@ -16,7 +16,7 @@ def fitted(cloud, truth):
     grid = depth_grid(cloud, 1)
     surfaces = []
     for label in range(1, truth.max() + 1):
-        top, left, bottom, right = window = grid.points.locate(np.flatnonzero(truth == label))[2]
+        top, left, bottom, right = window = grid.points.window_mask(np.flatnonzero(truth == label))[0]
         mask = (truth == label)[top:bottom, left:right]
         surfaces.append(fit_window(grid, window, mask, CONFIG).surface)
     return surfaces

@@ -25,7 +25,7 @@ def fitted(cloud, labels, step=1):
     surfaces = []
     for label in range(1, labels.max() + 1):
         places = np.flatnonzero((on_grid == label) & grid.valid)
-        top, left, bottom, right = window = grid.points.locate(places)[2]
+        top, left, bottom, right = window = grid.points.window_mask(places)[0]
         mask = (on_grid == label)[top:bottom, left:right]
         surfaces.append(fit_window(grid, window, mask, CONFIG).surface)
     return grid, surfaces

@@ -32,7 +32,7 @@ def parted_at(grid, row):
 def fits_of(grid, labels):
     fits = []
     for label in range(1, labels.max() + 1):
-        top, left, bottom, right = window = grid.points.locate(np.flatnonzero(labels == label))[2]
+        top, left, bottom, right = window = grid.points.window_mask(np.flatnonzero(labels == label))[0]
         fits.append(fit_window(grid, window, (labels == label)[top:bottom, left:right], CONFIG))
     return fits
 

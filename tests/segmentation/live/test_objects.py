@@ -27,7 +27,7 @@ def box(cloud_of, box_on_table):
     surfaces = []
     for label in range(1, 5):
         places = np.flatnonzero(on_grid == label)
-        top, left, bottom, right = window = grid.points.locate(places)[2]
+        top, left, bottom, right = window = grid.points.window_mask(places)[0]
         mask = (on_grid == label)[top:bottom, left:right]
         surfaces.append(fit_window(grid, window, mask, CONFIG).surface)
     nothing = np.zeros(0, dtype=np.intp)
