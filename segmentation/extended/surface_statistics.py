@@ -63,8 +63,7 @@ def surface_statistics(labels: NDArray[np.int32], count: int, grid: DepthGrid) -
     x, y = grid.rays.at(
         u * across_px + (width - 1) / 2 * grid.step, v * across_px + (height - 1) / 2 * grid.step
     )
-    # Infinite where unknown.
-    focal_u, focal_v = (each if np.isfinite(each) else 0.0 for each in grid.rays.focal_px)
+    focal_u, focal_v = grid.rays.focal_px
     along_u, along_v = slopes_u * focal_u / across_px, slopes_v * focal_v / across_px
     normal = -np.stack([along_u, along_v, d - along_u * x - along_v * y])
     normal /= np.maximum(np.sqrt(np.square(normal).sum(axis=0)), 1e-12)

@@ -5,13 +5,13 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import combinations, product
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import lab
 from nurbseg.segmentation.extended.merge import Contact, SceneObject
+from nurbseg.segmentation.labels.regions import inner_pixels
 from nurbseg.segmentation.points.depth_grid import DepthGrid
 
 #: An object is compared by its largest surface, if that is at least this share of it.
@@ -175,8 +175,7 @@ def _sampled(
 ) -> dict[int, _Sampled]:
     """Sample the largest surface of each object, by the object's number, if it is large enough."""
     # Pixels at a border may be mixed with what lies behind.
-    own, around = labels.astype(np.uint16), np.ones((3, 3), dtype=np.uint8)
-    inner = np.where(cv2.erode(own, around) == cv2.dilate(own, around), own, 0)
+    inner = np.where(inner_pixels(labels), labels, 0)
     height, width = labels.shape
     found = {}
     for number, each in enumerate(members):

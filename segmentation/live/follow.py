@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from nurbseg.drivers.compiled import F32, F64, I32, Bool, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
-from nurbseg.segmentation.labels.regions import connected_components
+from nurbseg.segmentation.labels.regions import connected_components, inner_pixels
 from nurbseg.segmentation.labels.spreading import spread_labels
 from nurbseg.segmentation.surfaces.inverse_depth import LEAST_PER_M
 from nurbseg.segmentation.surfaces.lattice import Samples, SurfaceLattice
@@ -164,29 +164,6 @@ def new_components(
     numbers = np.where(is_new, cleaned - np.int32(count), 0)
     cleaned[is_new] = 0
     return cleaned, numbers
-
-
-def inner_pixels(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Find labelled grid pixels whose eight neighbours have the same label, (h, w) bool."""
-    inner = np.empty(labels.shape, dtype=np.bool_)
-    _find_inner(labels, inner)
-    return inner
-
-
-@compiled
-def _find_inner(labels: I32, inner: Bool) -> None:
-    """Mark grid pixels in columns of three equal labels, between two such columns of the same label."""
-    height, width = labels.shape
-    column = np.empty(width, dtype=np.bool_)
-    for r in range(height):
-        above, below = max(r - 1, 0), min(r + 1, height - 1)
-        for c in range(width):
-            column[c] = (labels[above, c] == labels[r, c]) & (labels[below, c] == labels[r, c])
-            inner[r, c] = column[c] & (labels[r, c] > 0)
-        for c in range(1, width):
-            inner[r, c] &= column[c - 1] & (labels[r, c - 1] == labels[r, c])
-        for c in range(width - 1):
-            inner[r, c] &= column[c + 1] & (labels[r, c + 1] == labels[r, c])
 
 
 @compiled

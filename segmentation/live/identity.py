@@ -87,8 +87,7 @@ class Identities:
             The frame's labels; 0 stays 0.
         """
         table = np.zeros(max(self.of_label, default=0) + 1, dtype=np.uint16)
-        for label, identity in self.of_label.items():
-            table[label] = identity
+        table[[*self.of_label]] = [*self.of_label.values()]
         return apply_lookup_table(table, labels)
 
 

@@ -92,11 +92,9 @@ class ObjectMemory:
         objects, contacts = merged_objects(_weighed(found, borders), on_grid, names, config)
         for border, contact in zip(borders, contacts, strict=True):
             border.merged = contact.merged
-        forgotten = [
-            pair for pair, border in self._borders.items() if self._frame - border.seen > _REMEMBERED
-        ]
-        for pair in forgotten:
-            del self._borders[pair]
+        self._borders = {
+            pair: each for pair, each in self._borders.items() if self._frame - each.seen <= _REMEMBERED
+        }
         return objects, contacts
 
     def joined(

@@ -23,8 +23,8 @@ from nurbseg.segmentation.live.motion import brightness, flow_back, warped
 from nurbseg.segmentation.live.objects import ObjectMemory
 from nurbseg.segmentation.live.renewal import renew_splits, set_stop_reasons
 from nurbseg.segmentation.live.updater import Budget, TreeUpdater
-from nurbseg.segmentation.points.depth_grid import DepthGrid, inverse_depth_image
-from nurbseg.segmentation.points.grid import decimated_grid, grid_step
+from nurbseg.segmentation.points.depth_grid import depth_grid, inverse_depth_image
+from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, history
 from nurbseg.segmentation.surfaces.fit import Fit
@@ -185,8 +185,7 @@ class LiveTree:
         """Continue the tree in a frame; None if the frame is not explained."""
         step = config.decimation
         inverse_depth = inverse_depth_image(cloud)
-        on_every = np.ascontiguousarray(inverse_depth[::step, ::step])
-        grid = DepthGrid(decimated_grid(cloud, step), on_every, cloud.rays)
+        grid = depth_grid(cloud, step)
         gray = brightness(cloud.color, step)
         before = warped(self._labels, flow_back(gray, self._gray))
         on_grid = np.where(grid.valid, before[::step, ::step], 0).astype(np.int32)

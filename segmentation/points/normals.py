@@ -244,8 +244,7 @@ def facet_normals(
     slope_u, slope_v, smoothed = facet_slopes(inverse_depth, valid, window=window, noise_per_m=noise_per_m)
     columns = np.arange(width, dtype=np.float64) * step
     rows = np.arange(height, dtype=np.float64) * step
-    # Focal lengths are infinite along a side of one pixel.
-    fx, fy = (focal if np.isfinite(focal) else 0.0 for focal in rays.focal_px)
+    fx, fy = rays.focal_px
     ray_x, ray_y = rays.lattice(columns, rows)
     return plane_normals(smoothed, slope_u, slope_v, ray_x, ray_y, (fx / step, fy / step))
 

@@ -49,9 +49,9 @@ class Rays:
 
     @property
     def focal_px(self) -> tuple[float, float]:
-        """Focal lengths along u and v at the center, pixels; infinite where unknown."""
+        """Focal lengths along u and v at the center, pixels; 0 where unknown, along a side of one pixel."""
         slopes = self.coefficients[0, 1, 0], self.coefficients[1, 0, 1]
-        fx, fy = (self.scale / slope if slope else np.inf for slope in slopes)
+        fx, fy = (self.scale / slope if slope else 0.0 for slope in slopes)
         return float(fx), float(fy)
 
     def lattice(
