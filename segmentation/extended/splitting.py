@@ -71,7 +71,7 @@ def segment_nurbseg(
     if config.extended.refine_borders:
         on_grid, surfaces, rms_per_m = refit_surfaces(on_grid, fits, features.grid, config)
     inverse_depth = inverse_depth_image(cloud)
-    labels = upsample_by_depth(on_grid, features.grid.inverse_depth, inverse_depth, cloud.valid, config)
+    labels = upsample_by_depth(on_grid, inverse_depth, cloud.valid, config)
     if config.extended.refine_borders:
         labels = refine_borders(labels, inverse_depth, surfaces, config, rms_per_m=rms_per_m)
 

@@ -92,7 +92,6 @@ def _decide(
 
 def upsample_by_depth(
     on_grid: NDArray[np.int32],
-    grid_inverse_depth: NDArray[np.float32],
     inverse_depth: NDArray[np.float32],
     valid: NDArray[np.bool_],
     config: SegmentationConfig,
@@ -103,8 +102,6 @@ def upsample_by_depth(
     ----------
     on_grid : (h, w) int32
         Labels on the grid, 0 for none.
-    grid_inverse_depth : (h, w) float32
-        Inverse depth on the grid, 1/m.
     inverse_depth, valid : (H, W) float32 and bool
         Inverse depth of every pixel, 1/m, and where there is a point.
     config : SegmentationConfig
@@ -120,7 +117,6 @@ def upsample_by_depth(
     open_pixels = np.empty(valid.shape, dtype=np.bool_)
     _take_over(
         on_grid,
-        grid_inverse_depth,
         inverse_depth,
         valid,
         config.decimation,
@@ -135,7 +131,6 @@ def upsample_by_depth(
 @compiled
 def _take_over(
     on_grid: I32,
-    grid_inverse_depth: F32,
     inverse_depth: F32,
     valid: Bool,
     step: int,
@@ -151,7 +146,7 @@ def _take_over(
         if row % step == 0:
             for column in range(width):
                 row_labels[column] = on_grid[row // step, on_row[column]]
-                row_inverse_depth[column] = grid_inverse_depth[row // step, on_row[column]]
+                row_inverse_depth[column] = inverse_depth[row, on_row[column] * step]
         for column in range(width):
             near = abs(row_inverse_depth[column] - inverse_depth[row, column]) < gap_per_m
             label = row_labels[column] if near & valid[row, column] else np.int32(0)

@@ -136,7 +136,5 @@ def test_every_pixel_with_a_point_gets_the_label_of_its_surface(step):
     valid = rng.random(truth.shape) < 0.9
     inverse_depth[~valid] = 0.0
     on_grid = np.where(valid, truth, 0)[::step, ::step].astype(np.int32)
-    labels = upsample_by_depth(
-        on_grid, inverse_depth[::step, ::step], inverse_depth, valid, SegmentationConfig(decimation=step)
-    )
+    labels = upsample_by_depth(on_grid, inverse_depth, valid, SegmentationConfig(decimation=step))
     assert (labels == np.where(valid, truth, 0)).all()
