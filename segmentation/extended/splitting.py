@@ -127,7 +127,7 @@ def grown_tree(features: GridFeatures, config: SegmentationConfig, time_is_over:
 
 
 def best_split(
-    features: GridFeatures, node: Node, config: SegmentationConfig, *, thin_from: int = _MANY_PIXELS
+    features: GridFeatures, node: Node, config: SegmentationConfig
 ) -> tuple[tuple[list[Part], list[Part]], Cut | None]:
     """Try the cuts of a node in turn; if none is kept, the node gets a stop reason.
 
@@ -139,8 +139,6 @@ def best_split(
         Gets the trial of the split that is kept or else of the best one and, if none is kept, the reason.
     config : SegmentationConfig
         Thresholds and choices.
-    thin_from : int
-        From this many grid pixels on, a segment is cut on every second row and column of the grid.
 
     Returns
     -------
@@ -150,7 +148,9 @@ def best_split(
         None if no split is kept.
     """
     points = features.grid.points
-    drawn = points.every_second(node.grid_pixels) if node.grid_pixels.size >= thin_from else node.grid_pixels
+    drawn = (
+        points.every_second(node.grid_pixels) if node.grid_pixels.size >= _MANY_PIXELS else node.grid_pixels
+    )
     scale = normalization(
         features.raw,
         config.geometry_weight,

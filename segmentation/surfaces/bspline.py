@@ -151,23 +151,21 @@ def even_slopes(t: float, per_spacing: float) -> Four:
 
 
 @inlined
-def knot_span(knots: F64, start: int, count: int, t: float) -> int:
-    """Return the span that holds t, from `start` on; the end spans also hold parameters beyond them."""
-    span = CUBIC
-    while (
-        span < count - 1 and knots[start + span + 1] <= t and knots[start + span + 1] < knots[start + count]
-    ):
+def knot_span(knots: F64, t: float) -> int:
+    """Return the span that holds t; the end spans also hold parameters beyond them."""
+    span, last = CUBIC, knots.size - CUBIC - 2
+    while span < last and knots[span + 1] <= t and knots[span + 1] < knots[last + 1]:
         span += 1
     return span
 
 
 @inlined
-def cubic_functions(knots: F64, span: int, t: float) -> tuple[Four, Four]:
-    """Evaluate the four cubic functions on a span between any knots, and their slopes.
+def cubic_functions(knots: F64, span: int, t: float) -> Four:
+    """Evaluate the four cubic functions on a span between any knots.
 
     References
     ----------
-    .. [1] L. Piegl and W. Tiller, "The NURBS Book", 2nd ed., 1997, algorithm A2.2 and eq. 2.7.
+    .. [1] L. Piegl and W. Tiller, "The NURBS Book", 2nd ed., 1997, algorithm A2.2.
     """
     after_1, after_2, after_3 = knots[span + 1] - t, knots[span + 2] - t, knots[span + 3] - t
     before_1, before_2, before_3 = t - knots[span], t - knots[span - 1], t - knots[span - 2]
@@ -177,8 +175,7 @@ def cubic_functions(knots: F64, span: int, t: float) -> tuple[Four, Four]:
     d = after_1 * b / (after_1 + before_3)
     e = (before_2 * b + after_2 * c) / (after_2 + before_2)
     f = before_1 * c / (after_3 + before_1)
-    values = after_1 * d, before_3 * d + after_2 * e, before_2 * e + after_3 * f, before_1 * f
-    return values, (-CUBIC * d, CUBIC * (d - e), CUBIC * (e - f), CUBIC * f)
+    return after_1 * d, before_3 * d + after_2 * e, before_2 * e + after_3 * f, before_1 * f
 
 
 @lru_cache(maxsize=256)

@@ -157,6 +157,6 @@ def _evaluate(
 @inlined
 def _basis(knots: F64, at: float, values: F64) -> int:
     """Fill in the cubic functions that are not 0 at a parameter; return the number of the first."""
-    span = knot_span(knots, 0, knots.size - CUBIC - 1, at)
-    values[0], values[1], values[2], values[3] = cubic_functions(knots, span, at)[0]
+    span = knot_span(knots, at)
+    values[0], values[1], values[2], values[3] = cubic_functions(knots, span, at)
     return span - CUBIC

@@ -79,7 +79,8 @@ def test_cuts_are_tried_in_turn_until_the_ratio_keeps_one(roof, monkeypatch, cut
     places = np.arange(ROWS.size)
     _, fit, _ = splitting.fit_segment(roof, places, CONFIG)
     node = Node("01", places, fit, stop=StopReason.SPLITS)
-    sides, cut = best_split(roof, node, CONFIG, thin_from=ROWS.size + 1)
+    monkeypatch.setattr(splitting, "_MANY_PIXELS", ROWS.size + 1)
+    sides, cut = best_split(roof, node, CONFIG)
     assert asked == (cuts if stop is not None else cuts[: cuts.index("ridge") + 1])
     if tried is None:
         assert node.trial is None
@@ -178,9 +179,10 @@ def test_places_between_those_that_are_cut_follow_them_where_they_agree(seed):
     assert 0 < len(expected_asked) < places.size
 
 
-def test_a_large_segment_is_cut_at_every_second_place_and_continued(roof):
+def test_a_large_segment_is_cut_at_every_second_place_and_continued(roof, monkeypatch):
     node = Node("", np.arange(ROWS.size), splitting.fit_segment(roof, np.arange(ROWS.size), CONFIG)[1])
-    sides, cut = best_split(roof, node, CONFIG, thin_from=ROWS.size)
+    monkeypatch.setattr(splitting, "_MANY_PIXELS", ROWS.size)
+    sides, cut = best_split(roof, node, CONFIG)
     assert cut is not None
     assert cut.side.size == ROWS.size // 4
     # Whole sides, and the ridge where it is.
@@ -189,4 +191,5 @@ def test_a_large_segment_is_cut_at_every_second_place_and_continued(roof):
         assert max(share, 1 - share) > 0.98
     assert sum(own.size for side in sides for own, _, _ in side) == ROWS.size
     node.stop = None
-    assert best_split(roof, node, CONFIG, thin_from=ROWS.size + 1)[1].side.size == ROWS.size
+    monkeypatch.setattr(splitting, "_MANY_PIXELS", ROWS.size + 1)
+    assert best_split(roof, node, CONFIG)[1].side.size == ROWS.size

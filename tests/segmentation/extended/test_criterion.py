@@ -192,7 +192,8 @@ def test_what_a_later_cut_comes_to_does_not_undo_a_rejection(cloud_of, monkeypat
             yield Cut(side, np.zeros((1, 9), np.float32), np.zeros(1, np.float32), 1.0)
 
     monkeypatch.setattr(splitting, "normalized_cuts", cuts)
-    assert best_split(features, root, CONFIG, thin_from=10**9)[1] is None
+    monkeypatch.setattr(splitting, "_MANY_PIXELS", 10**9)
+    assert best_split(features, root, CONFIG)[1] is None
     assert root.stop is StopReason.CRITERION
     cloud = cloud_of(roof(0.0))
 
