@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import lab
 from nurbseg.segmentation.extended.merge import Contact, SceneObject
-from nurbseg.segmentation.labels.regions import inner_pixels
+from nurbseg.segmentation.labels.boxes import inner_pixels
 from nurbseg.segmentation.points.depth_grid import DepthGrid
 
 #: An object is compared by its largest surface, if that is at least this share of it.

@@ -1,5 +1,6 @@
-"""Bounding boxes and sizes of the labels of an image."""
+"""Bounding boxes, sizes and inner pixels of the labels of an image."""
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -73,3 +74,9 @@ def _count(labels: I32, sizes: I64) -> None:
             sizes[label] += n - begin
             label, begin = labels[n], n
     sizes[label] += labels.size - begin
+
+
+def inner_pixels(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Find labelled grid pixels whose eight neighbours have the same label, (h, w) bool."""
+    image, around = labels.astype(np.uint16), np.ones((3, 3), dtype=np.uint8)
+    return np.asarray((labels > 0) & (cv2.erode(image, around) == cv2.dilate(image, around)))

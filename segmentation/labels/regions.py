@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from itertools import pairwise
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -267,9 +266,3 @@ def large_components(
         return [grid_pixels], labels_of
     order, bounds = by_label(found.numbers.reshape(-1)[at], len(labels_of) + 1)
     return [grid_pixels[order[begin:end]] for begin, end in pairwise(bounds[1:])], labels_of
-
-
-def inner_pixels(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Find labelled grid pixels whose eight neighbours have the same label, (h, w) bool."""
-    image, around = labels.astype(np.uint16), np.ones((3, 3), dtype=np.uint8)
-    return np.asarray((labels > 0) & (cv2.erode(image, around) == cv2.dilate(image, around)))

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from nurbseg.drivers.compiled import F32, F64, I32, Bool, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
-from nurbseg.segmentation.labels.regions import connected_components, inner_pixels
+from nurbseg.segmentation.labels.boxes import inner_pixels
+from nurbseg.segmentation.labels.regions import connected_components
 from nurbseg.segmentation.labels.spreading import spread_labels
 from nurbseg.segmentation.surfaces.inverse_depth import LEAST_PER_M
 from nurbseg.segmentation.surfaces.lattice import Samples, SurfaceLattice
