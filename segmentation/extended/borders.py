@@ -84,9 +84,13 @@ def refine_borders(
         return labels
     deviations = own_deviations(rms_per_m or np.zeros(len(surfaces)), config.extended.inverse_depth_noise)
     refined = _cheapest(labels, inverse_depth, surfaces, deviations, step, sweeps, config)
-    severed = _severed(refined, inverse_depth, config) if spread_severed else np.zeros(0, dtype=np.intp)
-    if severed.size:
-        spread_in_place(refined, severed, inverse_depth, config.extended.inverse_depth_gap)
+    if spread_severed:
+        gap_per_m, unit = config.extended.inverse_depth_gap, labels.size / REFERENCE_PIXELS
+        adjacency = pixel_adjacency(inverse_depth, refined > 0, gap_per_m)
+        least = config.extended.piece_pixels_min * unit
+        severed = connected_components(refined, adjacency, least, keep=len(surfaces)).small
+        if severed.size:
+            spread_in_place(refined, severed, inverse_depth, gap_per_m)
     lost = label_sizes(refined, len(surfaces) + 1) == 0
     if lost[1:].any():
         kept = lost[labels]
@@ -269,16 +273,3 @@ def _near_borders(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
     # Less 1, no label becomes the largest number.
     least = cv2.erode(image - image.dtype.type(1), kernel) + image.dtype.type(1)
     return np.asarray((image > 0) & (largest != least))
-
-
-def _severed(
-    labels: NDArray[np.int32], inverse_depth: NDArray[np.float32], config: SegmentationConfig
-) -> NDArray[np.intp]:
-    """Find the flat pixels of small components, but for the largest of each label."""
-    found = connected_components(
-        labels, pixel_adjacency(inverse_depth, labels > 0, config.extended.inverse_depth_gap)
-    )
-    unit = labels.size / REFERENCE_PIXELS
-    small = ~found.large(config.extended.piece_pixels_min * unit, int(labels.max()))
-    small[0] = False
-    return np.flatnonzero(small.take(found.numbers)) if small.any() else np.zeros(0, dtype=np.intp)

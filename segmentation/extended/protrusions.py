@@ -46,16 +46,15 @@ def split_off_protrusions(root: Node, features: GridFeatures, config: Segmentati
     if any(leaf.stop in UNFINISHED for leaf in leaves):
         return
     labels = _in_front_of_surfaces(leaves, features, config)
-    found = connected_components(labels, features.adjacency)
-    large = np.flatnonzero(found.sizes >= features.grid_pixels_min(config))
-    if not large.size:
+    found = connected_components(labels, features.adjacency, features.grid_pixels_min(config))
+    if found.labels_of.size == 1:
         return
     marked = np.flatnonzero(labels > 0)
     numbers = found.numbers.reshape(-1)[marked]
     side = max(1, round(_SIDE_PX * features.grid.unit_px / features.grid.step))
     square = np.ones((side, side), dtype=np.uint8)
     protrusions: dict[int, list[NDArray[np.intp]]] = {}
-    for number in large.tolist():
+    for number in range(1, found.labels_of.size):
         grid_pixels = marked[numbers == number]
         mask = features.grid.points.window_mask(grid_pixels)[1].astype(np.uint8)
         if cv2.erode(mask, square, borderType=cv2.BORDER_CONSTANT, borderValue=0).any():

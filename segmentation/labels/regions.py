@@ -37,24 +37,13 @@ class Components:
         Number of each grid pixel's component; 0 where the label is 0.
     labels_of : (count + 1,) int32
         Label of each component; 0 for number 0.
-    sizes : (count + 1,) intp
-        Grid pixels of each component; 0 for number 0.
+    small : (N,) intp
+        Flat grid pixels, ascending, of components that were too small; they have no number.
     """
 
     numbers: NDArray[np.int32]
     labels_of: NDArray[np.int32]
-    sizes: NDArray[np.intp]
-
-    def large(self, grid_pixels_min: float, keep: int) -> NDArray[np.bool_]:
-        """Return which components have enough grid pixels or are the largest of a label up to `keep`."""
-        kept = self.sizes >= grid_pixels_min
-        # In ascending order of size, so that the largest component of each label is written last.
-        order = np.argsort(self.sizes, kind="stable")
-        largest = np.zeros(max(keep, int(self.labels_of.max())) + 1, dtype=np.intp)
-        largest[self.labels_of[order]] = order
-        kept[largest[1 : keep + 1]] = True
-        kept[0] = False
-        return kept
+    small: NDArray[np.intp]
 
 
 def pixel_adjacency(
@@ -98,7 +87,9 @@ def _connect_neighbors(
     down[height - 1] = False
 
 
-def connected_components(labels: NDArray[np.int32], adjacency: PixelAdjacency) -> Components:
+def connected_components(
+    labels: NDArray[np.int32], adjacency: PixelAdjacency, grid_pixels_min: float = 0.0, *, keep: int = 0
+) -> Components:
     """Find the components of equal label that are connected through adjacent grid pixels.
 
     Parameters
@@ -107,20 +98,22 @@ def connected_components(labels: NDArray[np.int32], adjacency: PixelAdjacency) -
         0 belongs to no component.
     adjacency : PixelAdjacency
         Of the same grid.
+    grid_pixels_min : float
+        Smaller components get no number.
+    keep : int
+        Of labels up to this one, the largest component gets a number, however small.
 
     Returns
     -------
     Components
-        All of them, however small.
+        Those that are large enough.
     """
-    return _connected(_runs_in(labels, adjacency.right), adjacency.down, 0.0)[0]
+    return _connected(_runs_in(labels, adjacency.right), adjacency.down, grid_pixels_min, keep)
 
 
-def _connected(runs: I32, down: Bool, grid_pixels_min: float) -> tuple[Components, Intp]:
-    """Connect runs to components; list the grid pixels of those that are too small and get number 0."""
+def _connected(runs: I32, down: Bool, grid_pixels_min: float, keep: int) -> Components:
     numbers = np.zeros(down.shape, dtype=np.int32)
-    labels_of, sizes, unassigned = _connect(runs, down, grid_pixels_min, numbers)
-    return Components(numbers, labels_of, sizes), unassigned
+    return Components(numbers, *_connect(runs, down, grid_pixels_min, keep, numbers))
 
 
 @compiled
@@ -169,8 +162,8 @@ def _root(parents: I32, number: int) -> int:
 
 
 @compiled
-def _connect(runs: I32, down: Bool, grid_pixels_min: float, numbers: I32) -> tuple[I32, Intp, Intp]:
-    """Find the components of runs; return labels, sizes, and the grid pixels of those that are too small.
+def _connect(runs: I32, down: Bool, grid_pixels_min: float, keep: int, numbers: I32) -> tuple[I32, Intp]:
+    """Find the components of runs; return their labels, and the grid pixels of those that are too small.
 
     Union-find: where two runs meet, the earlier root becomes the parent of the later one.
     """
@@ -196,14 +189,19 @@ def _connect(runs: I32, down: Bool, grid_pixels_min: float, numbers: I32) -> tup
         # A parent comes earlier, so it is final already.
         parents[n] = parents[parents[n]]
         size_of[parents[n]] += runs[n, 1] - runs[n, 0]
-    labels_of, sizes = np.zeros(count + 1, dtype=np.int32), np.zeros(count + 1, dtype=np.intp)
-    last, small = 0, 0
+    # The largest component of each label; of several, the last.
+    largest, most = np.zeros(keep + 1, dtype=np.intp), np.zeros(keep + 1, dtype=np.intp)
     for n in range(count):
+        label = runs[n, 2]
+        if parents[n] == n and label <= keep and size_of[n] >= most[label]:
+            largest[label], most[label] = n, size_of[n]
+    labels_of, last, small = np.zeros(count + 1, dtype=np.int32), 0, 0
+    for n in range(count):
+        label = runs[n, 2]
         if parents[n] == n:
-            if size_of[n] >= grid_pixels_min:
+            if size_of[n] >= grid_pixels_min or (label <= keep and largest[label] == n):
                 last += 1
-                labels_of[last], sizes[last] = runs[n, 2], size_of[n]
-                size_of[n] = last
+                labels_of[last], size_of[n] = label, last
             else:
                 small += size_of[n]
                 size_of[n] = 0
@@ -217,7 +215,7 @@ def _connect(runs: I32, down: Bool, grid_pixels_min: float, numbers: I32) -> tup
             for pixel in range(runs[n, 0], runs[n, 1]):
                 unassigned[small] = pixel
                 small += 1
-    return labels_of[: last + 1].copy(), sizes[: last + 1].copy(), unassigned
+    return labels_of[: last + 1].copy(), unassigned
 
 
 def large_components(
@@ -256,12 +254,12 @@ def large_components(
     rows = slice(int(grid_pixels[0]) // width, int(grid_pixels[-1]) // width + 1)
     at = grid_pixels - rows.start * width
     runs = _runs_of(at, labels, adjacency.right[rows])
-    found, unassigned = _connected(runs, adjacency.down[rows], grid_pixels_min)
+    found = _connected(runs, adjacency.down[rows], grid_pixels_min, 0)
     labels_of = found.labels_of[1:].tolist()
     if not labels_of:
         return [], []
-    if unassigned.size:
-        spread_in_place(found.numbers, unassigned, inverse_depth[rows], gap_per_m)
+    if found.small.size:
+        spread_in_place(found.numbers, found.small, inverse_depth[rows], gap_per_m)
     if len(labels_of) == 1:
         return [grid_pixels], labels_of
     order, bounds = by_label(found.numbers.reshape(-1)[at], len(labels_of) + 1)

@@ -150,10 +150,9 @@ def new_components(
     """
     grid, open_label = features.grid, count + 1
     marked = np.where(grid.valid & (labels == 0), np.int32(open_label), labels)
-    found = connected_components(marked, features.adjacency)
-    kept = found.large(features.grid_pixels_min(config), count)
-    new = np.flatnonzero(kept & (found.labels_of == open_label))
-    labels_of = np.where(kept, found.labels_of, 0).astype(np.int32)
+    least = features.grid_pixels_min(config)
+    found = connected_components(marked, features.adjacency, least, keep=count)
+    labels_of, new = found.labels_of, np.flatnonzero(found.labels_of == open_label)
     labels_of[new] = np.arange(open_label, open_label + new.size)
     cleaned = labels_of[found.numbers]
     unlabelled = (cleaned == 0) & grid.valid

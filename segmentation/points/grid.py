@@ -100,19 +100,6 @@ def _window_mask(grid_pixels: Intp, width: int) -> tuple[int, int, int, int, Boo
 
 
 @compiled
-def marked_pixels(mask: Bool, corner: tuple[int, int], width: int, step: int) -> Intp:
-    """Return the flat indices into an image of so many columns of the marked grid pixels of a window."""
-    top, left = corner
-    marked = np.empty(mask.size, dtype=np.intp)
-    count = 0
-    for y in range(mask.shape[0]):
-        for x in range(mask.shape[1]):
-            marked[count] = ((top + y) * width + left + x) * step
-            count += mask[y, x]
-    return marked[:count].copy()
-
-
-@compiled
 def _every_second(grid_pixels: Intp, width: int) -> Intp:
     found = np.empty(grid_pixels.size, dtype=np.intp)
     count, row = 0, 0

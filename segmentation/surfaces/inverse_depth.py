@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from nurbseg.drivers.compiled import F32, F64, Bool, Intp, compiled, inlined_once
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.depth_grid import DepthGrid
-from nurbseg.segmentation.points.grid import Window, marked_pixels
+from nurbseg.segmentation.points.grid import Window
 from nurbseg.segmentation.points.rays import Rays
 from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, basis_matrix
 from nurbseg.segmentation.surfaces.fit import Fit
@@ -87,7 +87,9 @@ def fit_window(
         )
         if not solved:
             reason = "no least-squares solution: the normal equations have no finite solution"
-            return Fit(None, np.zeros(0), {}, reason, pixels)
+            rows, columns = np.nonzero(mask)
+            at = (window[0] + rows) * grid.points.shape[1] + window[1] + columns
+            return Fit(None, np.zeros(0), {}, reason, grid.points.pixels(at))
         if positive:
             break
         margin = 1
@@ -126,27 +128,27 @@ def fit_inverse_depth(
 ) -> tuple[Intp, bool, bool, tuple[F64, F64, F64, F64], F64, float, tuple[float, float, float, int]]:
     """Fit a spline to the inverse depth of the marked grid pixels, and raise control values to the least.
 
-    Returns the marked pixels, flat in the image; whether there is a solution; whether it is positive where
-    points hold it; the knots along columns and rows, pixels, the control points if rays are linear, and the
-    control values; the distances at the marked grid pixels, metres; the sum of the squared residuals of
-    inverse depth, each limited, 1/m^2; and the sums of the distances. Rays are given by their coefficients,
-    both coordinates of the center, and the scale.
+    Returns the marked pixels, flat in the image; whether there is a solution; without one the rest is empty;
+    whether it is positive where points hold it; the knots along columns and rows, pixels, the control points
+    if rays are linear, and the control values; the distances at the marked grid pixels, metres; the sum of
+    the squared residuals of inverse depth, each limited, 1/m^2; and the sums of the distances. Rays are given
+    by their coefficients, both coordinates of the center, and the scale.
     """
-    pixels = marked_pixels(mask, corner, image_width, step)
     rows, knots_v = lattice_basis(corner[0], corner[0] + mask.shape[0], margin, spacing)
     columns, knots_u = lattice_basis(corner[1], corner[1] + mask.shape[1], margin, spacing)
     solved, controls, held = solve_splines(images, mask, corner, rows, columns, smoothness)
     control = controls[0]
     if not solved:
         spline = knots_u, knots_v, np.empty((0, 0, 3)), control
-        return pixels, False, False, spline, np.empty(0), 0.0, (0.0, 0.0, 0.0, 0)
+        nowhere = np.empty(0, dtype=np.intp)
+        return nowhere, False, False, spline, np.empty(0), 0.0, (0.0, 0.0, 0.0, 0)
     positive = True
     for a in range(rows.size):
         for b in range(columns.size):
             positive &= control[a, b] > LEAST_PER_M or held[a, b] <= _SUPPORTED
             control[a, b] = max(control[a, b], LEAST_PER_M)
-    residuals_m, squares = _residuals(
-        images[0], distances_m, mask, corner, control, rows, columns, square_most
+    pixels, residuals_m, squares = _residuals(
+        images[0], distances_m, mask, corner, image_width, step, control, rows, columns, square_most
     )
     sums = residual_sums(residuals_m, large_m)
     for knots in (knots_u, knots_v):
@@ -162,18 +164,20 @@ def _residuals(
     distances_m: F32,
     mask: Bool,
     corner: tuple[int, int],
+    image_width: int,
+    step: int,
     control: F64,
     rows: SpanBasis,
     columns: SpanBasis,
     square_most: float,
-) -> tuple[F64, float]:
-    """Return the distances of a spline from the marked points, and the sum of limited squared residuals."""
+) -> tuple[Intp, F64, float]:
+    """Return marked pixels, a spline's distances from their points, and the sum of its limited squares."""
     (top, left), (height, width) = corner, mask.shape
     count = 0
     for y in range(height):
         for x in range(width):
             count += mask[y, x]
-    residuals_m = np.empty(count)
+    pixels, residuals_m = np.empty(count, dtype=np.intp), np.empty(count)
     along = np.empty(control.shape[1])
     n, squares = 0, 0.0
     for y in range(height):
@@ -191,9 +195,10 @@ def _residuals(
                 residual = fitted - inverse_depth[top + y, left + x]
                 squares += min(residual * residual, square_most)
                 # Both points lie on one ray.
+                pixels[n] = ((top + y) * image_width + left + x) * step
                 residuals_m[n] = abs(residual) * distances_m[top + y, left + x] / fitted
                 n += 1
-    return residuals_m, squares
+    return pixels, residuals_m, squares
 
 
 def rational_surface(

@@ -40,8 +40,14 @@ def test_pieces_are_those_of_a_flood(seed):
     found = connected_components(labels, pixel_adjacency(inverse_depth, np.ones((17, 23), bool), 0.02))
     count, expected = flooded(labels, inverse_depth, np.float32(0.02))
     assert (found.numbers == expected).all()
-    assert (found.sizes[1:] == np.bincount(expected.ravel())[1:]).all()
     assert all((labels[expected == n] == found.labels_of[n]).all() for n in range(count + 1))
+    assert found.small.size == 0
+    large = connected_components(labels, pixel_adjacency(inverse_depth, np.ones((17, 23), bool), 0.02), 3.0)
+    is_large = np.bincount(expected.ravel()) >= 3
+    is_large[0] = False
+    assert (large.numbers == np.where(is_large, np.cumsum(is_large), 0)[expected]).all()
+    assert (large.labels_of[1:] == found.labels_of[is_large]).all()
+    assert (large.small == np.flatnonzero((labels > 0) & ~is_large[expected])).all()
 
 
 def test_points_alone_are_joined():
@@ -55,10 +61,16 @@ def test_points_alone_are_joined():
 
 
 def test_the_largest_piece_of_a_label_is_kept_however_small():
-    labels = np.array([[1, 1, 0, 1, 0, 2, 0, 3, 3, 3, 3]], np.int32)
-    found = connected_components(labels, pixel_adjacency(np.ones(labels.shape, np.float32), labels > 0, 0.02))
-    assert found.large(4, 2).tolist() == [False, True, False, True, True]
-    assert found.large(5, 2).tolist() == [False, True, False, True, False]
+    labels = np.array([[1, 1, 0, 1, 0, 2, 0, 3, 3, 3, 3, 0, 1, 1]], np.int32)
+    adjacency = pixel_adjacency(np.ones(labels.shape, np.float32), labels > 0, 0.02)
+    # Of equally large ones, the last.
+    for least, numbers in (
+        (4.0, [[0, 0, 0, 0, 0, 1, 0, 2, 2, 2, 2, 0, 3, 3]]),
+        (5.0, [[0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 2, 2]]),
+    ):
+        found = connected_components(labels, adjacency, least, keep=2)
+        assert found.numbers.tolist() == numbers
+        assert found.small.tolist() == np.flatnonzero((labels > 0) & (found.numbers == 0)).tolist()
 
 
 def test_a_gap_in_depth_separates_what_touches_in_the_image():
@@ -66,12 +78,9 @@ def test_a_gap_in_depth_separates_what_touches_in_the_image():
     inverse_depth[:, 6:] = 1.1
     labels = np.ones((10, 12), np.int32)
     valid = np.ones((10, 12), bool)
-    assert connected_components(labels, pixel_adjacency(inverse_depth, valid, 0.02)).sizes.tolist() == [
-        0,
-        60,
-        60,
-    ]
-    assert connected_components(labels, pixel_adjacency(inverse_depth, valid, 0.2)).sizes.tolist() == [0, 120]
+    apart = connected_components(labels, pixel_adjacency(inverse_depth, valid, 0.02))
+    assert (apart.numbers == np.where(inverse_depth > 1, 2, 1)).all()
+    assert (connected_components(labels, pixel_adjacency(inverse_depth, valid, 0.2)).numbers == 1).all()
 
 
 def test_a_slope_is_no_gap():
@@ -79,7 +88,7 @@ def test_a_slope_is_no_gap():
     found = connected_components(
         np.ones((10, 40), np.int32), pixel_adjacency(inverse_depth, np.ones((10, 40), bool), 0.02)
     )
-    assert found.sizes.tolist() == [0, 400]
+    assert (found.numbers == 1).all()
 
 
 def test_small_pieces_go_to_the_neighbour_nearest_in_depth():

@@ -115,6 +115,18 @@ def test_points_of_a_fitted_surface_are_on_the_rays_of_their_pixels(cloud_of, be
     assert_allclose(1.0 / z, 0.8 + 0.004 * u - 0.003 * v, atol=1e-5)
 
 
+@pytest.mark.parametrize("depth_is_known", [True, False])
+def test_pixels_of_a_fit_are_those_of_the_marked_grid_pixels_in_the_image(cloud_of, depth_is_known):
+    at_every_second, window = depth_grid(cloud_of(plane()), 2), (3, 5, 21, 33)
+    inverse_depth = at_every_second.inverse_depth if depth_is_known else np.full((30, 40), np.nan, np.float32)
+    grid = type(at_every_second)(at_every_second.points, inverse_depth, at_every_second.rays)
+    mask = np.random.default_rng(2).random((18, 28)) < 0.6
+    fit = fit_window(grid, window, mask, CONFIG)
+    assert (fit.surface is not None) == depth_is_known
+    image = np.arange(SIZE[0] * SIZE[1]).reshape(SIZE)
+    assert fit.pixels.tolist() == image[6:42:2, 10:66:2][mask].tolist()
+
+
 def test_a_surface_never_passes_through_infinity_where_nothing_holds_it(cloud_of):
     rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
     inverse_depth = np.where(columns < 12, 1.6 - 0.13 * columns, 0.05)
