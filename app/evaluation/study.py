@@ -180,10 +180,13 @@ def evaluate_frame(
     answers = Answers(cloud, frame.name, ref.index, seed)
     for variant in variants:
         labels, tree = answers.of(variant)
-        scores = {
-            **score_frame(labels, frame.labels, cloud.valid)._asdict(),
-            **score_objects(labels, frame.labels, cloud.points_m, pieces)._asdict(),
-        }
+        try:
+            scores = {
+                **score_frame(labels, frame.labels, cloud.valid)._asdict(),
+                **score_objects(labels, frame.labels, cloud.points_m, pieces)._asdict(),
+            }
+        except ValueError as err:
+            raise ValueError(f"{ref.uri}: frame {about['name']}: {variant.name}: {err}") from err
         # JSON has no NaN.
         results[variant.key] = {name: None if np.isnan(value) else value for name, value in scores.items()}
         files[label_path(ref.key, variant)] = label_png(labels)

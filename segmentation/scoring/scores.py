@@ -6,6 +6,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+#: Pairs of a segment and a region: 4096 of each, whose table takes 128 MiB.
+_PAIRS_MOST = 1 << 24
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contingency:
@@ -37,8 +40,8 @@ class Contingency:
         Raises
         ------
         ValueError
-            If the shapes differ, a map is not of integers, a label is negative, or no pixel is labelled
-            in both maps.
+            If the shapes differ, a map is not of integers, a label is negative, no pixel is labelled in both
+            maps, or there are too many pairs.
         """
         labels, truth = np.asarray(labels), np.asarray(truth)
         if labels.shape != truth.shape:
@@ -53,6 +56,8 @@ class Contingency:
             raise ValueError("expected pixels that are labelled in both maps, got none")
         segment, segments = _numbered(labels[both])
         region, regions = _numbered(truth[both])
+        if segments * regions > _PAIRS_MOST:
+            raise ValueError(f"{segments} segments and {regions} regions are too many to compare each pair")
         counts = np.bincount(segment * regions + region, minlength=segments * regions)
         return cls(counts.reshape(segments, regions).astype(np.int64))
 

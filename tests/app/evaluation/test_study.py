@@ -214,6 +214,21 @@ def test_a_hostile_label_image_is_named(tmp_path: Path, content: bytes, text: st
     assert str(found.value).startswith(f"{tmp_path}/000003.png: ")
 
 
+def test_label_images_of_too_many_labels_are_named(
+    frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    labels = tmp_path / "labels"
+    labels.mkdir()
+    path = sorted(frames.glob("*_label.png"))[0]
+    shape = cv2.imread(str(path), cv2.IMREAD_UNCHANGED).shape
+    many = (1 + np.arange(shape[0] * shape[1]) % 60_000).astype(np.uint16).reshape(shape)
+    cv2.imwrite(str(path), many)
+    cv2.imwrite(str(labels / path.name), many)
+    words = [str(frames), "--frames", "1", "--methods", "", "--labels", str(labels), "--no-report"]
+    assert main([*words, "--time-frames", "0", "--out", str(tmp_path / "out")]) == 2
+    assert re.search(r"frame .*: labels:.*: \d+ segments and \d+ regions are too", capsys.readouterr().err)
+
+
 def test_a_pipe_is_no_label_image(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "000003.png")
     with pytest.raises(ValueError, match="not a regular file"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from itertools import permutations
 
 import numpy as np
@@ -113,3 +114,14 @@ def test_the_largest_segment_is_background_though_it_is_no_plane() -> None:
     labels[10:20, 10:20], z[10:20, 10:20] = 5, 0.4
     points = np.stack([(columns - 40) / 70 * z, (rows - 30) / 70 * z, z], axis=-1).astype(np.float32)
     assert np.array_equal(without_background(labels, points), np.where(labels == 5, 5, 0))
+
+
+def test_thousands_of_objects_take_no_mask_of_the_image_each() -> None:
+    truth = 1 + np.arange(120 * 160).reshape(120, 160) % 3000
+    tracemalloc.start()
+    try:
+        object_scores(np.ones_like(truth), truth)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 0.5 * truth.size * 3000
