@@ -15,6 +15,8 @@ CHUNK_BYTES_MAX = 1 << 27
 CHUNK_RECORDS_MAX = 1 << 18
 #: Bytes of a schema, channel, metadata or statistics record of an MCAP file: 16 MiB.
 RECORD_BYTES_MAX = 1 << 24
+#: Bytes of all these records of a file, as they are kept: 64 MiB.
+CATALOG_BYTES_MAX = 1 << 26
 #: Bytes of messages searched for the topics of an MCAP recording: 1 GiB.
 SCAN_BYTES_MAX = 1 << 30
 #: Bytes and lines of a list of images by time: 16 MiB, four hours at 30 Hz.

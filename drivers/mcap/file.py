@@ -29,7 +29,12 @@ from mcap.records import Channel, Header, Metadata, Schema, Statistics
 from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.drivers.files import MCAP_MAGIC, open_regular
-from nurbseg.drivers.limits import CHUNK_BYTES_MAX, CHUNK_RECORDS_MAX, RECORD_BYTES_MAX
+from nurbseg.drivers.limits import (
+    CATALOG_BYTES_MAX,
+    CHUNK_BYTES_MAX,
+    CHUNK_RECORDS_MAX,
+    RECORD_BYTES_MAX,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -80,6 +85,8 @@ class McapFile:
         self.entry = 0
         #: Places and lengths of the chunks and of messages outside of chunks.
         self._entries: list[tuple[int, int, int]] = []
+        self._catalog_bytes = 0
+        self._sizes: dict[tuple[int, int | str], int] = {}
         self._file = open_regular(path)
         with closed_on_error(self._file.close):
             self._scan()
@@ -166,6 +173,13 @@ class McapFile:
             record = _CATALOG[opcode].read(ReadDataStream(BytesIO(content)))
         except (McapError, struct.error, UnicodeDecodeError) as err:
             raise RecordingFormatError(f"{self.path}: {Opcode(opcode).name}: damaged ({err})") from err
+        # They are kept, and each chunk may hold others.
+        key = opcode, getattr(record, "id", getattr(record, "name", ""))
+        self._catalog_bytes += len(content) - self._sizes.get(key, 0)
+        self._sizes[key] = len(content)
+        if self._catalog_bytes > CATALOG_BYTES_MAX:
+            what = f"{Opcode(opcode).name}: over {CATALOG_BYTES_MAX} bytes of schemas, channels and metadata"
+            raise RecordingFormatError(f"{self.path}: {what}")
         match record:
             case Header():
                 self.profile = record.profile

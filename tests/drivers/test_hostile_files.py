@@ -15,6 +15,7 @@ import zstandard
 from all_frames import frames_and_errors
 from bounded_child import Reading, read_bounded
 from hostile_files import GIB, black_png, mcap_chunk, mcap_file, mcap_record, png_chunk, tiff, zeros
+from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Channel, DataEnd, Message, Schema
 from mcap.stream_reader import StreamReader
@@ -83,6 +84,27 @@ def test_a_chunk_that_is_refused_is_named_and_the_frames_around_it_are_read(tmp_
     assert reading.frames == 3
     (error,) = reading.errors
     assert "uncompressed_size: 1000 bytes are declared, more are there" in error
+
+
+def test_schemas_that_fill_the_memory_chunk_by_chunk_are_refused(tmp_path: Path) -> None:
+    chunks = []
+    for number in range(1, 7):
+        builder = RecordBuilder()
+        Schema(id=number, name="a", encoding="ros2msg", data=bytes(15 << 20)).write(builder)
+        content = builder.end()
+        chunks.append(mcap_chunk(zstandard.ZstdCompressor().compress(content), len(content), "zstd"))
+    refused(mcap_file(tmp_path / "many.mcap", chunks), "SCHEMA: over 67108864 bytes of schemas, channels")
+
+
+def test_metadata_that_fill_the_memory_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "many.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        for number in range(6):
+            writer.add_metadata(str(number), {"a": "b" * (15 << 20)})
+        writer.finish()
+    refused(path, "METADATA: over 67108864 bytes")
 
 
 def test_a_file_that_was_made_longer_with_zeros_ends_where_it_was_written(tmp_path: Path, caplog) -> None:
