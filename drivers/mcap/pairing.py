@@ -4,10 +4,12 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Literal
 
+from nurbseg.drivers.limits import CHUNK_BYTES_MAX
+
 Kind = Literal["depth", "color", "labels"]
 
-#: Waiting messages of one kind, after which the oldest cannot find a partner any more.
-_WAITING_MAX = 64
+#: Waiting messages of one kind, and their bytes, after which the oldest cannot find a partner any more.
+_WAITING_MAX, _WAITING_BYTES_MAX = 64, CHUNK_BYTES_MAX
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +30,7 @@ class StampPairing:
         self._limit_ns = limit_ns
         self._depth: deque[tuple[int, bytes]] = deque()
         self._color: deque[tuple[int, bytes]] = deque()
-        self._labels: deque[tuple[int, bytes]] = deque(maxlen=_WAITING_MAX)
+        self._labels: deque[tuple[int, bytes]] = deque()
 
     @property
     def waiting(self) -> int:
@@ -39,10 +41,10 @@ class StampPairing:
         """Add a message."""
         waiting = {"depth": self._depth, "color": self._color, "labels": self._labels}[kind]
         waiting.append((stamp_ns, content))
-        # Labels may be missing, and their queue forgets the oldest by itself.
-        if kind != "labels" and len(waiting) > _WAITING_MAX:
+        while len(waiting) > _WAITING_MAX or sum(len(each) for _, each in waiting) > _WAITING_BYTES_MAX:
             waiting.popleft()
-            self.dropped += 1
+            # A frame needs no labels.
+            self.dropped += kind != "labels"
 
     def take(self, *, at_end: bool = False) -> StampedPair | None:
         """Return the next pair, or None while it is not certain; `at_end` says that nothing follows."""

@@ -3,6 +3,7 @@
 import itertools
 import os
 import shutil
+import struct
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -84,6 +85,24 @@ def test_a_chunk_that_is_refused_is_named_and_the_frames_around_it_are_read(tmp_
     assert reading.frames == 3
     (error,) = reading.errors
     assert "uncompressed_size: 1000 bytes are declared, more are there" in error
+
+
+def test_images_without_partners_that_fill_the_memory_are_dropped(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a.mcap", scenes(2))
+    content = path.read_bytes()
+    with path.open("rb") as stream:
+        channels = [each for each in StreamReader(stream).records if isinstance(each, Channel)]
+    (depth,) = {each.id for each in channels if each.topic == definitions.DEPTH_TOPIC}
+    chunks = []
+    for second in range(8):
+        head = struct.pack("<HIQQ", depth, 0, 0, 0) + b"\0\1\0\0" + struct.pack("<iI", 1000 + second, 0)
+        message = mcap_record(Opcode.MESSAGE, head + bytes(100 << 20))
+        chunks.append(mcap_chunk(zstandard.ZstdCompressor().compress(message), len(message), "zstd"))
+    end = content.rindex(mcap_record(Opcode.DATA_END, bytes(4))[:9])
+    path.write_bytes(content[:end] + b"".join(chunks) + content[end:])
+    reading = read_bounded(path)
+    assert reading.frames == 2
+    assert reading.taken_bytes < TAKEN_MAX, f"{reading.taken_bytes / 2**20:.0f} MB"
 
 
 def test_schemas_that_fill_the_memory_chunk_by_chunk_are_refused(tmp_path: Path) -> None:
