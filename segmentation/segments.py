@@ -97,7 +97,7 @@ class Segment:
     judged: int | None = None
 
     def __post_init__(self) -> None:
-        self.pixels.flags.writeable = False
+        self.pixels.setflags(write=False)
 
     def __repr__(self) -> str:
         return f"Segment({self.name!r}, {self.pixels.size} pixels, {self.stop or self.division})"

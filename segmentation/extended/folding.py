@@ -173,7 +173,7 @@ def _fold(
     for node in above[shared:]:
         node.grid_pixels = united((node.grid_pixels, moved))
     for node in above_gone[shared:-1]:
-        node.grid_pixels = np.setdiff1d(node.grid_pixels, moved, assume_unique=True)
+        node.grid_pixels = np.delete(node.grid_pixels, np.searchsorted(node.grid_pixels, moved))
     (_, leaves[kept].fit, stop), trial = judged
     leaf_of = {id(leaf): number for number, leaf in leaves.items()}
     sibling, parent = remove_node(root, leaves[gone])

@@ -117,7 +117,7 @@ def _split_off(
     protruding = united(pieces)
     if protruding.size > _SHARE_MOST * leaf.grid_pixels.size:
         return
-    remaining = np.setdiff1d(leaf.grid_pixels, protruding, assume_unique=True)
+    remaining = np.delete(leaf.grid_pixels, np.searchsorted(leaf.grid_pixels, protruding))
     rest, *parts = (
         part._replace(stop=part.stop or StopReason.UNTRIED)
         for part in (fit_segment(features, each, config) for each in (remaining, *pieces))

@@ -52,8 +52,8 @@ class Fit:
     rms_per_m: float = 0.0
 
     def __post_init__(self) -> None:
-        self.residuals_m.flags.writeable = False
-        self.pixels.flags.writeable = False
+        self.residuals_m.setflags(write=False)
+        self.pixels.setflags(write=False)
         object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
 
 

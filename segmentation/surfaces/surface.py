@@ -63,7 +63,7 @@ class NurbsSurface:
         if not self.weights.min() > 0:
             raise ValueError(f"weights: expected positive weights, got {float(self.weights.min())}")
         for array in (self.knots_u, self.knots_v, self.control_points_m, self.weights):
-            array.flags.writeable = False
+            array.setflags(write=False)
 
 
 def evaluate(
