@@ -19,6 +19,9 @@ RECORD_BYTES_MAX = 1 << 24
 CATALOG_BYTES_MAX = 1 << 26
 #: Bytes of messages searched for the topics of an MCAP recording: 1 GiB.
 SCAN_BYTES_MAX = 1 << 30
+#: Of these, bytes of the first messages of topics, which are kept: 256 MiB; and of transforms: 8 MiB.
+SAMPLES_BYTES_MAX = 1 << 28
+TRANSFORMS_BYTES_MAX = 1 << 23
 #: Bytes and lines of a list of images by time: 16 MiB, four hours at 30 Hz.
 LIST_BYTES_MAX = 1 << 24
 LIST_LINES_MAX = 500_000

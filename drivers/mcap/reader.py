@@ -12,7 +12,7 @@ from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.frame import Calibration, RGBDFrame
-from nurbseg.drivers.limits import SCAN_BYTES_MAX, STAMP_END_NS
+from nurbseg.drivers.limits import SAMPLES_BYTES_MAX, SCAN_BYTES_MAX, STAMP_END_NS, TRANSFORMS_BYTES_MAX
 from nurbseg.drivers.mcap import definitions
 from nurbseg.drivers.mcap import messages as ros
 from nurbseg.drivers.mcap.file import McapFile, McapMessage
@@ -214,6 +214,8 @@ class RecordingReader(FrameSource):
         transforms: list[ros.Transform] = []
         start_ns: int | None = None
         damage: FrameFormatError | None = None
+        # Messages of any number of topics are kept decoded, and transforms take time.
+        left = {False: SAMPLES_BYTES_MAX, True: TRANSFORMS_BYTES_MAX}
         for item in self._file.messages(SCAN_BYTES_MAX):
             if isinstance(item, FrameFormatError):
                 damage = damage or item
@@ -229,15 +231,17 @@ class RecordingReader(FrameSource):
             known = schema is not None and schema.name in definitions.DEFINITIONS
             if schema is None or not known or item.channel.message_encoding != "cdr":
                 continue
-            if topic in samples and schema.name != definitions.TRANSFORMS:
+            is_transform = schema.name == definitions.TRANSFORMS
+            if (topic in samples and not is_transform) or not self._is_decodable(schema):
                 continue
-            if not self._is_decodable(schema):
+            left[is_transform] -= len(item.content)
+            if left[is_transform] < 0:
                 continue
             try:
                 message = definitions.decode(item.content, schema.name, f"{self._path}: {topic}")
             except FrameFormatError:
                 continue
-            if schema.name == definitions.TRANSFORMS:
+            if is_transform:
                 transforms += ros.transforms_of(message)
             samples.setdefault(topic, TopicSample(schema.name, message))
         if damage is not None and start_ns is None:

@@ -105,6 +105,32 @@ def test_images_without_partners_that_fill_the_memory_are_dropped(tmp_path: Path
     assert reading.taken_bytes < TAKEN_MAX, f"{reading.taken_bytes / 2**20:.0f} MB"
 
 
+@pytest.mark.parametrize("kind", ["sensor_msgs/msg/Image", definitions.TRANSFORMS])
+def test_first_messages_that_fill_the_memory_are_passed_over(tmp_path: Path, kind: str) -> None:
+    def written(record: Schema | Channel) -> bytes:
+        builder = RecordBuilder()
+        record.write(builder)
+        return builder.end()
+
+    schema = Schema(id=1, name=kind, encoding="ros2msg", data=definitions.DEFINITIONS[kind].encode())
+    records, chunks = [written(schema)], []
+    if kind == definitions.TRANSFORMS:
+        names = struct.pack("<iI", 100, 0) + struct.pack("<I4sI4s", 4, b"abc", 4, b"def")
+        pose = struct.pack("<7d", *[0.0] * 6, 1.0)
+        body = struct.pack("<I", 60_000) + names + bytes(4) + pose + (names + pose) * 59_999
+    else:
+        body = struct.pack("<iI", 100, 0) + struct.pack("<I2s", 2, b"f")
+        body = body.ljust(16, b"\0") + struct.pack("<III6s", 4, 4, 6, b"mono8") + b"\0\0"
+        body += struct.pack("<II", 4, 60 << 20) + bytes(60 << 20)
+    for number in range(1, 17):
+        records.append(
+            written(Channel(id=number, topic=f"/t{number}", message_encoding="cdr", schema_id=1, metadata={}))
+        )
+        message = mcap_record(Opcode.MESSAGE, struct.pack("<HIQQ", number, 0, 0, 0) + b"\0\1\0\0" + body)
+        chunks.append(mcap_chunk(zstandard.ZstdCompressor().compress(message), len(message), "zstd"))
+    refused(mcap_file(tmp_path / "many.mcap", [*records, *chunks]), "no topic of depth images")
+
+
 def test_schemas_that_fill_the_memory_chunk_by_chunk_are_refused(tmp_path: Path) -> None:
     chunks = []
     for number in range(1, 7):
