@@ -149,6 +149,24 @@ def test_surfaces_move_with_what_they_explain(tree: LiveTree) -> None:
             assert np.sqrt(leaf.fit.values["mse"]) < 5e-3
 
 
+def test_pixels_without_depth_keep_their_leaf_while_labels_change(tree: LiveTree) -> None:
+    before = tree.segment(scene(BOX)).labels("surfaces")
+    rows, columns = inside(BOX)
+    hole = slice(rows.start + 8, rows.stop - 8), slice(columns.start + 8, columns.stop - 8)
+    # What appears divides the wall, whose label is the first.
+    new = (100, 30, 30, 50)
+    cloud = scene(BOX, new)
+    points_m = cloud.points_m.copy()
+    points_m[hole] = np.nan
+    now = tree.segment(PointMap(points_m, cloud.color, cloud.colored)).labels("surfaces")
+    assert tree.report.reset == ""
+    assert only(now[hole]) == 0
+    box = int(now[rows.start, columns.start])
+    assert box != only(before[hole])
+    tree.segment(scene(BOX, new))
+    assert only(tree.labels_before[hole]) == box
+
+
 def test_an_appearing_object_gets_a_leaf_and_a_disappearing_one_loses_it(tree: LiveTree) -> None:
     new = (100, 30, 30, 50)
     with_one = tree.segment(scene(BOX, noise=1))
