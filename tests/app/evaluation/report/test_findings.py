@@ -1,6 +1,7 @@
 """Sentences about tables are made from the tables."""
 
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -47,7 +48,8 @@ def means_of_page(page: str) -> dict[str, dict[str, float]]:
 def test_what_a_published_page_says_of_its_tables_is_made_from_them(name: str):
     page = (DOCS / name).read_text(encoding="utf-8")
     expected = "\n".join(f"- {each}" for each in findings(means_of_page(page)))
-    assert f"\n\n{expected}\n\n" in page
+    # The verdict before them compares frames, which the tables do not list.
+    assert re.search(rf"\n\n- Verdict: [^\n]+\n{re.escape(expected)}\n\n", page)
 
 
 def results_of(scores: dict[str, list[float]]) -> StudyResults:
