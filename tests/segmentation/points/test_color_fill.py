@@ -34,6 +34,17 @@ def test_a_surface_at_the_same_depth_is_taken_before_a_farther_one_that_is_close
     assert (image[~known] == BLUE).all()
 
 
+def test_the_nearest_source_counts_on_either_side():
+    depth = np.full(SIZE, 2.0)
+    for axis in (0, 1):
+        place = np.indices(SIZE)[axis]
+        # Sources begin two pixels beside the hole.
+        color, known = everywhere(RED), (place < 5) | (place >= 15)
+        color[place >= 10] = BLUE
+        image = filled(np.where(known[..., np.newaxis], color, 0), known, depth)
+        assert np.array_equal(image, color)
+
+
 def test_corners_without_a_known_pixel_in_their_row_or_column_are_filled():
     color, known, depth = everywhere(0), np.zeros(SIZE, bool), np.full(SIZE, 2.0)
     known[8:12, 12:18] = True
