@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from nurbseg.app.boxes import OrientedBox
 from nurbseg.app.live.tracking import Segmenter, process_frame
+from nurbseg.app.objects import measure_objects
 from nurbseg.app.result import FrameResult
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
@@ -79,6 +82,17 @@ def test_surfaces_are_the_objects_where_nothing_is_merged(small_result: FrameRes
         assert np.array_equal(each.pixels, np.sort(leaf.pixels))
         if leaf.fit.surface is not None:
             assert each.rms_m == pytest.approx(np.sqrt(leaf.fit.values["mse"]))
+
+
+def test_an_object_without_a_surface_has_no_normal_and_no_residual(small_result: FrameResult) -> None:
+    tree = small_result.tree
+    bare = replace(tree, segments=[replace(s, fit=replace(s.fit, surface=None)) for s in tree.segments])
+    labels = np.arange(len(tree.leaves()) + 1, dtype=np.uint16)
+    for each, before in zip(
+        measure_objects(small_result.cloud, bare, labels), small_result.objects, strict=True
+    ):
+        assert (each.mean_normal, each.rms_m) == (None, None)
+        assert np.array_equal(each.box.size_m, before.box.size_m)
 
 
 def test_objects_keep_their_labels_from_frame_to_frame() -> None:
