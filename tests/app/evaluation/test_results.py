@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from nurbseg.app.evaluation.results import bootstrap_mean
+from nurbseg.app.evaluation.results import StudyResults, bootstrap_mean
+from nurbseg.app.evaluation.variants import Variant
+from nurbseg.segmentation.config import SegmentationConfig
 
 
 def test_the_interval_is_that_of_the_means_of_resampled_frames() -> None:
@@ -26,3 +28,39 @@ def test_frames_without_a_value_are_left_out() -> None:
     assert found.frames == 2
     assert found.mean == pytest.approx(0.6)
     assert np.isnan(bootstrap_mean(np.array([np.nan])).mean)
+
+
+def test_the_best_have_the_greatest_mean_or_least_error_to_three_digits() -> None:
+    variants = [
+        Variant(f"{method} {samples}", method, SegmentationConfig(method="stag15", samples=samples))
+        for method, samples in (("stag15", 50), ("stag15", 60), ("stag15", 70), ("fh04", 70))
+    ]
+    # Of two frames; the second has no obj.
+    scores = {
+        "gtrc": [(0.5, 0.7), (0.6, 0.6008), (0.8, 0.1), (0.2, 0.3)],
+        "voi": [(2.0, 1.0), (1.0, 1.0), (3.0, 0.2), (1.0, 0.9999)],
+        "obj": [(0.1, None), (0.3, None), (0.2, None), (None, None)],
+    }
+    frames = [
+        {
+            "key": f"{n}",
+            "category": "boxes" if n else "bowls",
+            "results": {
+                variant.key: {score: values[k][n] for score, values in scores.items()}
+                for k, variant in enumerate(variants)
+            },
+        }
+        for n in range(2)
+    ]
+    found = StudyResults(tuple(variants), tuple(frames), ())
+    assert found.categories() == ("bowls", "boxes")
+    assert found.best("gtrc") == {"stag15 50", "stag15 60"}
+    assert found.best("voi") == {"stag15 60", "fh04 70"}
+    assert found.best("obj") == {"stag15 60"}
+    assert found.best("obj", "boxes") == set()
+    assert found.best("gtrc", "bowls") == {"stag15 70"}
+    assert found.best("voi", "boxes") == {"stag15 70"}
+    # Not rounded.
+    assert [each.name for each in found.leaders()] == ["stag15 60", "fh04 70"]
+    assert [each["key"] for each in found.worst_frames(variants[0])] == ["0", "1"]
+    assert [each["key"] for each in found.worst_frames(variants[2])] == ["1", "0"]

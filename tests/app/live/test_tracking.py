@@ -4,15 +4,20 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 from subprocess import CompletedProcess
+from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from fake_clock import FakeClock
 
 from nurbseg.app.export.tree import tree_document
+from nurbseg.app.live import tracking
 from nurbseg.app.live.config import LiveConfig
 from nurbseg.app.live.rate_controller import RateController
 from nurbseg.app.live.tracking import Segmenter
+from nurbseg.app.result import FrameResult
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.live.updater import Budget
@@ -49,6 +54,24 @@ def test_labels_are_identities_and_the_tree_has_them(method: str) -> None:
     first, second = (result.labels() for result in results[:2])
     both = (first > 0) & (second > 0)
     assert np.mean(first[both] == second[both]) > 0.5
+
+
+def test_stages_are_timed_in_milliseconds(monkeypatch: pytest.MonkeyPatch, small_result: FrameResult) -> None:
+    clock = FakeClock()
+
+    def taking(seconds: float, work: Callable[..., Any]) -> Callable[..., Any]:
+        def run(*given: Any, **options: Any) -> Any:
+            clock.sleep(seconds)
+            return work(*given, **options)
+
+        return run
+
+    monkeypatch.setattr(tracking, "time", SimpleNamespace(perf_counter=clock))
+    for name, seconds in (("register", 0.25), ("segment", 0.5), ("track_identities", 0.125)):
+        monkeypatch.setattr(tracking, name, taking(seconds, getattr(tracking, name)))
+    segmenter = Segmenter(SegmentationConfig(method="stag15"), temporal=True)
+    found = segmenter.process(small_result.frame).elapsed_ms
+    assert dict(found) == pytest.approx({"register": 250.0, "segment": 500.0, "identify": 125.0})
 
 
 def test_after_a_restart_what_is_still_there_keeps_its_label() -> None:
