@@ -208,7 +208,7 @@ class Copy:
 
     def _keep_machine_code_beside(self, changed: Path) -> None:
         """Lay out the code of all loops that do not call those of a changed file."""
-        shutil.rmtree(self._code)
+        shutil.rmtree(self._code, ignore_errors=True)
         folder = self._code / f"loops-{content_digest(self._package)}"
         self._link(self._unchanged, folder)
         concerned, grown = {changed}, True
