@@ -35,6 +35,7 @@ from nurbseg.segmentation.points.depth_grid import depth_grid
 from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.scoring.scores import Contingency
+from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
 #: Strength of the data against the penalty on the weights of standardised features.
 _STRENGTH = 0.3
@@ -74,7 +75,9 @@ def surfaces_of(number: int, frame: RGBDFrame, config: SegmentationConfig) -> Su
         rows, columns = np.divmod(leaf.fit.pixels, labels.shape[1])
         on_grid[rows // grid.step, columns // grid.step] = label
     _, surfaces, _ = refit_surfaces(on_grid, [leaf.fit for leaf in leaves], grid, config)
-    borders = border_statistics(labels, surfaces, grid.rays, gap_per_m=extended.inverse_depth_gap)
+    borders = border_statistics(
+        labels, SurfaceTable(surfaces).slopes, grid.rays, gap_per_m=extended.inverse_depth_gap
+    )
     measured = surface_statistics(labels[:: grid.step, :: grid.step], len(leaves), grid)
     common = np.zeros((len(leaves) + 1, int(truth.max()) + 1), dtype=np.int64)
     np.add.at(common, (labels.ravel(), truth.ravel()), 1)

@@ -1,6 +1,6 @@
 """Statistics of the border of two surfaces: whether they touch, and how concave the crease is."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +10,6 @@ from nurbseg.drivers.compiled import F64, I32, compiled
 from nurbseg.segmentation.config import REFERENCE_WIDTH
 from nurbseg.segmentation.points.normals import plane_normals
 from nurbseg.segmentation.points.rays import Rays
-from nurbseg.segmentation.surfaces.surface import NurbsSurface
-from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
 #: Largest number of pixels without depth across which surfaces are compared, and distance inside the border
 #: at which they are evaluated; in pixels of a 640-wide image.
@@ -61,12 +59,7 @@ class BorderStatistics:
 
 
 def border_statistics(
-    labels: NDArray[np.int32],
-    surfaces: Sequence[NurbsSurface | None],
-    rays: Rays,
-    *,
-    gap_per_m: float,
-    evaluate: Evaluation | None = None,
+    labels: NDArray[np.int32], evaluate: Evaluation, rays: Rays, *, gap_per_m: float
 ) -> BorderStatistics:
     """Measure every common border of two labels.
 
@@ -74,15 +67,13 @@ def border_statistics(
     ----------
     labels : (H, W) int32
         1 to the number of surfaces; 0 where there is no point.
-    surfaces : sequence of NurbsSurface or None
-        That of each label; a label without one touches nothing.
+    evaluate : callable
+        Takes labels, columns and rows (pixels), (N,) each; returns inverse depth and its slopes along both,
+        NaN where a label has no surface: it touches nothing.
     rays : Rays
         Of the camera.
     gap_per_m : float
         Tangent planes that differ by less inverse depth at the border agree, 1/m.
-    evaluate : callable, optional
-        Takes labels, columns and rows (pixels), (N,) each; returns inverse depth and its slopes along both,
-        NaN where a label has no surface. By default the surfaces themselves are evaluated.
 
     Returns
     -------
@@ -97,7 +88,7 @@ def border_statistics(
     # Both surfaces are evaluated inside of the border: first the one before it, then the one after.
     label, u, v = np.empty(2 * count, dtype=np.int32), np.empty(2 * count), np.empty(2 * count)
     _place_inside(crossings, max(1.0, _INSET_PX * unit), label, u, v)
-    slopes = (evaluate or SurfaceTable(surfaces).slopes)(label, u, v)
+    slopes = evaluate(label, u, v)
     ray = rays.at(u, v)
     normals = plane_normals(*slopes, *ray, rays.focal_px)
     size = int(label.max()) + 1

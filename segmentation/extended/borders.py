@@ -13,7 +13,6 @@ from nurbseg.segmentation.labels.boxes import label_sizes
 from nurbseg.segmentation.labels.regions import connected_components, pixel_adjacency
 from nurbseg.segmentation.labels.spreading import spread_in_place
 from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST
-from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.surfaces.surface_table import Splines, SurfaceTable, fill_curve, no_curves, on_curve
 
 #: Largest distance of neighbours that vote, along rows and columns, pixels.
@@ -35,7 +34,7 @@ _DISTANCES = np.hypot(*np.mgrid[-_REACH : _REACH + 1, -_REACH : _REACH + 1]).rav
 def refine_borders(
     labels: NDArray[np.int32],
     inverse_depth: NDArray[np.float32],
-    surfaces: Sequence[NurbsSurface | None],
+    surfaces: SurfaceTable,
     config: SegmentationConfig,
     *,
     rms_per_m: Sequence[float] | None = None,
@@ -56,8 +55,8 @@ def refine_borders(
         1 to the number of surfaces; 0 where there is no point.
     inverse_depth : (H, W) float32
         Inverse depth, 1/m.
-    surfaces : sequence of NurbsSurface or None
-        That of each label; a label without one explains nothing.
+    surfaces : SurfaceTable
+        Those of the labels; a label without one explains nothing.
     config : SegmentationConfig
         Noise, gap and smallest component.
     rms_per_m : sequence of float, optional
@@ -80,18 +79,19 @@ def refine_borders(
     .. [1] J. Besag, "On the statistical analysis of dirty pictures", Journal of the Royal Statistical
        Society B 48(3), 1986.
     """
-    if len(surfaces) < 2:
+    count = surfaces.splines.starts.size - 1
+    if count < 2:
         return labels
-    deviations = own_deviations(rms_per_m or np.zeros(len(surfaces)), config.extended.inverse_depth_noise)
-    refined = _cheapest(labels, inverse_depth, surfaces, deviations, step, sweeps, config)
+    deviations = own_deviations(rms_per_m or np.zeros(count), config.extended.inverse_depth_noise)
+    refined = _cheapest(labels, inverse_depth, surfaces.splines, deviations, step, sweeps, config)
     if spread_severed:
         gap_per_m, unit = config.extended.inverse_depth_gap, labels.size / REFERENCE_PIXELS
         adjacency = pixel_adjacency(inverse_depth, refined > 0, gap_per_m)
         least = config.extended.piece_pixels_min * unit
-        severed = connected_components(refined, adjacency, least, keep=len(surfaces)).small
+        severed = connected_components(refined, adjacency, least, keep=count).small
         if severed.size:
             spread_in_place(refined, severed, inverse_depth, gap_per_m)
-    lost = label_sizes(refined, len(surfaces) + 1) == 0
+    lost = label_sizes(refined, count + 1) == 0
     if lost[1:].any():
         kept = lost[labels]
         refined[kept] = labels[kept]
@@ -124,7 +124,7 @@ def own_deviations(rms_per_m: ArrayLike, noise_per_m: float) -> Deviations:
 def _cheapest(
     labels: NDArray[np.int32],
     inverse_depth: NDArray[np.float32],
-    surfaces: Sequence[NurbsSurface | None],
+    splines: Splines,
     deviations: Deviations,
     step: int,
     sweeps: int,
@@ -134,7 +134,6 @@ def _cheapest(
 
     Pixels are numbered in an image with a margin as wide as the reach, so that all have all neighbours.
     """
-    splines = SurfaceTable(surfaces).splines
     margin = (_REACH, _REACH, _REACH, _REACH, cv2.BORDER_CONSTANT)
     padded = np.asarray(cv2.copyMakeBorder(labels, *margin), dtype=np.int32)
     depths = np.asarray(cv2.copyMakeBorder(inverse_depth, *margin), dtype=np.float32).ravel()

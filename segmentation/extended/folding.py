@@ -194,7 +194,7 @@ def _fold(
         if not node.children:
             sound = node.stop is not StopReason.DEPTH or node.cuts_above >= config.depth_max
         elif node.division is Division.GAP and id(node) in changed:
-            node.fit = replace(node.fit, pixels=features.grid.points.pixels(node.grid_pixels))
+            node.fit = replace(node.fit, pixels=united([part.fit.pixels for part in node.children]))
         elif node.division is Division.CUT and id(node) in judged_again:
             if id(node) in changed:
                 node.fit = fit_segment(features, node.grid_pixels, config).fit

@@ -13,7 +13,7 @@ from nurbseg.segmentation.extended.evidence import DIGITS, ITEMS, evidence
 from nurbseg.segmentation.extended.surface_statistics import surface_statistics
 from nurbseg.segmentation.labels.boxes import label_sizes
 from nurbseg.segmentation.points.depth_grid import DepthGrid
-from nurbseg.segmentation.surfaces.surface import NurbsSurface
+from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ def merge_surfaces(
     labels: NDArray[np.int32],
     grid: DepthGrid,
     names: Sequence[str],
-    surfaces: Sequence[NurbsSurface | None],
+    surfaces: SurfaceTable,
     config: SegmentationConfig,
 ) -> tuple[tuple[SceneObject, ...], tuple[Contact, ...]]:
     """Merge adjacent surfaces into objects.
@@ -108,8 +108,8 @@ def merge_surfaces(
         The points.
     names : sequence of str
         Of the leaf of each label.
-    surfaces : sequence of NurbsSurface or None
-        That of each label.
+    surfaces : SurfaceTable
+        Those of the labels.
     config : SegmentationConfig
         Whether to merge, the least log odds, noise and gap.
 
@@ -125,11 +125,12 @@ def merge_surfaces(
     .. [1] A. Bailoni et al., "GASP, a generalized framework for agglomerative clustering of signed graphs",
        CVPR 2022.
     """
-    if not config.extended.merge_surfaces:
+    extended = config.extended
+    if not extended.merge_surfaces:
         return (), ()
-    borders = border_statistics(labels, surfaces, grid.rays, gap_per_m=config.extended.inverse_depth_gap)
+    borders = border_statistics(labels, surfaces.slopes, grid.rays, gap_per_m=extended.inverse_depth_gap)
     measured = surface_statistics(labels[:: grid.step, :: grid.step], len(names), grid)
-    items = evidence(borders, measured, config.extended.inverse_depth_noise)
+    items = evidence(borders, measured, extended.inverse_depth_noise)
     samples, touching = (each.astype(np.int64) for each in (borders.samples, borders.touching))
     return merged_objects(WeighedBorders(borders.labels, samples, touching, items), labels, names, config)
 

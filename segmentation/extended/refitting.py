@@ -12,6 +12,7 @@ from nurbseg.segmentation.points.depth_grid import DepthGrid
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
+from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
 #: A surface is fitted again if this share of its grid pixels was added or removed.
 _MOVED_SHARE = 0.03
@@ -49,7 +50,7 @@ def refit_surfaces(
     moved = refine_borders(
         labels,
         grid.inverse_depth,
-        surfaces,
+        SurfaceTable(surfaces),
         config,
         rms_per_m=rms_per_m,
         step=grid.step,

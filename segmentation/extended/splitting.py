@@ -28,6 +28,7 @@ from nurbseg.segmentation.points.depth_grid import inverse_depth_image
 from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first
+from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
 #: From this many grid pixels on, a segment is cut on every second row and column of the grid.
@@ -70,15 +71,15 @@ def segment_nurbseg(
     surfaces, rms_per_m = [fit.surface for fit in fits], [fit.rms_per_m for fit in fits]
     if config.extended.refine_borders:
         on_grid, surfaces, rms_per_m = refit_surfaces(on_grid, fits, features.grid, config)
-    inverse_depth = inverse_depth_image(cloud)
+    inverse_depth, table = inverse_depth_image(cloud), SurfaceTable(surfaces)
     labels = upsample_by_depth(on_grid, inverse_depth, cloud.valid, config)
     if config.extended.refine_borders:
-        labels = refine_borders(labels, inverse_depth, surfaces, config, rms_per_m=rms_per_m)
+        labels = refine_borders(labels, inverse_depth, table, config, rms_per_m=rms_per_m)
 
     image = labels.astype(np.uint16)
     segments = finished_segments(nodes, image)
     names = [leaf.name for leaf in leaves]
-    objects, contacts = merge_surfaces(labels, features.grid, names, surfaces, config)
+    objects, contacts = merge_surfaces(labels, features.grid, names, table, config)
     on_grid = labels[:: features.grid.step, :: features.grid.step]
     objects, joins = join_objects(objects, contacts, on_grid, names, features.grid, cloud.color, config)
     return SegmentationTree(

@@ -262,5 +262,7 @@ def large_components(
         spread_in_place(found.numbers, found.small, inverse_depth[rows], gap_per_m)
     if len(labels_of) == 1:
         return [grid_pixels], labels_of
-    order, bounds = by_label(found.numbers.reshape(-1)[at], len(labels_of) + 1)
-    return [grid_pixels[order[begin:end]] for begin, end in pairwise(bounds[1:])], labels_of
+    # Faster than indexing with an array.
+    order, bounds = by_label(found.numbers.reshape(-1).take(at), len(labels_of) + 1)
+    grouped = grid_pixels.take(order)
+    return [grouped[begin:end] for begin, end in pairwise(bounds[1:])], labels_of

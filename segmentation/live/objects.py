@@ -149,7 +149,7 @@ def _borders_on_grid(
         return inverse_depth, along_u * step, along_v * step
 
     gap_per_m = config.extended.inverse_depth_gap
-    found = border_statistics(on_grid, (), rays, gap_per_m=gap_per_m, evaluate=evaluate)
+    found = border_statistics(on_grid, evaluate, rays, gap_per_m=gap_per_m)
     # Scaled to samples on every pixel.
     sums = (found.samples, found.touching, found.concavity, found.concavity_square, found.apart)
     return BorderStatistics(found.labels, *(step * each for each in sums))

@@ -85,7 +85,7 @@ def test_borders_are_measured_crossing_by_crossing(width, reach, inset):
     labels[rng.random(labels.shape) < 0.25] = 0
     normals = rng.normal([0.0, 0.0, 1.0], [0.4, 0.4, 0.02], (7, 3))
     normals[6] = np.nan
-    found = border_statistics(labels, (), pinhole(), gap_per_m=GAP, evaluate=Planes(normals))
+    found = border_statistics(labels, Planes(normals), pinhole(), gap_per_m=GAP)
     expected = expected_meetings(labels, normals, reach, inset)
     assert len(expected) > 10
     assert found.labels.tolist() == [list(pair) for pair in expected]
@@ -99,7 +99,7 @@ def test_a_single_label_has_no_borders():
     labels = np.ones((5, 9), dtype=np.int32)
     labels[2, 3:6] = 0
     for image in (labels, 0 * labels):
-        found = border_statistics(image, (), pinhole(), gap_per_m=GAP, evaluate=Planes(np.ones((1, 3))))
+        found = border_statistics(image, Planes(np.ones((1, 3))), pinhole(), gap_per_m=GAP)
         assert found.labels.shape == (0, 2)
         assert found.in_contact.shape == (0,)
 
@@ -115,7 +115,7 @@ def test_what_is_at_infinity_touches_without_a_crease():
         return np.where(label == 1, 0.0, 0.2 * GAP), np.zeros(label.size), np.zeros(label.size)
 
     labels = np.repeat([[1, 2]], 3, axis=0).repeat(20, axis=1).astype(np.int32)
-    found = border_statistics(labels, (), pinhole(), gap_per_m=GAP, evaluate=evaluate)
+    found = border_statistics(labels, evaluate, pinhole(), gap_per_m=GAP)
     assert (found.samples, found.touching) == (3, 3)
     assert (found.concavity, found.concavity_square) == (0, 0)
     assert found.apart == pytest.approx(0.6)

@@ -8,6 +8,7 @@ from nurbseg.segmentation.extended.borders import refine_borders
 from nurbseg.segmentation.labels.upsample import upsample_by_depth
 from nurbseg.segmentation.points.depth_grid import depth_grid, inverse_depth_image
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
+from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
 CONFIG = SegmentationConfig()
 
@@ -36,7 +37,7 @@ def test_ragged_borders_return_to_where_the_surfaces_meet(cloud_of, box_on_table
     ].astype(np.int32)
     surfaces, inverse_depth = fitted(cloud, truth), inverse_depth_image(cloud)
     ragged, truth, inverse_depth = (each[::step, ::step] for each in (ragged, truth, inverse_depth))
-    refined = refine_borders(ragged, inverse_depth, surfaces, CONFIG, step=step)
+    refined = refine_borders(ragged, inverse_depth, SurfaceTable(surfaces), CONFIG, step=step)
     assert (ragged != truth).mean() > 0.01
     assert (refined != truth).mean() < 0.25 * (ragged != truth).mean()
     assert ((refined > 0) == (truth > 0)).all()
@@ -97,7 +98,7 @@ def test_sweeps_are_those_over_one_pixel_after_the_other(cloud_of, box_on_table)
         window = slice(top, top + 60), slice(left, left + 80)
         labels = np.zeros_like(ragged)
         labels[window] = ragged[window]
-        refined = refine_borders(labels, inverse_depth, surfaces, config, rms_per_m=rms_per_m)
+        refined = refine_borders(labels, inverse_depth, SurfaceTable(surfaces), config, rms_per_m=rms_per_m)
         expected = swept(
             labels[window], inverse_depth[window], [each[window] for each in explained], deviations, config
         )
@@ -108,7 +109,7 @@ def test_sweeps_are_those_over_one_pixel_after_the_other(cloud_of, box_on_table)
 def test_right_borders_stay(cloud_of, box_on_table):
     depth, truth = box_on_table()
     cloud = cloud_of(depth)
-    refined = refine_borders(truth, inverse_depth_image(cloud), fitted(cloud, truth), CONFIG)
+    refined = refine_borders(truth, inverse_depth_image(cloud), SurfaceTable(fitted(cloud, truth)), CONFIG)
     assert (refined != truth).mean() < 3e-3
 
 
@@ -119,13 +120,13 @@ def test_no_label_loses_its_last_pixel(cloud_of, box_on_table):
     surfaces = [*fitted(cloud, truth), None, None]
     for label in (5, 6):
         truth[120:122, 40 * label : 40 * label + 2] = label
-    refined = refine_borders(truth, inverse_depth_image(cloud), surfaces, CONFIG)
+    refined = refine_borders(truth, inverse_depth_image(cloud), SurfaceTable(surfaces), CONFIG)
     assert set(np.unique(refined)) == {1, 2, 3, 4, 5, 6}
 
 
 def test_a_single_surface_is_left_alone():
     labels = np.ones((5, 6), np.int32)
-    assert refine_borders(labels, np.ones((5, 6), np.float32), [None], CONFIG) is labels
+    assert refine_borders(labels, np.ones((5, 6), np.float32), SurfaceTable([None]), CONFIG) is labels
 
 
 @pytest.mark.parametrize("step", [1, 2, 3, 5])

@@ -14,6 +14,7 @@ from nurbseg.segmentation.extended.merge import (
 )
 from nurbseg.segmentation.points.depth_grid import depth_grid
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
+from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
 CONFIG = SegmentationConfig()
 NAMES = ("00", "01", "10", "11")
@@ -33,7 +34,7 @@ def fitted(cloud, labels, step=1):
 
 def measured(labels, surfaces, rays):
     """Share of touching places and mean concavity of each pair."""
-    found = border_statistics(labels, surfaces, rays, gap_per_m=0.02)
+    found = border_statistics(labels, SurfaceTable(surfaces).slopes, rays, gap_per_m=0.02)
     return {
         tuple(pair): (touching / samples, concavity / max(touching, 1))
         for pair, samples, touching, concavity in zip(
@@ -61,7 +62,7 @@ def test_creases_of_a_box_have_the_sign_and_size_of_their_angle(cloud_of, box_on
 def test_a_box_is_an_object_and_the_table_another(cloud_of, box_on_table, step):
     depth, truth = box_on_table(noise_per_m=2e-3)
     grid, surfaces = fitted(cloud_of(depth), truth, step)
-    objects, contacts = merge_surfaces(truth, grid, NAMES, surfaces, CONFIG)
+    objects, contacts = merge_surfaces(truth, grid, NAMES, SurfaceTable(surfaces), CONFIG)
     assert [each.leaves for each in objects] == [("00",), ("01", "10", "11")]
     said = {(each.first, each.second): each for each in contacts}
     assert said["01", "10"].merged
@@ -87,7 +88,7 @@ def test_the_order_of_labels_changes_nothing(cloud_of, box_on_table):
     odds = []
     for labels in (truth, order[truth]):
         grid, surfaces = fitted(cloud, labels, 2)
-        objects, contacts = merge_surfaces(labels, grid, NAMES, surfaces, CONFIG)
+        objects, contacts = merge_surfaces(labels, grid, NAMES, SurfaceTable(surfaces), CONFIG)
         assert of_pixels(labels, objects) == {
             frozenset(np.flatnonzero(truth == 1)),
             frozenset(np.flatnonzero(truth > 1)),
@@ -102,7 +103,7 @@ def test_a_mirrored_frame_has_mirrored_objects(cloud_of, box_on_table):
     for turn in (slice(None), slice(None, None, -1)):
         labels = np.ascontiguousarray(truth[:, turn])
         grid, surfaces = fitted(cloud_of(depth[:, turn]), labels)
-        objects, contacts = merge_surfaces(labels, grid, NAMES, surfaces, CONFIG)
+        objects, contacts = merge_surfaces(labels, grid, NAMES, SurfaceTable(surfaces), CONFIG)
         assert [each.leaves for each in objects] == [("00",), ("01", "10", "11")]
         odds.append([each.log_odds for each in contacts])
     # Knots lie on a lattice that is not the same from the other side.
@@ -123,25 +124,26 @@ def test_halves_of_a_bowl_are_one_object(cloud_of, rays_of_size):
     depth, labels = bowl(rays_of_size)
     rng = np.random.default_rng(0)
     grid, surfaces = fitted(cloud_of(1 / (1 / depth + 2e-3 * rng.normal(size=depth.shape))), labels, 2)
-    objects, (contact,) = merge_surfaces(labels, grid, NAMES[:2], surfaces, CONFIG)
+    objects, (contact,) = merge_surfaces(labels, grid, NAMES[:2], SurfaceTable(surfaces), CONFIG)
     assert [each.leaves for each in objects] == [("00", "01")]
     strict = SegmentationConfig(extended=ExtendedConfig(log_odds_min=contact.log_odds))
-    assert len(merge_surfaces(labels, grid, NAMES[:2], surfaces, strict)[0]) == 2
+    assert len(merge_surfaces(labels, grid, NAMES[:2], SurfaceTable(surfaces), strict)[0]) == 2
     loose = SegmentationConfig(extended=ExtendedConfig(log_odds_min=contact.log_odds - 1e-3))
-    assert len(merge_surfaces(labels, grid, NAMES[:2], surfaces, loose)[0]) == 1
+    assert len(merge_surfaces(labels, grid, NAMES[:2], SurfaceTable(surfaces), loose)[0]) == 1
 
 
 def test_merging_can_be_switched_off(cloud_of, box_on_table):
     depth, truth = box_on_table()
     grid, surfaces = fitted(cloud_of(depth), truth)
     off = SegmentationConfig(extended=ExtendedConfig(merge_surfaces=False))
-    assert merge_surfaces(truth, grid, NAMES, surfaces, off) == ((), ())
+    assert merge_surfaces(truth, grid, NAMES, SurfaceTable(surfaces), off) == ((), ())
 
 
 def test_surfaces_that_could_not_be_fitted_touch_nothing(cloud_of, box_on_table):
     depth, truth = box_on_table()
     grid, surfaces = fitted(cloud_of(depth), truth)
-    objects, contacts = merge_surfaces(truth, grid, NAMES, [surfaces[0], None, *surfaces[2:]], CONFIG)
+    table = SurfaceTable([surfaces[0], None, *surfaces[2:]])
+    objects, contacts = merge_surfaces(truth, grid, NAMES, table, CONFIG)
     assert ("01",) in [each.leaves for each in objects]
     assert all(each.touching == 0 for each in contacts if "01" in (each.first, each.second))
 

@@ -13,6 +13,7 @@ from nurbseg.segmentation.segments import Node
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
+from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
 CONFIG = SegmentationConfig()
 NAMES = ("00", "01", "10", "11")
@@ -41,7 +42,7 @@ def box(cloud_of, box_on_table):
 def test_the_first_frame_is_merged_as_one_alone(box):
     grid, truth, on_grid, surfaces, leaves = box
     objects, contacts = ObjectMemory().merged(leaves, on_grid, SurfaceLattice(surfaces, 2), grid, CONFIG)
-    alone, of_alone = merge_surfaces(truth, grid, NAMES, surfaces, CONFIG)
+    alone, of_alone = merge_surfaces(truth, grid, NAMES, SurfaceTable(surfaces), CONFIG)
     assert objects == alone
     # Borders between places of the grid are nearly those between pixels.
     for live, cold in zip(contacts, of_alone, strict=True):
