@@ -1,0 +1,62 @@
+"""Pairs of depth and color messages, as they come and at the end."""
+
+import pytest
+
+from nurbseg.drivers.mcap.pairing import Kind, StampPairing
+
+
+def paired(*messages: tuple[Kind, int], limit: int = 20, at_end: bool = False) -> tuple[list[str], int]:
+    """Return the contents of the pairs of messages, and how many messages were dropped."""
+    pairing, pairs = StampPairing(limit), []
+    for kind, stamp_ns in messages:
+        pairing.add(kind, stamp_ns, f"{kind[0]}{stamp_ns}".encode())
+        while pair := pairing.take():
+            pairs.append(pair)
+    while at_end and (pair := pairing.take(at_end=True)):
+        pairs.append(pair)
+    texts = [b" ".join([each.depth, each.color, each.labels or b"-"]).decode() for each in pairs]
+    assert [f"d{each.stamp_ns}" for each in pairs] == [text.split()[0] for text in texts]
+    return texts, pairing.dropped
+
+
+def test_equal_stamps_are_paired_at_once_and_what_came_before_is_dropped() -> None:
+    assert paired(("depth", 100), ("color", 100)) == (["d100 c100 -"], 0)
+    assert paired(("color", 0), ("color", 30), ("color", 100), ("depth", 100)) == (["d100 c100 -"], 2)
+    # A nearer color image may follow.
+    assert paired(("depth", 100), ("color", 90)) == ([], 0)
+
+
+def test_labels_are_those_of_the_same_stamp() -> None:
+    both = [(kind, stamp) for stamp in (100, 200) for kind in ("depth", "color")]
+    assert paired(("labels", 90), ("labels", 200), *both)[0] == ["d100 c100 -", "d200 c200 l200"]
+    assert paired(("labels", 100), ("labels", 200), *both)[0] == ["d100 c100 l100", "d200 c200 l200"]
+
+
+@pytest.mark.parametrize(
+    ("colors", "depths", "pairs", "dropped"),
+    [
+        # The nearer of two colors, and of two depths; the others have no partner.
+        ((90, 104), (100, 140), ["d100 c104 -"], 1),
+        ((108, 150), (100, 110, 150), ["d110 c108 -", "d150 c150 -"], 1),
+        # One later than the limit.
+        ((121, 200), (100, 200), ["d200 c200 -"], 2),
+        ((120, 200), (100, 200), ["d100 c120 -", "d200 c200 -"], 0),
+    ],
+)
+def test_the_nearest_within_the_limit_are_paired_once_that_is_certain(
+    colors: tuple[int, ...], depths: tuple[int, ...], pairs: list[str], dropped: int
+) -> None:
+    found = paired(*(("color", each) for each in colors), *(("depth", each) for each in depths))
+    assert found == (pairs, dropped)
+
+
+def test_at_the_end_nothing_is_waited_for() -> None:
+    messages: list[tuple[Kind, int]] = [("depth", 100), ("color", 90), ("depth", 180)]
+    assert paired(*messages, at_end=True) == (["d100 c90 -"], 1)
+
+
+def test_at_most_64_messages_wait_for_their_partners() -> None:
+    waiting: list[tuple[Kind, int]] = [("depth", n) for n in range(64)]
+    assert paired(*waiting, limit=0) == ([], 0)
+    assert paired(*waiting, ("depth", 64), ("color", 0), limit=0)[1] >= 1
+    assert paired(*waiting, ("depth", 64), ("color", 1), limit=0)[0] == ["d1 c1 -"]
