@@ -8,7 +8,7 @@ import pytest
 
 from nurbseg.app.evaluation.variants import path_named
 from nurbseg.drivers import Intrinsics, SourceOptions
-from nurbseg.drivers.settings import Settings, nested, setting, updated
+from nurbseg.drivers.settings import Settings, ValueKind, changed_paths, nested, setting, updated
 from nurbseg.segmentation.config import SegmentationConfig
 
 INFINITE, NAN = float("inf"), float("nan")
@@ -64,3 +64,21 @@ def test_a_whole_number_for_a_setting_that_is_none_is_taken_as_what_it_is_declar
         int,
         float,
     ]
+
+
+@pytest.mark.parametrize("read", [ValueKind.from_text, ValueKind.from_toml])
+def test_only_its_own_word_stands_for_a_number(read: Any) -> None:
+    kind = ValueKind(int, word="auto")
+    assert read(kind, "auto") == "auto"
+    for other in ("", "all", "auto ", "automatic", "zero"):
+        with pytest.raises(ValueError, match="expected a whole number or auto, got"):
+            read(kind, other)
+        with pytest.raises(ValueError, match="expected a whole number, got"):
+            read(ValueKind(int), other)
+    assert kind.from_text("3") == kind.from_toml(3) == 3
+
+
+def test_settings_that_are_not_at_their_defaults_are_told_by_path() -> None:
+    config = updated(SegmentationConfig(), samples=50, depth_max=30, method="stag15", extended={"cuts": 1})
+    assert set(changed_paths(config)) == {"samples", "depth_max", "method", "extended.cuts"}
+    assert changed_paths(SegmentationConfig()) == []
