@@ -1,7 +1,6 @@
 """The report of a study: a self-contained HTML file, and its pictures as PNG."""
 
 import base64
-import json
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -11,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.atomic_file import write_atomically
+from nurbseg.app.atomic_file import read_json, write_atomically
 from nurbseg.app.computer import versions_line
 from nurbseg.app.evaluation.answers import Answers
 from nurbseg.app.evaluation.report import pictures, plots
@@ -144,8 +143,10 @@ def _tree_pictures(
         path = store.folder / tree_path(key, variant)
         if not path.exists():
             continue
-        segments = json.loads(path.read_text(encoding="utf-8"))["segments"]
-        image = plots.tree_plot(segments)
+        try:
+            image = plots.tree_plot(read_json(path)["segments"])
+        except (KeyError, TypeError, ValueError) as err:
+            raise ValueError(f"{path}: cannot be drawn ({err!r}); remove it to leave it out") from err
         write_atomically(folder / f"{key}-{frame['name']}-tree.png", image)
         drawn.append((f"{frame['name']}: tree of {variant.name}", _base64(image)))
         errors = pictures.strip_png(_error_tiles(study, frame, variant), 420)

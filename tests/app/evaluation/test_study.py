@@ -160,6 +160,37 @@ def test_another_study_s_folder_is_refused(frames: Path, tmp_path: Path) -> None
         StudyStore(tmp_path / "out", {"sources": [str(frames)], "seed": 0})
 
 
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"index": None}, "index: expected a whole number, got None"),
+        ({"uri": 3}, "uri: expected a text, got 3"),
+        ({"name": []}, r"name: expected a text, got \[\]"),
+        ({"category": {}}, r"category: expected a text, got \{\}"),
+        ({"results": []}, r"results: expected an object, got \[\]"),
+        ({"results": {"a": 1}}, r"results\.a: expected an object, got 1"),
+        ({"results": {"a": {}}}, r"results\.a\.ri: expected a number, got 'nothing'"),
+        ({"gtrc": None}, r"results\.a\.gtrc: expected a number, got None"),
+        ({"precision": "high"}, r"results\.a\.precision: expected a number or null, got 'high'"),
+    ],
+)
+def test_a_damaged_field_of_a_stored_frame_is_named_with_what_to_do(
+    tmp_path: Path, change: dict[str, object], text: str
+) -> None:
+    store = StudyStore(tmp_path, {})
+    scores = {"ri": 1, "gtrc": 0.5, "voi": 0.0, "obj": None, "precision": None}
+    frame = {"uri": "a.mcap", "index": 0, "name": "0", "category": "a", "results": {"a": scores}}
+    store.keep("00-000000", frame, {})
+    assert store.frame("00-000000") == {**frame, "key": "00-000000"}
+    (scores if change.keys() & scores.keys() else frame).update(change)
+    store.keep("00-000000", frame, {})
+    pattern = rf"frames/00-000000\.json: {text}; remove it to process its frame again"
+    with pytest.raises(ValueError, match=pattern):
+        store.frame("00-000000")
+    with pytest.raises(ValueError, match=pattern):
+        list(store.frames())
+
+
 def test_label_images_of_another_program_are_scored(
     frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -91,6 +91,19 @@ def test_fits_are_drawn_where_a_tree_s_upper_segments_have_no_surface(frames: Pa
     assert (first_surfaces > 0).any()
 
 
+@pytest.mark.parametrize("content", ["{", "{}", '{"segments": [{"name": "", "stop": "tired"}]}'])
+def test_a_damaged_tree_of_the_study_is_named_with_what_to_do(
+    frames: Path, tmp_path: Path, content: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [str(frames), "--methods", "stag15", "--frames", "1", "--time-frames", "0", "--out", str(tmp_path)]
+    assert main([*words, "--no-report"]) == 0
+    (tree,) = tmp_path.glob("trees/*/*.json")
+    tree.write_text(content)
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert f"{tree}: cannot be drawn" in said and "remove it" in said
+
+
 def test_the_rows_hold_every_frame_and_variant(frames: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert main([str(frames), "--methods", "stag15,fh04", "--out", str(out), "--no-report"]) == 0
