@@ -4,6 +4,12 @@ import logging
 import sys
 
 
+def told(err: BaseException) -> str:
+    """Return an error's message as a user is told it: with its class if it is not one that is expected."""
+    expected = isinstance(err, OSError) or type(err).__module__.startswith("nurbseg.")
+    return str(err) if expected else f"unexpected failure: {type(err).__name__}: {err}"
+
+
 class _Format(logging.Formatter):
     """Formats progress as plain lines, and warnings and errors with their level."""
 

@@ -1,6 +1,5 @@
 """Segments every frame of many recordings, and resumes where it was interrupted."""
 
-import operator
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,8 +10,9 @@ from nurbseg.app.atomic_file import read_json, write_json
 from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings, refuse_other_results
 from nurbseg.app.frames import Reader, survey
+from nurbseg.app.messages import told
 from nurbseg.app.workers import Workers, in_order
-from nurbseg.drivers.errors import DriverError, FrameFormatError, RecordingFormatError
+from nurbseg.drivers.errors import DriverError, FrameFormatError, RecordingFormatError, quoted
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.segmentation.config import SegmentationConfig
 
@@ -119,7 +119,7 @@ def run_batch(
                 _keep(recording, outcomes, exporters[task.uri])
             except Exception as err:
                 run = f"frames {task.run.start} to {task.run.stop - 1}"
-                recording.failure = f"{run}: {type(err).__name__}: {err}"
+                recording.failure = f"{run}: {told(err)}"
             if recording.ended:
                 report(recording)
     finally:
@@ -135,16 +135,17 @@ def _begun(
     try:
         before = read_json(path)
         # Earlier versions did not count frames without depth.
-        names = ("frames", "done", "without_depth")
-        frames, done, recording.without_depth = (operator.index(before.get(name, 0)) for name in names)
-        recording.damaged = dict(before["damaged"])
-        if not 0 < done <= frames:
-            raise ValueError(f"{done} of {frames} frames")
-        recording.done = done
+        frames, done, without_depth = (before.get(name, 0) for name in ("frames", "done", "without_depth"))
+        if not all(isinstance(each, int) for each in (frames, done, without_depth)) or not 0 < done <= frames:
+            counted = f"{quoted(done)} of {quoted(frames)}"
+            raise ValueError(f"{path}: done: expected a number of frames, got {counted}")
+        if not isinstance(before.get("damaged"), dict):
+            raise ValueError(f"{path}: damaged: expected an object, got {quoted(before.get('damaged'))}")
+        recording.done, recording.damaged, recording.without_depth = done, before["damaged"], without_depth
     except FileNotFoundError:
         frames = None
-    except (KeyError, TypeError, ValueError) as err:
-        raise ExportError(f"{path}: cannot be read ({err!r}); delete {folder} to start over") from err
+    except ValueError as err:
+        raise ExportError(f"{err}; delete {folder} to start over") from err
     calibration = None
     try:
         positions, calibration = survey(recording.uri, options)

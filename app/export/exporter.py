@@ -94,6 +94,8 @@ class Exporter:
         self.export = replace(export or ExportConfig(), surfaces=settings.surfaces)
         self._metric = settings.config.metric
         self._table = ObjectTable(directory / OBJECTS_FILE)
+        #: Names of the trees, if frames have the names of their source.
+        self._trees: set[str] = set()
         check_libraries(self.export)
         try:
             create_folder(directory)
@@ -115,8 +117,16 @@ class Exporter:
     def write_files(self, files: Mapping[str, bytes]) -> None:
         """Write a frame's files from `frame_files` in their order.
 
-        Raises ExportError if one cannot be written, or exists and must not be replaced.
+        Raises ExportError if one cannot be written, exists and must not be replaced, or is another frame's.
         """
+        if self.export.names == "source":
+            tree = list(files)[-1]
+            if tree in self._trees:
+                raise ExportError(
+                    f"{self.directory / tree}: belongs to another frame of this run whose name is alike; "
+                    "use --export-names number"
+                )
+            self._trees.add(tree)
         for name, content in files.items():
             path = self.directory / name
             if not self.export.force and path.is_file():

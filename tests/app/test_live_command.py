@@ -277,10 +277,12 @@ def test_fewer_points_than_a_segment_needs_are_one_segment(
     assert np.array_equal(labels, depth // 900)
 
 
-def test_a_start_at_the_end_of_a_recording_is_named(live: Live) -> None:
-    done = live("--replay", SMALL.format(2), *FAST, "--start", "2")
+def test_a_start_at_the_end_of_a_recording_is_named(live: Live, tmp_path: Path) -> None:
+    done = live("--replay", SMALL.format(2), *FAST, "--start", "2", "--report", "report.json")
     assert done.returncode == 1
-    assert "no frame could be read after --start 2 (0 damaged)" in done.stderr
+    said = f"{SMALL.format(2)}: no frame could be read after --start 2 (0 damaged)"
+    assert f"nurbseg-live: error: {said}\n" in done.stderr
+    assert json.loads((tmp_path / "report.json").read_text())["ended"] == said
 
 
 def test_a_recording_without_a_usable_frame_is_refused(live: Live, write_pairs: Callable[..., Path]) -> None:

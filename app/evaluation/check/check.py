@@ -145,7 +145,7 @@ class FolderCheck:
 
     def _check_against(self, frame: ExportedFrame, recorded: RGBDFrame | None) -> Iterator[Finding]:
         if recorded is None:
-            yield frame.wrong("", "frame", "one of the recording", frame.tree.frame)
+            yield frame.wrong("", "frame", "one of the recording, without its repeats", frame.tree.frame)
             return
         for field, expected, found in (
             ("name", recorded.name, frame.tree.name),

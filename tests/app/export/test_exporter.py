@@ -66,6 +66,23 @@ def test_files_may_keep_the_name_that_the_frame_has_in_its_source(
     assert trees == ["000042_tree.json", "Kueche_1_IMG_0042_tree.json"]
 
 
+@pytest.mark.parametrize("force", [False, True])
+def test_a_frame_never_replaces_another_one_of_its_run(
+    small_result: FrameResult, tmp_path: Path, force: bool
+) -> None:
+    exporter = Exporter(tmp_path, SETTINGS, ExportConfig(names="source", force=force))
+    first, second = (
+        replace(small_result, frame=replace(small_result.frame, index=index, name=name))
+        for index, name in enumerate(("IMG 1", "IMG_1"))
+    )
+    exporter.write(first)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(ExportError, match=r"IMG_1_tree\.json: belongs to another .* --export-names number"):
+        exporter.write(second)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+    assert exporter.written == 1
+
+
 def test_what_exists_is_replaced_only_by_force(small_result: FrameResult, tmp_path: Path) -> None:
     exported(small_result, tmp_path)
     results = [path for path in tmp_path.iterdir() if path.name[0].isdigit()]

@@ -66,7 +66,9 @@ def test_a_frame_that_cannot_be_segmented_is_named() -> None:
         export=None,
         whole=False,
     )
-    with pytest.raises(FrameFailedError, match=r"frame 0 .*cannot be segmented: AttributeError"):
+    with pytest.raises(
+        FrameFailedError, match=r"frame 0 .*cannot be segmented: unexpected failure: AttributeError"
+    ):
         next(results)
 
 

@@ -95,7 +95,17 @@ def test_fits_are_drawn_where_a_tree_s_upper_segments_have_no_surface(frames: Pa
 def test_a_damaged_tree_of_the_study_is_named_with_what_to_do(
     frames: Path, tmp_path: Path, content: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = [str(frames), "--methods", "stag15", "--frames", "1", "--time-frames", "0", "--out", str(tmp_path)]
+    words = [
+        str(frames),
+        "--methods",
+        "stag15",
+        "--frames",
+        "1",
+        "--time-frames",
+        "0",
+        "--out",
+        str(tmp_path),
+    ]
     assert main([*words, "--no-report"]) == 0
     (tree,) = tmp_path.glob("trees/*/*.json")
     tree.write_text(content)
