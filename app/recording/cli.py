@@ -27,7 +27,7 @@ are missing, whether they were closed properly, and whether Rerun opens them. Re
 that can be read to a new, complete file; an .mcap then opens in Rerun, Foxglove and ROS."""
 
 _EPILOG = """\
-exit codes: 0 all intact; 1 a problem was found; 2 usage, or a file cannot be read at all
+exit codes: 0 all intact; 1 a problem was found, or the disk is full; 2 usage, or a file cannot be read
 example: nurbseg-record check *.mcap; nurbseg-record repair kitchen.mcap"""
 
 
@@ -35,6 +35,7 @@ def main(words: Sequence[str] | None = None) -> int:
     """Run the command with the process's arguments, or others; return its exit code."""
     logging.basicConfig(handlers=[message_handler("nurbseg-record")])
     given = _parser().parse_args(words)
+    from nurbseg.app.recording.viewer_file import WriteError
     from nurbseg.drivers.errors import DriverError
 
     if given.command == "repair" and given.out is not None and len(given.files) > 1:
@@ -46,7 +47,7 @@ def main(words: Sequence[str] | None = None) -> int:
             inspection = _inspected(given, file)
         except DriverError as err:
             print(f"nurbseg-record: error: {err}", file=sys.stderr)
-            worst = UNREADABLE
+            worst = max(worst, NOT_WHOLE if isinstance(err, WriteError) else UNREADABLE)
             continue
         found.append({**asdict(inspection), "whole": inspection.whole})
         worst = max(worst, WHOLE if inspection.whole else NOT_WHOLE)

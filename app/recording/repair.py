@@ -1,14 +1,19 @@
 """Writes a complete copy of a truncated or damaged recording."""
 
+import errno
 import shutil
 from pathlib import Path
 
 from nurbseg.app.recording import viewer_file
 from nurbseg.app.recording.inspection import form_of
+from nurbseg.app.recording.viewer_file import WriteError
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.files import check_absent, create_private
 from nurbseg.drivers.mcap.writer import rewrite
 from nurbseg.drivers.openni2.oni.file import correct_header, write_end
+
+#: Of a disk or a quota that is full, and of a file that must not grow.
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def repair(path: Path, output: Path, *, force: bool = False) -> list[str]:
@@ -16,7 +21,7 @@ def repair(path: Path, output: Path, *, force: bool = False) -> list[str]:
 
     The new file appears when it is complete, and only this user may read it. `force` replaces an existing
     file, even `path` itself. Raises DriverError if nothing can be read, or the new file exists or cannot be
-    written.
+    created, and WriteError if the disk is full.
     """
     write = {"mcap": _write_mcap, "oni": _write_oni, "rrd": viewer_file.rewrite}[form_of(path)]
     part = output.with_name(f".{output.name}.part")
@@ -31,7 +36,8 @@ def repair(path: Path, output: Path, *, force: bool = False) -> list[str]:
             part.unlink(missing_ok=True)
     except OSError as err:
         advice = ", or overwrite it with --force" if isinstance(err, FileExistsError) else ""
-        raise DriverError(f"{output}: cannot be written: {err.strerror}{advice}") from err
+        kind = WriteError if err.errno in _FULL else DriverError
+        raise kind(f"{output}: cannot be written: {err.strerror}{advice}") from err
     return [f"{damaged} damaged parts of {path} were left out"] if damaged else []
 
 

@@ -14,6 +14,10 @@ _LIMIT_S = 3600.0
 _SHOWN = "world/camera/image/depth"
 
 
+class WriteError(DriverError):
+    """A new file cannot be written to its end."""
+
+
 def complaint(*words: str) -> str:
     """Run Rerun's program; return its error message, or an empty text."""
     try:
@@ -31,10 +35,13 @@ def complaint(*words: str) -> str:
 def rewrite(path: Path, output: Path) -> None:
     """Write the readable part of a file, with an index, to a new one.
 
-    Raises DriverError if Rerun fails, and OSError if the new file cannot be created.
+    Raises OSError if the new file cannot be created, WriteError if it cannot be completed, and DriverError
+    if Rerun fails otherwise.
     """
     create_private(output).close()
     problem = complaint("rrd", "optimize", "--continue-on-error", str(path), "-o", str(output))
+    if "(os error " in problem:
+        raise WriteError(f"{path}: its copy cannot be written: {problem}")
     if problem:
         raise DriverError(f"{path}: Rerun cannot rewrite it: {problem}")
 

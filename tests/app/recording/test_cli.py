@@ -2,6 +2,8 @@
 
 import json
 import os
+import re
+import resource
 import struct
 from pathlib import Path
 
@@ -120,6 +122,26 @@ def test_no_file_is_replaced_unless_requested(cut, capsys):
     assert main(["repair", str(cut), "--out", str(cut), "--force"]) == 0
     assert main(["check", str(cut)]) == 0
     assert not list(cut.parent.glob(".*"))
+
+
+@pytest.mark.parametrize("form", ["mcap", "rrd"])
+def test_a_full_disk_ends_a_repair_with_1_and_loses_nothing(cut, form, capsys, monkeypatch):
+    if form == "rrd":
+        cut = cut.with_name("a.rrd")
+        cut.write_bytes(b"RRF2")
+        said = "Error: couldn't encode messages: No space left on device (os error 28)"
+        monkeypatch.setattr("nurbseg.app.recording.viewer_file.complaint", lambda *_: said)
+    before = {path: path.read_bytes() for path in cut.parent.iterdir()}
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    # The system refuses to let a file grow past this, as a full disk would.
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+    try:
+        code = main(["repair", str(cut), "--out", str(cut), "--force"])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert code == 1
+    assert re.search(rf"error: {cut}: (its copy )?cannot be written: ", capsys.readouterr().err)
+    assert {path: path.read_bytes() for path in cut.parent.iterdir()} == before
 
 
 def test_the_worst_of_several_files_counts_and_what_is_no_recording_is_named(whole, cut, tmp_path, capsys):
