@@ -18,7 +18,7 @@ class Term(NamedTuple):
 
 
 #: Log odds of two surfaces being one object are `BASE` plus, for each feature, its weight times its
-#: difference from the neutral value. ``python benchmarks/merging.py`` trains them, see docs/accuracy.md.
+#: difference from the neutral value. ``python benchmarks/merging.py`` trains them: docs/default-method.md.
 BASE = 1.08
 TERMS = (
     # Mean concavity where they touch, 0 for a convex crease, about radians; 1 at most.

@@ -114,7 +114,7 @@ def test_terms_are_weights_times_features_and_a_gap_is_the_only_term():
 
 
 def test_weights_are_those_that_are_published():
-    page = (Path(__file__).parents[3] / "docs/accuracy.md").read_text()
+    page = (Path(__file__).parents[3] / "docs/default-method.md").read_text()
     rows = (line.split("|") for line in page.splitlines())
     table = {row[1].strip(" `"): row[3:5] for row in rows if len(row) == 6}
     assert float(table["base"][0]) == BASE
