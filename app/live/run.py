@@ -249,7 +249,6 @@ def _segment(
         fixed="" if exporter is None else "an export holds results of one run's settings only",
     )
     frames = feed.controlled(config.live.control, controls)
-    view.every_table = opened.every_frame
     jumps = 0
     with closing(frames):
         for captured in frames:
@@ -260,6 +259,7 @@ def _segment(
                 settings = replace(settings, config=controls.config)
                 segmenter = _segmenter(settings, every_surface=bool(exports))
                 view.metric = controls.config.metric
+            view.every_table = opened.every_frame or controls.paused
             waited_ms = 1e3 * (time.monotonic() - captured.arrived_s)
             result = segmenter.process(captured.frame, source_hz=feed.capture.source_hz, waited_ms=waited_ms)
             latency_ms = 1e3 * (time.monotonic() - captured.arrived_s)

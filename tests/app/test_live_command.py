@@ -481,3 +481,19 @@ def test_a_live_run_lists_objects_only_as_often_as_they_can_be_read(
     shown = saved.frames("splits")
     assert len(shown) > 1
     assert saved.frames("objects") == (shown if speed == "0" else shown[:1])
+
+
+def test_in_a_pause_every_frame_that_is_shown_has_its_table_of_objects(
+    live: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nurbseg.app.view.isolated._TABLES_S", 60.0)
+    # More steps than there are frames, so that the run ends.
+    (tmp_path / "commands").write_text("pause\n" + 5 * "step\n")
+    with (tmp_path / "commands").open() as commands:
+        monkeypatch.setattr("sys.stdin", commands)
+        source = "synthetic:?width=96&height=72&frames=3"
+        done = live("--replay", source, "--view", "none", "--save", "a.rrd", "--control", "lines")
+    assert done.returncode == 0, done.stderr
+    saved = read_saved_view(tmp_path / "a.rrd", indexed=False)
+    assert saved.frames("objects") == saved.frames("splits")
+    assert len(saved.frames("objects")) > 1
