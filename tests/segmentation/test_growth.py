@@ -208,6 +208,14 @@ def test_every_metric_decides_by_its_own_values(
     assert any(leaf.stop is StopReason.CRITERION and leaf.trial is not None for leaf in tree.leaves())
 
 
+@both_methods
+def test_only_the_paper_splits_a_frame_whose_metric_is_zero(cloud_of, base: SegmentationConfig) -> None:
+    # No error is large, but the mean square is not 0: the paper keeps the first split all the same.
+    tree = segment(two_colors(cloud_of, 100, 190), replace(base, metric="nle"))
+    assert tree.root.fit.values["nle"] == 0 < tree.root.fit.values["mse"]
+    assert (tree.root.trial is not None) == (len(tree.leaves()) == 2) == (base.method == "stag15")
+
+
 def two_colors(cloud_of, left: int, right: int, apart: int = 0) -> PointMap:
     """Ten rows of a rough wall, so many places of one color and so many of another, perhaps apart."""
     rng = np.random.default_rng(0)
