@@ -82,9 +82,9 @@ def add_setting_flags(parser: argparse.ArgumentParser) -> None:
 def add_calibration_flags(parser: argparse.ArgumentParser) -> None:
     """Add the flags for recordings without calibration."""
     parser.add_argument(
-        "--calibration", type=Path, metavar="FILE", help="of both cameras, as for nurbseg-live"
+        "--calibration", type=Path, metavar="FILE", help="calibration of both cameras, as for nurbseg-live"
     )
-    parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="for data without calibration, pixels")
+    parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="in pixels, for data without calibration")
     parser.add_argument(
         "--depth-scale",
         type=float,

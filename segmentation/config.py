@@ -129,8 +129,8 @@ class ExtendedConfig(Settings):
     )
     noise_correlation_px: float = setting(
         30.0,
-        "side of the square over which sensor noise is alike, in pixels of a 640-wide image; 1 for white "
-        "noise. Surfaces follow such noise, which raises the floors of curvature metrics",
+        "side of the square within which sensor noise is correlated, in pixels of a 640-wide image; 1 for "
+        "white noise. Surfaces follow such noise, which raises the floors of curvature metrics",
         unit="px",
         least=1.0,
         most=640.0,
@@ -148,8 +148,8 @@ class ExtendedConfig(Settings):
     )
     cuts: int = setting(
         3,
-        "eigenvectors to try, from the second on, until one gives a split; one more, unless it is 1, for "
-        "what is far beyond noise",
+        "eigenvectors to try, from the second on, until one gives a split; one more, unless this is 1, "
+        "for a segment whose error is far above noise",
         least=1,
         most=10,
     )
@@ -176,8 +176,8 @@ class ExtendedConfig(Settings):
     protrusion_min: float = setting(
         2.5,
         "points nearer than a surface by more than this many times inverse_depth_noise, or the root mean "
-        "square of its residuals if that is larger, become a surface of their own where they are connected, "
-        "at least piece_pixels_min and hold a square of 8 pixels; 0 for never",
+        "square of its residuals if that is larger, become a surface of their own if they are connected, at "
+        "least piece_pixels_min in number and contain a square of 8 pixels; 0 for never",
         least=0.0,
     )
     refine_borders: bool = setting(
@@ -215,7 +215,7 @@ class SegmentationConfig(Settings):
         100, "points drawn at random whose affinities are computed exactly (Nystrom)", least=2, most=2000
     )
     landmarks: int = setting(
-        60, "samples that are used: those that explain the affinities of the others best", least=2, most=2000
+        60, "samples that are used, those that best explain the affinities of the others", least=2, most=2000
     )
     cut_points: int = setting(
         6000, "points of a segment used to compute its cut; the others are classified by extension", least=100
@@ -225,7 +225,7 @@ class SegmentationConfig(Settings):
     )
     splitting_point: SplittingPoint = setting(
         "zero",
-        "where the second eigenvector is cut: at zero, by 2-means, or at least Ncut",
+        "where the second eigenvector is cut: at zero, by 2-means, or where Ncut is least",
     )
     depth_max: int = setting(8, "T_d: maximum depth of the tree", least=0, most=64)
     splits_max: int = setting(60, "T_s: maximum number of splits", least=0, most=10_000)
@@ -244,8 +244,8 @@ class SegmentationConfig(Settings):
     )
     decimation: int = setting(
         0,
-        "pixel step of the grid on which splits are decided, 0 for 2 or, up to 320 columns, 1; "
-        "borders are refined on every pixel",
+        "pixel step of the grid on which splits are decided; 0 for 1 in images of up to 320 columns and 2 in "
+        "larger ones. Borders are refined on every pixel",
         least=0,
         most=8,
     )

@@ -30,7 +30,7 @@ _TITLES = {
     "segmentation.extended": "segmentation by the default method, --method nurbseg",
     "live": "from frame to frame",
     "view": "view",
-    "export": "files out",
+    "export": "exported files",
     "record": "recording",
 }
 

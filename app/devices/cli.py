@@ -23,7 +23,7 @@ List the depth cameras on this computer, find out why one does not work, and
 move a Kinect's motor. Without a command, the cameras are listed."""
 
 _EPILOG = """\
-exit codes: 0 a camera is ready (list, doctor) or it was done; 1 not; 2 usage
+exit codes: 0 a camera is ready (list, doctor), or the command succeeded; 1 otherwise; 2 usage
 example: nurbseg-devices doctor --device kinect"""
 
 

@@ -23,7 +23,7 @@ LTTM set."""
 _EPILOG = """\
 methods: nurbseg, stag15, pz14 (trees of surface fits), dmzc12, fh04, fh04-depth, slic-ncut, kmeans,
 lccp and pcl-organized (with Debian's libpcl-dev, cmake and g++)
-exit codes: 0 done, 1 failed while running or findings, 2 usage or no data, 130 interrupted; a killed run
+exit codes: 0 done, 1 a failure during the run, or findings, 2 usage or no data, 130 interrupted; a killed run
 resumes when it is started again with the same --out
 example: nurbseg-eval run my_frames --methods stag15,fh04 --metrics all --thresholds 1,0.9,0.8 --out study"""
 
@@ -52,7 +52,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--out", type=Path, default=Path("out/eval"), help="folder of the study (%(default)s)")
     add("--scheduler", metavar="URL", help="a Dask scheduler, tcp://HOST:8786, instead of --jobs")
-    add("--title", default="Segmentation on labelled frames", help="of the report")
+    add("--title", default="Segmentation on labelled frames", help="title of the report")
     add("--no-report", action="store_true", help="write tables only")
     add("--pictures", type=int, default=200, help="number of worst frames shown in the report (%(default)s)")
     add(
@@ -63,10 +63,10 @@ def _parser() -> argparse.ArgumentParser:
         type=int,
         default=1,
         metavar="N",
-        help="ground truth labels pieces: label // N is the object, 0 the background (10 for OSD and MOSD); "
-        "1 where labels are objects, and the largest is the background (%(default)s)",
+        help="ground-truth labels stand for pieces of objects: label // N is the object, 0 the background "
+        "(10 for OSD and MOSD); with 1, labels are objects, and the largest is the background (%(default)s)",
     )
-    tune = commands.add_parser("tune", help="search the settings that score best")
+    tune = commands.add_parser("tune", help="search for the settings that score best")
     tune.add_argument("--budget", type=int, default=50, help="settings to try (%(default)s)")
     tune.add_argument("--folds", type=int, default=5, help="folds of the cross-validation (%(default)s)")
     tune.add_argument("--method", default=None, help="method to tune (the configured one)")
@@ -87,14 +87,14 @@ def _parser() -> argparse.ArgumentParser:
         "--frames",
         dest="recording",
         metavar="RECORDING",
-        help="the segmented recording; recomputes the values from it",
+        help="the recording that was segmented, from which the values are recomputed",
     )
     for each in (run, tune, noise):
         kind = "frames, labelled or not" if each is noise else "labelled frames"
         each.add_argument("data", nargs="+", metavar="DATA", help=kind)
         each.add_argument("--frames", type=int, help="maximum number of frames per source (all)")
         each.add_argument("--start", type=int, default=0, help="first frame (%(default)s)")
-        each.add_argument("--seed", type=int, help="of all random numbers (0)")
+        each.add_argument("--seed", type=int, help="seed of all random numbers (0)")
     for each in (run, tune, noise, check):
         add_calibration_flags(each)
     for each in (run, tune):

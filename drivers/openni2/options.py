@@ -47,7 +47,7 @@ class DeviceOptions(Settings):
     )
     depth_unit: DepthUnit = setting("1mm", "unit in which the camera delivers depth")
     mirror: bool = setting(False, "mirror the images")
-    registration: Registration = setting("hardware", "who registers depth to the color image")
+    registration: Registration = setting("hardware", "what registers depth to color: camera or program")
     sync: bool = setting(True, "capture depth and color at the same time, if the camera can")
     auto_exposure: Switch = setting("keep", "automatic exposure of the color camera")
     auto_white_balance: Switch = setting("keep", "automatic white balance of the color camera")
