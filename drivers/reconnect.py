@@ -175,7 +175,7 @@ class Reconnecting(FrameSource):
         self.metadata.update(source.metadata)
         if before.is_registered != source.calibration.is_registered:
             logger.warning(
-                "%s %s depth to color now, unlike before: recordings keep their calibration",
+                "%s now %s depth to color, unlike before; recordings keep the earlier calibration",
                 self.metadata.get("device", "the camera"),
                 "registers" if source.calibration.is_registered else "does not register",
             )

@@ -122,10 +122,8 @@ class Exporter:
         if self.export.names == "source":
             tree = list(files)[-1]
             if tree in self._trees:
-                raise ExportError(
-                    f"{self.directory / tree}: belongs to another frame of this run whose name is alike; "
-                    "use --export-names number"
-                )
+                path = self.directory / tree
+                raise ExportError(f"{path}: another frame has this file name; use --export-names number")
             self._trees.add(tree)
         for name, content in files.items():
             path = self.directory / name

@@ -30,7 +30,7 @@ class LatencyFilter:
             if not self._said:
                 self._said = True
                 _log.warning(
-                    "labels come %.0f ms after their frame; of frames over %g ms, one per second is shown",
+                    "labels come %.0f ms after their frame; of those over %g ms only one per second is shown",
                     age_ms,
                     self._age_max_ms,
                 )

@@ -142,7 +142,7 @@ def _read_frames(path: Path, found: Inspection) -> dict[str, str]:
     if damaged:
         found.problems.append(f"{len(damaged)} damaged: {damaged[0]}")
     if int(source.metadata.get("dropped", 0)):
-        found.remarks.append(f"{source.metadata['dropped']} images have no partner and are not in any frame")
+        found.remarks.append(f"images without a partner, which are in no frame: {source.metadata['dropped']}")
     _count(found, stamps)
     return source.metadata
 

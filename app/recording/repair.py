@@ -38,7 +38,7 @@ def repair(path: Path, output: Path, *, force: bool = False) -> list[str]:
         advice = ", or overwrite it with --force" if isinstance(err, FileExistsError) else ""
         kind = WriteError if err.errno in _FULL else DriverError
         raise kind(f"{output}: cannot be written: {err.strerror}{advice}") from err
-    return [f"{damaged} damaged parts of {path} were left out"] if damaged else []
+    return [f"damaged parts of {path} that were left out: {damaged}"] if damaged else []
 
 
 def _write_mcap(path: Path, part: Path) -> int:

@@ -60,7 +60,7 @@ def configure(device: OpenedDevice, options: DeviceOptions, name: str) -> Applie
     wants_registration = options.registration == "hardware"
     registered = device.register(wants_registration)
     if wants_registration and not registered:
-        reason = "it stays off when asked" if device.can_register else "it cannot"
+        reason = "it stays off when requested" if device.can_register else "it cannot"
         logger.warning("%s does not register depth to color (%s): software does it instead", name, reason)
     states = {
         "depth_mode": str(depth.mode),
@@ -92,7 +92,7 @@ def _set_color_controls(color: Stream, options: DeviceOptions, name: str, states
             continue
         value = {"on": 1, "off": 0}.get(asked, asked)
         if not color.try_to_set(control, ctypes.c_int(value)):
-            logger.warning("%s does not take %s %s", name, field, asked)
+            logger.warning("%s does not accept %s %s", name, field, asked)
         states[field] = str(color.find(control, ctypes.c_int))
 
 

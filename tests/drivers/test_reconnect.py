@@ -176,7 +176,7 @@ def test_a_camera_that_comes_back_with_another_registration_is_said_so(caplog):
         source.read()
         assert source.calibration is apart.calibration
         assert source.metadata is told
-    assert "camera does not register depth to color now, unlike before" in caplog.text
+    assert "camera now does not register depth to color, unlike before" in caplog.text
 
 
 def test_a_recording_continues_under_the_next_number():

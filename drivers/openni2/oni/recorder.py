@@ -100,7 +100,7 @@ class OniRecorder:
         self._destroy()
         if self._beyond_limit:
             logger.warning(
-                "%s: %d depth images held depth of %d or more, which .oni keeps wrong",
+                "%s: %d depth images held depth of %d or more, which .oni stores incorrectly",
                 self.path,
                 self._beyond_limit,
                 self._depth_limit,

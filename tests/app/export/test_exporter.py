@@ -77,7 +77,7 @@ def test_a_frame_never_replaces_another_one_of_its_run(
     )
     exporter.write(first)
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
-    with pytest.raises(ExportError, match=r"IMG_1_tree\.json: belongs to another .* --export-names number"):
+    with pytest.raises(ExportError, match=r"IMG_1_tree\.json: another frame .* --export-names number"):
         exporter.write(second)
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
     assert exporter.written == 1

@@ -107,7 +107,7 @@ def test_a_damaged_chunk_costs_its_frames_and_no_more(whole, capsys):
     assert told["problems"][0].startswith("1 damaged: ")
     code, told = found(capsys, "repair", str(whole))
     assert (code, told["frames"], told["opens_in_rerun"]) == (0, 11, True)
-    assert told["remarks"] == [f"1 damaged parts of {whole} were left out"]
+    assert told["remarks"] == [f"damaged parts of {whole} that were left out: 1"]
 
 
 def test_no_file_is_replaced_unless_requested(cut, capsys):

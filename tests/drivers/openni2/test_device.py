@@ -204,7 +204,7 @@ def test_color_controls_that_the_camera_lacks_are_said_so(virtual_cameras, caplo
     virtual_cameras.add(controls=0)
     with caplog.at_level(logging.WARNING), DeviceSource(options=DeviceOptions(gain=7)):
         pass
-    assert "does not take gain 7" in caplog.text
+    assert "does not accept gain 7" in caplog.text
 
 
 def test_a_mode_that_is_not_listed_is_refused_with_what_is(virtual_cameras):
