@@ -47,7 +47,7 @@ SCORES = (
 STAGES: tuple[tuple[str, dict[str, Any]], ...] = (
     ("merging into objects", {"merge_surfaces": False}),
     ("normals in the vectors, color x 0.25", {"normal_weight": 0.0, "color_weight": 1.0}),
-    ("metrics no less than noise", {"noise_floor": 0.0}),
+    ("the floor of noise for metrics", {"noise_floor": 0.0}),
     ("further eigenvectors", {"cuts": 1}),
     ("border refinement", {"refine_borders": False}),
     ("folding of surfaces", {"fold_surfaces": False}),
@@ -142,7 +142,7 @@ def decisions(frames: Frames) -> list[str]:
             rows.append((f"{metric}, T = {threshold:g}", scores, decided))
             print(rows[-1][0], np.round(scores, 4), file=sys.stderr, flush=True)
     met = [reason for reason in reasons if any(decided[reason] for _, _, decided in rows)]
-    names = ["metric", *(name for name, _ in SCORES), "asked", "accepted", "rejected", *met]
+    names = ["metric", *(name for name, _ in SCORES), "judged", "accepted", "rejected", *met]
     lines = ["| " + " | ".join(names) + " |", "|---" * len(names) + "|"]
     for name, scores, decided in rows:
         accepted, rejected = decided["accepted"], decided["rejected"]
@@ -175,11 +175,11 @@ def report(named: Sequence[tuple[str, Frames]], seeds: int, command: str) -> lis
         "# What each stage is worth",
         "",
         f"Made by `{command}`",
-        f"on {datetime.date.today()}: the {len(frames)} labelled frames of {named[0][0]} where no other are",
-        "named, at full resolution, default settings but for what a row says, seed 0; means over frames with",
-        "bootstrap 95 % intervals over frames. RI, GTRC and obj are better when higher, VoI (bits) when",
-        "lower. Milliseconds are the median of one pass beside other work on the same computer, to be",
-        "compared only roughly.",
+        f"on {datetime.date.today()}, on the {len(frames)} labelled frames of {named[0][0]} unless a table",
+        "names others, at full resolution, with seed 0 and the default settings except for what a row says.",
+        "Scores are means over frames with bootstrap 95 % intervals. RI, GTRC and obj are better when",
+        "higher, VoI (bits) when lower. Milliseconds are the median of one pass beside other work on one",
+        "computer; compare them only roughly.",
         f"{platform.python_implementation()} {platform.python_version()}, NumPy {np.__version__}, "
         f"SciPy {scipy.__version__}, OpenCV {cv2.__version__}.",
         "",
@@ -193,10 +193,10 @@ def report(named: Sequence[tuple[str, Frames]], seeds: int, command: str) -> lis
         lines.append(line(name, full))
     lines += [
         "",
-        "## Each left out of the whole",
+        "## Each left out",
         "",
-        "In brackets the difference to the whole, frame by frame, with its interval. Where metrics may count",
-        "as less than noise the paper's ratio stands alone.",
+        "In brackets is the difference from the complete method, frame by frame, with its interval. Without",
+        "the floor of noise the paper's ratio stands alone.",
         "",
         *left_out(frames, full),
     ]
@@ -208,9 +208,9 @@ def report(named: Sequence[tuple[str, Frames]], seeds: int, command: str) -> lis
         "",
         "## What the ratio decides",
         "",
-        "Segments whose split was asked of the ratio, those it accepted and rejected, and leaves by what",
-        "they stopped by, summed over all frames. A leaf that stopped by `noise` was not tried: its metric",
-        "is so near to what noise leaves of it that no split can have a ratio below T.",
+        "Splits that the ratio judged, those it accepted and rejected, and leaves by their stop reason,",
+        "summed over all frames. No split of a leaf with the reason `noise` was tried: its metric is so",
+        "close to its floor of noise that no split can have a ratio below T.",
     ]
     for name, each in named:
         lines += ["", f"{name}, {len(each)} frames:", "", *decisions(each)]
