@@ -167,7 +167,7 @@ def _calibration(arguments: argparse.Namespace) -> int:
         f"{calibration.color.fx:.1f} pixels, nominal\n"
         f"  offset         {-1e3 * calibration.color_from_depth[0, 3]:.0f} mm to the right, nominal\n"
         f"Use it with: nurbseg-live --calibration {path}\n"
-        "docs/calibration.md explains how to measure the nominal values."
+        "docs/calibration.md explains how to measure what is nominal here."
     )
     return READY
 

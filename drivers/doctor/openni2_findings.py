@@ -85,7 +85,7 @@ def driver_findings(part: Part, installation: Installation) -> Iterator[Finding]
             (f"sudo ln -s {misnamed[0]} {folder}/{stem}{installation.suffix}",),
         )
         return
-    where = f"Debian's {family.package} brings it" if family.package else "Debian has no package of it"
+    where = f"Debian's {family.package} provides it" if family.package else "Debian does not package it"
     yield Finding(
         "driver-missing",
         f"The driver of {part} is not installed",
@@ -100,7 +100,7 @@ def probe_findings(probe: Probe, found: Sequence[Finding]) -> Iterator[Finding]:
     An error among what was found without asking explains an empty or failed answer.
     """
     for name in probe.cameras:
-        yield Finding("ready", f"Ready: {name}", "OpenNI2 opens it, and images come.", severity="ok")
+        yield Finding("ready", f"Ready: {name}", "OpenNI2 opens it, and images arrive.", severity="ok")
     for name, words in probe.refused:
         yield Finding(
             "not-opened",

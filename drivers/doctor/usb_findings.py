@@ -136,9 +136,7 @@ def _access_findings(part: Part, host: Host) -> Iterator[Finding]:
             "no-usb-node",
             f"{part} is plugged in, but its device file is not here",
             f"There is no /dev/bus/usb/{device.bus:03d}/{device.address:03d}. "
-            + (
-                "It was plugged in after the container was started." if contained else "udev did not make it."
-            ),
+            + ("It was plugged in after the container was started." if contained else "udev did not add it."),
             (_PASS_USB_ON if contained else "unplug the camera and plug it in again",),
         )
     elif device.access == "silent":

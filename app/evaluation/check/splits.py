@@ -53,7 +53,7 @@ def check_splits(frame: ExportedFrame) -> Iterator[Finding]:
             if each.trial is not None or each.surface:
                 yield frame.wrong(name, "division", "no trial and no surface without a cut", "one of them")
             if config.method == "stag15":
-                yield frame.wrong(name, "division", "cut: stag15 knows no gaps", "gap")
+                yield frame.wrong(name, "division", "cut, as stag15 divides at no gaps", "gap")
         if each.division == "protrusion":
             yield from _check_protrusion(frame, each)
         yield from _check_trial(frame, each)

@@ -75,10 +75,10 @@ def all_tables(results: StudyResults, seconds: Mapping[str, float]) -> list[tupl
         direction = "greater" if greater else "smaller"
         tables.append((f"{heading}: mean over frames, {direction} is better", score_rows(results, score)))
     caption = (
-        "Objects one to one, without the background: overlap, boundaries, share with an F of .75 or more"
+        "Objects matched one to one, without background: overlap, boundaries, share with F of .75 or more"
     )
     tables.append((caption, object_rows(results)))
-    caption = "Segments found and regions there are, errors (bits), boundaries at 2 px, time"
+    caption = "Numbers of segments and regions, errors (bits), boundaries within 2 px, time"
     return [*tables, (caption, detail_rows(results, seconds))]
 
 
