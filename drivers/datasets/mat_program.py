@@ -1,97 +1,89 @@
-"""A program that reads MATLAB files; `MatProcess` runs it.
+"""A program that reads MATLAB files; `nurbseg.drivers.datasets.nyu` calls its functions.
 
 On damaged or malicious files, the libraries that read them may crash or take any amount of memory.
 """
 
-import contextlib
+import functools
 import os
 import resource
 import sys
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from collections.abc import Callable
+from typing import Any
 
-from nurbseg.drivers.errors import FrameFormatError
+from nurbseg.drivers.errors import BackendMissingError, FrameFormatError
 from nurbseg.drivers.limits import CHUNK_BYTES_MAX, FRAME_BYTES_MAX, PIXELS_MAX
-from nurbseg.drivers.process.channel import ChannelClosedError, connect_to_parent
+from nurbseg.drivers.process.channel import connect_to_parent
 from nurbseg.drivers.process.messages import Codec
 
 #: Address space, bytes: the libraries take one GiB, a frame of the largest size another.
 _ADDRESS_SPACE_BYTES = 3 << 30
-#: Processor time for one request, seconds.
+#: Processor time for one call, seconds.
 _PROCESSOR_S = 30
-#: Longest wait for a request before looking again, and for this process to end; seconds.
-_REQUEST_S, _END_S = 60.0, 2.0
+#: Longest wait for this process to end, seconds.
+_END_S = 2.0
 #: The sets of the labelled file and their numbers for each pixel.
 SETS = {"images": 3, "depths": 1, "labels": 1, "instances": 1}
 
-MatForm = Literal["hdf5", "matlab5"]
+CODEC = Codec()
 
 
-@dataclass(frozen=True, slots=True)
-class Request:
-    """Read a frame, or, without an index, the shapes of a labelled set."""
+def _limited(read: Callable[..., dict[str, Any]]) -> Callable[..., dict[str, Any]]:
+    """Limit the time that a function takes of the processor, and turn what it raises into our errors."""
 
-    path: str
-    form: MatForm
-    index: int | None
+    @functools.wraps(read)
+    def limited(*arguments: Any) -> dict[str, Any]:
+        used = resource.getrusage(resource.RUSAGE_SELF)
+        most = int(used.ru_utime + used.ru_stime) + _PROCESSOR_S
+        resource.setrlimit(resource.RLIMIT_CPU, (most, resource.RLIM_INFINITY))
+        try:
+            return read(*arguments)
+        except FrameFormatError:
+            raise
+        except ImportError as err:
+            library = err.name or str(err)
+            raise BackendMissingError(f"{library} is needed to read it: pip install {library}") from err
+        # The libraries raise whatever a damaged file leads them to.
+        except Exception as err:
+            raise FrameFormatError(f"cannot be read ({type(err).__name__}: {err})") from err
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Answer:
-    """Shapes and arrays by name; or what is wrong with the file, or which library is missing."""
-
-    shapes: dict[str, Any] = field(default_factory=dict)
-    arrays: dict[str, Any] = field(default_factory=dict)
-    error: str = ""
-    missing: str = ""
-
-
-CODEC = Codec(Request, Answer)
-
-
-def main() -> int:
-    """Answer requests until the other process has finished."""
-    # Neither threads, which take address space, nor filters from anywhere.
-    os.environ.update(OPENBLAS_NUM_THREADS="1", HDF5_PLUGIN_PRELOAD="::")
-    resource.setrlimit(resource.RLIMIT_AS, (_ADDRESS_SPACE_BYTES, _ADDRESS_SPACE_BYTES))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    channel = connect_to_parent(CODEC, limit_s=_END_S)
-    files: dict[str, Any] = {}
-    with contextlib.suppress(ChannelClosedError):
-        while True:
-            request = channel.receive(_REQUEST_S)
-            if isinstance(request, Request):
-                used = resource.getrusage(resource.RUSAGE_SELF)
-                most = int(used.ru_utime + used.ru_stime) + _PROCESSOR_S
-                resource.setrlimit(resource.RLIMIT_CPU, (most, resource.RLIM_INFINITY))
-                channel.send(_answer(request, files))
-    return 0
+    return limited
 
 
-def _answer(request: Request, files: dict[str, Any]) -> Answer:
-    try:
-        if request.form == "matlab5":
-            arrays = _matlab5(request.path)
-        else:
-            if request.path not in files:
-                files[request.path] = _open_hdf5(request.path)
-            sets = files[request.path]
-            if request.index is None:
-                return Answer(shapes={name: list(each.shape) for name, each in sets.items()})
-            arrays = {name: each[request.index] for name, each in sets.items()}
-        size = sum(each.nbytes for each in arrays.values())
-        if size > 2 * FRAME_BYTES_MAX:
-            raise FrameFormatError(f"expected {2 * FRAME_BYTES_MAX} bytes at most, got {size}")
-        return Answer(arrays=arrays)
-    except ImportError as err:
-        return Answer(missing=err.name or str(err))
-    except FrameFormatError as err:
-        return Answer(error=str(err))
-    # The libraries raise whatever a damaged file leads them to.
-    except Exception as err:
-        return Answer(error=f"cannot be read ({type(err).__name__}: {err})")
+@_limited
+def labelled_shapes(path: str) -> dict[str, Any]:
+    """Return the shapes of the sets of a labelled file (HDF5)."""
+    return {name: each.shape for name, each in _open_hdf5(path).items()}
 
 
+@_limited
+def labelled_frame(path: str, index: int) -> dict[str, Any]:
+    """Return the arrays of a frame of a labelled file."""
+    return _of_frame_size({name: each[index] for name, each in _open_hdf5(path).items()})
+
+
+@_limited
+def single_frame(path: str) -> dict[str, Any]:
+    """Return the arrays of the frame in a MATLAB 5 file."""
+    import scipy.io
+
+    record = scipy.io.loadmat(path, variable_names=["data"])["data"][0, 0]
+    arrays = {name: record[name] for name in ("rgb", "realDepth")}
+    for name, each in arrays.items():
+        if each.dtype.kind not in "fiu" or each.size > 3 * PIXELS_MAX:
+            raise FrameFormatError(
+                f"data.{name}: expected the numbers of an image, got {each.shape} {each.dtype}"
+            )
+    return _of_frame_size(arrays)
+
+
+def _of_frame_size(arrays: dict[str, Any]) -> dict[str, Any]:
+    size = sum(each.nbytes for each in arrays.values())
+    if size > 2 * FRAME_BYTES_MAX:
+        raise FrameFormatError(f"expected {2 * FRAME_BYTES_MAX} bytes at most, got {size}")
+    return arrays
+
+
+@functools.cache
 def _open_hdf5(path: str) -> dict[str, Any]:
     import h5py
 
@@ -118,17 +110,15 @@ def _hdf5_set(h5py: Any, file: Any, name: str, numbers: int) -> Any:
     return found
 
 
-def _matlab5(path: str) -> dict[str, Any]:
-    import scipy.io
-
-    record = scipy.io.loadmat(path, variable_names=["data"])["data"][0, 0]
-    arrays = {name: record[name] for name in ("rgb", "realDepth")}
-    for name, each in arrays.items():
-        if each.dtype.kind not in "fiu" or each.size > 3 * PIXELS_MAX:
-            raise FrameFormatError(
-                f"data.{name}: expected the numbers of an image, got {each.shape} {each.dtype}"
-            )
-    return arrays
+def main() -> int:
+    """Answer calls until the other process has finished."""
+    # Neither threads, which take address space, nor filters from anywhere.
+    os.environ.update(OPENBLAS_NUM_THREADS="1", HDF5_PLUGIN_PRELOAD="::")
+    resource.setrlimit(resource.RLIMIT_AS, (_ADDRESS_SPACE_BYTES, _ADDRESS_SPACE_BYTES))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    channel = connect_to_parent(CODEC, limit_s=_END_S)
+    channel.serve({each.__name__: each for each in (labelled_shapes, labelled_frame, single_frame)})
+    return 0
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ Reads the labelled set as it is distributed (``nyu_depth_v2_labeled.mat``, HDF5,
 and single frames in MATLAB 5 files, which have a ``data`` structure with ``rgb`` and ``realDepth``.
 """
 
-import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.closing import closed_on_error
+from nurbseg.drivers.datasets import mat_program
 from nurbseg.drivers.datasets.images import decode_labels, millimetres
-from nurbseg.drivers.datasets.mat_program import CODEC, SETS, Answer, MatForm, Request
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
 from nurbseg.drivers.errors import (
     BackendMissingError,
@@ -42,42 +42,35 @@ _CLASS_MOST = 13
 _END_S = 5.0
 
 
-class MatProcess:
-    """The process that reads MATLAB files; started on first use, and again after a file that crashed it."""
+class MatReader:
+    """Calls `mat_program` in a process, started on first use, and again after a file that crashed it."""
 
     def __init__(self) -> None:
         self._running: tuple[ChildProcess, Channel] | None = None
 
-    def read(self, path: Path, form: MatForm, index: int | None = None) -> Answer:
-        """Return what the program answers; without a frame of the labelled set, the shapes of the sets.
+    def read(self, function: Callable[..., dict[str, Any]], path: Path, *more: int) -> dict[str, Any]:
+        """Return what one of the program's functions reads of a file.
 
         Raises FrameFormatError if the file cannot be used, or has ended the process; BackendMissingError if a
         library that it needs is not installed.
         """
         if self._running is None:
             child = ChildProcess("nurbseg.drivers.datasets.mat_program", slots=1)
-            self._running = child, child.connect(CODEC)
+            self._running = child, child.connect(mat_program.CODEC)
         child, channel = self._running
-        deadline_s = time.monotonic() + _ANSWER_S
-        answer = None
+        words = (str(path.absolute()), *more)
         try:
-            channel.send(Request(str(path.absolute()), form, index))
-            while not isinstance(answer, Answer) and (left_s := deadline_s - time.monotonic()) > 0:
-                answer = channel.receive(left_s)
+            found: dict[str, Any] = channel.call(function.__name__, *words, limit_s=_ANSWER_S)
+        except (FrameFormatError, BackendMissingError) as err:
+            raise type(err)(f"{path}: {quoted(str(err))[1:-1]}") from err
         except ChannelClosedError:
             how = how_it_ended(child.end(_END_S))
             self.close()
             raise FrameFormatError(f"{path}: cannot be read: the process that reads it {how}") from None
-        if not isinstance(answer, Answer):
+        except TimeoutError as err:
             self.close()
-            raise FrameFormatError(f"{path}: cannot be read: it took over {_ANSWER_S:.0f} s")
-        if answer.missing:
-            raise BackendMissingError(
-                f"{path}: {answer.missing} is needed to read it: pip install {answer.missing}"
-            )
-        if answer.error:
-            raise FrameFormatError(f"{path}: {quoted(answer.error)[1:-1]}")
-        return answer
+            raise FrameFormatError(f"{path}: cannot be read: {err}") from None
+        return found
 
     def close(self) -> None:
         """End the process; safe to call twice."""
@@ -119,8 +112,8 @@ class NyuLabelledSource(SequenceSource):
     """
 
     def __init__(self, path: Path, options: SourceOptions) -> None:
-        self._process = MatProcess()
-        with closed_on_error(self._process.close):
+        self._reader = MatReader()
+        with closed_on_error(self._reader.close):
             frames, width, height = self._shape(path)
             super().__init__(path, frames, "NYU Depth v2, labelled")
             self.calibration = _calibration(options, width, height)
@@ -128,9 +121,10 @@ class NyuLabelledSource(SequenceSource):
     def _shape(self, path: Path) -> tuple[int, int, int]:
         """Return the number of frames, their width and height, which all sets agree on."""
         try:
-            shapes = {name: tuple(each) for name, each in self._process.read(path, "hdf5").shapes.items()}
+            read = self._reader.read(mat_program.labelled_shapes, path)
         except FrameFormatError as err:
             raise RecordingFormatError(str(err)) from err
+        shapes = {name: tuple(each) for name, each in read.items()}
         if len(shapes["depths"]) != 3 or not all(shapes["depths"]):
             raise RecordingFormatError(
                 f"{path}: depths: expected (frames, columns, rows), got {shapes['depths']}"
@@ -144,8 +138,8 @@ class NyuLabelledSource(SequenceSource):
         return frames, width, height
 
     def _load(self, index: int) -> RGBDFrame:
-        sets = self._process.read(self._path, "hdf5", index).arrays
-        color, depth_m, labels, instances = (sets[name] for name in SETS)
+        sets = self._reader.read(mat_program.labelled_frame, self._path, index)
+        color, depth_m, labels, instances = (sets[name] for name in mat_program.SETS)
         # MATLAB stores by columns: HDF5 shows every image transposed.
         return RGBDFrame(
             index=index,
@@ -158,7 +152,7 @@ class NyuLabelledSource(SequenceSource):
         )
 
     def _close(self) -> None:
-        self._process.close()
+        self._reader.close()
 
 
 class NyuFrameSource(SequenceSource):
@@ -177,14 +171,14 @@ class NyuFrameSource(SequenceSource):
             self._paths = sorted(path.glob("nyu_v2_*.mat"), key=lambda each: natural_key(each.name))
         super().__init__(path, len(self._paths), "NYU Depth v2, single frames")
         self._options = options
-        self._process = MatProcess()
-        with closed_on_error(self._process.close):
+        self._reader = MatReader()
+        with closed_on_error(self._reader.close):
             self.calibration = self._first_calibration()
 
     def _load(self, index: int) -> RGBDFrame:
         path = self._paths[index]
         try:
-            record = self._process.read(path, "matlab5").arrays
+            record = self._reader.read(mat_program.single_frame, path)
         except FrameFormatError as err:
             raise FrameFormatError(f"{err}; expected a structure 'data' with 'rgb' and 'realDepth'") from err
         color, depth_m = record["rgb"], record["realDepth"]
@@ -208,7 +202,7 @@ class NyuFrameSource(SequenceSource):
         )
 
     def _close(self) -> None:
-        self._process.close()
+        self._reader.close()
 
 
 def _class_regions(path: Path, width: int, height: int) -> NDArray[np.uint16] | None:

@@ -3,18 +3,22 @@
 Code that is slow, or may hang or crash, runs in a process of its own:
 
 ============================  ==================================  ===================================
-program                       gets                                sends
+program                       answers                             sends besides
 ============================  ==================================  ===================================
-``openni2.isolated.program``  what to open; begin, record, stop   opened, frames, done or failure
-``openni2.oni.player``        the path of an .oni file            description, images, end or failure
-``datasets.mat_program``      a MATLAB file and a frame's number  shapes or arrays, or what is wrong
-``app.view.program``          settings, frames, lines, close      opened, status, failure, closed
+``openni2.isolated.program``  open, begin, start and stop of a    frames
+                              recording
+``openni2.oni.player``        play: a description, then images
+``datasets.mat_program``      the shapes or arrays of a MATLAB
+                              file
+``app.view.program``          (gets settings, frames, lines)      opened, status, failure, closed
 ============================  ==================================  ===================================
 
 `ChildProcess` starts one, which first calls `connect_to_parent`, and a `Channel` connects the two: a socket
 for messages, dataclasses that a `Codec` writes as JSON (no pickle: nothing in them is run), and memory
-without a name for their arrays, divided into slots. The log goes through it too, and a heartbeat: a program
-that sends none hangs.
+without a name for their arrays, divided into slots. Most messages are a `Call` of a function, by one of the
+names that the program gives to `Channel.serve`, and its `Answer`: what the function returns, each item of an
+iterator, or the `DriverError` that it raises. The log goes through it too, and a heartbeat: a program that
+sends none hangs.
 
 A program ends when the process that started it has finished or died. If it hangs then,
 a thread of its own ends it; foreign programs, which have no such thread, are ended by Linux

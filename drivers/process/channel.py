@@ -13,10 +13,11 @@ import struct
 import sys
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from nurbseg.drivers.process.messages import Codec, aligned
+from nurbseg.drivers.errors import DriverError
+from nurbseg.drivers.process.messages import Answer, Call, Codec, aligned
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,6 +32,8 @@ _PART = 1 << 20
 _STUCK_S = 15.0
 #: Time between two heartbeats, seconds.
 _BEAT_S = 1.0
+#: Longest wait for a call before looking again, seconds.
+_CALL_S = 60.0
 
 
 class ChannelClosedError(Exception):
@@ -125,6 +128,39 @@ class Channel:
             name, level, words = json.loads(text)
             logging.getLogger(name).log(level, "%s", words)
         return None
+
+    def call(self, function: str, *arguments: Any, limit_s: float) -> Any:
+        """Return what a function of the other process returns, or raise the DriverError that it raises.
+
+        Raises ChannelClosedError if the process ends before, and TimeoutError if there is no answer in time.
+        """
+        self.send(Call(function, arguments))
+        deadline_s = time.monotonic() + limit_s
+        while (left_s := deadline_s - time.monotonic()) > 0:
+            if isinstance(answer := self.receive(left_s), Answer):
+                return answer.result()
+        raise TimeoutError(f"no answer within {limit_s:g} s")
+
+    def answer(self, call: Call, functions: Mapping[str, Callable[..., Any]]) -> None:
+        """Send what a function returns or raises; of an iterator, each item and then None."""
+        name = call.function
+        try:
+            value = functions[name](*call.arguments)
+            for item in value if isinstance(value, Iterator) else ():
+                while not self.send(Answer(name, item), 0.0):
+                    # Until the other process has taken an item before.
+                    self.receive(_BEAT_S)
+            answer = Answer(name, None if isinstance(value, Iterator) else value)
+        except DriverError as err:
+            answer = Answer(name, error=type(err).__name__, text=str(err))
+        self.send(answer)
+
+    def serve(self, functions: Mapping[str, Callable[..., Any]]) -> None:
+        """Answer calls until the other process ends."""
+        with contextlib.suppress(ChannelClosedError):
+            while True:
+                if isinstance(call := self.receive(_CALL_S), Call):
+                    self.answer(call, functions)
 
     def finish(self) -> None:
         """Signal the other process to end, as nothing more is sent; what it sends can be received."""

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
+
+from nurbseg.drivers import errors
+from nurbseg.drivers.errors import DriverError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,8 +23,42 @@ _SMALL_BYTES = 512
 _ALIGNMENT = 16
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Call:
+    """Call a function of the other process, by a name that both know."""
+
+    function: str
+    arguments: tuple[Any, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """What a function has returned, or the class and text of the `DriverError` that it has raised."""
+
+    function: str
+    value: Any = None
+    error: str = ""
+    text: str = ""
+
+    @property
+    def raised(self) -> DriverError | None:
+        """The error that the function has raised, if it has."""
+        if not self.error:
+            return None
+        kind: type[DriverError] = getattr(errors, self.error)
+        return kind(self.text)
+
+    def result(self) -> Any:
+        """Return the value, or raise the error."""
+        if self.raised is not None:
+            raise self.raised
+        return self.value
+
+
 class Codec:
     """Encodes and decodes messages of some dataclasses, and of those that their fields name.
+
+    `Call` and `Answer` are among them.
 
     Nothing else can be decoded, so that bytes cannot make the reader run anything. Raises ValueError if two
     of them have the same name.
@@ -31,7 +68,7 @@ class Codec:
         self._classes: dict[str, type] = {}
         self._fields: dict[type, list[str]] = {}
         self._enumerations: dict[type, dict[int, type[Enum]]] = {}
-        for each in classes:
+        for each in (Call, Answer, *classes):
             self._include(each)
 
     def _include(self, hint: Any) -> None:

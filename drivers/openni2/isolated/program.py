@@ -10,45 +10,84 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
-from nurbseg.drivers.errors import DeviceNotFoundError, DriverError, FrameTimeoutError
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.errors import DeviceNotFoundError, FrameTimeoutError
+from nurbseg.drivers.frame import Calibration
 from nurbseg.drivers.openni2.device import DeviceSource
-from nurbseg.drivers.openni2.isolated import messages
-from nurbseg.drivers.process.channel import Channel, ChannelClosedError, LogForwarder, connect_to_parent
+from nurbseg.drivers.openni2.options import DeviceOptions
+from nurbseg.drivers.process.channel import Channel, LogForwarder, connect_to_parent
+from nurbseg.drivers.process.messages import Call, Codec
 
 #: Longest wait for a frame before messages are looked at again, seconds.
 _SLICE_S = 0.1
-#: Longest wait at a time for what is to be opened, and what ending may take, with a recording to be
-#: finished; seconds.
-_BEGIN_S, _END_S = 60.0, 30.0
+#: What ending may take, with a recording to be finished; seconds.
+_END_S = 30.0
 
 
-def _open(request: messages.Open, channel: Channel) -> DeviceSource:
-    """Open the camera, waiting for it if that is asked."""
-    while True:
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraFrame:
+    """A pair of images, and how many were lost until then."""
+
+    timestamp_ns: int
+    depth_mm: NDArray[np.uint16]
+    color: NDArray[np.uint8]
+    missed: int
+    half_pairs: int
+
+
+CODEC = Codec(CameraFrame, DeviceOptions, Calibration)
+
+
+def open_camera(
+    channel: Channel,
+    log_level: int,
+    wanted: str,
+    options: DeviceOptions,
+    pairing_limit_s: float,
+    patience_s: float | None,
+) -> Iterator[tuple[dict[str, str], Calibration]]:
+    """Open a camera, yield its metadata and calibration, and deliver its frames until it is lost.
+
+    Where it is not there, look for it every `patience_s` seconds, if that is given.
+    """
+    logging.basicConfig(level=log_level, handlers=[LogForwarder(channel)])
+    source = None
+    while source is None:
         try:
-            return DeviceSource(request.wanted, request.options, pairing_limit_s=request.pairing_limit_s)
+            source = DeviceSource(wanted, options, pairing_limit_s=pairing_limit_s)
         except DeviceNotFoundError:
-            if request.patience_s is None:
+            if patience_s is None:
                 raise
-        channel.beat()
-        next_s = time.monotonic() + request.patience_s
-        while (left_s := next_s - time.monotonic()) > 0:
-            channel.receive(left_s)
+            channel.beat()
+            next_s = time.monotonic() + patience_s
+            while (left_s := next_s - time.monotonic()) > 0:
+                channel.receive(left_s)
+    with source:
+        yield source.metadata, source.calibration
+        _deliver(source, channel)
 
 
 def _deliver(source: DeviceSource, channel: Channel) -> NoReturn:
-    begun = False
+    """Send frames from the first call of "begin" on, and answer other calls."""
+    begun: list[bool] = []
+    functions: dict[str, Callable[..., None]] = {
+        "begin": partial(begun.append, True),
+        "start_recording": lambda path, lossy: source.start_recording(Path(path), lossy=lossy),
+        "stop_recording": source.stop_recording,
+    }
     lost, before = 0, (0, 0)
     while True:
-        for message in _messages(channel):
-            if isinstance(message, messages.Begin):
-                begun = True
-            else:
-                channel.send(_handled(source, message))
+        while channel.is_waiting():
+            if isinstance(call := channel.receive(0.0), Call):
+                channel.answer(call, functions)
         channel.beat()
         try:
             frame = source.read(_SLICE_S)
@@ -58,7 +97,7 @@ def _deliver(source: DeviceSource, channel: Channel) -> NoReturn:
             # Nobody reads yet: these frames are not missed.
             before = source.missed, source.half_pairs
             continue
-        message = messages.CameraFrame(
+        message = CameraFrame(
             frame.timestamp_ns,
             frame.depth_mm,
             frame.color,
@@ -68,44 +107,13 @@ def _deliver(source: DeviceSource, channel: Channel) -> NoReturn:
         lost += not channel.send(message, 0.0)
 
 
-def _messages(channel: Channel) -> Iterator[Any]:
-    """Yield the messages that have arrived since the last call."""
-    while channel.is_waiting():
-        if (message := channel.receive(0.0)) is not None:
-            yield message
-
-
-def _handled(source: DeviceSource, message: Any) -> messages.Done | messages.Failure:
-    try:
-        if isinstance(message, messages.Record):
-            source.start_recording(Path(message.path), lossy=message.lossy)
-        else:
-            source.stop_recording()
-    except DriverError as err:
-        return messages.Failure.of(err)
-    return messages.Done()
-
-
 def main() -> int:
-    """Open the camera that the first message describes, and deliver its frames."""
-    channel = connect_to_parent(messages.CODEC, limit_s=_END_S)
+    """Open the camera that is asked for, and deliver its frames."""
+    channel = connect_to_parent(CODEC, limit_s=_END_S)
     with contextlib.suppress(OSError):  # only some users may; a frame is lost if this is 33 ms late
         os.nice(-10)
-    try:
-        while (request := channel.receive(_BEGIN_S)) is None:
-            pass  # Started in advance, for when a camera is plugged in again.
-        if not isinstance(request, messages.Open):
-            return 1
-        logging.basicConfig(level=request.log_level, handlers=[LogForwarder(channel)])
-        with _open(request, channel) as source:
-            channel.send(messages.Opened(dict(source.metadata), source.calibration))
-            _deliver(source, channel)
-    except ChannelClosedError:
-        return 0
-    except DriverError as err:
-        with contextlib.suppress(ChannelClosedError):
-            channel.send(messages.Failure.of(err, fatal=True))
-        return 1
+    channel.serve({open_camera.__name__: partial(open_camera, channel)})
+    return 0
 
 
 if __name__ == "__main__":

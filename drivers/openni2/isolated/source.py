@@ -11,10 +11,11 @@ from typing import Any
 from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.errors import DeviceLostError, DeviceNotFoundError, DriverError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
-from nurbseg.drivers.openni2.isolated import messages
+from nurbseg.drivers.openni2.isolated.program import CODEC, CameraFrame, open_camera
 from nurbseg.drivers.openni2.options import DeviceOptions, parse_mode
 from nurbseg.drivers.process.channel import ChannelClosedError
 from nurbseg.drivers.process.child import ChildProcess
+from nurbseg.drivers.process.messages import Answer, Call
 from nurbseg.drivers.source import FrameSource
 
 #: The process must have opened the camera within this time, seconds.
@@ -69,13 +70,13 @@ class IsolatedCamera(FrameSource):
         self._options = options or DeviceOptions()
         self._index = self._refused = 0
         self._begun = self._is_open = False
-        self._frames: deque[messages.CameraFrame] = deque()
+        self._frames: deque[CameraFrame] = deque()
         self._failure: DriverError | None = None
         self._slots = _slots(self._options)
         self._process = process or begin_process(self._options)
-        self._channel = self._process.connect(messages.CODEC)
+        self._channel = self._process.connect(CODEC)
         level = logging.getLogger("nurbseg.drivers").getEffectiveLevel()
-        self._ask(messages.Open(wanted, self._options, pairing_limit_s, patience_s, level))
+        self._ask(open_camera.__name__, level, wanted, self._options, pairing_limit_s, patience_s)
         if patience_s is None:
             self._wait_until_open()
 
@@ -91,9 +92,9 @@ class IsolatedCamera(FrameSource):
 
         Raises DriverError as on opening.
         """
-        if not self._is_open and isinstance(opened := self._answer(timeout_s), messages.Opened):
-            self.metadata.update(opened.metadata)
-            self.calibration = opened.calibration
+        if not self._is_open and (answer := self._answer(timeout_s)) is not None:
+            metadata, self.calibration = answer.result()
+            self.metadata.update(metadata)
             self._is_open = True
         if not self._is_open and self._channel.silent_s > _OPEN_LIMIT_S:
             # A process that looks for its camera sends a heartbeat after each attempt.
@@ -109,33 +110,31 @@ class IsolatedCamera(FrameSource):
 
     def start_recording(self, path: Path, *, lossy: bool = False) -> None:
         """Record with OpenNI2's recorder, as `DeviceSource.start_recording` does."""
-        self._ask(messages.Record(str(path.absolute()), lossy))
-        self._wait_until_done()
+        self._call("start_recording", str(path.absolute()), lossy)
 
     def stop_recording(self) -> None:
         """Finish the recording, as `DeviceSource.stop_recording` does."""
-        self._ask(messages.StopRecording())
-        self._wait_until_done()
+        self._call("stop_recording")
 
-    def _ask(self, message: Any) -> None:
+    def _ask(self, function: str, *arguments: Any) -> None:
         # Its earlier messages say why the process ended.
         with contextlib.suppress(ChannelClosedError):
-            self._channel.send(message)
+            self._channel.send(Call(function, arguments))
 
-    def _wait_until_done(self) -> None:
+    def _call(self, function: str, *arguments: Any) -> None:
+        self._ask(function, *arguments)
         deadline = time.monotonic() + _ANSWER_LIMIT_S
         while time.monotonic() < deadline:
             answer = self._answer(deadline - time.monotonic())
-            if isinstance(answer, messages.Done):
-                return
-            if isinstance(answer, messages.Failure):
-                raise answer.error()
             if self._failure is not None:
                 raise self._failure
+            if answer is not None and answer.function == function:
+                answer.result()
+                return
         raise DeviceLostError(f"OpenNI2 does not answer within {_ANSWER_LIMIT_S:g} s; its driver hangs")
 
-    def _answer(self, timeout_s: float) -> Any | None:
-        """Return an answer, if one comes in time; frames are kept, and a fatal failure is noted."""
+    def _answer(self, timeout_s: float) -> Answer | None:
+        """Return an answer, if one comes in time; frames are kept, and the camera's failure is noted."""
         try:
             message = self._channel.receive(max(0.0, timeout_s))
         except ChannelClosedError:
@@ -143,21 +142,20 @@ class IsolatedCamera(FrameSource):
                 code = self._process.end(_ANSWER_LIMIT_S)
                 self._failure = DeviceLostError(f"OpenNI2's driver crashed the camera's process, code {code}")
             return None
-        if isinstance(message, messages.CameraFrame):
-            if len(self._frames) < self._slots:
-                self._frames.append(message)
-            else:
-                self._refused += 1
-            return None
-        if isinstance(message, messages.Failure) and message.fatal:
-            self._failure = message.error()
-            return None
-        return message
+        if isinstance(message, Answer):
+            if message.function != open_camera.__name__ or message.raised is None:
+                return message
+            self._failure = message.raised
+        elif message is not None and len(self._frames) < self._slots:
+            self._frames.append(message)
+        elif message is not None:
+            self._refused += 1
+        return None
 
     def _read(self, timeout_s: float) -> RGBDFrame:
         if not self._begun:
             self._begun = True
-            self._ask(messages.Begin())
+            self._ask("begin")
         deadline = time.monotonic() + timeout_s
         while not self._frames:
             if self._failure is not None:

@@ -18,7 +18,6 @@ from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.openni2 import nominal
 from nurbseg.drivers.openni2.capi import PixelFormat, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate
-from nurbseg.drivers.openni2.isolated.messages import Failure
 from nurbseg.drivers.openni2.oni.file import OniFile, StoredFrame, read_structure
 from nurbseg.drivers.openni2.oni.player import OPEN_LIMIT_S, Description, PlayedImage, PlayerProcess
 from nurbseg.drivers.openni2.options import DeviceOptions
@@ -81,10 +80,10 @@ class OniSource(FrameSource):
 
     def _description(self) -> Description:
         """Return what the player says first."""
-        message = self._player.receive(OPEN_LIMIT_S, OPEN_LIMIT_S)
-        if isinstance(message, Description):
-            return message
-        error = message.error() if isinstance(message, Failure) else None
+        answer = self._player.receive(OPEN_LIMIT_S, OPEN_LIMIT_S)
+        if answer is not None and isinstance(answer.value, Description):
+            return answer.value
+        error = answer and answer.raised
         if isinstance(error, BackendMissingError):
             raise error
         raise RecordingFormatError(f"{self._path}: OpenNI2 cannot play it ({error or 'no answer'})")
@@ -140,15 +139,15 @@ class OniSource(FrameSource):
         deadline = time.monotonic() + timeout_s
         wanted = ((Sensor.DEPTH, stored_depth.number), (Sensor.COLOR, stored_color.number))
         while not all(each in self._waiting for each in wanted):
-            message = self._player.receive(max(0.0, deadline - time.monotonic()))
-            if message is None:
+            answer = self._player.receive(deadline - time.monotonic())
+            if answer is None:
                 raise FrameTimeoutError(f"{self._path}: no frame within {timeout_s:g} s")
-            if not isinstance(message, PlayedImage):
-                why = message.error() if isinstance(message, Failure) else "it ends too early"
+            if not isinstance(image := answer.value, PlayedImage):
+                why = answer.text or "it ends too early"
                 raise RecordingFormatError(
                     f"{self._path}: frame {self._next}: OpenNI2 cannot play it ({why})"
                 )
-            self._waiting[message.sensor, message.number] = message
+            self._waiting[image.sensor, image.number] = image
             self._forget_before(stored_depth.number, stored_color.number)
         depth, color = (self._waiting.pop(each) for each in wanted)
         frame = frame_of(

@@ -12,9 +12,8 @@ import numpy as np
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.files import create_private
 from nurbseg.drivers.openni2.capi import Sensor, StreamProperty
-from nurbseg.drivers.openni2.isolated.messages import Failure
 from nurbseg.drivers.openni2.oni.file import correct_header, finish, has_begun, read_structure
-from nurbseg.drivers.openni2.oni.player import End, PlayedImage, PlayerProcess
+from nurbseg.drivers.openni2.oni.player import PlayedImage, PlayerProcess
 from nurbseg.drivers.openni2.opened import OpenedDevice
 from nurbseg.drivers.openni2.stream import Image
 
@@ -120,12 +119,12 @@ class OniRecorder:
         player = PlayerProcess(self.path)
         try:
             while len(differences[Sensor.DEPTH]) < _FIRST_IMAGES:
-                message = player.receive(_PLAY_LIMIT_S)
-                if message is None or isinstance(message, End | Failure):
+                answer = player.receive(_PLAY_LIMIT_S)
+                if answer is None or answer.value is None:
                     break
-                if isinstance(message, PlayedImage) and message.sensor in self._seen:
-                    difference = message.pixels.astype(np.int32) - self._seen[message.sensor].pixels
-                    differences[message.sensor].append(float(np.abs(difference).mean()))
+                if isinstance(image := answer.value, PlayedImage) and image.sensor in self._seen:
+                    difference = image.pixels.astype(np.int32) - self._seen[image.sensor].pixels
+                    differences[image.sensor].append(float(np.abs(difference).mean()))
         finally:
             player.close()
         structure = read_structure(self.path)

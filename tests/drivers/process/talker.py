@@ -5,13 +5,15 @@ from __future__ import annotations
 import logging
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.errors import EndOfRecordingError
 from nurbseg.drivers.process.channel import ChannelClosedError, LogForwarder, connect_to_parent
-from nurbseg.drivers.process.messages import Codec
+from nurbseg.drivers.process.messages import Call, Codec
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,21 @@ class Picture:
 CODEC = Codec(Say, Picture)
 
 
+def product(one: int, other: int) -> int:
+    return one * other
+
+
+def pictures(count: int) -> Iterator[Picture]:
+    """So many pictures, and then an error if it is a round number."""
+    for number in range(count):
+        yield Picture(number, np.full((100, 100), number, np.uint16))
+    if count % 10 == 0:
+        raise EndOfRecordingError(f"{count} pictures")
+
+
+FUNCTIONS = {"product": product, "pictures": pictures, "sleep": time.sleep}
+
+
 def main() -> int:
     channel = connect_to_parent(CODEC, limit_s=1.0)
     logging.basicConfig(level=logging.INFO, handlers=[LogForwarder(channel)])
@@ -36,7 +53,9 @@ def main() -> int:
         while True:
             message = channel.receive(0.05)
             channel.beat()
-            if isinstance(message, Picture):
+            if isinstance(message, Call):
+                channel.answer(message, FUNCTIONS)
+            elif isinstance(message, Picture):
                 channel.send(Say("got", int(message.pixels.sum())))
             elif isinstance(message, Say) and message.what == "log":
                 logging.getLogger("nurbseg.talker").warning("a %s", "word")

@@ -18,8 +18,10 @@ import psutil
 import pytest
 from own_children import own_children
 
+from nurbseg.drivers.errors import DriverError, EndOfRecordingError
 from nurbseg.drivers.process.channel import Channel, ChannelClosedError
 from nurbseg.drivers.process.child import ChildProcess
+from nurbseg.drivers.process.messages import Call
 from tests.drivers.process.talker import CODEC, Picture, Say
 
 TALKER = "tests.drivers.process.talker"
@@ -87,6 +89,44 @@ def test_slots_come_free_again(talk: Talk) -> None:
     heard = [talk.hear() for _ in range(21)]
     assert heard[-1] == Say("sent", 20)
     assert [each.number for each in heard[:-1]] == list(range(20))
+
+
+def test_a_function_of_the_program_returns_its_value(talk: Talk) -> None:
+    assert talk.channel.call("product", 6, 7, limit_s=60.0) == 42
+    assert talk.channel.call("product", 2, 3, limit_s=60.0) == 6
+
+
+@pytest.mark.parametrize("count", [2 * SLOTS + 1, 10])
+def test_an_iterator_is_sent_item_by_item_and_then_its_end_or_its_error(talk: Talk, count: int) -> None:
+    talk.channel.send(Call("pictures", (count,)))
+    # The program waits for room: nothing is left out.
+    time.sleep(1.0)
+    for number in range(count):
+        answer = talk.hear()
+        assert (answer.function, answer.raised) == ("pictures", None)
+        assert answer.value.number == number
+        assert (answer.value.pixels == number).all()
+    last = talk.hear()
+    if count % 10:
+        assert last.result() is None
+    else:
+        with pytest.raises(EndOfRecordingError, match=r"^10 pictures$"):
+            last.result()
+
+
+def test_the_error_of_a_function_is_raised_by_its_call(talk: Talk) -> None:
+    with pytest.raises(DriverError) as raised:
+        talk.channel.call("pictures", 0, limit_s=60.0)
+    assert type(raised.value) is EndOfRecordingError
+    assert str(raised.value) == "0 pictures"
+
+
+def test_a_call_without_an_answer_ends_in_time_and_with_the_process(talk: Talk) -> None:
+    with pytest.raises(TimeoutError, match=r"no answer within 0\.5 s"):
+        talk.channel.call("sleep", 60.0, limit_s=0.5)
+    talk.there.kill()
+    with pytest.raises(ChannelClosedError):
+        talk.channel.call("product", 6, 7, limit_s=60.0)
 
 
 def test_a_silent_program_is_distinguished_from_one_that_hangs(talk: Talk) -> None:
