@@ -106,6 +106,17 @@ def test_sweeps_are_those_over_one_pixel_after_the_other(cloud_of, box_on_table)
         assert (refined != labels).any()
 
 
+def test_of_labels_that_cost_the_same_the_smallest_is_taken():
+    labels = np.zeros((9, 8), np.int32)
+    # One vote for each of two others, one for another and the own one; and, out of reach, one pixel of each.
+    labels[0, :3], labels[4, :3], labels[8, ::3] = (1, 3, 2), (1, 2, 2), (1, 2, 3)
+    inverse_depth = (labels > 0).astype(np.float32)
+    refined = refine_borders(
+        labels, inverse_depth, SurfaceTable([None] * 3), CONFIG, sweeps=1, spread_severed=False
+    )
+    assert (refined[0, 1], refined[4, 1]) == (1, 1)
+
+
 def test_right_borders_stay(cloud_of, box_on_table):
     depth, truth = box_on_table()
     cloud = cloud_of(depth)

@@ -29,19 +29,19 @@ def node_of(name, inside, features, config):
 
 
 class ParedWall:
-    """A wall whose right half, 1, is cut off first, then a wedge, 01, that stands out at its lower left.
+    """A wall whose right part, 1, is cut off first, then a wedge, 01, that stands out at its lower left.
 
     The left part of a `broken` wedge is steeper, and is cut off the wall last: 001.
     """
 
-    def __init__(self, cloud_of, config=CONFIG, *, broken=False):
+    def __init__(self, cloud_of, config=CONFIG, *, broken=False, middle=80):
         rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
         self.block = (rows >= 60) & (columns < 60)
         steep = self.block & (columns < (30 if broken else 0))
         inverse_depth = 1.0 + np.where(steep, 0.03, 0.01) * np.where(self.block, rows - 60.0, 0.0)
         noise = NOISE_PER_M * np.random.default_rng(0).standard_normal(SIZE)
         self.features = grid_features(cloud_of(1 / (inverse_depth + noise)), config)
-        right = columns >= 80
+        right = columns >= middle
         inside = {
             "": np.ones(SIZE, bool),
             "0": ~right,
@@ -65,8 +65,9 @@ class ParedWall:
         return {node.name: node for node in depth_first(self.root) if not node.children}
 
 
-def test_the_halves_of_a_wall_become_one_leaf(cloud_of):
-    scene = ParedWall(cloud_of)
+@pytest.mark.parametrize("middle", [80, 100], ids=["into the right", "into the left"])
+def test_the_halves_of_a_wall_become_one_leaf(cloud_of, middle):
+    scene = ParedWall(cloud_of, middle=middle)
     before = scene.root.fit
     fold_leaves(scene.root, scene.features, CONFIG)
     leaves = scene.leaves()

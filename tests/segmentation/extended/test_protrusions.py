@@ -89,6 +89,20 @@ def test_in_front_of_a_surface_that_fits_badly_more_is_needed(cloud_of):
     assert split_off(cloud_of, [(THING, 2.0)], noisier)[0].children == ()
 
 
+@pytest.mark.parametrize(("columns", "parts"), [(240, 2), (400, 0)])
+def test_where_most_of_a_leaf_is_in_front_of_its_surface_the_surface_is_what_is_wrong(
+    cloud_of, columns, parts
+):
+    everywhere = np.arange(SIZE[0] * SIZE[1] // 4)
+    behind = fit_segment(grid_features(wall(cloud_of, []), CONFIG), everywhere, CONFIG)
+    features = grid_features(wall(cloud_of, [((slice(None), slice(columns)), 20.0)]), CONFIG)
+    # Residuals only say which points to look at.
+    fit = replace(behind.fit, residuals_m=np.ones(everywhere.size))
+    root = Node("", everywhere, fit)
+    split_off_protrusions(root, features, CONFIG)
+    assert len(root.children) == parts
+
+
 @pytest.mark.parametrize("stop", [StopReason.SPLITS, StopReason.BUDGET])
 def test_a_tree_that_a_limit_stopped_is_left_as_it_is(cloud_of, stop):
     root, _ = split_off(cloud_of, [(THING, 8.0)], stop=stop)

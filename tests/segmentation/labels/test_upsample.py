@@ -49,10 +49,13 @@ def test_pixels_away_from_the_border_are_not_evaluated(cloud_of):
 def test_the_clean_up_of_the_grid_is_kept(cloud_of):
     cloud, vectors, grid, root = scene(cloud_of, 2)
     everything = np.flatnonzero(grid.valid)
-    other = tree(root.cut, everything[:100], everything[100:])
+    leaves = Node("00", everything[:100], None), Node("01", everything[100:300], None)
+    first = Node("0", None, None, leaves, cut=root.cut)
+    other = Node("", None, None, (first, Node("1", everything[300:], None)), cut=root.cut)
     labels = upsample_labels(cloud, grid, other, vectors.__getitem__)
-    # Rows from 20 on belong to the second leaf, whatever the cut says about their vectors.
-    assert (labels[20:][cloud.valid[20:]] == 2).all()
+    # Rows between those of one leaf belong to it, whatever the cuts say about their vectors.
+    for label, rows in ((1, slice(4)), (2, slice(8, 16)), (3, slice(20, None))):
+        assert (labels[rows][cloud.valid[rows]] == label).all()
 
 
 @pytest.mark.parametrize("column", [9, 51])

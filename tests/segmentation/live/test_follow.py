@@ -132,7 +132,8 @@ def test_the_change_is_that_of_least_squares(surface: NurbsSurface) -> None:
     rng = np.random.default_rng(3)
     rows, columns = np.mgrid[: SHAPE[0] : STEP, : SHAPE[1] : STEP]
     labels = np.ones(rows.shape, np.int32)
-    labels[:, 40:], labels[20:24, 10:14] = 2, 0
+    # Between two parts of the other label.
+    labels[:, 24:44], labels[20:24, 10:14] = 2, 0
     lattice = SurfaceLattice([surface, surface], STEP)
     now = lattice.image(np.ones(rows.shape, np.int32)) + 0.01 * labels + 1e-4 * columns
     now += 1e-3 * rng.standard_normal(rows.shape)

@@ -206,7 +206,7 @@ def test_a_leaf_has_its_last_trial(
 ) -> None:
     living = leaf_of(tree, attempt=attempt, **leaf)
     # As many cuts as are allowed: what was tried before that says more.
-    set_stop_reasons([leaf_of(tree), living], 60, PLACES_MIN, FRAME, CONFIG)
+    set_stop_reasons([leaf_of(tree), living], 1, PLACES_MIN, FRAME, replace(CONFIG, splits_max=1))
     node = living.node
     assert (node.stop, node.trial, node.measured, node.judged) == (stop, attempt.trial, FRAME, judged_in)
 

@@ -54,9 +54,10 @@ def test_parts_are_united_in_ascending_order(sizes):
 @pytest.mark.parametrize("step", [1, 2, 3])
 def test_grid_pixels_are_those_of_every_few_rows_and_columns(step):
     rng = np.random.default_rng(step)
-    valid = rng.random((23, 31)) < 0.8
-    points_m = np.where(valid[..., np.newaxis], rng.random((23, 31, 3)), np.nan).astype(np.float32)
-    grid = decimated_grid(PointMap(points_m, np.zeros((23, 31, 3), dtype=np.uint8), valid), step)
+    # Higher than wide, and of an odd width.
+    valid = rng.random((31, 23)) < 0.8
+    points_m = np.where(valid[..., np.newaxis], rng.random((31, 23, 3)), np.nan).astype(np.float32)
+    grid = decimated_grid(PointMap(points_m, np.zeros((31, 23, 3), dtype=np.uint8), valid), step)
     assert np.array_equal(grid.valid, valid[::step, ::step])
     assert np.array_equal(grid.coordinates_m, np.nan_to_num(points_m[::step, ::step]).transpose(2, 0, 1))
 
@@ -71,5 +72,5 @@ def test_grid_pixels_are_those_of_every_few_rows_and_columns(step):
     some = some[(some // grid.shape[1] >= 2) & (some % grid.shape[1] >= 3)]
     window, mask = grid.window_mask(some)
     assert (np.argwhere(mask) + window[:2] == np.stack(np.divmod(some, grid.shape[1]), axis=1)).all()
-    rows, columns = np.divmod(image[::step, ::step].ravel()[some], 31)
+    rows, columns = np.divmod(image[::step, ::step].ravel()[some], 23)
     assert grid.full_window(window) == (rows.min(), columns.min(), rows.max() + 1, columns.max() + 1)

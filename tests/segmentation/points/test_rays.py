@@ -35,6 +35,12 @@ def test_rays_of_a_real_lens_are_followed_to_a_fraction_of_a_pixel():
     assert np.sqrt(np.mean(error_px**2)) < 0.05
 
 
+def test_rays_are_found_from_points_that_are_not_among_the_samples(cloud_of):
+    depth = np.full((240, 320), np.nan)
+    depth[1:4, 1:4] = 1.5
+    assert cloud_of(depth).rays.focal_px == pytest.approx((256.0, 256.0), rel=1e-3)
+
+
 def test_a_registered_frame_has_its_camera_s_rays_whatever_was_seen():
     camera = Intrinsics(80, 60, 64.0, 65.0, 38.0, 31.0)
     depth_mm = np.zeros(SIZE, np.uint16)
