@@ -6,16 +6,17 @@ from pathlib import Path
 from typing import Any
 
 from nurbseg.app.atomic_file import read_json, write_atomically, write_json
-from nurbseg.app.evaluation.scoring import SCORES
+from nurbseg.app.evaluation.scoring import FrameScores
 from nurbseg.app.export.exporter import differences
 from nurbseg.drivers.errors import quoted
 from nurbseg.drivers.files import create_folder
+from nurbseg.segmentation.scoring.objects import ObjectScores
 
 _FORMAT = 1
 #: Fields of a frame that was not skipped.
 _FIELDS = {"uri": str, "index": int, "name": str, "category": str, "results": dict}
-#: Scores that every such frame has; others may be null.
-_ALWAYS = ("ri", "gtrc", "voi")
+#: Its scores, each a number or null, and those that are always numbers.
+_SCORES, _ALWAYS = (*FrameScores._fields, *ObjectScores._fields), ("ri", "gtrc", "voi")
 _NUMBER, _NUMBER_OR_NULL = int | float, int | float | None
 _KINDS: dict[Any, str] = {str: "a text", int: "a whole number", dict: "an object"}
 _KINDS |= {_NUMBER: "a number", _NUMBER_OR_NULL: "a number or null"}
@@ -65,7 +66,7 @@ class StudyStore:
 
 def _kept(path: Path) -> dict[str, Any]:
     try:
-        # The name, as nobody may have changed it.
+        # The key in the file may have been changed.
         frame = {**read_json(path), "key": path.stem}
         for field, value, kind in () if frame.get("skipped") else _fields(frame):
             if not isinstance(value, kind):
@@ -79,7 +80,8 @@ def _fields(frame: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
     """Yield the fields of a frame with their values and types, the outer ones first."""
     for field, kind in _FIELDS.items():
         yield field, frame.get(field), kind
+    yield "computer", frame.get("computer", ""), str
     for variant, scores in frame["results"].items():
         yield f"results.{variant}", scores, dict
-        for score, value in {**dict.fromkeys(SCORES, "nothing"), **scores}.items():
+        for score, value in {**dict.fromkeys(_SCORES, "nothing"), **scores}.items():
             yield f"results.{variant}.{score}", value, _NUMBER if score in _ALWAYS else _NUMBER_OR_NULL

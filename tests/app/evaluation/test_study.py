@@ -16,8 +16,10 @@ from hostile_files import black_png
 
 from nurbseg.app.evaluation.cli import main
 from nurbseg.app.evaluation.methods.methods import labels_on_disk
+from nurbseg.app.evaluation.scoring import FrameScores
 from nurbseg.app.evaluation.store import StudyStore
 from nurbseg.drivers.synthetic.source import SyntheticSource
+from nurbseg.segmentation.scoring.objects import ObjectScores
 
 METHODS = "stag15,pz14,fh04,kmeans"
 
@@ -167,10 +169,15 @@ def test_another_study_s_folder_is_refused(frames: Path, tmp_path: Path) -> None
         ({"uri": 3}, "uri: expected a text, got 3"),
         ({"name": []}, r"name: expected a text, got \[\]"),
         ({"category": {}}, r"category: expected a text, got \{\}"),
+        ({"computer": ["fast"]}, r"computer: expected a text, got \['fast'\]"),
         ({"results": []}, r"results: expected an object, got \[\]"),
         ({"results": {"a": 1}}, r"results\.a: expected an object, got 1"),
         ({"results": {"a": {}}}, r"results\.a\.ri: expected a number, got 'nothing'"),
         ({"gtrc": None}, r"results\.a\.gtrc: expected a number, got None"),
+        (
+            {"results": {"a": {"ri": 1, "gtrc": 1, "voi": 1, "obj": 1}}},
+            r"results\.a\.segments: .* got 'nothing'",
+        ),
         ({"precision": "high"}, r"results\.a\.precision: expected a number or null, got 'high'"),
     ],
 )
@@ -178,7 +185,8 @@ def test_a_damaged_field_of_a_stored_frame_is_named_with_what_to_do(
     tmp_path: Path, change: dict[str, object], text: str
 ) -> None:
     store = StudyStore(tmp_path, {})
-    scores = {"ri": 1, "gtrc": 0.5, "voi": 0.0, "obj": None, "precision": None}
+    scores = dict.fromkeys((*FrameScores._fields, *ObjectScores._fields))
+    scores |= {"ri": 1, "gtrc": 0.5, "voi": 0.0}
     frame = {"uri": "a.mcap", "index": 0, "name": "0", "category": "a", "results": {"a": scores}}
     store.keep("00-000000", frame, {})
     assert store.frame("00-000000") == {**frame, "key": "00-000000"}
