@@ -127,6 +127,17 @@ def test_pixels_of_a_fit_are_those_of_the_marked_grid_pixels_in_the_image(cloud_
     assert fit.pixels.tolist() == image[6:42:2, 10:66:2][mask].tolist()
 
 
+@pytest.mark.parametrize(("width", "step", "beyond"), [(160, 1, 6), (160, 2, 6), (320, 2, 12)])
+def test_a_surface_reaches_24_of_640_pixels_beyond_its_window(cloud_of, width, step, beyond):
+    grid = depth_grid(cloud_of(np.ones((width // 2, width))), step)
+    top, left = np.array(grid.valid.shape) * 3 // 8
+    window = top, left, top + 10, left + 14
+    surface = fit_window(grid, window, np.ones((10, 14), dtype=bool), CONFIG).surface
+    for knots, first, count in ((surface.knots_u, left, 14), (surface.knots_v, top, 10)):
+        for reach in (first * step - knots[3], knots[-4] - (first + count - 1) * step):
+            assert beyond <= reach < beyond + knots[1] - knots[0]
+
+
 def test_a_surface_never_passes_through_infinity_where_nothing_holds_it(cloud_of):
     rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
     inverse_depth = np.where(columns < 12, 1.6 - 0.13 * columns, 0.05)
