@@ -49,13 +49,17 @@ def test_pixels_away_from_the_border_are_not_evaluated(cloud_of):
 def test_the_clean_up_of_the_grid_is_kept(cloud_of):
     cloud, vectors, grid, root = scene(cloud_of, 2)
     everything = np.flatnonzero(grid.valid)
-    leaves = Node("00", everything[:100], None), Node("01", everything[100:300], None)
+    leaves = Node("00", everything[:155], None), Node("01", everything[155:310], None)
     first = Node("0", None, None, leaves, cut=root.cut)
-    other = Node("", None, None, (first, Node("1", everything[300:], None)), cut=root.cut)
+    other = Node("", None, None, (first, Node("1", everything[310:], None)), cut=root.cut)
     labels = upsample_labels(cloud, grid, other, vectors.__getitem__)
     # Rows between those of one leaf belong to it, whatever the cuts say about their vectors.
-    for label, rows in ((1, slice(4)), (2, slice(8, 16)), (3, slice(20, None))):
+    for label, rows in ((1, slice(8)), (2, slice(10, 18)), (3, slice(20, None))):
         assert (labels[rows][cloud.valid[rows]] == label).all()
+    # Between two leaves the cut of these two decides.
+    side = root.cut.classify(vectors[:61])
+    assert (labels[9] == 1 + side).all()
+    assert (labels[19] == 2 + side).all()
 
 
 @pytest.mark.parametrize("column", [9, 51])
