@@ -160,6 +160,34 @@ def test_an_object_without_a_main_surface_is_not_compared(strips):
     assert strips(["135", "2", "4"])[1] == []
 
 
+@pytest.mark.parametrize("rougher", [1, 2])
+def test_the_ratio_is_the_larger_one_of_the_two_surfaces(cloud_of, rougher):
+    """Planes left and right of a post, by NumPy's least squares."""
+    rows, columns = np.mgrid[:16, :46]
+    labels = np.where(columns < 18, 1, np.where(columns < 30, 3, 2)).astype(np.int32)
+    noise = np.random.default_rng(rougher).standard_normal(labels.shape)
+    inverse_depth = 0.5 + 1e-3 * columns + np.where(labels == rougher, 3e-3, 1.5e-3) * noise
+    inverse_depth += 0.006 * (labels == 2) + 0.4 * (labels == 3)
+    cloud = cloud_of(1.0 / inverse_depth)
+    objects = [SceneObject((name,)) for name in "123"]
+    found = join_objects(objects, [], labels, "123", depth_grid(cloud, 1), cloud.color, THINGS)[1]
+    # Without the columns beside the post.
+    sides = [
+        (np.column_stack([rows[inner], columns[inner], np.ones(inner.sum())]), inverse_depth[inner])
+        for inner in (columns < 17, columns > 30)
+    ]
+    # Each side has the same weight.
+    weighed = (np.concatenate([each[n] / np.sqrt(len(each[1])) for each in sides]) for n in (0, 1))
+    both = np.linalg.lstsq(*weighed, rcond=None)[0]
+    alone = [np.linalg.lstsq(*each, rcond=None)[0] for each in sides]
+    ratios = [
+        np.linalg.norm(values - terms @ both) / np.linalg.norm(values - terms @ own)
+        for (terms, values), own in zip(sides, alone, strict=True)
+    ]
+    assert [each.ratio for each in found] == [pytest.approx(max(ratios), abs=6e-4)]
+    assert int(np.argmin(ratios)) == rougher - 1
+
+
 def test_a_live_thing_stays_one_while_a_post_passes_and_it_is_shaded(walls):
     """With a difference in color of 36 walls stay one that are, and do not become one that are not."""
     live = LiveTree(THINGS)

@@ -3,12 +3,14 @@
 from dataclasses import replace
 from unittest import mock
 
+import cv2
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from nurbseg.segmentation.live import identity
-from nurbseg.segmentation.live.appearance import Appearance, updated
+from nurbseg.segmentation.live.appearance import Appearance, appearances_of, updated
 from nurbseg.segmentation.live.identity import Event, Identities, track_identities
 from nurbseg.segmentation.points.registration import PointMap
 
@@ -180,6 +182,24 @@ def test_identities_go_along_with_what_is_known_of_the_motion() -> None:
     followed = track_identities(first, labels, cloud, before=labels)
     assert followed.of_label == first.of_label
     assert followed.events == ()
+
+
+def test_appearances_are_means_over_every_few_rows_and_columns() -> None:
+    labels, cloud = scene((10, 10, 20, 20, 10), (50, 20, 15, 20, 240))
+    color = np.random.default_rng(0).integers(0, 200, (*SHAPE, 3)).astype(np.uint8)
+    color[labels == 2, 0] += 50
+    found = appearances_of(labels, [1, 2, 3, 9], PointMap(cloud.points_m, color, cloud.colored), 3)
+    assert set(found) == {1, 2, 3}
+    for label, each in found.items():
+        there = labels[::3, ::3] == label
+        assert each.pixels == np.count_nonzero(there)
+        assert each.center_m == pytest.approx(
+            cloud.points_m[::3, ::3][there].mean(axis=0), rel=1e-5, abs=1e-6
+        )
+        mean = np.rint(color[::3, ::3][there].mean(axis=0)).astype(np.float32) / 255.0
+        assert each.color_lab == pytest.approx(
+            cv2.cvtColor(mean.reshape(1, 1, 3), cv2.COLOR_RGB2LAB)[0, 0], abs=0.2
+        )
 
 
 def test_a_segment_that_is_hiding_keeps_the_color_and_shrinks_slowly():
