@@ -285,9 +285,9 @@ def report(
         lines.append(
             f"| {name} | {len(own)} | {died} | {late} | {len(own) - could} | {could - died} | {share} |"
         )
-    lines += ["", "## Survivors", "", "Equivalent changes change no result; they do not count."]
+    lines += ["", "## Survivors", "", "Equivalent ones, which do not count, are in benchmarks/mutation.toml."]
     for each in outcomes:
-        if each.state == "survived":
+        if each.state == "survived" and each.kind != "equivalent":
             why = f"{each.kind}: {each.reason}" if each.kind else "no reason is known"
             where = f"`{each.mutant.module}.py`, {each.mutant.spec.definition_name or 'constant'}"
             lines += ["", f"- {where}: {why}", "", "  ```diff", f"  -{each.mutant.before}"]
