@@ -17,7 +17,7 @@ _REACH_PX = 6
 _INSET_PX = 4
 #: Least number of touching samples of a border in contact, and least share of all samples.
 _TOUCHING_LEAST = 4
-_TOUCHING_SHARE = 0.15
+_TOUCHING_SHARE = 0.1
 #: Limit of the distance of surfaces at a sample, in gaps.
 _APART_MOST = 4.0
 

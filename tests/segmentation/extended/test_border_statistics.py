@@ -105,7 +105,7 @@ def test_a_single_label_has_no_borders():
 
 
 def test_contact_takes_four_places_and_a_share_of_all():
-    samples, touching = np.array([[3, 3], [4, 4], [26, 4], [27, 4], [40, 6], [41, 6]], dtype=float).T
+    samples, touching = np.array([[3, 3], [4, 4], [40, 4], [41, 4], [60, 6], [61, 6]], dtype=float).T
     borders = BorderStatistics(np.zeros((6, 2), dtype=np.int64), samples, touching, *np.zeros((3, 6)))
     assert borders.in_contact.tolist() == [False, True, True, False, True, False]
 
