@@ -1,7 +1,7 @@
 """The growth of a tree of segments, by either method: the worst segment is split first."""
 
 import heapq
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.segments import Node, depth_first
@@ -21,7 +21,7 @@ def time_limit(config: SegmentationConfig, clock: Clock) -> Callable[[], bool]:
 
 def grow(
     root: Node,
-    split: Callable[[Node], bool],
+    split: Callable[[Node], None],
     points_min: float,
     config: SegmentationConfig,
     time_is_over: Callable[[], bool],
@@ -34,7 +34,7 @@ def grow(
         The whole frame, fitted, with children if the frame has several components. Descendants are added to
         it, and every leaf gets its stop reason.
     split : callable
-        Splits a segment and returns True, or sets its `stop` and returns False.
+        Gives a segment children, or sets its `stop`.
     points_min : float
         T_p, in points of the grid.
     config : SegmentationConfig
@@ -43,7 +43,8 @@ def grow(
         Called before each cut; once it returns True, nothing more is cut.
     """
     waiting: list[tuple[float, str, Node]] = []
-    splits, grown = 0, [root]
+    splits = 0
+    grown: Sequence[Node] = [root]
     while True:
         for node in (leaf for top in grown for leaf in depth_first(top)):
             if not node.children and node.stop is None:
@@ -54,7 +55,9 @@ def grow(
         node.stop = stop_without_cut(node, splits, points_min, config)
         if node.stop is None and time_is_over():
             node.stop = StopReason.BUDGET
-        grown = list(node.children) if node.stop is None and split(node) else []
+        if node.stop is None:
+            split(node)
+        grown = node.children
         splits += bool(grown)
 
 

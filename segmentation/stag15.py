@@ -146,16 +146,16 @@ def _split(
     config: SegmentationConfig,
     cut: Cutter,
     fit: Fitter,
-) -> bool:
+) -> None:
     """Split a segment in two if the fits of its parts are better than its own."""
     found, side = cut(grid, node, vectors, config)
     if found.reason:
         node.stop = StopReason.NO_CUT
-        return False
+        return
     parts = node.grid_pixels[~side], node.grid_pixels[side]
     if min(part.size for part in parts) < _points_min(grid, config):
         node.stop = StopReason.CHILD_TOO_SMALL
-        return False
+        return
 
     first, second = (
         Node(f"{node.name}{digit}", part, fit(grid, part, config), cuts_above=node.cuts_above + 1)
@@ -165,11 +165,10 @@ def _split(
     ratio = acceptance_ratio(config.metric, whole, *halves)
     kept = ratio < config.ratio_max or node.name == ""  # eq. 5, "except for the first iteration"
     node.trial = Trial(config.metric, *whole, tuple(halves), kept)
-    if not kept:
+    if kept:
+        node.children, node.division, node.cut = (first, second), Division.CUT, found
+    else:
         node.stop = StopReason.CRITERION
-        return False
-    node.children, node.division, node.cut = (first, second), Division.CUT, found
-    return True
 
 
 def _points_min(grid: PixelGrid, config: SegmentationConfig) -> float:

@@ -41,8 +41,6 @@ def affinity(
         In [exp(-40), 1], to rounding.
     """
     rows = np.arange(vectors.shape[0]) if rows is None else rows
-    if rows.size == 0 or landmarks.shape[0] == 0:
-        return np.zeros((rows.size, landmarks.shape[0]), dtype=np.float32)
     # One matrix product gives the exponent: [f, |f|^2, 1] . [s, -1/2, -|s|^2/2] / scale^2, of base 2.
     exponents = _with_squares(vectors, rows) @ _scaled(landmarks, 1.0 / (scale**2 * math.log(2.0))).T
     _raise_two(exponents.reshape(-1))

@@ -62,7 +62,7 @@ def refit_surfaces(
     changes += np.bincount(labels[changed], minlength=len(fits) + 1)
     boxes = bounding_boxes(moved.astype(np.uint16), len(fits) + 1)
     for label, (fit, box) in enumerate(zip(fits, boxes[1:], strict=True), start=1):
-        if changes[label] <= _MOVED_SHARE * fit.residuals_m.size or box[2] == 0:
+        if changes[label] <= _MOVED_SHARE * fit.residuals_m.size:
             continue
         top, left, bottom, right = box
         again = fit_window(grid, box, moved[top:bottom, left:right] == label, config)

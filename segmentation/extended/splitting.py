@@ -106,13 +106,11 @@ def grown_tree(features: GridFeatures, config: SegmentationConfig, time_is_over:
         that every segment has two parts or none.
     """
 
-    def split(node: Node) -> bool:
+    def split(node: Node) -> None:
         sides, cut = best_split(features, node, config)
-        if cut is None:
-            return False
-        node.children, node.stop = children_of(node, sides), None
-        node.division, node.cut = Division.CUT, cut if all(sides) else None
-        return True
+        if cut is not None:
+            node.children, node.stop = children_of(node, sides), None
+            node.division, node.cut = Division.CUT, cut if all(sides) else None
 
     grid_pixels = np.flatnonzero(features.grid.valid)
     parts = _pieces(features, grid_pixels, np.ones(grid_pixels.size, dtype=np.int32), config)[0] or [

@@ -92,7 +92,7 @@ def rays_through(points_m: NDArray[np.float32], valid: NDArray[np.bool_]) -> Ray
     points_m : (H, W, 3) float32
         Points on the pixel grid, metres.
     valid : (H, W) bool
-        Where there is a point.
+        Where there is a point; those that are not in front of the camera are left out.
 
     Returns
     -------
@@ -101,6 +101,7 @@ def rays_through(points_m: NDArray[np.float32], valid: NDArray[np.bool_]) -> Ray
     """
     height, width = valid.shape
     center, scale = ((width - 1) / 2, (height - 1) / 2), max(height, width) / 2
+    valid = valid & (points_m[..., 2] > 0)
     rows = np.unique(np.linspace(0, height - 1, min(height, _SAMPLES)).astype(np.intp))
     columns = np.unique(np.linspace(0, width - 1, min(width, _SAMPLES)).astype(np.intp))
     lattice = np.ix_(rows, columns)

@@ -63,3 +63,11 @@ def test_scattered_rays_agree_with_those_of_the_lattice(cloud_of):
 def test_a_frame_without_points_has_no_focal_length(cloud_of):
     rays = cloud_of(np.full(SIZE, np.nan)).rays
     assert rays.focal_px == (0.0, 0.0)
+
+
+def test_points_that_are_not_in_front_of_the_camera_are_left_out(cloud_of):
+    points = cloud_of(np.ones(SIZE)).points_m.copy()
+    points[::3, ::2, 2] = 0.0
+    points[1::3, ::2] *= np.float32(-1.0)
+    cloud = PointMap(points, np.zeros((*SIZE, 3), np.uint8), np.ones(SIZE, dtype=np.bool_))
+    assert cloud.rays.focal_px == pytest.approx((64.0, 64.0), rel=1e-5)
