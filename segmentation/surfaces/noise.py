@@ -1,14 +1,15 @@
 """Sensor noise, constant in inverse depth for triangulating cameras: effect on metrics, and estimation."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, I32, compiled
+from nurbseg.drivers.compiled import F32, F64, I32, Bool, compiled, inlined
 from nurbseg.segmentation.config import OUTLIER_DEVIATIONS, SegmentationConfig
 from nurbseg.segmentation.points.depth_grid import DepthGrid, inverse_depth_image
 from nurbseg.segmentation.points.grid import Window
@@ -45,7 +46,10 @@ def noise_floor(
     float
         In the unit of the metric.
     """
-    return _floors(grid, window[:2], mask.astype(np.int32), 2, config)[1]
+    if config.metric in CURVATURE_METRICS:
+        return _curvature_floor(int(np.count_nonzero(mask)), grid, config)
+    sums = _sum_noise(grid.inverse_depth, grid.distances_m, mask, window[:2], *_deviation_and_limit(config))
+    return _floor(sums, config)
 
 
 def noise_floors(
@@ -69,81 +73,98 @@ def noise_floors(
     (size,) float64
         As of `noise_floor`, by label; 0 where a label has no grid pixel.
     """
-    return np.array(_floors(grid, (0, 0), labels, size, config))
-
-
-def _floors(
-    grid: DepthGrid,
-    first: tuple[int, int],
-    labels: NDArray[np.int32],
-    size: int,
-    config: SegmentationConfig,
-) -> list[float]:
-    """Return the floor of each label of a window that begins at a row and a column; 0 is no label."""
-    deviation_per_m = config.extended.noise_floor * config.extended.inverse_depth_noise
-    if deviation_per_m == 0:
-        return [0.0] * size
     if config.metric in CURVATURE_METRICS:
         counts = np.bincount(labels.ravel(), minlength=size)
-        return [_curvature_floor(deviation_per_m, int(n), grid, config) for n in counts]
+        return np.array([_curvature_floor(int(n), grid, config) for n in counts])
     sums = np.zeros((size, 4))
+    _sum_noise_by_label(grid.inverse_depth, grid.distances_m, labels, *_deviation_and_limit(config), sums)
+    return np.array([_floor(own, config) for own in sums.tolist()])
+
+
+def _deviation_and_limit(config: SegmentationConfig) -> tuple[float, float]:
+    """Return the deviation of inverse depth, 1/m, and the limit of large errors, metres, 0 if none count."""
     limit_m = config.large_error_m if config.metric == "nle" else 0.0
-    _noise_sums(grid.inverse_depth, grid.distances_m, labels, *first, deviation_per_m, limit_m, sums)
+    return config.extended.noise_floor * config.extended.inverse_depth_noise, limit_m
+
+
+def _floor(sums: Sequence[float], config: SegmentationConfig) -> float:
+    """Return the floor of a residual metric, from sums of the noise of points."""
+    count, total, squares, large = sums
     if config.metric == "nle":
-        return [large for *_, large in sums.tolist()]
+        return large
     # The absolute value of a normal variable: its mean, and its variance, in units of the deviation.
-    mean, variance = math.sqrt(2.0 / math.pi), 1.0 - 2.0 / math.pi
-    column, factor = {"mse": (2, 1.0), "mae": (1, mean), "ve": (2, variance)}[config.metric]
-    # Numbers of Python: most calls are for one label.
-    return [own[column] / max(own[0], 1.0) * factor for own in sums.tolist()]
+    if config.metric == "mae":
+        return total / max(count, 1.0) * math.sqrt(2.0 / math.pi)
+    return squares / max(count, 1.0) * (1.0 - 2.0 / math.pi if config.metric == "ve" else 1.0)
 
 
 @compiled
-def _noise_sums(
+def _sum_noise(
+    inverse_depth: F32, distances_m: F32, mask: Bool, corner: tuple[int, int], scale: float, large_m: float
+) -> tuple[float, float, float, float]:
+    """Count marked pixels; sum their noise in metres, its square, and its probability to exceed a limit."""
+    (top, left), (height, width) = corner, mask.shape
+    inner, noise_m = np.zeros((2, width), dtype=np.bool_), np.empty(width)
+    count, total, squares, large = 0.0, 0.0, 0.0, 0.0
+    for y in range(height):
+        depths, distances = inverse_depth[top + y, left:], distances_m[top + y, left:]
+        _fill_noise(depths, distances, mask, y, scale, inner, noise_m)
+        for x in range(width):
+            noise = noise_m[x] if mask[y, x] else 0.0
+            count += mask[y, x]
+            total += noise
+            squares += noise * noise
+        if large_m > 0.0:
+            for x in range(width):
+                if mask[y, x]:
+                    large += math.erfc(large_m / (math.sqrt(2.0) * noise_m[x]))
+    return count, total, squares, large
+
+
+@compiled
+def _sum_noise_by_label(
+    inverse_depth: F32, distances_m: F32, labels: I32, scale: float, large_m: float, sums: F64
+) -> None:
+    """Do what `_sum_noise` does for each label of the grid but 0."""
+    height, width = labels.shape
+    inner, noise_m = np.zeros((2, width), dtype=np.bool_), np.empty(width)
+    for y in range(height):
+        _fill_noise(inverse_depth[y], distances_m[y], labels, y, scale, inner, noise_m)
+        for x in range(width):
+            label, noise = np.uint32(labels[y, x]), noise_m[x]
+            if label > 0:
+                sums[label, 0] += 1.0
+                sums[label, 1] += noise
+                sums[label, 2] += noise * noise
+                if large_m > 0.0:
+                    sums[label, 3] += math.erfc(large_m / (math.sqrt(2.0) * noise))
+
+
+@inlined
+def _fill_noise(
     inverse_depth: F32,
     distances_m: F32,
-    labels: I32,
-    top: int,
-    left: int,
-    deviation_per_m: float,
-    large_m: float,
-    sums: F64,
+    labels: NDArray[Any],
+    y: int,
+    scale: float,
+    inner: Bool,
+    noise_m: F64,
 ) -> None:
-    """Count pixels by label; sum their noise in metres, its square, and its probability to exceed a limit."""
+    """Fill in the noise of a row, metres, of deviation `scale` in 1/m; simple loops are vectorized."""
     height, width = labels.shape
-    three = np.zeros(width, dtype=np.bool_)
-    for y in range(height):
-        for x in range(width):
-            within = 0 < y < height - 1
-            three[x] = within and labels[y - 1, x] == labels[y, x] and labels[y + 1, x] == labels[y, x]
-        x = 0
-        while x < width:
-            # Grid pixels in a row with the same label are summed together.
-            label, begin = labels[y, x], x
-            total, squares, large = 0.0, 0.0, 0.0
-            while x < width and labels[y, x] == label:
-                if label > 0:
-                    noise_m = (
-                        deviation_per_m * distances_m[top + y, left + x] / inverse_depth[top + y, left + x]
-                    )
-                    ends = x == begin or x + 1 == width or labels[y, x + 1] != label
-                    if ends or not (three[x - 1] and three[x] and three[x + 1]):
-                        noise_m *= _RIM_FACTOR
-                    total += noise_m
-                    squares += noise_m * noise_m
-                    if large_m > 0.0:
-                        large += math.erfc(large_m / (math.sqrt(2.0) * noise_m))
-                x += 1
-            own = sums[label]
-            own[0] += x - begin
-            own[1] += total
-            own[2] += squares
-            own[3] += large
+    row, above, below = labels[y], labels[max(y - 1, 0)], labels[min(y + 1, height - 1)]
+    within, three = 0 < y < height - 1, inner[1]
+    for x in range(width):
+        three[x] = within & (above[x] == row[x]) & (below[x] == row[x])
+    for x in range(1, width - 1):
+        alike = (row[x - 1] == row[x]) & (row[x + 1] == row[x])
+        inner[0, x] = alike & three[x - 1] & three[x] & three[x + 1]
+    for x in range(width):
+        rim = 1.0 if inner[0, x] else _RIM_FACTOR
+        noise_m[x] = scale * distances_m[x] / inverse_depth[x] * rim
 
 
-def _curvature_floor(
-    deviation_per_m: float, points: int, grid: DepthGrid, config: SegmentationConfig
-) -> float:
+def _curvature_floor(points: int, grid: DepthGrid, config: SegmentationConfig) -> float:
     """Return the floor of a curvature metric, from a plane that faces the camera.
 
     Its curvature is, but for the sign, f^2 times the second derivatives of inverse depth, at any depth. For
@@ -152,7 +173,7 @@ def _curvature_floor(
     largest absolute curvature is |H| + R, and the Gaussian curvature H^2 - R^2.
     """
     fx, fy = grid.rays.focal_px
-    scale = deviation_per_m * fx * fy / grid.step**2
+    scale = _deviation_and_limit(config)[0] * fx * fy / grid.step**2
     t = scale * scale * _second_derivative_variance(*knots_on(grid, config))
     # At the low frequencies that a surface follows, noise that is alike on so many grid pixels has as many
     # times the power of white noise.
