@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, I32, Bool, Intp, compiled
-from nurbseg.segmentation.labels.segment_pixels import by_label
 from nurbseg.segmentation.labels.spreading import spread_in_place
 
 
@@ -136,19 +135,19 @@ def _runs_in(labels: I32, right: Bool) -> I32:
 
 
 @compiled
-def _runs_of(grid_pixels: Intp, labels: I32, right: Bool) -> I32:
-    """Do what `_runs_in` does for some flat grid pixels, ascending, that have a label."""
+def _runs_of(grid_pixels: Intp, labels: I32, right: Bool, first: int) -> I32:
+    """Do what `_runs_in` does for some labelled flat grid pixels, ascending; runs count from `first` on."""
     runs, count, n = np.empty((grid_pixels.size, 3), dtype=np.int32), 0, 0
     # Nothing is connected across the ends of rows.
     linked = right.reshape(-1)
     while n < grid_pixels.size:
         end, label = grid_pixels[n] + 1, labels[n]
-        runs[count, 0], runs[count, 2] = grid_pixels[n], label
+        runs[count, 0], runs[count, 2] = grid_pixels[n] - first, label
         n += 1
         while n < grid_pixels.size and grid_pixels[n] == end and labels[n] == label and linked[end - 1]:
             end += 1
             n += 1
-        runs[count, 1] = end
+        runs[count, 1] = end - first
         count += 1
     return runs[:count]
 
@@ -252,8 +251,8 @@ def large_components(
     # Only the rows that hold grid pixels are looked at.
     width = adjacency.right.shape[1]
     rows = slice(int(grid_pixels[0]) // width, int(grid_pixels[-1]) // width + 1)
-    at = grid_pixels - rows.start * width
-    runs = _runs_of(at, labels, adjacency.right[rows])
+    first = rows.start * width
+    runs = _runs_of(grid_pixels, labels, adjacency.right, first)
     found = _connected(runs, adjacency.down[rows], grid_pixels_min, 0)
     labels_of = found.labels_of[1:].tolist()
     if not labels_of:
@@ -262,7 +261,30 @@ def large_components(
         spread_in_place(found.numbers, found.small, inverse_depth[rows], gap_per_m)
     if len(labels_of) == 1:
         return [grid_pixels], labels_of
-    # Faster than indexing with an array.
-    order, bounds = by_label(found.numbers.reshape(-1).take(at), len(labels_of) + 1)
-    grouped = grid_pixels.take(order)
-    return [grouped[begin:end] for begin, end in pairwise(bounds[1:])], labels_of
+    grouped, bounds = _grouped(runs, found.numbers.reshape(-1), first, len(labels_of))
+    return [grouped[begin:end] for begin, end in pairwise(bounds.tolist())], labels_of
+
+
+@compiled
+def _grouped(runs: I32, numbers: I32, first: int, count: int) -> tuple[Intp, Intp]:
+    """Return the grid pixels of runs by number, 1 to `count`, and where those of each begin and end."""
+    bounds, size = np.zeros(count + 1, dtype=np.intp), 0
+    for n in range(runs.shape[0]):
+        pixel, end = runs[n, 0], runs[n, 1]
+        size += end - pixel
+        while pixel < end:
+            begin, number = pixel, numbers[pixel]
+            while pixel < end and numbers[pixel] == number:
+                pixel += 1
+            bounds[number] += pixel - begin
+    bounds = np.cumsum(bounds)
+    grouped, following = np.empty(size, dtype=np.intp), bounds.copy()
+    for n in range(runs.shape[0]):
+        pixel, end = runs[n, 0], runs[n, 1]
+        while pixel < end:
+            number, at = numbers[pixel], following[numbers[pixel] - 1]
+            while pixel < end and numbers[pixel] == number:
+                grouped[at] = first + pixel
+                at, pixel = at + 1, pixel + 1
+            following[number - 1] = at
+    return grouped, bounds
