@@ -14,6 +14,8 @@ from nurbseg.segmentation.cut.landmarks import choose_landmarks
 
 #: Least second eigenvalue, above rounding; below it the points are indistinguishable.
 _LEAST_EIGENVALUE = 1e-6
+#: Error of eigenvalues; their vectors are as exact with it, after less bisection.
+_TOLERANCE = 1e-10
 #: Thresholds that are tried for the least Ncut.
 _THRESHOLDS = 48
 
@@ -197,7 +199,7 @@ def normalized_cuts(
     last = S.shape[0]
     # Fewer are found where many eigenvalues are equal.
     eigenvalues, eigenvectors, known, _, failed = dsyevr(
-        S.T, range="I", il=max(1, last - count + 1), iu=last, lower=1, overwrite_a=1
+        S.T, range="I", il=max(1, last - count + 1), iu=last, abstol=_TOLERANCE, lower=1, overwrite_a=1
     )
     found = [each for each in reversed(range(known)) if eigenvalues[each] > _LEAST_EIGENVALUE]
     if failed or not found:
@@ -228,8 +230,9 @@ def normalized_cuts(
 def _examine(vectors: F32) -> tuple[bool, bool]:
     """Return whether vectors are finite, and whether they are all equal."""
     flat, dimensions, infinite, same = vectors.reshape(-1), vectors.shape[1], 0, vectors.shape[1]
-    for value in flat:
-        infinite += not abs(value) < np.inf
+    # By index: a loop over the elements themselves is not vectorized.
+    for n in range(flat.size):
+        infinite += not abs(flat[n]) < np.inf
     while same < flat.size and flat[same] == flat[same - dimensions]:
         same += 1
     return infinite == 0, same >= flat.size
