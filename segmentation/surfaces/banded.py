@@ -21,7 +21,8 @@ def factorize(band: F64) -> bool:
     Parameters
     ----------
     band : (N, W) float64
-        Entry ``[n, k]`` is that of row ``n + k`` and column ``n``; replaced by the factor's.
+        Entry ``[n, k]`` is that of row ``n + k`` and column ``n``; replaced by the factor's, and by one over
+        it on the diagonal.
 
     Returns
     -------
@@ -32,10 +33,11 @@ def factorize(band: F64) -> bool:
     for n in range(size):
         if not band[n, 0] > 0.0:
             return False
-        pivot = np.sqrt(band[n, 0])
+        per_pivot = 1.0 / np.sqrt(band[n, 0])
         reach = min(width, size - n)
-        for k in range(reach):
-            band[n, k] /= pivot
+        band[n, 0] = per_pivot
+        for k in range(1, reach):
+            band[n, k] *= per_pivot
         # By index: a slice of an array costs as much as ten of these steps.
         for k in range(1, reach):
             factor = band[n, k]
@@ -59,10 +61,10 @@ def substitute(factor: F64, x: F64) -> None:
     size, width = factor.shape
     for n in range(size):
         reach = min(width, size - n)
-        x[n] /= factor[n, 0]
+        x[n] *= factor[n, 0]
         value = x[n]
         for k in range(1, reach):
             x[n + k] -= value * factor[n, k]
     for n in range(size - 1, -1, -1):
         reach = min(width, size - n)
-        x[n] = (x[n] - dot(factor[n, 1:reach], x[n + 1 : n + reach])) / factor[n, 0]
+        x[n] = (x[n] - dot(factor[n, 1:reach], x[n + 1 : n + reach])) * factor[n, 0]

@@ -139,13 +139,14 @@ def _center(band: F64, right: F64, centers: F64) -> None:
     right side to its image's.
     """
     size, width = band.shape
-    ones = np.zeros(size)
+    ones, points = np.zeros(size), 0.0
     for n in range(size):
-        ones[n] += band[n, 0]
+        own = band[n, 0]
         for k in range(1, min(width, size - n)):
-            ones[n] += band[n, k]
+            own += band[n, k]
             ones[n + k] += band[n, k]
-    points = ones.sum()
+        ones[n] += own
+        points += ones[n]
     for c in range(right.shape[0]):
         offset = right[c].sum() / points
         centers[c] += offset
