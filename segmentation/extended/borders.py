@@ -194,7 +194,7 @@ def _find_cheapest(
             row += 1
         at_row, at_column = (row - _REACH) * step, (pixel - row * width - _REACH) * step
         for down in range(_SIDE):
-            start = pixel + (down - _REACH) * width - _REACH
+            start = np.uint32(pixel + (down - _REACH) * width - _REACH)
             for across in range(_SIDE):
                 near[down * _SIDE + across] = labels[start + across]
                 steps_per_m[down * _SIDE + across] = inverse_depth[start + across] - inverse_depth[pixel]
@@ -256,7 +256,7 @@ def _move(
         row, column = pixels[n] // width, pixels[n] % width
         for k in range(_AROUND):
             r, c = row + k // _SIDE - _REACH, column + k % _SIDE - _REACH
-            at = r * width + c
+            at = np.uint32(r * width + c)
             # What votes for another label no longer votes for the pixel's own.
             margins[at] -= np.float32(2.0) * votes[k]
             wanted = parity < 0 or (r + c + parity) % 2 == 0

@@ -225,7 +225,7 @@ def _neighbors_side(
         # Grid pixels ascend; a division is slower.
         while drawn[n] >= (row + 1) * width:
             row += 1
-        corners[row >> 1, (drawn[n] - row * width) >> 1] = 2 if drawn_side[n] else 1
+        corners[np.uint32(row >> 1), np.uint32((drawn[n] - row * width) >> 1)] = 2 if drawn_side[n] else 1
     for a in range(corners.shape[0] - 1):
         for b in range(corners.shape[1] - 1):
             corners[a, b] |= corners[a + 1, b] | corners[a, b + 1] | corners[a + 1, b + 1]
@@ -234,7 +234,7 @@ def _neighbors_side(
     for n in range(grid_pixels.size):
         while grid_pixels[n] >= (row + 1) * width:
             row += 1
-        around = corners[row >> 1, (grid_pixels[n] - row * width) >> 1]
+        around = corners[np.uint32(row >> 1), np.uint32((grid_pixels[n] - row * width) >> 1)]
         sides[n] = around == 2
         asked[count] = n
         count += (around == 0) | (around == 3)

@@ -121,11 +121,11 @@ def _runs_in(labels: I32, right: Bool) -> I32:
     height, width = labels.shape
     runs, count = np.empty((labels.size, 3), dtype=np.int32), 0
     for row in range(height):
-        column = 0
+        line, linked, column = labels[row], right[row], 0
         while column < width:
-            label, begin = labels[row, column], column
+            label, begin = line[column], column
             column += 1
-            while column < width and labels[row, column] == label and (label == 0 or right[row, column - 1]):
+            while column < width and line[column] == label and (label == 0 or linked[np.uint32(column - 1)]):
                 column += 1
             if label > 0:
                 runs[count, 0], runs[count, 1] = row * width + begin, row * width + column
@@ -141,13 +141,13 @@ def _runs_of(grid_pixels: Intp, labels: I32, right: Bool, first: int) -> I32:
     # Nothing is connected across the ends of rows.
     linked = right.reshape(-1)
     while n < grid_pixels.size:
-        end, label = grid_pixels[n] + 1, labels[n]
-        runs[count, 0], runs[count, 2] = grid_pixels[n] - first, label
+        last, label = np.uint32(grid_pixels[n]), labels[n]
+        runs[count, 0], runs[count, 2] = last - first, label
         n += 1
-        while n < grid_pixels.size and grid_pixels[n] == end and labels[n] == label and linked[end - 1]:
-            end += 1
+        while n < grid_pixels.size and grid_pixels[n] == last + 1 and labels[n] == label and linked[last]:
+            last = np.uint32(last + 1)
             n += 1
-        runs[count, 1] = end - first
+        runs[count, 1] = last + 1 - first
         count += 1
     return runs[:count]
 
@@ -208,7 +208,7 @@ def _connect(runs: I32, down: Bool, grid_pixels_min: float, keep: int, numbers: 
     for n in range(count):
         # The number of its component, from here on.
         number = size_of[parents[n]]
-        for pixel in range(runs[n, 0], runs[n, 1]):
+        for pixel in range(np.uint32(runs[n, 0]), np.uint32(runs[n, 1])):
             number_of[pixel] = number
         if number == 0:
             for pixel in range(runs[n, 0], runs[n, 1]):
@@ -282,9 +282,11 @@ def _grouped(runs: I32, numbers: I32, first: int, count: int) -> tuple[Intp, Int
     for n in range(runs.shape[0]):
         pixel, end = runs[n, 0], runs[n, 1]
         while pixel < end:
-            number, at = numbers[pixel], following[numbers[pixel] - 1]
+            begin, number = pixel, numbers[pixel]
+            at = np.uint32(following[number - 1])
             while pixel < end and numbers[pixel] == number:
-                grouped[at] = first + pixel
-                at, pixel = at + 1, pixel + 1
-            following[number - 1] = at
+                pixel += 1
+            for k in range(pixel - begin):
+                grouped[at + k] = first + begin + k
+            following[number - 1] += pixel - begin
     return grouped, bounds

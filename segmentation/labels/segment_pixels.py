@@ -50,7 +50,7 @@ def _sort_by_label(labels: U16, order: Intp, bounds: I64) -> None:
     following = bounds.copy()
     for run in range(runs):
         pixel, size = starts[run], starts[run + 1] - starts[run]
-        at = following[labels[pixel]]
+        at = np.uint32(following[labels[pixel]])
         for n in range(size):
             order[at + n] = pixel + n
         following[labels[pixel]] += size

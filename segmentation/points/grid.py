@@ -84,7 +84,7 @@ def _window_mask(grid_pixels: Intp, width: int) -> tuple[int, int, int, int, Boo
         row = first // width
         end = min(n + (row + 1) * width - first, grid_pixels.size)
         n += 1
-        while n < end and grid_pixels[n] == first + n - begin:
+        while n < end and grid_pixels[np.uint32(n)] == first + n - begin:
             n += 1
         column = first - row * width
         # Not the row at once: the message for another length would be compiled, too, for half a second.

@@ -172,7 +172,7 @@ def _residuals(
     square_most: float,
 ) -> tuple[Intp, F64, float]:
     """Return marked pixels, a spline's distances from their points, and the sum of its limited squares."""
-    (top, left), (height, width) = corner, mask.shape
+    top, left, (height, width) = np.uint32(corner[0]), np.uint32(corner[1]), mask.shape
     count = 0
     for y in range(height):
         for x in range(width):
@@ -188,7 +188,7 @@ def _residuals(
                 along[k] += rows.values[y, i] * control[first + i, k]
         for x in range(width):
             if mask[y, x]:
-                start = columns.starts[x]
+                start = np.uint32(columns.starts[x])
                 fitted = 0.0
                 for j in range(4):
                     fitted += columns.values[x, j] * along[start + j]

@@ -168,7 +168,7 @@ def _add_points(
 ) -> None:
     """Add the sums over points to the normal matrix and the right sides."""
     height, width = mask.shape
-    (top, left), count = corner, images.shape[0]
+    top, left, count = np.uint32(corner[0]), np.uint32(corner[1]), images.shape[0]
     edges, spans = span_edges(columns.starts)
     # Products of two functions at every column, and their sums over whole spans.
     along, products = np.ascontiguousarray(columns.values.T), np.empty((_PRODUCTS, width))
@@ -223,7 +223,7 @@ def _add_points(
                 for k in range(_PRODUCTS):
                     for m in range(_PRODUCTS):
                         matrix[s, k, m] += inner[s, k] * whole[s, m]
-                origin = rows.starts[y] * steps[0] + columns.starts[edges[s]] * steps[1]
+                origin = np.uint32(rows.starts[y] * steps[0] + columns.starts[edges[s]] * steps[1])
                 _scatter(matrix, sides, s, origin, steps, band, right)
             matrix[:] = 0.0
             inner[:] = 0.0
@@ -246,10 +246,10 @@ def span_edges(starts: Intp) -> tuple[Intp, int]:
 
 @inlined_once
 def _scatter(
-    matrix: F64, sides: F64, span: int, origin: int, steps: tuple[int, int], band: F64, right: F64
+    matrix: F64, sides: F64, span: int, origin: np.uint32, steps: tuple[int, int], band: F64, right: F64
 ) -> None:
     """Add the sums of one span of rows and columns, whose first control point is number `origin`."""
-    step_v, step_u = steps
+    step_v, step_u = np.uint32(steps[0]), np.uint32(steps[1])
     for k in range(_PRODUCTS):
         i, p = _FIRST[k], _SECOND[k]
         for m in range(_PRODUCTS):
@@ -259,7 +259,7 @@ def _scatter(
             if i != p and j != q:
                 n = origin + i * step_v + q * step_u
                 other = origin + p * step_v + j * step_u
-                band[min(n, other), abs(n - other)] += matrix[span, k, m]
+                band[min(n, other), np.uint32(abs(n - other))] += matrix[span, k, m]
     for c in range(right.shape[0]):
         for i in range(4):
             for j in range(4):
