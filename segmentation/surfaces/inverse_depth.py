@@ -125,7 +125,7 @@ def fit_inverse_depth(
     square_most: float,
     large_m: float,
     rays: tuple[F64, float, float, float],
-) -> tuple[Intp, bool, bool, tuple[F64, F64, F64, F64], F64, float, tuple[int, float, float, int]]:
+) -> tuple[Intp, bool, bool, tuple[F64, F64, F64, F64], F64, float, tuple[float, float, float, int]]:
     """Fit a spline to the inverse depth of the marked grid pixels, and raise control values to the least.
 
     Returns the marked pixels, flat in the image; whether there is a solution; without one the rest is empty;
@@ -141,7 +141,7 @@ def fit_inverse_depth(
     if not solved:
         spline = knots_u, knots_v, np.empty((0, 0, 3)), control
         nowhere = np.empty(0, dtype=np.intp)
-        return nowhere, False, False, spline, np.empty(0), 0.0, (0, 0.0, 0.0, 0)
+        return nowhere, False, False, spline, np.empty(0), 0.0, (0.0, 0.0, 0.0, 0)
     positive = True
     for a in range(rows.size):
         for b in range(columns.size):

@@ -39,10 +39,10 @@ def residual_metrics(residuals_m: NDArray[np.float64], config: SegmentationConfi
     return metrics_of_sums(residuals_m.size, residual_sums(residuals_m, config.large_error_m))
 
 
-def metrics_of_sums(points: int, sums: tuple[int, float, float, int]) -> dict[Metric, float]:
+def metrics_of_sums(points: int, sums: tuple[float, float, float, int]) -> dict[Metric, float]:
     """Do what `residual_metrics` does, given the number of residuals and their sums."""
-    beyond, squares, total, large = sums
-    if beyond == 0:
+    largest, squares, total, large = sums
+    if largest <= ROUNDING_M:
         return {"mse": 0.0, "mae": 0.0, "ve": 0.0, "nle": 0.0}
     mse = squares / points  # eq. 7
     mae = total / points  # eq. 9
@@ -51,17 +51,15 @@ def metrics_of_sums(points: int, sums: tuple[int, float, float, int]) -> dict[Me
 
 
 @compiled
-def residual_sums(residuals_m: F64, large_m: float) -> tuple[int, float, float, int]:
-    """Count (N,) residuals, metres, above rounding, sum their squares and them, and count the large ones."""
-    beyond, squares, total, large = 0, 0.0, 0.0, 0
-    # By index: a loop over the elements themselves is not vectorized.
-    for n in range(residuals_m.size):
-        residual = residuals_m[n]
-        beyond += residual > ROUNDING_M
+def residual_sums(residuals_m: F64, large_m: float) -> tuple[float, float, float, int]:
+    """Return the largest of (N,) residuals, metres, the sum of squares, the sum, and how many are large."""
+    largest, squares, total, large = 0.0, 0.0, 0.0, 0
+    for residual in residuals_m:
+        largest = max(largest, residual)
         squares += residual * residual
         total += residual
         large += residual > large_m
-    return beyond, squares, total, large
+    return largest, squares, total, large
 
 
 def curvature_metrics(
