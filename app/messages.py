@@ -4,8 +4,8 @@ import logging
 import sys
 
 
-def told(err: BaseException) -> str:
-    """Return an error's message as a user is told it: with its class if it is not one that is expected."""
+def error_text(err: BaseException) -> str:
+    """Return an error's message for the user, with its class if the error is not an expected one."""
     expected = isinstance(err, OSError) or type(err).__module__.startswith("nurbseg.")
     return str(err) if expected else f"unexpected failure: {type(err).__name__}: {err}"
 

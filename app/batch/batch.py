@@ -10,7 +10,7 @@ from nurbseg.app.atomic_file import read_json, write_json
 from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings, refuse_other_results
 from nurbseg.app.frames import Reader, survey
-from nurbseg.app.messages import told
+from nurbseg.app.messages import error_text
 from nurbseg.app.workers import Workers, in_order
 from nurbseg.drivers.errors import DriverError, FrameFormatError, RecordingFormatError, quoted
 from nurbseg.drivers.options import SourceOptions
@@ -119,7 +119,7 @@ def run_batch(
                 _keep(recording, outcomes, exporters[task.uri])
             except Exception as err:
                 run = f"frames {task.run.start} to {task.run.stop - 1}"
-                recording.failure = f"{run}: {told(err)}"
+                recording.failure = f"{run}: {error_text(err)}"
             if recording.ended:
                 report(recording)
     finally:

@@ -43,19 +43,19 @@ class SharedWork:
         found: tuple[Cut, NDArray[np.bool_]] = self._made[key]
         return found
 
-    def fit(self, grid: PixelGrid, places: NDArray[np.intp], config: SegmentationConfig) -> Fit:
+    def fit(self, grid: PixelGrid, grid_pixels: NDArray[np.intp], config: SegmentationConfig) -> Fit:
         """Return the result of `fit_segment`."""
         # A fit has either all residual metrics or all nine.
         metric: Metric = "vmxc" if config.metric in CURVATURE_METRICS else "mse"
-        key = (_digest(places), _judged_alike(config, metric))
+        key = (_digest(grid_pixels), _judged_alike(config, metric))
         if key not in self._made:
-            self._made[key] = fit_segment(grid, places, config)
+            self._made[key] = fit_segment(grid, grid_pixels, config)
         found: Fit = self._made[key]
         return found
 
 
-def _digest(places: NDArray[np.intp]) -> bytes:
-    return hashlib.blake2b(places.tobytes(), digest_size=16).digest()
+def _digest(grid_pixels: NDArray[np.intp]) -> bytes:
+    return hashlib.blake2b(grid_pixels.tobytes(), digest_size=16).digest()
 
 
 def _judged_alike(config: SegmentationConfig, metric: Metric) -> SegmentationConfig:

@@ -120,6 +120,7 @@ class Exporter:
         Raises ExportError if one cannot be written, exists and must not be replaced, or is another frame's.
         """
         if self.export.names == "source":
+            # The tree is the last of a frame's files.
             tree = list(files)[-1]
             if tree in self._trees:
                 path = self.directory / tree

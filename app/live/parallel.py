@@ -14,7 +14,7 @@ from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.frame_files import frame_files
 from nurbseg.app.live.capture import Captured
 from nurbseg.app.live.tracking import process_frame
-from nurbseg.app.messages import told
+from nurbseg.app.messages import error_text
 from nurbseg.app.result import FrameResult
 from nurbseg.app.workers import in_order, open_workers
 from nurbseg.drivers.frame import RGBDFrame
@@ -71,7 +71,7 @@ def segment_in_parallel(
             except Exception as err:
                 name = f" ({each.frame.name})" if each.frame.name else ""
                 raise FrameFailedError(
-                    f"frame {each.frame.index}{name} cannot be segmented: {told(err)}"
+                    f"frame {each.frame.index}{name} cannot be segmented: {error_text(err)}"
                 ) from err
             latency_ms = 1e3 * (time.monotonic() - each.arrived_s)
             waited_ms = latency_ms - sum(segmented.elapsed_ms.values())

@@ -99,8 +99,8 @@ class RunReport:
             (self.late, "too late to be shown"),
             (self.view.dropped, "dropped by the slow viewer"),
         )
-        told = ", ".join(f"{count} {what}" for count, what in others if count)
-        return f"{text}; {told}" if told else text
+        listed = ", ".join(f"{count} {what}" for count, what in others if count)
+        return f"{text}; {listed}" if listed else text
 
     def document(self, ended: str) -> dict[str, Any]:
         """Return the report; `ended` is the reason why the run ended."""

@@ -26,7 +26,7 @@ from nurbseg.app.live.progress import Progress
 from nurbseg.app.live.report import RunReport
 from nurbseg.app.live.tracking import Segmenter
 from nurbseg.app.live.warmup import WarmUp
-from nurbseg.app.messages import told
+from nurbseg.app.messages import error_text
 from nurbseg.app.recording.config import dated
 from nurbseg.app.recording.recorder import DEFAULT_NAME, Recorder
 from nurbseg.app.result import FrameResult
@@ -168,7 +168,7 @@ def _reported(report: RunReport, interruption: Interruption) -> Iterator[None]:
         report.remove()
         raise
     except BaseException as err:
-        ended = "interrupted" if interruption.signal_number else told(err)
+        ended = "interrupted" if interruption.signal_number else error_text(err)
         if report.segmented + report.recorded_only:
             _log.info("%s%s", "interrupted: " if interruption.signal_number else "", report.summary())
         try:

@@ -47,8 +47,6 @@ def split_off_protrusions(root: Node, features: GridFeatures, config: Segmentati
         return
     labels = _in_front_of_surfaces(leaves, features, config)
     found = connected_components(labels, features.adjacency, features.grid_pixels_min(config))
-    if found.labels_of.size == 1:
-        return
     marked = np.flatnonzero(labels > 0)
     numbers = found.numbers.reshape(-1)[marked]
     side = max(1, round(_SIDE_PX * features.grid.unit_px / features.grid.step))

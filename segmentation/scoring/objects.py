@@ -75,13 +75,13 @@ def object_scores(objects: NDArray[np.integer], truth: NDArray[np.integer]) -> O
     radius = int(np.ceil(_TOLERANCE * np.hypot(*objects.shape)))
     offsets = np.arange(-radius, radius + 1)
     disk = (np.add.outer(offsets**2, offsets**2) <= radius**2).astype(np.uint8)
-    # As places: a mask of each of thousands of labels would take gigabytes.
+    # As flat indices: a mask of each of thousands of labels would take gigabytes.
     edges = [np.flatnonzero(_boundary(objects == label)) for label in found]
     true_edges = [np.flatnonzero(_boundary(truth == label)) for label in true]
 
-    def near(places: NDArray[np.intp]) -> NDArray[np.uint8]:
+    def near(pixels: NDArray[np.intp]) -> NDArray[np.uint8]:
         mask = np.zeros(objects.shape, dtype=np.uint8)
-        mask.ravel()[places] = 1
+        mask.ravel()[pixels] = 1
         return cv2.dilate(mask, disk).ravel().astype(np.uint8, copy=False)
 
     agreeing = true_agreeing = 0

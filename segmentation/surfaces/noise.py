@@ -150,7 +150,10 @@ def _fill_noise(
     inner: Bool,
     noise_m: F64,
 ) -> None:
-    """Fill in the noise of a row, metres, of deviation `scale` in 1/m; simple loops are vectorized."""
+    """Fill in the noise of a row, metres, of deviation `scale` in 1/m; `inner` is memory for two rows.
+
+    Simple loops are vectorized.
+    """
     height, width = labels.shape
     row, above, below = labels[y], labels[max(y - 1, 0)], labels[min(y + 1, height - 1)]
     within, three = 0 < y < height - 1, inner[1]

@@ -54,11 +54,11 @@ def _check_samples(frame: ExportedFrame) -> Iterator[Finding]:
         for pair, count in counts.items()
         if pair <= name_of.keys()
     }
-    told = {frozenset((each.first, each.second)): each.samples for each in frame.tree.contacts}
-    for pair in sorted({*seen, *told}, key=sorted):
-        if told.get(pair) != seen.get(pair):
-            expected = f"{seen.get(pair)} places in the image of the leaves"
-            yield frame.wrong("-".join(sorted(pair)), "samples", expected, told.get(pair))
+    stored = {frozenset((each.first, each.second)): each.samples for each in frame.tree.contacts}
+    for pair in sorted({*seen, *stored}, key=sorted):
+        if stored.get(pair) != seen.get(pair):
+            expected = f"{seen.get(pair)} samples in the image of the leaves"
+            yield frame.wrong("-".join(sorted(pair)), "samples", expected, stored.get(pair))
 
 
 def _crossings(labels: NDArray[np.uint16], reach: int) -> Counter[frozenset[int]]:
@@ -82,8 +82,8 @@ def _check_objects(frame: ExportedFrame) -> Iterator[Finding]:
     between: dict[tuple[int, int], tuple[Fraction, int]] = {}
     for each in frame.tree.contacts:
         first, second = sorted((place[each.first], place[each.second]))
-        places = each.samples or 0
-        between[first, second] = Fraction(round(1000 * (each.log_odds or 0.0)), 1000) * places, places
+        samples = each.samples or 0
+        between[first, second] = Fraction(round(1000 * (each.log_odds or 0.0)), 1000) * samples, samples
     least = Fraction(frame.settings.config.extended.log_odds_min)
     while True:
         # Among equal pairs, that of the first leaves.
@@ -93,11 +93,11 @@ def _check_objects(frame: ExportedFrame) -> Iterator[Finding]:
         kept, gone = likeliest
         groups[kept] |= groups.pop(gone)
         pooled: dict[tuple[int, int], tuple[Fraction, int]] = {}
-        for pair, (odds, places) in between.items():
+        for pair, (odds, samples) in between.items():
             first, second = sorted(kept if each == gone else each for each in pair)
             if first != second:
                 before = pooled.get((first, second), (Fraction(), 0))
-                pooled[first, second] = before[0] + odds, before[1] + places
+                pooled[first, second] = before[0] + odds, before[1] + samples
         between = pooled
     for join in frame.tree.joins:
         pieces = [number for number, names in groups.items() if {join.first, join.second} & names]
@@ -106,11 +106,11 @@ def _check_objects(frame: ExportedFrame) -> Iterator[Finding]:
             yield frame.wrong(leaves, "joins", "leaves of two objects", "one object or none")
             continue
         groups[pieces[0]] |= groups.pop(pieces[1])
-    told = {frozenset(names) for names in frame.objects.values()}
-    for group in sorted(sorted(names) for names in groups.values() if frozenset(names) not in told):
+    stored = {frozenset(names) for names in frame.objects.values()}
+    for group in sorted(sorted(names) for names in groups.values() if frozenset(names) not in stored):
         yield frame.wrong("", "objects", f"one of {', '.join(group)} by the log odds", "none")
 
 
-def _mean(odds_and_places: tuple[Fraction, int]) -> Fraction:
-    odds, places = odds_and_places
-    return odds / places if places else Fraction(-(10**9))
+def _mean(odds_and_samples: tuple[Fraction, int]) -> Fraction:
+    odds, samples = odds_and_samples
+    return odds / samples if samples else Fraction(-(10**9))
