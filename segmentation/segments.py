@@ -226,6 +226,10 @@ class Node:
         """Return the deciding metric, at least its floor; 0 if it was not measured."""
         return metric_value(self.fit.values, config.metric, self.fit.floor)
 
+    def weighed(self, config: SegmentationConfig) -> tuple[float, int]:
+        """Return what counts in the ratio (eq. 5): its value, and its number of grid pixels."""
+        return self.value(config), self.grid_pixels.size
+
 
 _HISTORY = ("division", "trial", "stop", "cut", "cuts_above", "measured", "judged")
 _history = attrgetter(*_HISTORY)

@@ -161,7 +161,7 @@ def _split(
         Node(f"{node.name}{digit}", part, fit(grid, part, config), cuts_above=node.cuts_above + 1)
         for digit, part in enumerate(parts)
     )
-    whole, *halves = ((each.value(config), each.grid_pixels.size) for each in (node, first, second))
+    whole, *halves = (each.weighed(config) for each in (node, first, second))
     ratio = acceptance_ratio(config.metric, whole, *halves)
     kept = ratio < config.ratio_max or node.name == ""  # eq. 5, "except for the first iteration"
     node.trial = Trial(config.metric, *whole, tuple(halves), kept)

@@ -36,8 +36,8 @@ TERMS = (
 )
 #: Log odds where two surfaces do not touch.
 GAP = -1.5
-#: Terms of the log odds, in the order of `evidence`.
-ITEMS = ("base", *(term.name for term in TERMS), "gap")
+#: Terms of the log odds, in the order of `evidence`; the last is the hysteresis of the live tree.
+ITEMS = ("base", *(term.name for term in TERMS), "gap", "kept")
 #: Decimals to which evidence is rounded, as exported.
 DIGITS = 3
 
@@ -99,13 +99,14 @@ def evidence(
 
     Returns
     -------
-    (P, 8) float64
-        Of each pair, by `ITEMS`; its log odds are their sum. If surfaces do not touch, only the gap counts.
+    (P, 9) float64
+        Of each pair, by `ITEMS`, the last 0; its log odds are their sum. If surfaces do not touch, only the
+        gap counts.
     """
     weights, neutral = (np.array([each[n] for each in TERMS]) for n in (1, 2))
     items = np.zeros((len(borders.labels), len(ITEMS)))
     touch = borders.in_contact
     items[touch, 0] = BASE
-    items[touch, 1:-1] = (weights * (pair_features(borders, surfaces, noise_per_m) - neutral))[touch]
-    items[~touch, -1] = GAP
+    items[touch, 1:-2] = (weights * (pair_features(borders, surfaces, noise_per_m) - neutral))[touch]
+    items[~touch, -2] = GAP
     return np.round(items, DIGITS)

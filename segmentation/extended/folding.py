@@ -10,7 +10,7 @@ import numpy as np
 from nurbseg.drivers.compiled import F32, F64, I64, Bool, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
-from nurbseg.segmentation.extended.parts import Part, fit_segment, judge_split
+from nurbseg.segmentation.extended.parts import fit_segment, judge_split
 from nurbseg.segmentation.growth import stop_without_cut
 from nurbseg.segmentation.points.grid import united
 from nurbseg.segmentation.segments import Node, Trial, depth_first
@@ -64,7 +64,7 @@ def fold_leaves(root: Node, features: GridFeatures, config: SegmentationConfig) 
     if any(leaf.stop in UNFINISHED for leaf in leaves.values()):
         return
     borders = _borders(leaves, features)
-    judged: dict[_Pair, tuple[Part, Trial]] = {}
+    judged: dict[_Pair, tuple[Node, Trial]] = {}
     # As last judged, perhaps before one of the two grew.
     ratios: dict[_Pair, float] = {}
 
@@ -149,11 +149,10 @@ def _add_borders(
                     cosines[pair] += raw[y * width + x, k] * raw[row * width + column, k]
 
 
-def _judged(parts: list[Node], features: GridFeatures, config: SegmentationConfig) -> tuple[Part, Trial]:
+def _judged(parts: list[Node], features: GridFeatures, config: SegmentationConfig) -> tuple[Node, Trial]:
     """Fit one surface to leaves, and judge a split of it into them."""
     whole = fit_segment(features, united([part.grid_pixels for part in parts]), config)
-    weighed = [(part.value(config), part.grid_pixels.size) for part in parts]
-    return whole, judge_split(whole.weighed(config), weighed, config)
+    return whole, judge_split(whole.weighed(config), [part.weighed(config) for part in parts], config)
 
 
 def _fold(
@@ -161,7 +160,7 @@ def _fold(
     leaves: dict[int, Node],
     kept: int,
     gone: int,
-    judged: tuple[Part, Trial],
+    judged: tuple[Node, Trial],
     features: GridFeatures,
     config: SegmentationConfig,
 ) -> bool:
@@ -174,13 +173,14 @@ def _fold(
         node.grid_pixels = united((node.grid_pixels, moved))
     for node in above_gone[shared:-1]:
         node.grid_pixels = np.delete(node.grid_pixels, np.searchsorted(node.grid_pixels, moved))
-    (_, leaves[kept].fit, stop), trial = judged
+    whole, trial = judged
+    leaves[kept].fit = whole.fit
     leaf_of = {id(leaf): number for number, leaf in leaves.items()}
     sibling, parent = remove_node(root, leaves[gone])
     at = {**leaves, **({leaf_of[id(sibling)]: parent} if id(sibling) in leaf_of else {})}
 
     leaf = at[kept]
-    leaf.stop = stop or stop_without_cut(leaf, 0, features.grid_pixels_min(config), config)
+    leaf.stop = whole.stop or stop_without_cut(leaf, 0, features.grid_pixels_min(config), config)
     leaf.trial = None if leaf.stop else trial
     leaf.stop = leaf.stop or StopReason.CRITERION
     # The parent has the pixels of the sibling now, and is changed if that was.
@@ -198,8 +198,8 @@ def _fold(
         elif node.division is Division.CUT and id(node) in judged_again:
             if id(node) in changed:
                 node.fit = fit_segment(features, node.grid_pixels, config).fit
-            weighed = [(part.value(config), part.grid_pixels.size) for part in _parts(node)]
-            node.trial = judge_split((node.value(config), node.grid_pixels.size), weighed, config)
+            parts = [part.weighed(config) for part in _parts(node)]
+            node.trial = judge_split(node.weighed(config), parts, config)
             sound = node.trial.kept
         if not sound:
             for changed_node, state in before:

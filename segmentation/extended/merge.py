@@ -1,14 +1,14 @@
 """Objects: surfaces merged by the evidence along their borders."""
 
 import heapq
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.border_statistics import border_statistics
+from nurbseg.segmentation.extended.border_statistics import BorderStatistics, border_statistics
 from nurbseg.segmentation.extended.evidence import DIGITS, ITEMS, evidence
 from nurbseg.segmentation.extended.surface_statistics import surface_statistics
 from nurbseg.segmentation.labels.boxes import label_sizes
@@ -59,34 +59,6 @@ class Contact:
     evidence: Mapping[str, float]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WeighedBorders:
-    """Evidence for and against merging P pairs of surfaces.
-
-    Parameters
-    ----------
-    labels : (P, 2) int64
-        Of each pair, the smaller one first.
-    samples, touching : (P,) int64
-        Grid pixels along each border, the weight of its log odds, and those where the surfaces agree.
-    items : (P, N) float64
-        Terms of the log odds, to `DIGITS` digits.
-    names : tuple of str
-        Of the terms.
-    """
-
-    labels: NDArray[np.int64]
-    samples: NDArray[np.int64]
-    touching: NDArray[np.int64]
-    items: NDArray[np.float64]
-    names: tuple[str, ...] = ITEMS
-
-    @property
-    def log_odds(self) -> NDArray[np.float64]:
-        """Log odds that each pair is one object, (P,) float64."""
-        return np.asarray(np.round(self.items.sum(axis=1), DIGITS))
-
-
 def merge_surfaces(
     labels: NDArray[np.int32],
     grid: DepthGrid,
@@ -131,19 +103,24 @@ def merge_surfaces(
     borders = border_statistics(labels, surfaces.slopes, grid.rays, gap_per_m=extended.inverse_depth_gap)
     measured = surface_statistics(labels[:: grid.step, :: grid.step], len(names), grid)
     items = evidence(borders, measured, extended.inverse_depth_noise)
-    samples, touching = (each.astype(np.int64) for each in (borders.samples, borders.touching))
-    return merged_objects(WeighedBorders(borders.labels, samples, touching, items), labels, names, config)
+    return merged_objects(borders, items, labels, names, config)
 
 
 def merged_objects(
-    borders: WeighedBorders, labels: NDArray[np.int32], names: Sequence[str], config: SegmentationConfig
+    borders: BorderStatistics,
+    items: NDArray[np.float64],
+    labels: NDArray[np.int32],
+    names: Sequence[str],
+    config: SegmentationConfig,
 ) -> tuple[tuple[SceneObject, ...], tuple[Contact, ...]]:
     """Merge surfaces by the evidence along their borders.
 
     Parameters
     ----------
-    borders : WeighedBorders
-        Of every two labels whose borders meet.
+    borders : BorderStatistics
+        Of every two labels whose borders meet; samples are whole numbers.
+    items : (P, 9) float64
+        Terms of the log odds of each pair, as `evidence` returns them.
     labels : (H, W) int32
         1 to the number of surfaces; on all pixels, or evenly on some of them.
     names : sequence of str
@@ -156,21 +133,35 @@ def merged_objects(
     objects, contacts
         As those of `merge_surfaces`.
     """
-    group = agglomerate(
-        borders.labels.tolist(),
-        borders.log_odds.tolist(),
-        borders.samples.tolist(),
-        len(names),
-        config.extended.log_odds_min,
-    )
-    counts = label_sizes(labels, len(names) + 1).tolist()
+    least = config.extended.log_odds_min
+    pairs, log_odds = borders.labels.tolist(), np.round(items.sum(axis=1), DIGITS).tolist()
+    samples, touching = (each.astype(np.int64).tolist() for each in (borders.samples, borders.touching))
+    group = agglomerate(pairs, log_odds, samples, len(names), least)
     members: dict[int, list[int]] = {}
-    for label in range(1, len(names) + 1):
-        members.setdefault(group[label], []).append(label)
-    pixels = {number: sum(counts[label] for label in members[number]) for number in members}
-    largest = sorted(members, key=lambda number: (-pixels[number], number))
-    objects = tuple(SceneObject(tuple(names[label - 1] for label in members[number])) for number in largest)
-    return objects, tuple(_contacts(borders, names, group, config.extended.log_odds_min))
+    for label, number in enumerate(group[1:], start=1):
+        members.setdefault(number, []).append(label)
+    contacts = []
+    columns = pairs, samples, touching, log_odds, items.tolist()
+    for (first, second), length, touches, odds, own in zip(*columns, strict=True):
+        merged, likely = group[first] == group[second], odds > least
+        terms = {name: item for name, item in zip(ITEMS, own, strict=True) if item}
+        why = _in_words(terms, odds, length, touches)
+        if merged and not likely:
+            why = f"merged through other surfaces, despite {why}"
+        elif not merged and likely:
+            why = f"{why}, but the average over their objects' borders is too low"
+        contacts.append(
+            Contact(names[first - 1], names[second - 1], merged, why, length, touches, odds, terms)
+        )
+    return largest_first(members.values(), label_sizes(labels, len(names) + 1), names), tuple(contacts)
+
+
+def largest_first(
+    groups: Iterable[list[int]], sizes: NDArray[np.int64], names: Sequence[str]
+) -> tuple[SceneObject, ...]:
+    """Make objects of groups of labels, given the size of each label, and the names of the leaves."""
+    ordered = sorted(groups, key=lambda labels: (-sizes[labels].sum(), labels))
+    return tuple(SceneObject(tuple(names[label - 1] for label in labels)) for labels in ordered)
 
 
 def agglomerate(
@@ -227,28 +218,6 @@ def agglomerate(
             judge(kept, other, total + more[0], length + more[1])
         joint[gone] = {}
     return group
-
-
-def _contacts(
-    borders: WeighedBorders, names: Sequence[str], group: Sequence[int], log_odds_min: float
-) -> list[Contact]:
-    """Return the pairs with the reasons why they are, or are not, one object."""
-    found = []
-    columns = (borders.labels, borders.samples, borders.touching, borders.log_odds, borders.items)
-    for (first, second), samples, touching, log_odds, items in zip(
-        *(each.tolist() for each in columns), strict=True
-    ):
-        merged, likely = group[first] == group[second], log_odds > log_odds_min
-        weighed = {name: item for name, item in zip(borders.names, items, strict=True) if item}
-        why = _in_words(weighed, log_odds, samples, touching)
-        if merged and not likely:
-            why = f"merged through other surfaces, despite {why}"
-        elif not merged and likely:
-            why = f"{why}, but the average over their objects' borders is too low"
-        found.append(
-            Contact(names[first - 1], names[second - 1], merged, why, samples, touching, log_odds, weighed)
-        )
-    return found
 
 
 def _in_words(weighed: Mapping[str, float], log_odds: float, samples: int, touching: int) -> str:

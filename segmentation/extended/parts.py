@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,18 +21,6 @@ from nurbseg.segmentation.vocabulary import Division, StopReason
 _ROUNDING = 1e-12
 
 
-class Part(NamedTuple):
-    """A part of a split: its flat grid pixels, its fit, and why it is not to be split, if so."""
-
-    grid_pixels: NDArray[np.intp]
-    fit: Fit
-    stop: StopReason | None
-
-    def weighed(self, config: SegmentationConfig) -> tuple[float, int]:
-        """Return the value of its metric in the ratio, and its number of points."""
-        return metric_value(self.fit.values, config.metric, self.fit.floor), self.grid_pixels.size
-
-
 def judge_split(
     whole: tuple[float, int], parts: Sequence[tuple[float, int]], config: SegmentationConfig
 ) -> Trial:
@@ -43,23 +30,23 @@ def judge_split(
     return Trial(config.metric, *whole, tuple(parts), kept)
 
 
-def fit_segment(features: GridFeatures, grid_pixels: NDArray[np.intp], config: SegmentationConfig) -> Part:
+def fit_segment(features: GridFeatures, grid_pixels: NDArray[np.intp], config: SegmentationConfig) -> Node:
     """Fit a surface to flat grid pixels, (N,) intp, ascending, with the deciding metric and its floor.
 
-    The part's stop is `NOISE` if its metric is so near the floor that no split can have a ratio below T.
+    The node has no name yet. Its stop is `NOISE` if its metric is so near the floor that no split can have a
+    ratio below T.
     """
     if grid_pixels.size == 0:
-        return Part(
-            grid_pixels, Fit(None, np.zeros(0), {}, "0 points, 1 needed", grid_pixels), StopReason.NO_POINTS
-        )
+        fit = Fit(None, np.zeros(0), {}, "0 points, 1 needed", grid_pixels)
+        return Node("", grid_pixels, fit, stop=StopReason.NO_POINTS)
     window, mask = features.grid.points.window_mask(grid_pixels)
     floor = noise_floor(features.grid, window, mask, config)
     fit = fit_window(features.grid, window, mask, config, floor=floor)
     if fit.surface is None:
-        return Part(grid_pixels, fit, None)
+        return Node("", grid_pixels, fit)
     if config.metric in CURVATURE_METRICS:
         fit = replace(fit, values=all_metrics(fit, features.grid.points.image_shape[1], config))
-    return Part(grid_pixels, fit, StopReason.NOISE if at_noise_floor(fit, config) else None)
+    return Node("", grid_pixels, fit, stop=StopReason.NOISE if at_noise_floor(fit, config) else None)
 
 
 def at_noise_floor(fit: Fit, config: SegmentationConfig) -> bool:
@@ -69,14 +56,14 @@ def at_noise_floor(fit: Fit, config: SegmentationConfig) -> bool:
     return config.extended.noise_floor > 0 and fit.floor >= config.ratio_max * value
 
 
-def children_of(node: Node, sides: tuple[list[Part], list[Part]]) -> tuple[Node, Node]:
+def children_of(node: Node, sides: tuple[list[Node], list[Node]]) -> tuple[Node, Node]:
     """Make two nodes of the parts of a cut's sides, or of the components of the only side.
 
     Parameters
     ----------
     node : Node
         That is split.
-    sides : (list of Part, list of Part)
+    sides : (list of Node, list of Node)
         Together at least two parts.
 
     Returns
@@ -93,18 +80,16 @@ def children_of(node: Node, sides: tuple[list[Part], list[Part]]) -> tuple[Node,
     return chain_components(f"{node.name}0", first, depth), chain_components(f"{node.name}1", second, depth)
 
 
-def chain_components(name: str, parts: list[Part], cuts_above: int) -> Node:
-    """Chain parts that are not connected: the largest and a node of the others, and so on."""
-    parts = sorted(parts, key=lambda part: -part.grid_pixels.size)
-    grid_pixels, fit, stop = parts[-1]
-    node = Node(f"{name}{'1' * (len(parts) - 1)}", grid_pixels, fit, stop=stop, cuts_above=cuts_above)
-    for largest in range(len(parts) - 2, -1, -1):
-        inner, count = f"{name}{'1' * largest}", len(parts) - largest
-        own_pixels, own_fit, stop = parts[largest]
-        own = Node(f"{inner}0", own_pixels, own_fit, stop=stop, cuts_above=cuts_above)
-        rest = node
-        pixels = united((own_fit.pixels, rest.fit.pixels))
-        fit = Fit(None, np.zeros(0), {}, f"{count} components that are not connected", pixels)
-        node = Node(inner, united((own_pixels, rest.grid_pixels)), fit, cuts_above=cuts_above)
-        node.children, node.division = (own, rest), Division.GAP
+def chain_components(name: str, parts: list[Node], cuts_above: int) -> Node:
+    """Name and chain parts that are not connected: the largest and a node of the others, and so on."""
+    parts = sorted(parts, key=lambda part: part.grid_pixels.size, reverse=True)
+    node = parts.pop()
+    node.name, node.cuts_above = name + "1" * len(parts), cuts_above
+    for depth, part in reversed(list(enumerate(parts))):
+        inner = name + "1" * depth
+        part.name, part.cuts_above = f"{inner}0", cuts_above
+        reason = f"{len(parts) + 1 - depth} components that are not connected"
+        fit = Fit(None, np.zeros(0), {}, reason, united((part.fit.pixels, node.fit.pixels)))
+        node = Node(inner, united((part.grid_pixels, node.grid_pixels)), fit, (part, node), Division.GAP)
+        node.cuts_above = cuts_above
     return node

@@ -116,10 +116,9 @@ def _split_off(
     if protruding.size > _SHARE_MOST * leaf.grid_pixels.size:
         return
     remaining = np.delete(leaf.grid_pixels, np.searchsorted(leaf.grid_pixels, protruding))
-    rest, *parts = (
-        part._replace(stop=part.stop or StopReason.UNTRIED)
-        for part in (fit_segment(features, each, config) for each in (remaining, *pieces))
-    )
+    rest, *parts = (fit_segment(features, each, config) for each in (remaining, *pieces))
+    for part in (rest, *parts):
+        part.stop = part.stop or StopReason.UNTRIED
     name, depth = leaf.name, leaf.cuts_above
     leaf.children = chain_components(f"{name}0", [rest], depth), chain_components(f"{name}1", parts, depth)
     leaf.division, leaf.stop, leaf.trial = Division.PROTRUSION, None, None

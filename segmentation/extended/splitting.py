@@ -16,7 +16,7 @@ from nurbseg.segmentation.extended.borders import refine_borders
 from nurbseg.segmentation.extended.folding import fold_leaves
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
 from nurbseg.segmentation.extended.merge import merge_surfaces
-from nurbseg.segmentation.extended.parts import Part, chain_components, children_of, fit_segment, judge_split
+from nurbseg.segmentation.extended.parts import chain_components, children_of, fit_segment, judge_split
 from nurbseg.segmentation.extended.protrusions import split_off_protrusions
 from nurbseg.segmentation.extended.refitting import refit_surfaces
 from nurbseg.segmentation.extended.things import join_objects
@@ -105,19 +105,18 @@ def grown_tree(features: GridFeatures, config: SegmentationConfig, time_is_over:
         The root. Components of the frame, or of a side of a cut, are chained by nodes without a surface, so
         that every segment has two parts or none.
     """
-
-    def split(node: Node) -> None:
-        sides, cut = best_split(features, node, config)
-        if cut is not None:
-            node.children, node.stop = children_of(node, sides), None
-            node.division, node.cut = Division.CUT, cut if all(sides) else None
-
     grid_pixels = np.flatnonzero(features.grid.valid)
     parts = _pieces(features, grid_pixels, np.ones(grid_pixels.size, dtype=np.int32), config)[0] or [
         grid_pixels
     ]
     root = chain_components("", [fit_segment(features, part, config) for part in parts], 0)
-    grow(root, split, features.grid_pixels_min(config), config, time_is_over)
+    grow(
+        root,
+        lambda node: split_segment(features, node, config),
+        features.grid_pixels_min(config),
+        config,
+        time_is_over,
+    )
     if config.extended.fold_surfaces and not time_is_over():
         fold_leaves(root, features, config)
     if config.extended.protrusion_min > 0 and not time_is_over():
@@ -125,26 +124,18 @@ def grown_tree(features: GridFeatures, config: SegmentationConfig, time_is_over:
     return root
 
 
-def best_split(
-    features: GridFeatures, node: Node, config: SegmentationConfig
-) -> tuple[tuple[list[Part], list[Part]], Cut | None]:
-    """Try the cuts of a node in turn; if none is kept, the node gets a stop reason.
+def split_segment(features: GridFeatures, node: Node, config: SegmentationConfig) -> None:
+    """Try the cuts of a segment in turn, and split it by the first one that the ratio keeps.
 
     Parameters
     ----------
     features : GridFeatures
         The frame; its vectors are read at the node's grid pixels.
     node : Node
-        Gets the trial of the split that is kept or else of the best one and, if none is kept, the reason.
+        The segment. Gets the trial of the split that is kept or else of the best one and, if one is kept, its
+        cut and the connected components of both sides as children; if none is, the reason.
     config : SegmentationConfig
         Thresholds and choices.
-
-    Returns
-    -------
-    sides : (list of Part, list of Part)
-        Connected components of both sides of the cut.
-    cut : Cut or None
-        None if no split is kept.
     """
     points = features.grid.points
     drawn = (
@@ -181,21 +172,18 @@ def best_split(
             node.stop = StopReason.CHILD_TOO_SMALL
             continue
         parts = [fit_segment(features, piece, config) for piece in pieces]
-        whole = node.value(config), node.grid_pixels.size
-        trial = judge_split(whole, [part.weighed(config) for part in parts], config)
+        trial = judge_split(node.weighed(config), [part.weighed(config) for part in parts], config)
         if trial.kept or node.trial is None or trial.ratio < node.trial.ratio:
             node.trial = trial
         if trial.kept:
-            sides = (
-                [part for part, side in zip(parts, side_of, strict=True) if side == 1],
-                [part for part, side in zip(parts, side_of, strict=True) if side == 2],
-            )
-            return sides, cut
+            first, second = ([parts[n] for n, of in enumerate(side_of) if of == side] for side in (1, 2))
+            node.children = children_of(node, (first, second))
+            node.division, node.cut, node.stop = Division.CUT, cut if first and second else None, None
+            return
         node.stop = StopReason.CRITERION
     if node.trial is not None:
         # The ratio of an earlier cut counts more than why a later one failed.
         node.stop = StopReason.CRITERION
-    return ([], []), None
 
 
 @lru_cache(maxsize=256)

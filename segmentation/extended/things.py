@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import lab
-from nurbseg.segmentation.extended.merge import Contact, SceneObject
+from nurbseg.segmentation.extended.merge import Contact, SceneObject, largest_first
 from nurbseg.segmentation.labels.boxes import inner_pixels
 from nurbseg.segmentation.points.depth_grid import DepthGrid
 
@@ -160,10 +160,9 @@ def join_objects(
         joins.append(join)
         both = group[one] | group[other]
         group.update(dict.fromkeys(both, both))
-    things = {min(each): sorted(each) for each in group.values()}
-    leaves = [sorted(label for number in each for label in members[number]) for each in things.values()]
-    leaves.sort(key=lambda each: (-counts[each].sum(), each))
-    return tuple(SceneObject(tuple(names[label - 1] for label in each)) for each in leaves), tuple(joins)
+    things = {min(each): each for each in group.values()}
+    leaves = (sorted(label for number in each for label in members[number]) for each in things.values())
+    return largest_first(leaves, counts, names), tuple(joins)
 
 
 def _sampled(

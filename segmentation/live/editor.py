@@ -1,7 +1,7 @@
 """Editing of the live tree: leaves are added, removed and merged."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, I32, I64, U16, Bool, compiled
 from nurbseg.segmentation.extended.folding import remove_node
-from nurbseg.segmentation.extended.parts import Part
 from nurbseg.segmentation.labels.regions import PixelAdjacency
 from nurbseg.segmentation.live.leaf import LiveLeaf
 from nurbseg.segmentation.segments import Node, depth_first
@@ -55,58 +54,6 @@ class UpdateReport:
     step: int = 1
 
 
-@dataclass(slots=True, eq=False)
-class TreeUpdate:
-    """The result of an update of a tree.
-
-    Parameters
-    ----------
-    leaves : list of LiveLeaf
-        Of the labels 1, 2, ... from now on.
-    before, on_grid : (h, w) int32
-        Labels on the grid before, and working numbers after it.
-    final : (numbers,) uint16
-        Label from now on of each working number.
-    report : UpdateReport
-        What was done so far.
-    """
-
-    leaves: list[LiveLeaf]
-    before: NDArray[np.int32]
-    on_grid: NDArray[np.int32]
-    final: NDArray[np.uint16] = field(default_factory=lambda: np.zeros(1, dtype=np.uint16))
-    report: UpdateReport = field(default_factory=UpdateReport)
-
-    def relabelled(
-        self, labels: NDArray[np.uint16], inverse_depth: NDArray[np.float32], step: int
-    ) -> NDArray[np.uint16]:
-        """Apply the update to a label image (H, W), given inverse depths, 1/m (0: no point, so no label)."""
-        relabelled = np.empty_like(labels)
-        _relabel(labels, inverse_depth, self.before, self.on_grid, self.final, step, relabelled)
-        return relabelled
-
-
-@compiled
-def _relabel(
-    labels: U16, inverse_depth: F32, before: I32, on_grid: I32, final: U16, step: int, relabelled: U16
-) -> None:
-    """Look up final labels; pixels that have the label of their grid pixel change with it."""
-    height, width = labels.shape
-    known, number = np.empty(width, dtype=np.int32), np.empty(width, dtype=np.int32)
-    on_row = np.arange(width) // step
-    for r in range(height):
-        own, depths, now = labels[r], inverse_depth[r], relabelled[r]
-        if r % step == 0:
-            row_before, row_now = before[r // step], on_grid[r // step]
-            for c in range(width):
-                known[c], number[c] = row_before[on_row[c]], row_now[on_row[c]]
-        for c in range(width):
-            # Pixels of another label keep it; unlabelled ones take this one.
-            label = np.int32(own[c])
-            found = final[number[c] if label == known[c] else label]
-            now[c] = found if depths[c] > 0 else 0
-
-
 class TreeEditor:
     """Edits a tree; the working numbers of leaves are their labels so far, and further ones for new leaves.
 
@@ -118,8 +65,6 @@ class TreeEditor:
         Of the labels 1, 2, ...
     on_grid : (h, w) int32
         Labels on the grid.
-    make_leaf : callable
-        Makes a leaf of a node.
 
     Attributes
     ----------
@@ -127,22 +72,15 @@ class TreeEditor:
         The leaves.
     labels : (h, w) int32
         Working number of every grid pixel.
-    done : TreeUpdate
+    report : UpdateReport
         What was done so far.
     """
 
-    def __init__(
-        self,
-        root: Node,
-        leaves: Sequence[LiveLeaf],
-        on_grid: NDArray[np.int32],
-        make_leaf: Callable[[Node], LiveLeaf],
-    ) -> None:
+    def __init__(self, root: Node, leaves: Sequence[LiveLeaf], on_grid: NDArray[np.int32]) -> None:
         self.by_number: dict[int, LiveLeaf] = dict(enumerate(leaves, start=1))
-        self.done = TreeUpdate([], on_grid, on_grid.copy())
-        self.labels = self.done.on_grid
-        self._root = root
-        self._make_leaf = make_leaf
+        self.labels = on_grid.copy()
+        self.report = UpdateReport()
+        self._root, self._before = root, on_grid
         self._merged_into: dict[int, int] = {}
         self._next = len(leaves) + 1
 
@@ -165,28 +103,24 @@ class TreeEditor:
         """Number of cuts in the tree, which T_s limits."""
         return sum(node.division is Division.CUT for node in depth_first(self._root))
 
-    def insert(self, neighbor: int, part: Part, frame: int) -> None:
+    def insert(self, neighbor: int, part: Node, frame: int) -> None:
         """Divide a leaf, without a cut, into itself and a part that came into view in a frame."""
         leaf = self.by_number[neighbor]
         node = leaf.node
-        grid_pixels, fit, _ = part
         rest = Node(f"{node.name}0", node.grid_pixels, node.fit, cuts_above=node.cuts_above)
-        new = Node(f"{node.name}1", grid_pixels, fit, cuts_above=node.cuts_above)
+        new = Node(f"{node.name}1", part.grid_pixels, part.fit, cuts_above=node.cuts_above)
         node.children, node.division, node.judged = (rest, new), Division.APPEARED, frame
         node.fit, node.measured = Fit(None, np.zeros(0), {}, NOT_CUT, np.zeros(0, dtype=np.intp)), None
         node.stop = node.trial = node.cut = None
         leaf.node = rest
-        self.labels.ravel()[grid_pixels] = self.add_leaf(new)
-        self.done.report.appeared += 1
+        self.add_leaf(new)
+        self.report.appeared += 1
 
-    def add_leaf(self, node: Node) -> int:
-        """Make a leaf of a node; return its working number."""
-        number = self._next
+    def add_leaf(self, node: Node) -> None:
+        """Make a leaf of a node, of which no split was tried yet, with the next working number."""
+        self.by_number[self._next] = LiveLeaf(node, tried=0.0)
+        self.labels.ravel()[node.grid_pixels] = self._next
         self._next += 1
-        leaf = self.by_number[number] = self._make_leaf(node)
-        # No split of it was tried yet.
-        leaf.tried = 0.0
-        return number
 
     def below(self, node: Node) -> list[int]:
         """Return the working numbers of the leaves below a node."""
@@ -195,14 +129,11 @@ class TreeEditor:
 
     def collapse(self, node: Node) -> int:
         """Merge all leaves below a node; return the working number, that of the largest of them."""
-        numbers = self.below(node)
-        sizes = self.sizes()
+        numbers, sizes = self.below(node), self.sizes()
         kept = max(numbers, key=lambda number: int(sizes[number]))
         for number in numbers:
             if number != kept:
-                del self.by_number[number]
-                self.labels[self.labels == number] = kept
-                self._merged_into[number] = kept
+                self._hand_over(number, kept)
         node.children, node.division, node.cut = (), None, None
         self.by_number[kept].node = node
         return kept
@@ -213,13 +144,16 @@ class TreeEditor:
 
     def merge_leaves(self, gone: int, kept: int) -> None:
         """Give the grid pixels of one leaf to another, and remove it from the tree."""
-        leaf = self.by_number.pop(gone)
+        sibling, parent = remove_node(self._root, self._hand_over(gone, kept).node)
+        for each in self.by_number.values():
+            if each.node is sibling:
+                each.node = parent
+
+    def _hand_over(self, gone: int, kept: int) -> LiveLeaf:
+        """Give the grid pixels of one working number to another; return the leaf that has none now."""
         self.labels[self.labels == gone] = kept
         self._merged_into[gone] = kept
-        other, place = remove_node(self._root, leaf.node)
-        for each in self.by_number.values():
-            if each.node is other:
-                each.node = place
+        return self.by_number.pop(gone)
 
     def around(self, mask: NDArray[np.bool_]) -> int | None:
         """Return the leaf with the longest border to some grid pixels, or the largest, if there is one."""
@@ -234,23 +168,52 @@ class TreeEditor:
             number = int(sizes.argmax())
         return number if number in self.by_number else None
 
-    def finished(self) -> TreeUpdate:
-        """Give the leaves labels in the order of the tree, and return the update."""
+    def finished(self) -> tuple[list[LiveLeaf], NDArray[np.uint16]]:
+        """Return the leaves in the order of the tree, and the label from now on of each working number."""
         by_node = {id(leaf.node): (number, leaf) for number, leaf in self.by_number.items()}
         final = np.zeros(self._next, dtype=np.uint16)
+        leaves: list[LiveLeaf] = []
         for node in depth_first(self._root):
-            if node.children:
-                continue
-            number, leaf = by_node[id(node)]
-            self.done.leaves.append(leaf)
-            final[number] = len(self.done.leaves)
-        for gone in self._merged_into:
-            kept = gone
-            while kept in self._merged_into:
-                kept = self._merged_into[kept]
+            if not node.children:
+                number, leaf = by_node[id(node)]
+                leaves.append(leaf)
+                final[number] = len(leaves)
+        for gone, kept in reversed(self._merged_into.items()):
             final[gone] = final[kept]
-        self.done.final = final
-        return self.done
+        return leaves, final
+
+    def relabelled(
+        self,
+        labels: NDArray[np.uint16],
+        final: NDArray[np.uint16],
+        inverse_depth: NDArray[np.float32],
+        step: int,
+    ) -> NDArray[np.uint16]:
+        """Apply the update to a label image (H, W), given inverse depths, 1/m (0: no point, so no label)."""
+        relabelled = np.empty_like(labels)
+        _relabel(labels, inverse_depth, self._before, self.labels, final, step, relabelled)
+        return relabelled
+
+
+@compiled
+def _relabel(
+    labels: U16, inverse_depth: F32, before: I32, on_grid: I32, final: U16, step: int, relabelled: U16
+) -> None:
+    """Look up final labels; pixels that have the label of their grid pixel change with it."""
+    height, width = labels.shape
+    known, number = np.empty(width, dtype=np.int32), np.empty(width, dtype=np.int32)
+    on_row = np.arange(width) // step
+    for r in range(height):
+        own, depths, now = labels[r], inverse_depth[r], relabelled[r]
+        if r % step == 0:
+            row_before, row_now = before[r // step], on_grid[r // step]
+            for c in range(width):
+                known[c], number[c] = row_before[on_row[c]], row_now[on_row[c]]
+        for c in range(width):
+            # Pixels of another label keep it; unlabelled ones take this one.
+            label = np.int32(own[c])
+            found = final[number[c] if label == known[c] else label]
+            now[c] = found if depths[c] > 0 else 0
 
 
 @compiled

@@ -1,6 +1,6 @@
 """Leaves of the live tree, and how well their surfaces still explain them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, F64, I32, Bool, Intp, compiled
 from nurbseg.segmentation.config import OUTLIER_DEVIATIONS, Metric, SegmentationConfig
-from nurbseg.segmentation.extended.parts import Part
 from nurbseg.segmentation.labels.boxes import inner_pixels
 from nurbseg.segmentation.labels.segment_pixels import by_label
 from nurbseg.segmentation.points.depth_grid import DepthGrid
@@ -37,14 +36,12 @@ class Attempt:
 
 @dataclass(slots=True, eq=False)
 class LiveLeaf:
-    """A leaf of the live tree.
+    """A leaf of the live tree; it is the same object in all frames.
 
     Parameters
     ----------
     node : Node
         Its node of the tree.
-    number : int
-        Its number, the same in all frames.
 
     Attributes
     ----------
@@ -63,7 +60,6 @@ class LiveLeaf:
     """
 
     node: Node
-    number: int
     surface: NurbsSurface | None = field(init=False)
     age: int = 0
     level: float = float("nan")
@@ -74,10 +70,10 @@ class LiveLeaf:
     def __post_init__(self) -> None:
         self.surface = self.node.fit.surface
 
-    def refit(self, part: Part) -> None:
+    def refit(self, fitted: Node) -> None:
         """Give it the grid pixels and the fit of this frame."""
-        self.node.grid_pixels, self.node.fit, _ = part
-        self.surface, self.age, self.level = part.fit.surface, 0, float("nan")
+        self.node.grid_pixels, self.node.fit = fitted.grid_pixels, fitted.fit
+        self.surface, self.age, self.level = fitted.fit.surface, 0, float("nan")
 
     @property
     def attempt_age(self) -> int:
@@ -85,10 +81,8 @@ class LiveLeaf:
         return 0 if self.attempt is None else self.attempt.age
 
 
-def number_pair(leaves: Iterable[LiveLeaf]) -> tuple[int, int]:
-    """Return the numbers of two leaves, the smaller one first."""
-    first, second = sorted(leaf.number for leaf in leaves)
-    return first, second
+#: Two leaves, in any order.
+LeafPair = frozenset[LiveLeaf]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

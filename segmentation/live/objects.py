@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.border_statistics import BorderStatistics, border_statistics
-from nurbseg.segmentation.extended.evidence import DIGITS, ITEMS, evidence
-from nurbseg.segmentation.extended.merge import Contact, SceneObject, WeighedBorders, merged_objects
+from nurbseg.segmentation.extended.evidence import DIGITS, evidence
+from nurbseg.segmentation.extended.merge import Contact, SceneObject, merged_objects
 from nurbseg.segmentation.extended.surface_statistics import surface_statistics
 from nurbseg.segmentation.extended.things import Join, join_objects
-from nurbseg.segmentation.live.leaf import LiveLeaf, number_pair
+from nurbseg.segmentation.live.leaf import LeafPair, LiveLeaf
 from nurbseg.segmentation.points.depth_grid import DepthGrid
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 
@@ -23,15 +23,13 @@ _HYSTERESIS = 0.5
 #: Frames for which a border that does not occur is remembered.
 _REMEMBERED = 30
 
-_Pair = tuple[int, int]
-
 
 @dataclass(slots=True, eq=False)
 class _Border:
-    """The filtered border of two leaves: samples, touching ones, and terms of the evidence."""
+    """The border of two leaves: filtered samples, touching ones and terms of the evidence; hysteresis."""
 
     measured: NDArray[np.float64]
-    merged: bool | None = None
+    kept: float = 0.0
     seen: int = 0
 
 
@@ -39,16 +37,14 @@ class ObjectMemory:
     """Merges the leaves of frame after frame into objects."""
 
     def __init__(self) -> None:
-        self._borders: dict[_Pair, _Border] = {}
-        self._joined: set[_Pair] = set()
+        self._borders: dict[LeafPair, _Border] = {}
+        self._joined: set[LeafPair] = set()
         self._frame = 0
 
     @property
-    def same_object(self) -> set[tuple[int, int]]:
-        """Numbers of leaves, the smaller first, that met in the last frame and are one object."""
-        return {
-            pair for pair, border in self._borders.items() if border.merged and border.seen == self._frame
-        }
+    def same_object(self) -> set[LeafPair]:
+        """Leaves that met in the last frame and are one object."""
+        return {pair for pair, each in self._borders.items() if each.kept > 0 and each.seen == self._frame}
 
     def merged(
         self,
@@ -82,16 +78,26 @@ class ObjectMemory:
             return (), ()
         self._frame += 1
         found = _borders_on_grid(on_grid, lattice, grid, config)
-        noise_per_m = config.extended.inverse_depth_noise
-        items = evidence(found, surface_statistics(on_grid, len(leaves), grid), noise_per_m)
-        pairs = [number_pair(leaves[label - 1] for label in labels) for labels in found.labels.tolist()]
+        surfaces = surface_statistics(on_grid, len(leaves), grid)
+        items = evidence(found, surfaces, config.extended.inverse_depth_noise)
         measured = np.column_stack([found.samples, found.touching, items])
-        borders = [self._remembered(pair, each) for pair, each in zip(pairs, measured, strict=True)]
+        borders = []
+        for labels, now in zip(found.labels.tolist(), measured, strict=True):
+            pair = frozenset(leaves[label - 1] for label in labels)
+            border = self._borders.setdefault(pair, _Border(now))
+            border.measured = border.measured + _NEW_SHARE * (now - border.measured)
+            border.seen = self._frame
+            borders.append(border)
+        filtered = np.reshape([border.measured for border in borders], measured.shape)
+        samples, touching = np.rint(filtered[:, :2]).T
+        items = np.asarray(np.round(filtered[:, 2:], DIGITS), dtype=np.float64)
+        items[:, -1] = [border.kept for border in borders]
 
         names = [leaf.node.name for leaf in leaves]
-        objects, contacts = merged_objects(_weighed(found, borders), on_grid, names, config)
+        found = replace(found, samples=samples, touching=touching)
+        objects, contacts = merged_objects(found, items, on_grid, names, config)
         for border, contact in zip(borders, contacts, strict=True):
-            border.merged = contact.merged
+            border.kept = _HYSTERESIS if contact.merged else -_HYSTERESIS
         self._borders = {
             pair: each for pair, each in self._borders.items() if self._frame - each.seen <= _REMEMBERED
         }
@@ -111,24 +117,14 @@ class ObjectMemory:
 
         Parameters are as those of `merged` and `join_objects`.
         """
-        number = {leaf.node.name: leaf.number for leaf in leaves}
-        name_of = {leaf.number: leaf.node.name for leaf in leaves}
-        kept = {frozenset(name_of.get(each, "") for each in pair) for pair in self._joined}
+        by_name = {leaf.node.name: leaf for leaf in leaves}
+        known = set(leaves)
+        kept = [frozenset(leaf.node.name for leaf in pair) for pair in self._joined if pair <= known]
         objects, joins = join_objects(
-            objects, contacts, on_grid, list(number), grid, color, config, kept=kept
+            objects, contacts, on_grid, list(by_name), grid, color, config, kept=kept
         )
-        self._joined = {(number[each.first], number[each.second]) for each in joins}
+        self._joined = {frozenset((by_name[each.first], by_name[each.second])) for each in joins}
         return objects, joins
-
-    def _remembered(self, pair: _Pair, measured: NDArray[np.float64]) -> _Border:
-        """Return a border updated with what was measured now."""
-        border = self._borders.get(pair)
-        if border is None:
-            border = self._borders[pair] = _Border(measured)
-        else:
-            border.measured = border.measured + _NEW_SHARE * (measured - border.measured)
-        border.seen = self._frame
-        return border
 
 
 def _borders_on_grid(
@@ -153,12 +149,3 @@ def _borders_on_grid(
     # Scaled to samples on every pixel.
     sums = (found.samples, found.touching, found.concavity, found.concavity_square, found.apart)
     return BorderStatistics(found.labels, *(step * each for each in sums))
-
-
-def _weighed(found: BorderStatistics, borders: Sequence[_Border]) -> WeighedBorders:
-    """Return filtered borders with hysteresis."""
-    measured = np.array([border.measured for border in borders]).reshape(-1, 2 + len(ITEMS))
-    kept = [0.0 if border.merged is None else 2.0 * border.merged - 1.0 for border in borders]
-    samples, touching = np.rint(measured[:, :2]).astype(np.int64).T
-    items = np.column_stack([np.round(measured[:, 2:], DIGITS), _HYSTERESIS * np.array(kept)])
-    return WeighedBorders(found.labels, samples, touching, items, (*ITEMS, "kept"))

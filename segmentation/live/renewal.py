@@ -1,7 +1,7 @@
 """Renewal of the live tree's values, ratios and stop reasons, in each frame or in turn."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.parts import at_noise_floor, fit_segment, judge_split
 from nurbseg.segmentation.growth import stop_without_cut
-from nurbseg.segmentation.live.editor import NOT_CUT
+from nurbseg.segmentation.live.editor import NOT_CUT, UpdateReport
 from nurbseg.segmentation.live.leaf import LiveLeaf
 from nurbseg.segmentation.segments import Node, depth_first, leaf_ranges
 from nurbseg.segmentation.surfaces.fit import Fit
@@ -22,25 +22,6 @@ SPLIT_FRAMES, TRIAL_FRAMES = 60, 300
 _JUDGED_PIXELS = 4_000
 
 
-@dataclass(frozen=True, slots=True)
-class Renewal:
-    """What was judged again in a frame.
-
-    Parameters
-    ----------
-    judged : int
-        Number of splits.
-    rejected : tuple of Node
-        Those that the ratio no longer keeps, by surfaces that were moved since they were fitted.
-    oldest : int
-        Frames since the oldest value or ratio of a split was found.
-    """
-
-    judged: int
-    rejected: tuple[Node, ...]
-    oldest: int
-
-
 def renew_splits(
     root: Node,
     leaves: Sequence[LiveLeaf],
@@ -48,9 +29,10 @@ def renew_splits(
     features: GridFeatures,
     frame: int,
     config: SegmentationConfig,
+    report: UpdateReport,
     *,
     every_surface: bool,
-) -> Renewal:
+) -> tuple[Node, ...]:
     """Judge splits again by the ratio (eq. 5), the least recently judged ones first.
 
     One surface is fitted to the whole segment and compared with those of the leaves below it. A segment that
@@ -70,14 +52,16 @@ def renew_splits(
         Its number.
     config : SegmentationConfig
         The metric, and T.
+    report : UpdateReport
+        Gets the number of splits judged, and the age of the oldest value or ratio.
     every_surface : bool
         Whether every segment that was cut gets its surface of this frame; the same splits are judged.
 
     Returns
     -------
-    Renewal
-        Rejected splits are undone in the next frame; until then they have the trial by which they were kept
-        last.
+    tuple of Node
+        Splits that the ratio no longer keeps, by surfaces that were moved since they were fitted. They are
+        undone in the next frame; until then they have the trial by which they were kept last.
     """
     nodes = depth_first(root)
     ranges = leaf_ranges(nodes)
@@ -104,13 +88,14 @@ def renew_splits(
             continue
         judged, counted = judged + 1, counted + size
         below = (leaf.node for leaf in leaves[first - 1 : end - 1] if leaf.node.grid_pixels.size)
-        parts = [(each.value(config), each.grid_pixels.size) for each in below]
+        parts = [each.weighed(config) for each in below]
         trial = judge_split((node.value(config), size), parts, config)
         if trial.kept:
             node.trial, node.judged, node.age = trial, frame, 0
         else:
             rejected.append(node)
-    return Renewal(judged, tuple(rejected), max((node.age for node in splits), default=0))
+    report.judged, report.oldest = judged, max((node.age for node in splits), default=0)
+    return tuple(rejected)
 
 
 def set_stop_reasons(

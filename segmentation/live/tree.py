@@ -16,13 +16,13 @@ from nurbseg.segmentation.labels.regions import pixel_adjacency
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
 from nurbseg.segmentation.labels.spreading import spread_labels
 from nurbseg.segmentation.live.borders import relax_borders, spread_to_pixels
-from nurbseg.segmentation.live.editor import UpdateReport
+from nurbseg.segmentation.live.editor import TreeEditor, UpdateReport
 from nurbseg.segmentation.live.follow import explained_labels, grown_labels, moved_surfaces, new_components
-from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf, misfit, update_residuals
+from nurbseg.segmentation.live.leaf import Attempt, LeafPair, LiveLeaf, misfit, update_residuals
 from nurbseg.segmentation.live.motion import brightness, flow_back, warped
 from nurbseg.segmentation.live.objects import ObjectMemory
 from nurbseg.segmentation.live.renewal import renew_splits, set_stop_reasons
-from nurbseg.segmentation.live.updater import Budget, TreeUpdater
+from nurbseg.segmentation.live.updater import Budget, TreeUpdate
 from nurbseg.segmentation.points.depth_grid import depth_grid, inverse_depth_image
 from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.registration import PointMap
@@ -78,7 +78,7 @@ class LiveTree:
         self._labels = np.zeros((0, 0), dtype=np.uint16)
         self._gray = np.zeros((0, 0), dtype=np.uint8)
         self._objects = ObjectMemory()
-        self._updater = TreeUpdater()
+        self._compared: dict[LeafPair, int] = {}
         self._overdue = 0
         self._restart = ""
         self._rejected: tuple[Node, ...] = ()
@@ -161,8 +161,7 @@ class LiveTree:
             if each.children:
                 nodes[each.name].children = (nodes[each.children[0]], nodes[each.children[1]])
         self._root = nodes[""]
-        self._updater = TreeUpdater()
-        self._leaves = [self._updater.leaf(nodes[leaf.name]) for leaf in tree.leaves()]
+        self._leaves = [LiveLeaf(nodes[leaf.name]) for leaf in tree.leaves()]
         for leaf in self._leaves:
             leaf.rms_per_m = leaf.node.fit.rms_per_m
             if leaf.node.stop in TRIED:
@@ -174,7 +173,7 @@ class LiveTree:
         self._labels = tree.labels("surfaces").copy()
         self._lattice = SurfaceLattice([leaf.surface for leaf in self._leaves], step)
         self._gray = brightness(cloud.color, step)
-        self._objects = ObjectMemory()
+        self._objects, self._compared = ObjectMemory(), {}
         self._overdue = 0
         self._restart = ""
         self.report = UpdateReport()
@@ -236,22 +235,13 @@ class LiveTree:
 
         # The tree is updated.
         measures = misfit(on_grid, lattice, grid, config.extended.inverse_depth_noise, len(self._leaves))
-        done = self._updater.update(
-            cloud,
-            features,
-            on_grid,
-            appeared,
-            self._root,
-            self._leaves,
-            measures,
-            self._objects.same_object,
-            self._rejected,
-            self._frame,
-            budget,
-            config,
-        )
-        self._leaves = done.leaves
-        labels = done.relabelled(labels, inverse_depth, step)
+        editor = TreeEditor(self._root, self._leaves, on_grid)
+        update = TreeUpdate(editor, cloud, features, measures, self._frame, budget, config)
+        update.run(self._rejected, appeared, self._objects.same_object, self._compared)
+        self._leaves, final = editor.finished()
+        alive = set(self._leaves)
+        self._compared = {pair: at for pair, at in self._compared.items() if pair <= alive}
+        labels = editor.relabelled(labels, final, inverse_depth, step)
         missed = (labels == 0) & (inverse_depth > 0)
         if missed.any():
             labels = spread_labels(
@@ -259,13 +249,13 @@ class LiveTree:
             ).astype(np.uint16)
         self.labels_before = before
         # Pixels without depth in this frame keep their label for the next one.
-        self._labels = apply_lookup_table(done.final, before)
+        self._labels = apply_lookup_table(final, before)
         np.copyto(self._labels, labels, where=labels > 0)
         self._gray = gray
         # A time budget would leave a tree from scratch just as unfinished.
-        late = done.report.waiting > _WAITING_MOST and config.budget_ms == 0
+        late = editor.report.waiting > _WAITING_MOST and config.budget_ms == 0
         self._overdue = self._overdue + 1 if late else 0
-        self.report = done.report
+        self.report = editor.report
         self.report.unexplained, self.report.step = unexplained, step
         return self._finished(cloud, features, labels, config, every_surface)
 
@@ -286,14 +276,19 @@ class LiveTree:
             leaf.refit(fit_segment(features, leaf.node.grid_pixels, config))
         if not_reached:
             self._lattice = SurfaceLattice([leaf.surface for leaf in leaves], grid.step)
-        renewal = renew_splits(
-            self._root, leaves, on_grid, features, self._frame, config, every_surface=every_surface
+        self._rejected = renew_splits(
+            self._root,
+            leaves,
+            on_grid,
+            features,
+            self._frame,
+            config,
+            self.report,
+            every_surface=every_surface,
         )
         nodes = depth_first(self._root)
         cuts = sum(node.division is Division.CUT for node in nodes)
         set_stop_reasons(leaves, cuts, features.grid_pixels_min(config), self._frame, config)
-        self._rejected = renewal.rejected
-        self.report.judged, self.report.oldest = renewal.judged, renewal.oldest
         self.report.oldest_trial = max(leaf.attempt_age for leaf in leaves)
         segments = finished_segments(nodes, labels)
         objects, contacts = self._objects.merged(leaves, on_grid, self._lattice, grid, config)

@@ -2,7 +2,6 @@
 
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
-from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,21 +9,15 @@ from numpy.typing import NDArray
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.folding import BORDER_LEAST
 from nurbseg.segmentation.extended.grid_features import GridFeatures, with_features_at
-from nurbseg.segmentation.extended.parts import (
-    Part,
-    at_noise_floor,
-    children_of,
-    fit_segment,
-    judge_split,
-)
-from nurbseg.segmentation.extended.splitting import best_split
-from nurbseg.segmentation.live.editor import TreeEditor, TreeUpdate
-from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf, Misfit, number_pair
+from nurbseg.segmentation.extended.parts import at_noise_floor, fit_segment, judge_split
+from nurbseg.segmentation.extended.splitting import split_segment
+from nurbseg.segmentation.live.editor import TreeEditor
+from nurbseg.segmentation.live.leaf import Attempt, LeafPair, Misfit
 from nurbseg.segmentation.live.renewal import TRIAL_FRAMES
 from nurbseg.segmentation.points.grid import united
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, Trial, depth_first
-from nurbseg.segmentation.vocabulary import Division, StopReason
+from nurbseg.segmentation.vocabulary import StopReason
 
 #: A leaf is tried again for a split if its mean square is this much larger than at the last trial.
 _WORSE_FACTOR, _WORSE_BY = 1.5, 0.5
@@ -34,8 +27,6 @@ _CUT_PIXELS = 2000
 _VANISHED_SHARE = 0.25
 #: Largest number of leaves that appear in one frame; the others wait.
 _APPEARING_MOST = 6
-#: Frames after which the last comparison of a pair of leaves is forgotten.
-_FORGOTTEN = 1000
 #: Wear of a surface by one frame, in units of its relative misfit.
 _WEAR = 0.05
 
@@ -62,86 +53,33 @@ class Budget:
     coarser: int = 0
 
 
-class TreeUpdater:
-    """Updates a tree frame after frame, and remembers whose turn it is."""
-
-    def __init__(self) -> None:
-        self._numbers = count(1)
-        self._asked: dict[tuple[int, int], int] = {}
-
-    def leaf(self, node: Node) -> LiveLeaf:
-        """Make a leaf of a node, with a number of its own."""
-        return LiveLeaf(node, next(self._numbers))
-
-    def update(
-        self,
-        cloud: PointMap,
-        features: GridFeatures,
-        on_grid: NDArray[np.int32],
-        appeared: NDArray[np.int32],
-        root: Node,
-        leaves: Sequence[LiveLeaf],
-        measures: Misfit,
-        same_object: Container[tuple[int, int]],
-        rejected: Sequence[Node],
-        frame: int,
-        budget: Budget,
-        config: SegmentationConfig,
-    ) -> TreeUpdate:
-        """Update a tree, the worst first, within the budget.
-
-        Parameters
-        ----------
-        cloud, features : PointMap, GridFeatures
-            The frame; raw vectors are made of it where they are needed.
-        on_grid : (h, w) int32
-            Labels on the grid, 1 to the number of leaves; 0 for none.
-        appeared : (h, w) int32
-            Numbers of components that no leaf explains; 0 elsewhere.
-        root : Node
-            Of the tree, which is changed.
-        leaves : sequence of LiveLeaf
-            Of the labels.
-        measures : Misfit
-            How well their surfaces explain them.
-        same_object : container of (int, int)
-            Numbers of adjacent leaves of one object, the smaller first.
-        rejected : sequence of Node
-            Segments whose split the ratio no longer keeps, by the surfaces of the frame before.
-        frame : int
-            Number of the frame.
-        budget : Budget
-            How much is done.
-        config : SegmentationConfig
-            Thresholds and choices.
-
-        Returns
-        -------
-        TreeUpdate
-            The leaves in their new order, and their labels.
-        """
-        editor = TreeEditor(root, leaves, on_grid, self.leaf)
-        work = _Update(editor, cloud, features, measures, config, frame)
-        work.collapse(rejected)
-        work.add_appeared(appeared)
-        work.remove_vanished()
-        work.refit(budget.refits)
-        work.split(budget.trials)
-        work.merge_leaves(budget.merges, same_object, self._asked)
-        self._asked = {pair: at for pair, at in self._asked.items() if frame - at < _FORGOTTEN}
-        return editor.finished()
-
-
 @dataclass(slots=True, eq=False)
-class _Update:
-    """The update of one frame."""
+class TreeUpdate:
+    """An update of a tree in a frame, the worst first, within a budget.
+
+    Parameters
+    ----------
+    editor : TreeEditor
+        Of the tree, which is changed.
+    cloud, features : PointMap, GridFeatures
+        The frame; raw vectors are made of it where they are needed.
+    measures : Misfit
+        How well the surfaces of the leaves explain their labels.
+    frame : int
+        Number of the frame.
+    budget : Budget
+        How much is done.
+    config : SegmentationConfig
+        Thresholds and choices.
+    """
 
     editor: TreeEditor
     cloud: PointMap
     features: GridFeatures
     measures: Misfit
-    config: SegmentationConfig
     frame: int
+    budget: Budget
+    config: SegmentationConfig
 
     def __post_init__(self) -> None:
         """Fill in how well leaves were explained after their last fit or trial, where it is not known."""
@@ -150,6 +88,33 @@ class _Update:
                 leaf.level = float(self.measures.mean_squared[number])
             if np.isnan(leaf.tried):
                 leaf.tried = float(self.measures.mean_squared[number])
+
+    def run(
+        self,
+        rejected: Sequence[Node],
+        appeared: NDArray[np.int32],
+        same_object: Container[LeafPair],
+        compared: dict[LeafPair, int],
+    ) -> None:
+        """Do what is to be done.
+
+        Parameters
+        ----------
+        rejected : sequence of Node
+            Segments whose split the ratio no longer keeps, by the surfaces of the frame before.
+        appeared : (h, w) int32
+            Numbers of components that no leaf explains; 0 elsewhere.
+        same_object : container of LeafPair
+            Adjacent leaves of one object.
+        compared : dict of LeafPair to int
+            In which frame two leaves were compared last; gets those of this frame.
+        """
+        self.collapse(rejected)
+        self.add_appeared(appeared)
+        self.remove_vanished()
+        self.refit()
+        self.split()
+        self.merge_leaves(same_object, compared)
 
     def add_appeared(self, appeared: NDArray[np.int32]) -> None:
         """Add leaves for components that no leaf explains, each next to the one that surrounds it."""
@@ -161,9 +126,8 @@ class _Update:
             if piece > _APPEARING_MOST:
                 self.editor.labels[mask] = neighbor
                 continue
-            self.editor.insert(
-                neighbor, fit_segment(self.features, np.flatnonzero(mask), self.config), self.frame
-            )
+            part = fit_segment(self.features, np.flatnonzero(mask), self.config)
+            self.editor.insert(neighbor, part, self.frame)
 
     def remove_vanished(self) -> None:
         """Remove leaves that have become very small."""
@@ -177,7 +141,7 @@ class _Update:
                 kept = max((n for n in editor.by_number if n != number), key=lambda n: int(sizes[n]))
             editor.merge_leaves(number, kept)
 
-    def refit(self, most: int) -> None:
+    def refit(self) -> None:
         """Fit surfaces again: those that explain their leaves worst, or are oldest."""
         m = self.measures
         need = []
@@ -187,7 +151,7 @@ class _Update:
             level = 1.0 if np.isnan(leaf.level) else leaf.level
             worse = (float(m.mean_squared[number]) - level) / (level + 0.5)
             need.append((worse + _WEAR * leaf.age + 20.0 * float(m.unreached[number]), number))
-        for wear, number in sorted(need, reverse=True)[:most]:
+        for wear, number in sorted(need, reverse=True)[: self.budget.refits]:
             if wear <= 0:
                 break
             leaf = self.editor.by_number[number]
@@ -195,9 +159,9 @@ class _Update:
             part = fit_segment(self.features, own, self.config)
             if part.fit.surface is not None:
                 leaf.refit(part)
-                self.editor.done.report.refits += 1
+                self.editor.report.refits += 1
 
-    def split(self, most: int) -> None:
+    def split(self) -> None:
         """Try to split leaves that have become worse, the worst first."""
         m, editor = self.measures, self.editor
         self._forget_oldest()
@@ -210,9 +174,9 @@ class _Update:
         room = self.config.splits_max - editor.cuts
         cuts = counted = 0
         for rank, (_, number) in enumerate(waiting):
-            full = cuts == most or (cuts and counted + int(m.counts[number]) > _CUT_PIXELS)
-            if full or editor.done.report.splits >= room:
-                editor.done.report.waiting = len(waiting) - rank if full else 0
+            full = cuts == self.budget.trials or (cuts and counted + int(m.counts[number]) > _CUT_PIXELS)
+            if full or editor.report.splits >= room:
+                editor.report.waiting = len(waiting) - rank if full else 0
                 return
             if self._try(number):
                 cuts, counted = cuts + 1, counted + int(m.counts[number])
@@ -248,19 +212,14 @@ class _Update:
             else:
                 self._refit_merged(editor.collapse(node), whole, trial)
 
-    def merge_leaves(
-        self,
-        most: int,
-        same_object: Container[tuple[int, int]],
-        asked: dict[tuple[int, int], int],
-    ) -> None:
+    def merge_leaves(self, same_object: Container[LeafPair], compared: dict[LeafPair, int]) -> None:
         """Merge leaves of an object, in turn, if the ratio does not keep them apart."""
-        editor = self.editor
+        editor, most = self.editor, self.budget.merges
         neighbors = editor.neighbors(self.features.adjacency, BORDER_LEAST) if most else []
-        met = [(number_pair(editor.by_number[each] for each in pair), pair) for pair in neighbors]
-        pairs = sorted((asked.get(known, 0), pair, known) for known, pair in met if known in same_object)
-        for _, pair, known in pairs[:most]:
-            asked[known] = self.frame
+        leaves_of = {pair: frozenset(editor.by_number[number] for number in pair) for pair in neighbors}
+        wanted = [pair for pair, leaves in leaves_of.items() if leaves in same_object]
+        for pair in sorted(wanted, key=lambda pair: (compared.get(leaves_of[pair], 0), pair))[:most]:
+            compared[leaves_of[pair]] = self.frame
             own = [np.flatnonzero(editor.labels == number) for number in pair]
             whole, trial = self._compare(own, [editor.by_number[number].node for number in pair])
             if trial.kept or whole.fit.surface is None:
@@ -272,34 +231,33 @@ class _Update:
 
     def _compare(
         self, grid_pixels: Sequence[NDArray[np.intp]], nodes: Sequence[Node] = ()
-    ) -> tuple[Part, Trial]:
+    ) -> tuple[Node, Trial]:
         """Compare one surface with nodes as they are and, if these are not better, with new fits."""
         config = self.config
         whole = fit_segment(self.features, united(grid_pixels), config)
         if nodes:
-            as_they_are = [
-                (node.value(config), own.size) for node, own in zip(nodes, grid_pixels, strict=True)
-            ]
-            trial = judge_split(whole.weighed(config), as_they_are, config)
+            sizes = [own.size for own in grid_pixels]
+            values = [node.value(config) for node in nodes]
+            trial = judge_split(whole.weighed(config), list(zip(values, sizes, strict=True)), config)
             if trial.kept:
                 return whole, trial
         parts = [fit_segment(self.features, own, config).weighed(config) for own in grid_pixels]
         return whole, judge_split(whole.weighed(config), parts, config)
 
-    def _refit_merged(self, number: int, part: Part, trial: Trial) -> None:
+    def _refit_merged(self, number: int, whole: Node, trial: Trial) -> None:
         """Give a merged leaf its fit, and the trial that rejected its parts."""
         leaf = self.editor.by_number[number]
-        leaf.refit(part)
+        leaf.refit(whole)
         # These parts were rejected; no cut of the whole was tried.
         leaf.tried = 0.0
         leaf.attempt = Attempt(StopReason.CRITERION, trial, self.frame)
-        self.editor.done.report.merges += 1
+        self.editor.report.merges += 1
 
     def _try(self, number: int) -> bool:
         """Try to split a leaf; return whether it was cut, which takes time."""
         leaf = self.editor.by_number[number]
         node = leaf.node
-        self.editor.done.report.trials += 1
+        self.editor.report.trials += 1
         leaf.tried = float(self.measures.mean_squared[number])
         own = np.flatnonzero(self.editor.labels == number)
         whole = fit_segment(self.features, own, self.config)
@@ -308,13 +266,11 @@ class _Update:
         if whole.stop is not None or node.fit.surface is None or not node.value(self.config) > 0:
             return False
         features = with_features_at(self.cloud, self.features, node.grid_pixels, self.config)
-        sides, cut = best_split(features, node, self.config)
-        if cut is None:
+        split_segment(features, node, self.config)
+        if not node.children:
             leaf.attempt = Attempt(node.stop or StopReason.NO_CUT, node.trial, self.frame)
             return True
-        self.editor.done.report.splits += 1
-        node.children = children_of(node, sides)
-        node.division, node.cut, node.stop = Division.CUT, cut if all(sides) else None, None
+        self.editor.report.splits += 1
         node.measured = node.judged = self.frame
         node.age = 0
         below = depth_first(node)[1:]
@@ -325,5 +281,5 @@ class _Update:
         )
         leaf.node, leaf.surface, leaf.tried = first, first.fit.surface, 0.0
         for each in others:
-            self.editor.labels.ravel()[each.grid_pixels] = self.editor.add_leaf(each)
+            self.editor.add_leaf(each)
         return True

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +12,9 @@ from plates import SHAPE, WALL_PER_M, Box, cloud_of, inside_of
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
 from nurbseg.segmentation.extended.parts import fit_segment
-from nurbseg.segmentation.live.editor import TreeUpdate
-from nurbseg.segmentation.live.leaf import LiveLeaf, Misfit
-from nurbseg.segmentation.live.updater import Budget, TreeUpdater
+from nurbseg.segmentation.live.editor import TreeEditor, UpdateReport
+from nurbseg.segmentation.live.leaf import LeafPair, LiveLeaf, Misfit
+from nurbseg.segmentation.live.updater import Budget, TreeUpdate
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, Trial
 from nurbseg.segmentation.vocabulary import Division
@@ -47,6 +47,16 @@ class Band:
 
 
 @dataclass
+class Updated:
+    """What an update leaves: the leaves, working numbers on the grid, their labels, and what was done."""
+
+    leaves: list[LiveLeaf]
+    on_grid: NDArray[np.int32]
+    final: NDArray[np.uint16]
+    report: UpdateReport
+
+
+@dataclass
 class DesignedTree:
     """A frame, its labels on the grid, and the tree of them."""
 
@@ -55,8 +65,8 @@ class DesignedTree:
     labels: NDArray[np.int32]
     root: Node
     leaves: list[LiveLeaf]
-    updater: TreeUpdater
     nodes: dict[str, Node]
+    compared: dict[LeafPair, int] = field(default_factory=dict)
 
     def update(
         self,
@@ -68,8 +78,11 @@ class DesignedTree:
         rejected: Sequence[Node] = (),
         budget: Budget | None = None,
         config: SegmentationConfig = CONFIG,
-    ) -> TreeUpdate:
-        """Update the tree; by default nothing is amiss, and nothing is in the budget."""
+    ) -> Updated:
+        """Update the tree; by default nothing is amiss, and nothing is in the budget.
+
+        Two leaves of one object are given by their labels.
+        """
         count = len(self.leaves) + 1
         places = np.bincount(self.labels.ravel(), minlength=count)
         misfit = Misfit(
@@ -77,20 +90,16 @@ class DesignedTree:
             np.array([0.0, *square]) if square else np.ones(count),
             np.array([0.0, *unreached]) if unreached else np.zeros(count),
         )
-        return self.updater.update(
-            self.cloud,
-            self.features,
-            self.labels,
-            np.zeros(GRID, np.int32) if appeared is None else appeared,
-            self.root,
-            self.leaves,
-            misfit,
-            set(same_object),
+        editor = TreeEditor(self.root, self.leaves, self.labels)
+        nothing = Budget(refits=0, trials=0, merges=0)
+        TreeUpdate(editor, self.cloud, self.features, misfit, FRAME, budget or nothing, config).run(
             rejected,
-            FRAME,
-            budget or Budget(refits=0, trials=0, merges=0),
-            config,
+            np.zeros(GRID, np.int32) if appeared is None else appeared,
+            {frozenset(self.leaves[label - 1] for label in pair) for pair in same_object},
+            self.compared,
         )
+        leaves, final = editor.finished()
+        return Updated(leaves, editor.labels, final, editor.report)
 
 
 def designed_tree(
@@ -122,17 +131,16 @@ def designed_tree(
     nodes: dict[str, Node] = {}
     for label, band in enumerate(bands, start=1):
         places = np.flatnonzero(labels == label)
-        nodes[band.name] = Node(band.name, places, fit_segment(features, places, config)[1])
+        nodes[band.name] = Node(band.name, places, fit_segment(features, places, config).fit)
     inner = {band.name[:end] for band in bands for end in range(len(band.name))}
     for name in sorted(inner, key=len, reverse=True):
         children = nodes[f"{name}0"], nodes[f"{name}1"]
         places = np.sort(np.concatenate([child.grid_pixels for child in children]))
         node = nodes[name] = Node(
-            name, places, fit_segment(features, places, config)[1], children, Division.CUT
+            name, places, fit_segment(features, places, config).fit, children, Division.CUT
         )
         node.trial = Trial("mse", 9.0, places.size, ((1.0, places.size),), True)
     for node in nodes.values():
         node.cuts_above, node.measured, node.judged = len(node.name), BEFORE, BEFORE
-    updater = TreeUpdater()
-    leaves = [updater.leaf(nodes[band.name]) for band in bands]
-    return DesignedTree(cloud, features, labels, nodes[""], leaves, updater, nodes)
+    leaves = [LiveLeaf(nodes[band.name]) for band in bands]
+    return DesignedTree(cloud, features, labels, nodes[""], leaves, nodes)

@@ -13,7 +13,7 @@ from nurbseg.segmentation.cut.ncut import Cut
 from nurbseg.segmentation.extended import splitting
 from nurbseg.segmentation.extended.grid_features import grid_features
 from nurbseg.segmentation.extended.parts import fit_segment, judge_split
-from nurbseg.segmentation.extended.splitting import best_split
+from nurbseg.segmentation.extended.splitting import split_segment
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, SegmentationTree
@@ -53,8 +53,7 @@ def weight(fit: Fit, cloud: PointMap, noise_per_m: float) -> float:
 def root_of(cloud: PointMap, config: SegmentationConfig) -> tuple[splitting.GridFeatures, Node]:
     """Return a frame of one piece and its root, not yet tried."""
     features = grid_features(cloud, config)
-    places, fit, stop = fit_segment(features, np.flatnonzero(features.grid.valid), config)
-    return features, Node("", places, fit, stop=stop)
+    return features, fit_segment(features, np.flatnonzero(features.grid.valid), config)
 
 
 def cut_at_middle(tree: SegmentationTree) -> bool:
@@ -84,7 +83,7 @@ def test_a_noisy_plane_stays_whole_since_its_ratio_is_one(cloud_of, seed):
     assert [leaf.stop for leaf in tree.leaves()] == [StopReason.NOISE]
     # What the shortcut foretells, tried; with fewer landmarks a cut through noise is more ragged.
     features, root = root_of(cloud, CONFIG)
-    assert best_split(features, root, replace(CONFIG, landmarks=CONFIG.samples))[1] is None
+    split_segment(features, root, replace(CONFIG, landmarks=CONFIG.samples))
     assert root.stop is StopReason.CRITERION
     assert root.trial is not None
     # The parts' floors are the whole's, and more along the cut, where both have a rim.
@@ -133,7 +132,7 @@ def test_what_is_tried_is_what_may_be_accepted(cloud_of, ratio_max, stop):
     features, root = root_of(cloud_of(roof(0.012)), replace(CONFIG, ratio_max=ratio_max))
     assert root.fit.floor / root.fit.values["mse"] == pytest.approx(0.824, abs=0.002)
     if root.stop is None:
-        best_split(features, root, updated(CONFIG, ratio_max=ratio_max, extended={"cuts": 1}))
+        split_segment(features, root, updated(CONFIG, ratio_max=ratio_max, extended={"cuts": 1}))
         assert root.trial is not None
         assert root.trial.ratio == pytest.approx(0.853, abs=0.002)
         assert root.trial.kept == (stop is None)
@@ -175,7 +174,7 @@ def test_what_is_not_tried_for_its_noise_would_be_rejected(cloud_of, box_on_tabl
             waiting.extend(node.children)
             if node.stop is StopReason.NOISE:
                 untried += 1
-                best_split(features, node, config)
+                split_segment(features, node, config)
                 # To rounding: where the whole and the parts are at their floors the ratio may be just 1.
                 assert node.trial is None or node.trial.ratio >= ratio_max * (1 - 1e-12)
     assert untried > 0
@@ -193,12 +192,12 @@ def test_what_a_later_cut_comes_to_does_not_undo_a_rejection(cloud_of, monkeypat
 
     monkeypatch.setattr(splitting, "normalized_cuts", cuts)
     monkeypatch.setattr(splitting, "_MANY_PIXELS", 10**9)
-    assert best_split(features, root, CONFIG)[1] is None
+    split_segment(features, root, CONFIG)
     assert root.stop is StopReason.CRITERION
     cloud = cloud_of(roof(0.0))
 
     def after(side: NDArray[np.bool_]) -> float:
-        parts = (fit_segment(features, root.grid_pixels[each], CONFIG)[1] for each in (side, ~side))
+        parts = (fit_segment(features, root.grid_pixels[each], CONFIG).fit for each in (side, ~side))
         return sum(weight(part, cloud, CONFIG.extended.inverse_depth_noise) for part in parts)
 
     whole = weight(root.fit, cloud, CONFIG.extended.inverse_depth_noise)

@@ -105,9 +105,9 @@ def test_terms_are_weights_times_features_and_a_gap_is_the_only_term():
             weighed = [
                 term.weight * (value - term.neutral) for term, value in zip(TERMS, of_pair, strict=True)
             ]
-            expected = [BASE, *weighed, 0.0]
+            expected = [BASE, *weighed, 0.0, 0.0]
         else:
-            expected = [0.0] * (len(ITEMS) - 1) + [GAP]
+            expected = [0.0] * (len(ITEMS) - 2) + [GAP, 0.0]
         np.testing.assert_allclose(found, expected, atol=5.1e-4)
         # Three digits, those that are exported.
         assert found.tolist() == [round(item, 3) for item in found.tolist()]

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
-from nurbseg.segmentation.extended.border_statistics import border_statistics
+from nurbseg.segmentation.extended.border_statistics import BorderStatistics, border_statistics
+from nurbseg.segmentation.extended.evidence import ITEMS
 from nurbseg.segmentation.extended.merge import (
-    WeighedBorders,
     agglomerate,
     merge_surfaces,
     merged_objects,
@@ -159,10 +159,12 @@ def test_borders_are_compared_across_a_few_pixels_without_depth(cloud_of, box_on
 
 
 def borders_of(pairs, log_odds, samples):
-    """Borders with one item of evidence, all of whose places touch."""
-    items = np.array(log_odds, dtype=float)[:, np.newaxis]
-    places = np.array(samples, dtype=np.int64)
-    return WeighedBorders(np.array(pairs, dtype=np.int64), places, places, items, ("base",))
+    """Borders with one item of evidence, all of whose places touch, and their evidence."""
+    items = np.zeros((len(pairs), len(ITEMS)))
+    items[:, 0] = log_odds
+    places, nothing = np.array(samples, dtype=float), np.zeros(len(pairs))
+    labels = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    return BorderStatistics(labels, places, places, nothing, nothing, nothing), items
 
 
 def merged_from_scratch(pairs, log_odds, samples, count, least):
@@ -202,7 +204,7 @@ def test_the_likeliest_pair_is_merged_first_and_its_borders_are_averaged(seed):
     labels = rng.integers(0, count + 1, (9, 13)).astype(np.int32)
     names = [f"{number:04b}" for number in range(count)]
     config = SegmentationConfig(extended=ExtendedConfig(log_odds_min=least))
-    objects, contacts = merged_objects(borders_of(pairs, log_odds, samples), labels, names, config)
+    objects, contacts = merged_objects(*borders_of(pairs, log_odds, samples), labels, names, config)
     assert sorted(sorted(names.index(name) + 1 for name in each.leaves) for each in objects) == groups
     # Largest first, the leaves of each in their order.
     pixels = [sum(np.count_nonzero(labels == names.index(n) + 1) for n in each.leaves) for each in objects]
@@ -232,8 +234,10 @@ def test_a_weak_border_does_not_join_what_a_long_one_parts():
 )
 def test_a_contact_says_why_it_is_merged_or_not(items, merged, reason):
     labels, names = np.array([[1, 1, 2]], dtype=np.int32), ("base", "concave", "front", "gap")
-    borders = WeighedBorders(np.array([[1, 2]]), np.array([20]), np.array([3]), np.array([items]), names)
-    objects, (contact,) = merged_objects(borders, labels, ("0", "1"), CONFIG)
+    row = np.zeros((1, len(ITEMS)))
+    row[0, [ITEMS.index(name) for name in names]] = items
+    borders = BorderStatistics(np.array([[1, 2]]), *np.array([[20.0], [3.0], [0.0], [0.0], [0.0]]))
+    objects, (contact,) = merged_objects(borders, row, labels, ("0", "1"), CONFIG)
     assert (contact.merged, contact.reason) == (merged, reason)
     assert len(objects) == 2 - merged
     assert (contact.samples, contact.touching) == (20, 3)
@@ -244,7 +248,7 @@ def test_a_contact_says_why_it_is_merged_or_not(items, merged, reason):
 def test_a_contact_says_that_others_merged_or_separated_it():
     labels = np.array([[1, 2, 3]], dtype=np.int32)
     pairs = [(1, 2), (1, 3), (2, 3)]
-    _, contacts = merged_objects(borders_of(pairs, [2.0, -0.5, 2.0], [9, 9, 9]), labels, NAMES[:3], CONFIG)
+    _, contacts = merged_objects(*borders_of(pairs, [2.0, -0.5, 2.0], [9, 9, 9]), labels, NAMES[:3], CONFIG)
     assert contacts[1].reason == "merged through other surfaces, despite log odds of -0.50"
-    _, contacts = merged_objects(borders_of(pairs, [2.0, -1.5, 1.0], [9, 9, 9]), labels, NAMES[:3], CONFIG)
+    _, contacts = merged_objects(*borders_of(pairs, [2.0, -1.5, 1.0], [9, 9, 9]), labels, NAMES[:3], CONFIG)
     assert contacts[2].reason == "log odds of +1.00, but the average over their objects' borders is too low"

@@ -3,7 +3,7 @@ import pytest
 from scipy import ndimage
 
 from nurbseg.segmentation.labels.regions import pixel_adjacency
-from nurbseg.segmentation.live.editor import TreeEditor, TreeUpdate
+from nurbseg.segmentation.live.editor import TreeEditor
 from nurbseg.segmentation.live.leaf import LiveLeaf
 from nurbseg.segmentation.segments import Node, Trial, depth_first
 from nurbseg.segmentation.surfaces.fit import Fit
@@ -14,7 +14,7 @@ def editor_of(labels):
     fit = Fit(None, np.zeros(0), {}, "", np.zeros(0, dtype=np.intp))
     root = Node("", np.zeros(0, dtype=np.intp), fit)
     # As many leaves as there are labels; none of them is asked for anything here.
-    return TreeEditor(root, [None] * int(labels.max()), labels, lambda node: None)
+    return TreeEditor(root, [None] * int(labels.max()), labels)
 
 
 @pytest.mark.parametrize("step", [1, 2, 3])
@@ -27,7 +27,9 @@ def test_pixels_with_the_label_of_their_place_change_with_it(step):
     inverse_depth = rng.choice([0.0, 0.8], (h, w)).astype(np.float32)
     labels[inverse_depth == 0] = 0
     final = np.array([0, 3, 1, 2, 5, 4], dtype=np.uint16)
-    found = TreeUpdate([], before, after, final).relabelled(labels, inverse_depth, step)
+    editor = editor_of(before)
+    editor.labels[:] = after
+    found = editor.relabelled(labels, final, inverse_depth, step)
     for r, c in np.ndindex(h, w):
         place = r // step, c // step
         number = after[place] if labels[r, c] == before[place] else labels[r, c]
@@ -86,8 +88,8 @@ class Grown:
             node.trial = Trial("mse", 2.0, node.grid_pixels.size, ((1.0, node.grid_pixels.size),), True)
         for name in ("00", "010", "011", "1"):
             self.nodes[name].stop = StopReason.CRITERION
-        self.leaves = [LiveLeaf(self.nodes[name], 10 * n) for n, name in enumerate(("00", "010", "011", "1"))]
-        self.editor = TreeEditor(self.nodes[""], self.leaves, self.labels, lambda node: LiveLeaf(node, 99))
+        self.leaves = [LiveLeaf(self.nodes[name]) for name in ("00", "010", "011", "1")]
+        self.editor = TreeEditor(self.nodes[""], self.leaves, self.labels)
 
     def names(self):
         return [node.name for node in depth_first(self.nodes[""])]
@@ -112,15 +114,15 @@ def fit_of(places):
 )
 def test_the_sibling_of_a_removed_leaf_takes_the_place_of_their_parent(absorbed, names, by_final, final):
     grown = Grown()
-    kept_before = {leaf.number: leaf.node.grid_pixels for leaf in grown.leaves}
+    kept_before = {leaf: leaf.node.grid_pixels for leaf in grown.leaves}
     for gone, kept in absorbed:
         grown.editor.merge_leaves(gone, kept)
     assert grown.names() == names
-    done = grown.editor.finished()
-    assert [leaf.number for leaf in done.leaves] == [10 * n for n in by_final]
-    assert done.final.tolist() == final
-    for leaf in done.leaves:
-        assert leaf.node.grid_pixels is kept_before[leaf.number]
+    leaves, labels = grown.editor.finished()
+    assert leaves == [grown.leaves[n] for n in by_final]
+    assert labels.tolist() == final
+    for leaf in leaves:
+        assert leaf.node.grid_pixels is kept_before[leaf]
         assert leaf.node.stop is StopReason.CRITERION
         assert not leaf.node.children
         assert leaf.node.division is None
@@ -133,18 +135,20 @@ def test_the_sibling_of_a_removed_leaf_takes_the_place_of_their_parent(absorbed,
     expected = grown.labels.copy()
     for gone, kept in absorbed:
         expected[expected == gone] = kept
-    assert (done.on_grid == expected).all()
-    assert (done.before == grown.labels).all()
+    assert (grown.editor.labels == expected).all()
+    assert grown.labels.tolist() == [[1, 2, 3, 4]] * 6
     assert set(grown.editor.by_number) == {1, 2, 3, 4} - set(last)
     assert np.bincount(expected.ravel(), minlength=5).tolist() == grown.editor.sizes().tolist()
 
 
 def test_an_added_leaf_has_the_next_number_and_no_trial():
     grown = Grown()
-    numbers = [grown.editor.add_leaf(Node("2", np.arange(2), fit_of(np.arange(2)))) for _ in range(2)]
-    assert numbers == [5, 6]
-    assert [grown.editor.by_number[number].tried for number in numbers] == [0.0, 0.0]
-    assert grown.editor.sizes().tolist() == [0, 6, 6, 6, 6, 0, 0]
+    for first in (0, 4):
+        places = np.arange(first, first + 2)
+        grown.editor.add_leaf(Node("2", places, fit_of(places)))
+    assert [grown.editor.by_number[number].tried for number in (5, 6)] == [0.0, 0.0]
+    assert grown.editor.labels[:3].tolist() == [[5, 5, 3, 4], [6, 6, 3, 4], [1, 2, 3, 4]]
+    assert grown.editor.sizes().tolist() == [0, 4, 4, 6, 6, 2, 2]
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -178,10 +182,8 @@ def cut_tree():
 
     shown = node("11", 2, Division.APPEARED, (node("110", 2), node("111", 2)))
     root = node("", 0, Division.CUT, (node("0", 0 + 1), node("1", 1, Division.CUT, (node("10", 2), shown))))
-    leaves = [LiveLeaf(each, n) for n, each in enumerate(depth_first(root)) if not each.children]
-    return root, TreeEditor(
-        root, leaves, np.array([[1, 2, 3, 4, 4]], np.int32), lambda node: LiveLeaf(node, 9)
-    )
+    leaves = [LiveLeaf(each) for each in depth_first(root) if not each.children]
+    return root, TreeEditor(root, leaves, np.array([[1, 2, 3, 4, 4]], np.int32))
 
 
 def described(root):
@@ -208,15 +210,13 @@ def test_a_split_undone_is_one_leaf_with_the_label_of_its_largest():
     assert editor.collapse(root.children[1]) == 4
     assert described(root) == [("", Division.CUT, 0), ("0", None, 1), ("1", None, 1)]
     assert editor.by_number[4].node is root.children[1]
-    done = editor.finished()
-    assert done.on_grid.tolist() == [[1, 4, 4, 4, 4]]
-    assert done.final.tolist() == [0, 1, 2, 2, 2]
+    assert editor.labels.tolist() == [[1, 4, 4, 4, 4]]
+    assert editor.finished()[1].tolist() == [0, 1, 2, 2, 2]
 
 
 def test_a_split_undone_leaves_the_others_what_they_have():
     grown = Grown()
     assert grown.editor.collapse(grown.nodes["0"]) == 1
     assert grown.names() == ["", "0", "1"]
-    done = grown.editor.finished()
-    assert done.on_grid.tolist() == [[1, 1, 1, 4]] * 6
-    assert done.final.tolist() == [0, 1, 1, 1, 2]
+    assert grown.editor.labels.tolist() == [[1, 1, 1, 4]] * 6
+    assert grown.editor.finished()[1].tolist() == [0, 1, 1, 1, 2]

@@ -55,7 +55,7 @@ def leaves_of(grid: DepthGrid, labels: np.ndarray) -> list[LiveLeaf]:
         columns = np.flatnonzero(mask.any(axis=0))
         window = (0, int(columns[0]), 30, int(columns[-1]) + 1)
         fit = fit_window(grid, window, mask[:, window[1] : window[3]], CONFIG)
-        leaves.append(LiveLeaf(Node(str(label), np.flatnonzero(mask), fit), label))
+        leaves.append(LiveLeaf(Node(str(label), np.flatnonzero(mask), fit)))
     return leaves
 
 
@@ -85,12 +85,12 @@ def test_leaves_are_measured_along_the_rays(grid: DepthGrid, labels: np.ndarray)
     not_reached = update_residuals(leaves, labels, lattice, grid, CONFIG)
     assert not_reached == [leaves[2]]
     points = grid.points.coordinates_m.reshape(3, -1).T
-    for leaf in leaves:
-        places = np.flatnonzero(labels == leaf.number)
+    for label, leaf in enumerate(leaves, start=1):
+        places = np.flatnonzero(labels == label)
         assert np.array_equal(leaf.node.grid_pixels, places)
         fit = leaf.node.fit
         assert np.array_equal(fit.pixels, (places // 40 * 80 + places % 40) * 2)
-        if leaf.number == 3:
+        if label == 3:
             assert (fit.surface, dict(fit.values)) == (None, {})
             continue
         assert leaf.surface is not None
@@ -157,9 +157,9 @@ def test_a_fit_of_this_frame_is_kept_where_it_is_of_all_places_and_of_this_surfa
 
     def measured(*, age: int = 0, moved: bool = False, places: int = 0) -> bool:
         leaves = leaves_of(grid, shown)[:2]
-        for leaf in leaves:
+        for label, leaf in enumerate(leaves, start=1):
             # As fitted now, to all of its places but for the first few.
-            leaf.node.grid_pixels = np.flatnonzero(shown == leaf.number)[places:]
+            leaf.node.grid_pixels = np.flatnonzero(shown == label)[places:]
             leaf.age = age
             if moved:
                 assert leaf.surface is not None
@@ -167,9 +167,8 @@ def test_a_fit_of_this_frame_is_kept_where_it_is_of_all_places_and_of_this_surfa
         before = [leaf.node.fit for leaf in leaves]
         lattice = SurfaceLattice([leaf.surface for leaf in leaves], 2)
         assert not update_residuals(leaves, shown, lattice, grid, CONFIG)
-        assert all(
-            np.array_equal(leaf.node.grid_pixels, np.flatnonzero(shown == leaf.number)) for leaf in leaves
-        )
+        for label, leaf in enumerate(leaves, start=1):
+            assert np.array_equal(leaf.node.grid_pixels, np.flatnonzero(shown == label))
         assert all(leaf.rms_per_m > 0 for leaf in leaves)
         kept = {leaf.node.fit is fit for leaf, fit in zip(leaves, before, strict=True)}
         assert len(kept) == 1

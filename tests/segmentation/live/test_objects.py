@@ -1,9 +1,12 @@
 """Objects of live frames: as those of a frame alone, and steady while evidence wavers."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
+from nurbseg.segmentation.extended.evidence import ITEMS
 from nurbseg.segmentation.extended.merge import merge_surfaces
 from nurbseg.segmentation.live import objects as live_objects
 from nurbseg.segmentation.live.leaf import LiveLeaf
@@ -33,8 +36,8 @@ def box(cloud_of, box_on_table):
         surfaces.append(fit_window(grid, window, mask, CONFIG).surface)
     nothing = np.zeros(0, dtype=np.intp)
     leaves = [
-        LiveLeaf(Node(name, nothing, Fit(surface, np.zeros(0), {}, "", nothing)), number)
-        for number, (name, surface) in enumerate(zip(NAMES, surfaces, strict=True))
+        LiveLeaf(Node(name, nothing, Fit(surface, np.zeros(0), {}, "", nothing)))
+        for name, surface in zip(NAMES, surfaces, strict=True)
     ]
     return grid, truth, on_grid, surfaces, leaves
 
@@ -60,9 +63,7 @@ def wavering(monkeypatch):
         monkeypatch.setattr(
             live_objects,
             "evidence",
-            lambda borders, *_: (
-                np.eye(1, len(live_objects.ITEMS)) * log_odds * np.ones((len(borders.labels), 1))
-            ),
+            lambda borders, *_: np.eye(1, len(ITEMS)) * log_odds * np.ones((len(borders.labels), 1)),
         )
 
     return set_to
@@ -108,7 +109,7 @@ def test_evidence_adds_up_to_the_log_odds(box, wavering):
     for contact in contacts:
         assert contact.evidence == {"base": 0.8, "kept": 0.5}
         assert contact.log_odds == pytest.approx(1.3)
-    assert memory.same_object == {(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)}
+    assert memory.same_object == {frozenset(pair) for pair in combinations(box[-1], 2)}
 
 
 def test_merging_can_be_switched_off(box):

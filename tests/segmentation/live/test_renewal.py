@@ -7,8 +7,9 @@ import pytest
 from designed_tree import BEFORE, CONFIG, FRAME, Band, DesignedTree, designed_tree
 from exact_surface import metric, ratio
 
+from nurbseg.segmentation.live.editor import UpdateReport
 from nurbseg.segmentation.live.leaf import Attempt, LiveLeaf
-from nurbseg.segmentation.live.renewal import Renewal, renew_splits, set_stop_reasons
+from nurbseg.segmentation.live.renewal import renew_splits, set_stop_reasons
 from nurbseg.segmentation.segments import Node, Trial
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.vocabulary import Division, StopReason
@@ -25,12 +26,17 @@ def tree() -> DesignedTree:
     )
 
 
-def renewed(tree: DesignedTree, ages: dict[str, int], *, every: bool = False) -> Renewal:
+def renewed(
+    tree: DesignedTree, ages: dict[str, int], *, every: bool = False
+) -> tuple[UpdateReport, set[str]]:
+    """Return what was done, and the names of the splits that were rejected."""
     for name, age in ages.items():
         tree.nodes[name].age = age
-    return renew_splits(
-        tree.root, tree.leaves, tree.labels, tree.features, FRAME, CONFIG, every_surface=every
+    report = UpdateReport()
+    rejected = renew_splits(
+        tree.root, tree.leaves, tree.labels, tree.features, FRAME, CONFIG, report, every_surface=every
     )
+    return report, {node.name for node in rejected}
 
 
 def judged(tree: DesignedTree) -> set[str]:
@@ -61,13 +67,13 @@ def judged(tree: DesignedTree) -> set[str]:
 def test_the_oldest_splits_are_judged_while_there_is_room(
     tree: DesignedTree, ages: dict[str, int], kept: set[str], rejected: set[str]
 ) -> None:
-    found = renewed(tree, ages)
-    assert found.judged == len(kept | rejected)
+    report, found = renewed(tree, ages)
+    assert report.judged == len(kept | rejected)
     assert judged(tree) == kept
     # The wall on both sides of the last cut is one plane: its ratio is no less than 1.
-    assert {node.name for node in found.rejected} == rejected
+    assert found == rejected
     left = [tree.nodes[name].age for name in ("", "0", "1")]
-    assert found.oldest == max(left) == max(0 if name in kept else age for name, age in ages.items())
+    assert report.oldest == max(left) == max(0 if name in kept else age for name, age in ages.items())
 
 
 def test_one_more_place_than_there_is_room_for_waits() -> None:
@@ -78,7 +84,7 @@ def test_one_more_place_than_there_is_room_for_waits() -> None:
         Band("11", 39, rows=51),
     )
     # 1000 and 3009 places.
-    assert renewed(tree, {"": 1, "0": 9, "1": 7}).judged == 1
+    assert renewed(tree, {"": 1, "0": 9, "1": 7})[0].judged == 1
     assert judged(tree) == {"0"}
 
 
@@ -122,7 +128,7 @@ def test_what_is_not_fitted_in_this_frame_has_no_surface(tree: DesignedTree) -> 
 
 
 def test_every_split_gets_its_surface_on_request(tree: DesignedTree) -> None:
-    assert renewed(tree, {"": 9, "0": 1, "1": 1}, every=True).judged == 1
+    assert renewed(tree, {"": 9, "0": 1, "1": 1}, every=True)[0].judged == 1
     assert judged(tree) == {""}
     for name, (first, last) in (("", (1, 4)), ("0", (1, 2)), ("1", (3, 4))):
         node = tree.nodes[name]
@@ -134,14 +140,14 @@ def test_every_split_gets_its_surface_on_request(tree: DesignedTree) -> None:
 
 def test_what_no_cut_made_has_neither_surface_nor_trial_nor_turn(tree: DesignedTree) -> None:
     tree.root.division, tree.root.trial = Division.GAP, None
-    assert renewed(tree, {"": 90, "0": 1, "1": 2}).judged == 2
+    assert renewed(tree, {"": 90, "0": 1, "1": 2})[0].judged == 2
     assert tree.root.fit.pixels.size == 0
     assert (tree.root.trial, tree.root.judged, tree.root.age) == (None, BEFORE, 90)
 
 
 def test_a_tree_without_splits_has_none_to_judge() -> None:
-    found = renewed(designed_tree(Band("", 80)), {})
-    assert (found.judged, found.rejected, found.oldest) == (0, (), 0)
+    report, rejected = renewed(designed_tree(Band("", 80)), {})
+    assert (report.judged, report.oldest, rejected) == (0, 0, set())
 
 
 PLACES_MIN = 25.0
@@ -162,7 +168,7 @@ def leaf_of(
     values = {"mse": 1.0} if surface else {}
     fit = Fit(on_wall, np.zeros(places), values, "", np.arange(places), 1.0 if noise else 0.5)
     node = Node("0", np.arange(places), fit, cuts_above=cuts_above, trial=REJECTED)
-    return LiveLeaf(node, 1, attempt=attempt)
+    return LiveLeaf(node, attempt=attempt)
 
 
 @pytest.mark.parametrize(

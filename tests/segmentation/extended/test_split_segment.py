@@ -10,8 +10,8 @@ from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.cut.ncut import Cut
 from nurbseg.segmentation.extended import splitting
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
-from nurbseg.segmentation.extended.parts import Part, children_of
-from nurbseg.segmentation.extended.splitting import _neighbors_side, best_split
+from nurbseg.segmentation.extended.parts import children_of
+from nurbseg.segmentation.extended.splitting import _neighbors_side, split_segment
 from nurbseg.segmentation.segments import Node, depth_first
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.vocabulary import Division, StopReason
@@ -77,27 +77,28 @@ def test_cuts_are_tried_in_turn_until_the_ratio_keeps_one(roof, monkeypatch, cut
 
     monkeypatch.setattr(splitting, "normalized_cuts", scripted)
     places = np.arange(ROWS.size)
-    _, fit, _ = splitting.fit_segment(roof, places, CONFIG)
+    fit = splitting.fit_segment(roof, places, CONFIG).fit
     node = Node("01", places, fit, stop=StopReason.SPLITS)
     monkeypatch.setattr(splitting, "_MANY_PIXELS", ROWS.size + 1)
-    sides, cut = best_split(roof, node, CONFIG)
+    split_segment(roof, node, CONFIG)
     assert asked == (cuts if stop is not None else cuts[: cuts.index("ridge") + 1])
     if tried is None:
         assert node.trial is None
     else:
         halves = [np.flatnonzero(SIDES[tried].ravel() == value) for value in (False, True)]
-        found = [splitting.fit_segment(roof, half, CONFIG)[1] for half in halves]
+        found = [splitting.fit_segment(roof, half, CONFIG).fit for half in halves]
         assert sorted(node.trial.parts) == sorted((each.values["mse"], each.pixels.size) for each in found)
         assert (node.trial.value, node.trial.points) == (fit.values["mse"], ROWS.size)
         assert node.trial.kept == (stop is None)
     if stop is None:
-        assert np.array_equal(cut.side, SIDES["ridge"].ravel())
-        for value, side in enumerate(sides):
-            ((own, _, _),) = side
-            assert np.array_equal(own, np.flatnonzero(SIDES["ridge"].ravel() == value))
+        assert (node.stop, node.division) == (None, Division.CUT)
+        assert np.array_equal(node.cut.side, SIDES["ridge"].ravel())
+        for value, child in enumerate(node.children):
+            assert (child.name, child.cuts_above) == (f"01{value}", 1)
+            assert np.array_equal(child.grid_pixels, np.flatnonzero(SIDES["ridge"].ravel() == value))
     else:
         assert node.stop is stop
-        assert (cut, sides) == (None, ([], []))
+        assert (node.children, node.division, node.cut) == ((), None, None)
 
 
 @pytest.mark.parametrize(
@@ -116,20 +117,20 @@ def test_one_more_cut_is_asked_for_where_noise_explains_little_of_the_error(
 ):
     counts = []
     monkeypatch.setattr(splitting, "normalized_cuts", lambda *_, count, **__: counts.append(count) or ())
-    fit = splitting.fit_segment(roof, np.arange(ROWS.size), CONFIG)[1]
+    fit = splitting.fit_segment(roof, np.arange(ROWS.size), CONFIG).fit
     rms_per_m = deviations * CONFIG.extended.inverse_depth_noise
     node = Node("", np.arange(ROWS.size), replace(fit, floor=fit.values["mse"] / floors, rms_per_m=rms_per_m))
-    best_split(roof, node, updated(CONFIG, extended={"cuts": cuts}))
+    split_segment(roof, node, updated(CONFIG, extended={"cuts": cuts}))
     assert counts == [asked]
 
 
 def part(first: int, places: int, stop: StopReason | None = None):
     own = np.arange(first, first + places)
-    return Part(own, Fit(None, np.zeros(0), {}, "", 3 * own), stop)
+    return Node("", own, Fit(None, np.zeros(0), {}, "", 3 * own), stop=stop)
 
 
 def test_components_are_chained_the_largest_first():
-    parent = Node("1", np.arange(24), part(0, 24)[1], cuts_above=2)
+    parent = Node("1", np.arange(24), part(0, 24).fit, cuts_above=2)
     small, largest, middle = part(0, 5), part(5, 9), part(14, 7, StopReason.NOISE)
     other = part(21, 3, StopReason.NO_POINTS)
     both = children_of(parent, ([small, largest, middle], [other]))
@@ -151,7 +152,7 @@ def test_components_are_chained_the_largest_first():
 
 @pytest.mark.parametrize("empty", [0, 1])
 def test_pieces_of_the_one_side_that_is_left_are_the_largest_and_the_rest(empty):
-    parent = Node("", np.arange(21), part(0, 21)[1])
+    parent = Node("", np.arange(21), part(0, 21).fit)
     left = [part(0, 5), part(5, 9), part(14, 7)]
     first, second = children_of(parent, ([], left) if empty == 0 else (left, []))
     assert (first.name, first.grid_pixels.size, first.cuts_above) == ("0", 9, 1)
@@ -180,16 +181,15 @@ def test_places_between_those_that_are_cut_follow_them_where_they_agree(seed):
 
 
 def test_a_large_segment_is_cut_at_every_second_place_and_continued(roof, monkeypatch):
-    node = Node("", np.arange(ROWS.size), splitting.fit_segment(roof, np.arange(ROWS.size), CONFIG)[1])
+    node = Node("", np.arange(ROWS.size), splitting.fit_segment(roof, np.arange(ROWS.size), CONFIG).fit)
     monkeypatch.setattr(splitting, "_MANY_PIXELS", ROWS.size)
-    sides, cut = best_split(roof, node, CONFIG)
-    assert cut is not None
-    assert cut.side.size == ROWS.size // 4
+    split_segment(roof, node, CONFIG)
+    assert node.cut.side.size == ROWS.size // 4
     # Whole sides, and the ridge where it is.
-    for (own, _, _), expected in zip([each[0] for each in sides], (COLUMNS < 32, COLUMNS >= 32), strict=True):
-        share = np.mean(expected.ravel()[own])
+    for child, expected in zip(node.children, (COLUMNS < 32, COLUMNS >= 32), strict=True):
+        share = np.mean(expected.ravel()[child.grid_pixels])
         assert max(share, 1 - share) > 0.98
-    assert sum(own.size for side in sides for own, _, _ in side) == ROWS.size
-    node.stop = None
+    assert sum(child.grid_pixels.size for child in node.children) == ROWS.size
     monkeypatch.setattr(splitting, "_MANY_PIXELS", ROWS.size + 1)
-    assert best_split(roof, node, CONFIG)[1].side.size == ROWS.size
+    split_segment(roof, node, CONFIG)
+    assert node.cut.side.size == ROWS.size
