@@ -100,7 +100,7 @@ def main() -> int:
     # Ended by a signal, the run still ends its viewer.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     port = free_port("127.0.0.1")
-    viewer = start_viewer(ViewConfig(), port, headless=True)
+    viewer = start_viewer(ViewConfig(), port, "--headless")
     runs: dict[str, list[Run]] = {"no viewer": [], "frozen viewer": []}
     missing: set[int] = set()
     try:

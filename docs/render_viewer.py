@@ -38,7 +38,8 @@ def opened(recording: Path, wait_s: float, size: str) -> Iterator[ViewerClient]:
         If the viewer does not start, or shows nothing of the recording.
     """
     port = free_port(_HOST)
-    process = start_viewer(ViewConfig(), port, headless=True, size=size)
+    words = ["--window-size", size] if size else []
+    process = start_viewer(ViewConfig(), port, "--headless", *words)
     try:
         deadline_s = time.monotonic() + 30.0
         while not listens(_HOST, port):

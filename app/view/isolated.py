@@ -16,7 +16,7 @@ from nurbseg.app.result import FrameResult
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame
-from nurbseg.app.view.messages import CODEC, Close, Closed, Failed, Line, Open, Opened, Status
+from nurbseg.app.view.messages import CODEC, Close, Line, Open, State
 from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import FILE_CLOSE_S, FILE_PATIENCE_S, ViewError
 from nurbseg.drivers.process.bounded_queue import BoundedQueue
@@ -50,7 +50,7 @@ _RATE_FRAMES = 10
 
 
 class IsolatedView(View):
-    """Shows and saves frames with `nurbseg.app.view.rerun.RerunView` in another process.
+    """Shows and saves frames with `nurbseg.app.view.program.RerunView` in another process.
 
     A thread draws and sends frames. If a file is saved, it gets every frame, and `show` waits while the
     process is behind; otherwise the oldest queued frame is dropped.
@@ -71,8 +71,6 @@ class IsolatedView(View):
         name: str,
     ) -> None:
         super().__init__()
-        #: Number of connections to a viewer so far.
-        self.connections = 0
         self._process = process
         self._config = config
         self.metric = segmentation.metric
@@ -83,9 +81,8 @@ class IsolatedView(View):
         )
         self._changed = threading.Condition()
         self._problem = ""
-        self._over = self._closed = False
-        self._dropped_there = 0
-        self._has_drawn = False
+        self._over = self._closed = self._has_drawn = False
+        self._state = State()
         self._shown_s: deque[float] = deque(maxlen=_RATE_FRAMES + 1)
         self._table_s = float("-inf")
         self._moment = Moment(0, None)
@@ -104,7 +101,12 @@ class IsolatedView(View):
     @property
     def dropped(self) -> int:
         """Frames that were not shown live because the viewer was slow, frozen or absent."""
-        return self._queue.dropped + self._dropped_there
+        return self._queue.dropped + self._state.dropped
+
+    @property
+    def connections(self) -> int:
+        """Number of connections to a viewer so far."""
+        return self._state.connections
 
     def peak_memory_mb(self) -> float:
         """Return the peak resident memory of the process, 10^6 bytes; 0 if unknown."""
@@ -206,11 +208,11 @@ class IsolatedView(View):
             self._channel.send(Open(self._config, segmentation, properties, name, level))
             while (left_s := deadline_s - time.monotonic()) > 0:
                 message = self._channel.receive(left_s)
-                if isinstance(message, Opened):
+                if isinstance(message, State):
+                    if message.problem:
+                        raise ViewError(message.problem)
                     self.how_to_look, self.serving = message.how_to_look, message.serving
                     return
-                if isinstance(message, Failed):
-                    raise ViewError(message.reason)
         except ChannelClosedError:
             raise ViewError(self._how_it_ended()) from None
         raise ViewError(f"the view process did not start within {_OPEN_S:g} s")
@@ -240,7 +242,10 @@ class IsolatedView(View):
 
     def _send_item(self, item: partial[ViewFrame] | Line) -> None:
         try:
-            message = item if isinstance(item, Line) else self._drawn(item)
+            message = item if isinstance(item, Line) else item()
+            with self._changed:
+                self._has_drawn = self._has_drawn or message is not item
+                self._changed.notify_all()
             while not self._over and not self._channel.send(message, 0.0):
                 # Until the process has taken a frame before.
                 self._handle(self._channel.receive(_LOOK_S))
@@ -250,22 +255,13 @@ class IsolatedView(View):
             what = f"{self._config.save}: " if self._config.save else ""
             self._fail(f"{what}a frame cannot be shown ({type(err).__name__}): {err}")
 
-    def _drawn(self, draw: partial[ViewFrame]) -> ViewFrame:
-        frame = draw()
-        with self._changed:
-            self._has_drawn = True
-            self._changed.notify_all()
-        return frame
-
     def _handle(self, message: Any) -> None:
-        if isinstance(message, Failed):
-            self._fail(message.reason)
-        with self._changed:
-            if isinstance(message, Status):
-                self._dropped_there, self.connections = message.dropped, message.connections
-            elif isinstance(message, Closed):
-                self._over = True
-            self._changed.notify_all()
+        if isinstance(message, State):
+            if message.problem:
+                self._fail(message.problem)
+            with self._changed:
+                self._state, self._over = message, self._over or message.closed
+                self._changed.notify_all()
 
 
 def _properties(

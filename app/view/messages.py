@@ -21,14 +21,6 @@ class Open:
 
 
 @dataclass(frozen=True, slots=True)
-class Opened:
-    """The viewer and the file are open."""
-
-    how_to_look: str
-    serving: bool
-
-
-@dataclass(frozen=True, slots=True)
 class Line:
     """A log line to show, and its level."""
 
@@ -45,23 +37,18 @@ class Close:
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
-    """Number of frames that were not shown, and of connections to a viewer so far."""
+class State:
+    """State of the process, which sends it after opening and whenever it has changed."""
 
-    dropped: int
-    connections: int
-
-
-@dataclass(frozen=True, slots=True)
-class Failed:
-    """Something could not be opened, shown or saved."""
-
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
-class Closed:
-    """Everything was shown and saved."""
+    how_to_look: str = ""
+    serving: bool = False
+    #: Frames that were not shown live, and connections to a viewer so far.
+    dropped: int = 0
+    connections: int = 0
+    #: The first thing that could not be opened, shown or saved; empty if there is none.
+    problem: str = ""
+    #: Whether everything was shown and saved.
+    closed: bool = False
 
 
-CODEC = Codec(Open, Opened, ViewFrame, Line, Close, Status, Failed, Closed)
+CODEC = Codec(Open, ViewFrame, Line, Close, State)

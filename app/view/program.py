@@ -1,4 +1,4 @@
-"""The program that shows and saves frames for another process.
+"""The program that shows and saves frames for another process, with Rerun.
 
 It ends on request, or when the other process has ended, after the frames received until then.
 """
@@ -8,12 +8,32 @@ import ctypes
 import logging
 import os
 import signal
+import uuid
+from pathlib import Path
 
+# Rerun reports a lost viewer on stderr once for each entity, and a file without an index; we log the former
+# once, and the latter is intended.
+os.environ.setdefault(
+    "RUST_LOG",
+    "warn,re_grpc_client=off,re_sdk::recording_stream=off,re_quota_channel=off,re_log_encoding::rrd::file_sink=error",
+)
+
+import rerun as rr
+
+from nurbseg.app.view import viewer
+from nurbseg.app.view.config import bracketed
+from nurbseg.app.view.drawing.blueprint import legend
+from nurbseg.app.view.drawing.entities import LEGEND, FrameEntities, markdown, opening_entities
 from nurbseg.app.view.drawing.frame import ViewFrame
-from nurbseg.app.view.messages import CODEC, Close, Closed, Failed, Line, Open, Status
-from nurbseg.app.view.rerun import RerunView
+from nurbseg.app.view.file import FileSink
+from nurbseg.app.view.live import ViewerSink
+from nurbseg.app.view.messages import CODEC, Close, Line, Open, State
+from nurbseg.app.view.serving import WebServer
+from nurbseg.app.view.stream import Opening
 from nurbseg.app.view.viewer import FILE_PATIENCE_S, ViewError
 from nurbseg.drivers.process.channel import Channel, ChannelClosedError, LogForwarder, connect_to_parent
+
+logger = logging.getLogger(__name__)
 
 #: Time between two checks of the viewer, seconds.
 _LOOK_S = 0.1
@@ -25,29 +45,138 @@ _END_S = 2.0 * FILE_PATIENCE_S
 _LESS_URGENT = 4
 #: Parameter of glibc's `mallopt`: maximum number of heaps.
 _M_ARENA_MAX = -8
+#: How long the viewer may take for the last frame once the file is complete, seconds.
+_VIEWER_CLOSE_S = 0.3
+
+
+class RerunView:
+    """Shows and saves frames; each sink has its own stream of the same recording.
+
+    Errors are those of `IsolatedView`.
+    """
+
+    def __init__(self, wanted: Open) -> None:
+        self._config = config = wanted.config
+        #: The first thing that could not be shown or saved.
+        self.problem = ""
+        self._server: WebServer | None = None
+        self._file: FileSink | None = None
+        self._viewer: ViewerSink | None = None
+        opening = Opening(
+            recording_id=str(uuid.uuid4()),
+            name=wanted.name,
+            properties={
+                subject: rr.AnyValues(drop_untyped_nones=True, **values)
+                for subject, values in wanted.properties.items()
+            },
+            static=(
+                *opening_entities(),
+                (LEGEND, markdown(legend(config, wanted.segmentation))),
+            ),
+        )
+        try:
+            if config.save is not None:
+                self._file = FileSink(Path(config.save), opening, index=config.save_index != "off")
+            self._how_to_look = self._open_viewer(opening)
+        except BaseException:
+            self.close()
+            raise
+
+    def state(self, *, closed: bool = False) -> State:
+        """Return what the other process is to know."""
+        live = self._viewer
+        dropped, connections = (0, 0) if live is None else (live.queue.dropped, live.connections)
+        return State(self._how_to_look, self._server is not None, dropped, connections, self.problem, closed)
+
+    def show(self, message: ViewFrame | Line) -> None:
+        """Show and save a frame, or a log line; a slow viewer gets only the newest, the file every one."""
+        item = message if isinstance(message, Line) else FrameEntities(message, self._config)
+        # The file first: the viewer, on its thread, then finds what is drawn already.
+        for sink in (self._file, self._viewer):
+            if sink is not None:
+                sink.put(item)
+
+    def look_after(self) -> None:
+        """Restart the web server if it has ended, and flush the file; call from the thread that made this."""
+        if self._server is not None:
+            self._server.restart_if_ended()
+        if self._file is not None:
+            self._file.flush_if_due()
+
+    def close(self, *, file_limit_s: float = viewer.FILE_CLOSE_S) -> None:
+        """Close all sinks within the time, and with the errors, of `IsolatedView.close`."""
+        if self._viewer is not None:
+            self._viewer.queue.close()
+        try:
+            if self._file is not None:
+                self._file.close(file_limit_s)
+        finally:
+            if self._viewer is not None:
+                self._viewer.finish_close(_VIEWER_CLOSE_S)
+            if self._server is not None:
+                self._server.close()
+
+    def _open_viewer(self, opening: Opening) -> str:
+        """Connect to the viewer or open one; return what the user must do to see it."""
+        config = self._config
+        mode = viewer.chosen_mode(config)
+        if mode == "connect":
+            self._viewer = ViewerSink(config.viewer_url, opening)
+        elif mode == "spawn":
+            self._spawn(opening)
+        elif mode == "serve":
+            self._server = WebServer(config)
+            self._viewer = ViewerSink(self._server.url, opening, self._server.is_starting)
+            return self._server.page_url
+        elif config.save is not None:
+            return f"rerun {config.save}"
+        return ""
+
+    def _spawn(self, opening: Opening) -> None:
+        """Open a viewer's window, or use one that is already open."""
+        port = self._config.port or viewer.free_port(self._config.bind)
+        host = viewer.reachable(self._config.bind)
+        process = None
+        if not viewer.listens(host, port):
+            if viewer.is_taken(self._config.bind, port):
+                raise ViewError(f"port {port} is in use by another program; choose another port")
+            process = viewer.start_viewer(self._config, port)
+            viewer.warn_beyond_loopback(self._config.bind, port)
+
+        logged = False
+
+        def starting() -> bool:
+            nonlocal logged
+            code = process.poll() if process is not None else None
+            if code is not None and not logged:
+                logged = True
+                logger.warning(
+                    "the viewer ended at once (code %d); run 'rerun' to see why, or use --view serve", code
+                )
+            return process is not None and code is None
+
+        self._viewer = ViewerSink(f"rerun+http://{bracketed(host)}:{port}/proxy", opening, starting)
 
 
 def _handle_messages(view: RerunView, channel: Channel) -> float:
     """Handle messages until the last one; return the time limit for completing a file, seconds."""
-    sent = Status(0, 0)
+    sent = None
     while True:
-        if (status := view.status()) != sent:
-            channel.send(status)
-            sent = status
+        if (state := view.state()) != sent:
+            channel.send(state)
+            sent = state
         message = channel.receive(_LOOK_S)
+        if isinstance(message, Close):
+            return message.file_limit_s
         try:
-            if isinstance(message, ViewFrame):
+            if message is not None:
                 view.show(message)
-            elif isinstance(message, Line):
-                view.show_line(message)
-            elif isinstance(message, Close):
-                return message.file_limit_s
             # After the message, which a stuck disk would lose.
             view.look_after()
         except ViewError as err:
-            channel.send(Failed(str(err)))
+            view.problem = view.problem or str(err)
         except Exception as err:
-            channel.send(Failed(f"a frame cannot be shown ({type(err).__name__}): {err}"))
+            view.problem = view.problem or f"a frame cannot be shown ({type(err).__name__}): {err}"
 
 
 def _share_one_heap() -> None:
@@ -65,18 +194,16 @@ def _run(channel: Channel) -> int:
     try:
         view = RerunView(message)
     except ViewError as err:
-        channel.send(Failed(str(err)))
+        channel.send(State(problem=str(err)))
         return 1
     limit_s = FILE_PATIENCE_S
     with contextlib.suppress(ChannelClosedError):
-        channel.send(view.opened)
         limit_s = _handle_messages(view, channel)
     try:
         view.close(file_limit_s=limit_s)
     except ViewError as err:
-        channel.send(Failed(str(err)))
-    channel.send(view.status())
-    channel.send(Closed())
+        view.problem = view.problem or str(err)
+    channel.send(view.state(closed=True))
     return 0
 
 

@@ -1,20 +1,31 @@
-"""Rerun's web server as a process, and the page in front of it."""
+"""Rerun's web server as a process, and the page in front of it, without connections to other hosts."""
 
+import http.client
 import logging
+import re
+import shutil
 import socket
+import threading
 import time
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from ipaddress import ip_address
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 from nurbseg.app.view import viewer
 from nurbseg.app.view.config import ViewConfig, bracketed
-from nurbseg.app.view.page import PageServer
 from nurbseg.drivers.process.child import how_it_ended
 
 logger = logging.getLogger(__name__)
 
 #: A server that ends within this time of its start, seconds, is not restarted.
 _LASTING_S = 5.0
+#: Longest wait for Rerun's answer, and for a browser to take it; seconds.
+_TIMEOUT_S = 30.0
+#: Longest wait for Rerun's server to start, and pause between two tries; seconds.
+_START_S, _PAUSE_S = 10.0, 0.1
+#: Links to fonts of other hosts, and to hosts that a browser would connect to in advance.
+_FOREIGN_LINK = re.compile(rb'<link\b[^>]*href="https?://[^>]*>')
+_PASSED_ON = ("Content-Type", "Content-Encoding", "rerun-final-length")
 
 
 class WebServer:
@@ -83,3 +94,91 @@ class WebServer:
     def _end(self) -> None:
         self._process.kill()
         self._process.wait()
+
+
+class PageServer:
+    """Forwards the files of Rerun's web server with a Content-Security-Policy.
+
+    Rerun's page loads fonts, release news and examples, and sends usage statistics. The policy allows
+    connections only to this server and to the port of the frames, on the host named in the browser's request.
+    """
+
+    def __init__(self, bind: str, port: int, rerun: tuple[str, int], stream_port: int) -> None:
+        class Handler(_Handler):
+            upstream, stream = rerun, stream_port
+
+        class Server(ThreadingHTTPServer):
+            address_family = socket.AF_INET6 if ":" in bind else socket.AF_INET
+            daemon_threads = True
+
+        self._server = Server((bind, port), Handler)
+        self._thread = threading.Thread(target=self._server.serve_forever, name="view-page", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+
+class _Handler(BaseHTTPRequestHandler):
+    upstream: tuple[str, int]
+    stream: int
+    timeout = _TIMEOUT_S
+    protocol_version = "HTTP/1.1"
+
+    def do_GET(self) -> None:
+        connection = http.client.HTTPConnection(*self.upstream, timeout=_TIMEOUT_S)
+        try:
+            answer = self._answer(connection)
+            is_page = answer.headers.get_content_type() == "text/html"
+            page = _FOREIGN_LINK.sub(b"", answer.read()) if is_page else None
+            length = answer.headers["Content-Length"] if page is None else str(len(page))
+            self.send_response(answer.status)
+            for name in _PASSED_ON:
+                if (value := answer.headers[name]) is not None:
+                    self.send_header(name, value)
+            # A chunked answer of Rerun has no length and ends with the connection.
+            self.send_header(*(("Connection", "close") if length is None else ("Content-Length", length)))
+            self.send_header("Content-Security-Policy", self._policy())
+            self.send_header("Referrer-Policy", "no-referrer")
+            self.end_headers()
+            if page is not None:
+                self.wfile.write(page)
+            else:
+                shutil.copyfileobj(answer, self.wfile, 1 << 20)
+        except (OSError, http.client.HTTPException):
+            self.close_connection = True
+        finally:
+            connection.close()
+
+    def _answer(self, connection: http.client.HTTPConnection) -> http.client.HTTPResponse:
+        """Request the file from Rerun, which may still be starting."""
+        deadline_s = time.monotonic() + _START_S
+        while True:
+            try:
+                connection.request("GET", self.path)
+                return connection.getresponse()
+            except (OSError, http.client.HTTPException):
+                if time.monotonic() > deadline_s:
+                    raise
+            connection.close()
+            time.sleep(_PAUSE_S)
+
+    def _policy(self) -> str:
+        try:
+            host = urlsplit(f"//{self.headers['Host']}").hostname or ""
+        except ValueError:
+            host = ""
+        named = re.fullmatch(r"[\w.:-]+", host)
+        frames = "" if named is None else f" http://{f'[{host}]' if ':' in host else host}:{self.stream}"
+        return (
+            "default-src 'self'; "
+            "script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; worker-src 'self' blob:; "
+            "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
+            f"connect-src 'self' data: blob:{frames}; form-action 'none'; base-uri 'none'"
+        )
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Log nothing."""

@@ -46,29 +46,18 @@ def viewer_executable() -> Path:
 
 
 def start_viewer(
-    config: ViewConfig, port: int, *, headless: bool = False, size: str = ""
+    config: ViewConfig, port: int, *words: str, detached: bool = True
 ) -> subprocess.Popen[bytes]:
-    """Open a viewer that outlives this process and listens on `port` of `config.bind` only.
+    """Start Rerun's viewer or, with such `words`, its web server; it listens on `port` of `config.bind` only.
 
-    `size`, such as 1280x800, is that of its window or, if `headless`, of its screenshots.
+    If it is not `detached`, it ends with the thread that started it.
     """
-    words = ["--expect-data-soon", *(["--headless"] if headless else [])]
-    words += ["--window-size", size] if size else []
-    return _start(config, port, words, detached=True)
-
-
-def start_web_server(config: ViewConfig, port: int, web_port: int) -> subprocess.Popen[bytes]:
-    """Start a process that serves the viewer as a web page, and ends with the thread that started it."""
-    return _start(config, port, ["--serve-web", "--web-viewer-port", str(web_port)], detached=False)
-
-
-def _start(config: ViewConfig, port: int, words: list[str], *, detached: bool) -> subprocess.Popen[bytes]:
     memory = config.memory_limit
     command = [
         str(viewer_executable()),
         *("--bind", config.bind, "--port", str(port)),
-        *("--memory-limit", memory, "--server-memory-limit", memory if not detached else "64MB"),
-        *words,
+        *("--memory-limit", memory, "--server-memory-limit", "64MB" if detached else memory),
+        *("--expect-data-soon", *words),
     ]
     try:
         return subprocess.Popen(
@@ -82,6 +71,11 @@ def _start(config: ViewConfig, port: int, words: list[str], *, detached: bool) -
         )
     except OSError as err:
         raise ViewError(f"{command[0]}: cannot be started: {err}") from err
+
+
+def start_web_server(config: ViewConfig, port: int, web_port: int) -> subprocess.Popen[bytes]:
+    """Start a process that serves the viewer as a web page, and ends with the thread that started it."""
+    return start_viewer(config, port, "--serve-web", "--web-viewer-port", str(web_port), detached=False)
 
 
 def private_environment() -> dict[str, str]:

@@ -30,10 +30,9 @@ from nurbseg.app.view.drawing.entities import FrameEntities
 from nurbseg.app.view.drawing.frame import Moment
 from nurbseg.app.view.drawing.palette import DIVISION_COLORS, STOP_COLORS
 from nurbseg.app.view.file import FileSink
-from nurbseg.app.view.messages import Close, Failed, Open
+from nurbseg.app.view.messages import Close, Open
 from nurbseg.app.view.opening import open_view
-from nurbseg.app.view.program import _handle_messages
-from nurbseg.app.view.rerun import RerunView
+from nurbseg.app.view.program import RerunView, _handle_messages
 from nurbseg.app.view.stream import Item, Writer
 from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import ViewError, viewer_executable
@@ -472,7 +471,7 @@ def test_no_message_is_lost_where_the_disk_is_stuck(tmp_path: Path, monkeypatch:
     messages, sent = iter([None, Close(3.0)]), []
     channel = SimpleNamespace(receive=lambda _: next(messages), send=sent.append)
     assert _handle_messages(view, channel) == 3.0  # type: ignore[arg-type]
-    assert sent == [Failed("stuck")]
+    assert [state.problem for state in sent] == ["", "stuck"]
     view.close()
 
 

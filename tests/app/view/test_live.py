@@ -330,7 +330,7 @@ def test_a_taken_port_is_named_rather_than_served_silently_elsewhere() -> None:
 def headless_viewer_port() -> Iterator[int]:
     """Start a real viewer that draws into memory; skipped where there is nothing to draw with."""
     port = free_port(LOCAL)
-    process = start_viewer(ViewConfig(), port, headless=True)
+    process = start_viewer(ViewConfig(), port, "--headless")
     try:
         deadline_s = time.monotonic() + 60.0
         while not listens(LOCAL, port) and process.poll() is None and time.monotonic() < deadline_s:
