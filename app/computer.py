@@ -1,14 +1,14 @@
-"""The processor, BLAS kernels and library versions that results depend on."""
+"""The processor, BLAS kernels, threads and library versions that results and times depend on."""
 
 import os
 import platform
 from collections.abc import Iterable, MutableMapping
 from contextlib import suppress
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 _CPU_INFO = Path("/proc/cpuinfo")
 _PACKAGES = ("nurbseg", "numpy", "scipy", "opencv-python-headless", "rerun-sdk", "mcap")
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 #: The kernel of OpenBLAS that every processor with AVX2 and FMA can run.
 _COMMON_KERNEL = "Haswell"
 
@@ -24,6 +24,16 @@ def same_products_everywhere(
     """
     if {"avx2", "fma"} <= set(_cpu_line("flags", cpu_info).split()):
         environment["OPENBLAS_CORETYPE"] = _COMMON_KERNEL
+
+
+def one_thread_for_products(environment: MutableMapping[str, str] = os.environ) -> None:
+    """Let matrix products use one thread, unless the user has set another number.
+
+    The segmentation's matrices are small: several threads take longer than one, and much longer if the camera
+    or the viewer needs the processor. Call this before numpy is imported.
+    """
+    if not any(name in environment for name in _THREADS):
+        environment.update(dict.fromkeys(_THREADS, "1"))
 
 
 def computer() -> str:
@@ -43,6 +53,8 @@ def computer() -> str:
 
 def versions(packages: Iterable[str] = _PACKAGES) -> dict[str, str]:
     """Return the versions of Python, the platform and the installed packages."""
+    from importlib.metadata import PackageNotFoundError, version
+
     found = {"python": platform.python_version(), "platform": platform.platform()}
     for package in packages:
         with suppress(PackageNotFoundError):

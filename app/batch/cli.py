@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nurbseg.app.command.arguments import add_flag
-from nurbseg.app.command.threads import one_thread_for_products
+from nurbseg.app.computer import one_thread_for_products
 from nurbseg.app.config import warn_of_unread
 from nurbseg.app.export.config import ExportConfig, export_forms
 from nurbseg.app.messages import message_handler

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import NoReturn
 
 from nurbseg.app.command.arguments import Arguments, parse_arguments
-from nurbseg.app.command.threads import one_thread_for_products
+from nurbseg.app.computer import one_thread_for_products
 from nurbseg.app.config import warn_of_unread
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.messages import message_handler

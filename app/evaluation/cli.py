@@ -7,8 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from nurbseg.app.command.threads import one_thread_for_products
-from nurbseg.app.computer import same_products_everywhere
+from nurbseg.app.computer import one_thread_for_products, same_products_everywhere
 from nurbseg.app.messages import message_handler
 from nurbseg.app.parser import add_calibration_flags, add_setting_flags, command_parser
 
