@@ -30,21 +30,23 @@ _REVISED = ("refits", "trials", "splits", "appeared", "merges", "judged")
 class RunReport:
     """Collects a run's statistics, and writes them as JSON.
 
-    `metadata` of the source is read when the report is written. `capture`, `recorder` and `view` are set as
-    soon as they exist.
+    `metadata` of the source is read when the report is written. `recorder` and `view` are set as soon as they
+    exist.
     """
 
-    def __init__(self, config: AppConfig, source: str, metadata: Mapping[str, str]) -> None:
+    def __init__(
+        self, config: AppConfig, source: str, metadata: Mapping[str, str], capture: CaptureThread
+    ) -> None:
         #: Frames segmented, those of them too old to be shown, and frames only recorded.
         self.segmented = self.late = self.recorded_only = 0
         #: Whether a command ended the run.
         self.quit = False
-        self.capture: CaptureThread | None = None
         self.recorder: Recorder | None = None
         self.view = View()
         self._config = config
         self._source = source
         self._metadata = metadata
+        self._capture = capture
         self._began = datetime.now(UTC)
         self._began_s = time.monotonic()
         self._first_s: float | None = None
@@ -89,13 +91,10 @@ class RunReport:
             return f"{self.recorded_only} frame{'s' * (self.recorded_only != 1)} read"
         text = f"{self.segmented} frame{'s' * (self.segmented != 1)} segmented"
         text += f", {self.frames_per_s:.2f} frames/s" if self.segmented > 1 else ""
-        capture = self.capture
-        if capture is None:
-            return text
         others = (
-            (capture.frames.dropped, "overwritten by newer ones"),
-            (capture.withheld, "only recorded"),
-            (capture.damaged, "damaged"),
+            (self._capture.frames.dropped, "overwritten by newer ones"),
+            (self._capture.withheld, "only recorded"),
+            (self._capture.damaged, "damaged"),
             (self.late, "too late to be shown"),
             (self.view.dropped, "dropped by the slow viewer"),
         )
@@ -104,13 +103,10 @@ class RunReport:
 
     def document(self, ended: str) -> dict[str, Any]:
         """Return the report; `ended` is the reason why the run ended."""
-        capture = self.capture
-        read = 0 if capture is None else capture.read
-        overwritten = 0 if capture is None else capture.frames.dropped
-        withheld = 0 if capture is None else capture.withheld
+        capture = self._capture
+        overwritten, withheld = capture.frames.dropped, capture.withheld
         recordings = [] if self.recorder is None else self.recorder.figures()
-        damaged = 0 if capture is None else capture.damaged
-        unfinished = read - self.segmented - self.recorded_only - overwritten - withheld
+        unfinished = capture.read - self.segmented - self.recorded_only - overwritten - withheld
         first_s = None if self._first_s is None else round(self._first_s - self._began_s, 3)
         return {
             "ended": ended,
@@ -118,19 +114,19 @@ class RunReport:
             "seconds": round(time.monotonic() - self._began_s, 3),
             "source": {"opened": self._source, **self._metadata},
             "frames": {
-                "read": read,
+                "read": capture.read,
                 "segmented": self.segmented,
                 "late": self.late,
                 "recorded_only": self.recorded_only,
                 "dropped": {
                     "overwritten_by_a_newer_frame": overwritten,
                     "withheld_for_the_recording": withheld,
-                    "damaged": damaged,
+                    "damaged": capture.damaged,
                     "without_a_partner": int(self._metadata.get("dropped", 0)),
                     "unfinished_at_the_end": unfinished,
                 },
-                "camera": {} if capture is None else dict(capture.losses),
-                "damaged_frames": [] if capture is None else capture.damaged_frames,
+                "camera": dict(capture.losses),
+                "damaged_frames": capture.damaged_frames,
             },
             "recording": recordings[-1] if recordings else None,
             "earlier_recordings": recordings[:-1],

@@ -74,7 +74,9 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
             opened = open_chosen(config)
             stack.enter_context(opened.source)
         _log.info("source: %s", opened.uri)
-        report = RunReport(config, opened.uri, opened.source.metadata)
+        prepare = DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
+        capture = CaptureThread(opened.source, lossless=opened.every_frame, preparation=prepare)
+        report = RunReport(config, opened.uri, opened.source.metadata, capture)
         with _reported(report, interruption):
             with _setup():
                 _check_workers(config, opened)
@@ -86,22 +88,16 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 recorder = report.recorder = Recorder(
                     config.record, opened.camera, name=record_name, lossless=opened.every_frame
                 )
+                capture.recording = recorder.recording
                 try:
                     view = report.view = stack.enter_context(_open_view(config, opened, view_process))
                 except BaseException:
-                    if recorder.recording is not None:
+                    if capture.recording is not None:
                         # Without frames, its file is not kept.
-                        recorder.recording.close()
+                        capture.recording.close()
                     raise
             if view.how_to_look:
                 _log.info("to look: %s", view.how_to_look)
-            prepare = DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
-            capture = report.capture = CaptureThread(
-                opened.source,
-                lossless=opened.every_frame,
-                recording=recorder.recording,
-                preparation=prepare,
-            )
             with recorder, _watched(config.source.replay), ExitStack() as reading:
                 if warm_up is not None:
                     warm_up.wait()
@@ -239,7 +235,7 @@ def _segment(
         _segment_in_parallel(config, feed, count, exporter, view, report)
         return
     exports: list[Consumer] = [] if exporter is None else [("export", exporter.write)]
-    segmenter = _segmenter(settings, every_surface=bool(exports))
+    segmenter: Segmenter | None = None
     latency_filter = LatencyFilter(0.0 if opened.every_frame else config.live.age_max_ms)
     controls = Controls(
         config.segmentation,
@@ -252,13 +248,18 @@ def _segment(
     jumps = 0
     with closing(frames):
         for captured in frames:
+            if segmenter is None or controls.config is not segmenter.config:
+                settings = replace(settings, config=controls.config)
+                segmenter = Segmenter(
+                    controls.config,
+                    temporal=settings.temporal,
+                    target_hz=settings.target_fps,
+                    every_surface=bool(exports),
+                )
+                view.metric = controls.config.metric
             if captured.jumps != jumps:
                 jumps = captured.jumps
                 segmenter.restart("a jump to another frame")
-            if controls.config is not segmenter.config:
-                settings = replace(settings, config=controls.config)
-                segmenter = _segmenter(settings, every_surface=bool(exports))
-                view.metric = controls.config.metric
             view.every_table = opened.every_frame or controls.paused
             waited_ms = 1e3 * (time.monotonic() - captured.arrived_s)
             result = segmenter.process(captured.frame, source_hz=feed.capture.source_hz, waited_ms=waited_ms)
@@ -287,15 +288,6 @@ def _segment(
                 # These objects are permanent; collecting garbage among them takes a tenth of a second.
                 gc.freeze()
     report.quit = controls.ended
-
-
-def _segmenter(settings: RunSettings, *, every_surface: bool) -> Segmenter:
-    return Segmenter(
-        settings.config,
-        temporal=settings.temporal,
-        target_hz=settings.target_fps,
-        every_surface=every_surface,
-    )
 
 
 def _segment_in_parallel(

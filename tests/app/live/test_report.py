@@ -1,5 +1,6 @@
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from unittest.mock import MagicMock
 
@@ -12,14 +13,19 @@ from nurbseg.app.live.report import RunReport, peak_memory_mb
 from nurbseg.drivers.errors import FrameFormatError
 
 
-def test_every_frame_is_accounted_for() -> None:
-    script = [small_frame(0), FrameFormatError("b: bad"), small_frame(2), small_frame(3), small_frame(4)]
-    report = RunReport(AppConfig(), "scripted", {"dropped": "3", "device": "none"})
+def report_of(config: AppConfig, metadata: Mapping[str, str], *script: object) -> RunReport:
+    """A report of a source that was read to its end, of which only the newest frame was taken."""
     with ScriptedSource(script) as source, CaptureThread(source) as capture:
         capture._thread.join(10.0)
-        assert capture.frames.take(10.0) is not None
-        report.add({"segment": 5.0})
-    report.capture = capture
+        if script:
+            assert capture.frames.take(10.0) is not None
+    return RunReport(config, "scripted", metadata, capture)
+
+
+def test_every_frame_is_accounted_for() -> None:
+    script = [small_frame(0), FrameFormatError("b: bad"), small_frame(2), small_frame(3), small_frame(4)]
+    report = report_of(AppConfig(), {"dropped": "3", "device": "none"}, *script)
+    report.add({"segment": 5.0})
     frames = report.document("the source ended")["frames"]
     assert (frames["read"], frames["segmented"]) == (4, 1)
     assert {why: count for why, count in frames["dropped"].items() if count} == {
@@ -40,7 +46,7 @@ def test_every_frame_is_accounted_for() -> None:
 
 
 def test_latencies_are_reported_as_percentiles() -> None:
-    report = RunReport(AppConfig(), "scripted", {})
+    report = report_of(AppConfig(), {})
     for value in range(1, 102):
         report.add({"segment": float(value)})
     stages = report.document("")["latency_ms"]
@@ -50,7 +56,7 @@ def test_latencies_are_reported_as_percentiles() -> None:
 def test_the_file_holds_configuration_versions_and_memory(tmp_path: Path) -> None:
     file = tmp_path / "new" / "report.json"
     config = AppConfig(export=ExportConfig(report=str(file)))
-    report = RunReport(config, "scripted", {"device": "none"})
+    report = report_of(config, {"device": "none"})
     report.write("interrupted")
     document = json.loads(file.read_text())
     assert document["ended"] == "interrupted"
@@ -72,7 +78,7 @@ def test_peak_memory_is_what_the_kernel_says() -> None:
 
 @pytest.mark.parametrize("frames", [0, 1])
 def test_a_rate_needs_two_frames(frames: int) -> None:
-    report = RunReport(AppConfig(), "scripted", {})
+    report = report_of(AppConfig(), {})
     for _ in range(frames):
         report.add({"segment": 1.0})
     assert report.frames_per_s == 0.0
