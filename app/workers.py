@@ -9,8 +9,9 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal, TypeVar
 
 from nurbseg.drivers.process.child import dying_with_parent, end_group, how_it_ended, python_command
 
@@ -31,16 +32,14 @@ class WorkerLostError(RuntimeError):
     """Two processes died while working on the same task."""
 
 
-class Workers(Protocol):
-    """Executes tasks."""
+@dataclass(frozen=True, slots=True)
+class Workers:
+    """Execute tasks."""
 
-    def submit(self, function: Callable[[Task], Result], task: Task, /) -> Future[Result]:
-        """Execute a task; `function` is found by its name, and the task is copied."""
-        ...
-
-    def ahead(self) -> int:
-        """Return the number of tasks to submit in advance."""
-        ...
+    #: Executes a function, which is found by its name, of a task, which is copied.
+    submit: Callable[[Callable[[Any], Any], Any], Future[Any]]
+    #: Returns the number of tasks to submit in advance.
+    ahead: Callable[[], int]
 
 
 def in_order(
@@ -82,70 +81,47 @@ def open_workers(count: int, scheduler: str | None = None, *, module: str = "") 
     (``tcp://HOST:8786``), which must see the same files under the same names. Processes import `module`
     before their first task. Raises ValueError if the scheduler does not answer, or has no worker.
     """
-    if scheduler is not None:
-        with _cluster(scheduler) as cluster:
-            yield cluster
-    elif count == 1:
-        yield _ThisProcess()
-    else:
-        processes = _Processes(count, module)
-        try:
-            yield processes
-        finally:
-            processes.close()
+    if scheduler is None and count == 1:
+        yield Workers(_executed, lambda: 0)
+        return
+    with _processes(count, module) if scheduler is None else _cluster(scheduler) as workers:
+        yield workers
 
 
-class _ThisProcess:
-    """Executes a task when it is submitted."""
-
-    def submit(self, function: Callable[[Task], Result], task: Task, /) -> Future[Result]:
-        future: Future[Result] = Future()
-        try:
-            future.set_result(function(task))
-        except Exception as err:
-            future.set_exception(err)
-        return future
-
-    def ahead(self) -> int:
-        return 0
+def _executed(function: Callable[[Task], Result], task: Task) -> Future[Result]:
+    future: Future[Result] = Future()
+    try:
+        future.set_result(function(task))
+    except Exception as err:
+        future.set_exception(err)
+    return future
 
 
-class _Processes:
-    """Processes on this computer, each with a thread that waits for it."""
+@contextmanager
+def _processes(count: int, module: str) -> Iterator[Workers]:
+    """Provide processes on this computer, each with a thread that waits for it."""
+    started: list[_Process] = []
+    idle: queue.SimpleQueue[_Process] = queue.SimpleQueue()
+    threads = ThreadPoolExecutor(count, "worker")
 
-    def __init__(self, count: int, module: str) -> None:
-        self._count = count
-        self._idle: queue.SimpleQueue[_Process] = queue.SimpleQueue()
-        self._all: list[_Process] = []
-        self._threads = ThreadPoolExecutor(count, "worker")
-        try:
-            for _ in range(count):
-                self._all.append(_Process(module))
-                self._idle.put(self._all[-1])
-        except BaseException:
-            self.close()
-            raise
-
-    def submit(self, function: Callable[[Task], Result], task: Task, /) -> Future[Result]:
-        return self._threads.submit(self._done, function, task)
-
-    def ahead(self) -> int:
-        # One more for each, so that none waits for its next task.
-        return 2 * self._count - 1
-
-    def _done(self, function: Callable[[Task], Result], task: Task) -> Result:
-        process = self._idle.get_nowait()  # there are as many threads as processes
+    def execute(function: Callable[[Any], Any], task: Any) -> Any:
+        process = idle.get_nowait()  # there are as many threads as processes
         try:
             return process.call(function, task)
         finally:
-            self._idle.put(process)
+            idle.put(process)
 
-    def close(self) -> None:
-        """End all processes at once."""
-        for each in self._all:
+    try:
+        for _ in range(count):
+            started.append(_Process(module))
+            idle.put(started[-1])
+        # One more for each, so that none waits for its next task.
+        yield Workers(lambda *call: threads.submit(execute, *call), lambda: 2 * count - 1)
+    finally:
+        for each in started:
             each.end()
-        self._threads.shutdown(cancel_futures=True)
-        for each in self._all:
+        threads.shutdown(cancel_futures=True)
+        for each in started:
             each.close()
 
 
@@ -181,7 +157,7 @@ class _Process:
                 result, error = self._connection.recv()
             except (EOFError, OSError):
                 with self._lock:
-                    lost = self._end(_LAST_WORDS_S)
+                    lost = how_it_ended(end_group(self._process, _LAST_WORDS_S))
                     if self._closed:
                         break
                     self._connection.close()
@@ -196,37 +172,19 @@ class _Process:
         """End the process for good; callable from any thread."""
         with self._lock:
             self._closed = True
-            self._end(0.0)
+            end_group(self._process, 0.0)
 
     def close(self) -> None:
         """Close the connection to the process, which has ended."""
         self._connection.close()
 
-    def _end(self, limit_s: float) -> str:
-        """Wait for the end of the process, or kill it; return how it ended."""
-        return how_it_ended(end_group(self._process, limit_s))
-
-
-class _Cluster:
-    """The workers of a Dask scheduler."""
-
-    def __init__(self, client: Any) -> None:
-        self._client = client
-        self._executor = client.get_executor()
-
-    def submit(self, function: Callable[[Task], Result], task: Task, /) -> Future[Result]:
-        return self._executor.submit(function, task)  # type: ignore[no-any-return]
-
-    def ahead(self) -> int:
-        return 2 * int(sum(self._client.ncores().values()))
-
 
 @contextmanager
-def _cluster(scheduler: str) -> Iterator[_Cluster]:
+def _cluster(scheduler: str) -> Iterator[Workers]:
     from distributed import Client
 
     try:
-        client = Client(scheduler, timeout=_SCHEDULER_TIMEOUT_S, set_as_default=False)  # type: ignore[no-untyped-call]
+        client: Any = Client(scheduler, timeout=_SCHEDULER_TIMEOUT_S, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, TimeoutError, ValueError) as err:
         raise ValueError(f"--scheduler {scheduler}: no Dask scheduler answers there ({err})") from err
     with client:
@@ -236,4 +194,4 @@ def _cluster(scheduler: str) -> Iterator[_Cluster]:
             raise ValueError(
                 f"--scheduler {scheduler}: it has no workers; start some: dask worker {scheduler}"
             ) from err
-        yield _Cluster(client)
+        yield Workers(client.get_executor().submit, lambda: 2 * int(sum(client.ncores().values())))
