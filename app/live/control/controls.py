@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any, get_args
 
 from nurbseg.app.live.capture import CaptureThread
-from nurbseg.app.live.control.commands import help_text
+from nurbseg.app.live.control.console import help_text
 from nurbseg.app.live.replay import Looped
 from nurbseg.app.recording.recorder import Recorder, RecordError
 from nurbseg.segmentation.config import Level, Method, Metric, SegmentationConfig

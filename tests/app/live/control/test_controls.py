@@ -12,7 +12,7 @@ from scripted_source import NumberedSource, ScriptedSource, small_frame
 from waiting import wait_until
 
 from nurbseg.app.live.capture import CaptureThread
-from nurbseg.app.live.control.commands import COMMANDS, KEYS
+from nurbseg.app.live.control.console import COMMANDS, KEYS
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.live.replay import Looped
 from nurbseg.app.recording.config import RecordConfig
