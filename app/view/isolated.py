@@ -79,9 +79,10 @@ class IsolatedView(View):
         self._queue: BoundedQueue[partial[ViewFrame] | Line] = (
             BoundedQueue(1, "drop oldest") if config.save is None else BoundedQueue(_WAITING, "wait")
         )
-        self._changed = threading.Condition()
+        #: Set when a frame was drawn, and when nothing more comes of the process.
+        self._drawn, self._ended = threading.Event(), threading.Event()
         self._problem = ""
-        self._over = self._closed = self._has_drawn = False
+        self._closed = False
         self._state = State()
         self._shown_s: deque[float] = deque(maxlen=_RATE_FRAMES + 1)
         self._table_s = float("-inf")
@@ -158,11 +159,9 @@ class IsolatedView(View):
         _package_log.removeHandler(self._handler)
         self._file_limit_s = file_limit_s
         self._queue.close()
-        with self._changed:
-            if not self._wait_for_end(file_limit_s) and self._config.save is not None:
-                self._fail(f"{self._config.save}: not written in time; its last frames are missing")
-            self._over = True
-            self._changed.notify_all()
+        if not self._wait_for_end(file_limit_s) and self._config.save is not None:
+            self._fail(f"{self._config.save}: not written in time; its last frames are missing")
+        self._ended.set()
         self._process.end(_END_S)
         self._thread.join()
         self._process.close()
@@ -175,15 +174,15 @@ class IsolatedView(View):
         """Return whether everything was written in time."""
         # In the first run on a computer, drawing the first frame waits for the compiler.
         if file_limit_s >= FILE_PATIENCE_S and self._shown_s:
-            self._changed.wait_for(lambda: self._over or self._has_drawn, _COMPILE_S)
+            self._drawn.wait(_COMPILE_S)
         limit_s = file_limit_s + _REST_S
         began_s = time.monotonic()
-        while not self._over:
+        while not self._ended.is_set():
             waited_s = time.monotonic() - began_s
             silent_s = min(waited_s, self._channel.silent_s)
             if silent_s >= limit_s or waited_s >= max(limit_s, _BUSY_S):
                 return False
-            self._changed.wait(limit_s - silent_s)
+            self._ended.wait(limit_s - silent_s)
         return True
 
     def _rate_hz(self) -> float:
@@ -231,22 +230,20 @@ class IsolatedView(View):
                     if item is not None and not self._problem:
                         self._send_item(item)
             self._channel.send(Close(self._file_limit_s))
-            while not self._over:
+            while not self._ended.is_set():
                 self._handle(self._channel.receive(_LOOK_S))
         except ChannelClosedError:
-            if not self._over:
+            if not self._ended.is_set():
                 self._fail(self._how_it_ended())
-        with self._changed:
-            self._over = True
-            self._changed.notify_all()
+        self._drawn.set()
+        self._ended.set()
 
     def _send_item(self, item: partial[ViewFrame] | Line) -> None:
         try:
             message = item if isinstance(item, Line) else item()
-            with self._changed:
-                self._has_drawn = self._has_drawn or message is not item
-                self._changed.notify_all()
-            while not self._over and not self._channel.send(message, 0.0):
+            if message is not item:
+                self._drawn.set()
+            while not self._ended.is_set() and not self._channel.send(message, 0.0):
                 # Until the process has taken a frame before.
                 self._handle(self._channel.receive(_LOOK_S))
         except ChannelClosedError:
@@ -257,11 +254,11 @@ class IsolatedView(View):
 
     def _handle(self, message: Any) -> None:
         if isinstance(message, State):
+            self._state = message
             if message.problem:
                 self._fail(message.problem)
-            with self._changed:
-                self._state, self._over = message, self._over or message.closed
-                self._changed.notify_all()
+            if message.closed:
+                self._ended.set()
 
 
 def _properties(
