@@ -1,6 +1,6 @@
 """Tables of a frame, as Markdown: its objects, and the segments of its tree."""
 
-from collections.abc import Mapping
+from collections import Counter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,49 +35,34 @@ def object_table(frame: ViewFrame) -> str:
     """
     kind = "segments" if frame.objects is None else "objects"
     object_of_surface = frame.object_of_surface
-    count = max(object_of_surface.values(), default=0) + 1
-    pixels, surfaces = np.zeros((2, count), dtype=np.intp)
+    pixels, surfaces = Counter[int](), Counter[int]()
     for each in frame.tree:
         if each.label:
             thing = object_of_surface[each.label]
             pixels[thing] += each.pixels
             surfaces[thing] += 1
-    errors_m = _root_mean_squares(frame, object_of_surface, count)
-    order = np.argsort(frame.point_labels, kind="stable")
-    ends = np.cumsum(np.bincount(frame.point_labels, minlength=count))
-    points_m = np.split(frame.points_m[order], ends[:-1])
-    listed = np.flatnonzero(surfaces)
+    of_vertex = relabelled(frame.mesh.labels, object_of_surface)
     lines = [
-        f"**{_name(frame)}**: {listed.size} {kind}\n",
+        f"**{_name(frame)}**: {len(surfaces)} {kind}\n",
         f"| {kind[:-1]} | color | pixels | distance (m) | size (m) | fit error (mm) | surfaces |",
         "|---:|---|---:|---:|---|---:|---:|",
     ]
-    for thing in listed[np.argsort(-pixels[listed], kind="stable")].tolist():
-        distance, size = _place(points_m[thing])
+    for thing in sorted(surfaces, key=lambda thing: (-pixels[thing], thing)):
+        distance, size = _place(frame.points_m[frame.point_labels == thing])
+        residuals_m = frame.mesh.residuals_m[of_vertex == thing].astype(np.float64)
         cells = (
             str(thing),
             color_name(thing),
             f"{pixels[thing]:,}",
             distance,
             size,
-            "" if np.isnan(errors_m[thing]) else f"{1e3 * errors_m[thing]:.1f}",
+            f"{1e3 * np.sqrt(np.mean(residuals_m**2)):.1f}" if residuals_m.size else "",
             str(surfaces[thing]),
         )
         lines.append(f"| {' | '.join(cells)} |")
     if frame.merges:
         lines += ["", "Merged surfaces:", "", *(f"- {each}" for each in frame.merges)]
     return "\n".join(lines)
-
-
-def _root_mean_squares(
-    frame: ViewFrame, object_of_surface: Mapping[int, int], count: int
-) -> NDArray[np.float64]:
-    """Return the root mean square of the residuals of each object, metres; NaN without a surface."""
-    thing = relabelled(frame.mesh.labels, object_of_surface)
-    squares = np.bincount(thing, frame.mesh.residuals_m.astype(np.float64) ** 2, count)
-    vertices = np.bincount(thing, minlength=count)
-    means = np.divide(squares, vertices, out=np.full(count, np.nan), where=vertices > 0)
-    return np.asarray(np.sqrt(means))
 
 
 def _place(points_m: NDArray[np.float32]) -> tuple[str, str]:
