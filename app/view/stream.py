@@ -1,6 +1,5 @@
 """The content of a stream of a recording: how it begins, then frames and log lines."""
 
-import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -19,14 +18,6 @@ APPLICATION = "nurbseg"
 
 #: A device clock past this (the year 2001) is a date; otherwise it counts from an arbitrary start.
 _EPOCH_NS = 1_000_000_000 * 10**9
-#: Rerun's names of logging's levels.
-_LEVELS = {
-    logging.CRITICAL: "CRITICAL",
-    logging.ERROR: "ERROR",
-    logging.WARNING: "WARN",
-    logging.INFO: "INFO",
-    logging.DEBUG: "DEBUG",
-}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +80,9 @@ class Writer:
         """Log a frame or a line at its time."""
         set_time(self._stream, item.moment)
         if isinstance(item, Line):
-            self._stream.log(LOG, rr.TextLog(item.text, level=_LEVELS.get(item.level, "INFO")))
+            self._stream.log(
+                LOG, rr.TextLog(item.text, level=rr.LoggingHandler.LVL2NAME.get(item.level, "INFO"))
+            )
             return
         frame = item.frame
         kind = frame.unregistered_color is None, frame.truth is not None, frame.objects is not None

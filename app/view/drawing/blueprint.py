@@ -12,25 +12,11 @@ from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing import entities as entity
 from nurbseg.app.view.drawing import tree as tree_drawing
 from nurbseg.app.view.drawing.frame import ViewFrame
-from nurbseg.app.view.drawing.palette import STOP_COLORS
+from nurbseg.app.view.drawing.palette import STOPS
 from nurbseg.segmentation.config import SegmentationConfig
 
 #: Positions of the eye and its target in the depth camera's frame, as multiples of the scene's distance.
 _EYE, _TARGET = (-0.36, -0.42, -0.4), (-0.1, 0.02, 1.0)
-
-_STOP_TEXTS = {
-    "criterion": "red: a split was tried and did not fit better",
-    "child-too-small": "orange: a side of the cut was smaller than T_p",
-    "too-small": "light green: smaller than 2 T_p",
-    "depth": "green: the tree's maximum depth T_d was reached",
-    "splits": "blue: the maximum number of splits T_s was reached",
-    "no-cut": "violet: no cut was found",
-    "no-fit": "pink: no surface could be fitted",
-    "no-points": "white: no points",
-    "noise": "turquoise: so close to the sensor's noise that no split can be kept",
-    "untried": "sand: no split was tried recently (live)",
-    "budget": "maroon: the time limit for the frame (--budget-ms) was reached",
-}
 
 
 def blueprint(frame: ViewFrame, view: ViewConfig, timeline: str = "frame") -> rrb.Blueprint:
@@ -164,7 +150,7 @@ def _plot(
 
 def legend(view: ViewConfig, segmentation: SegmentationConfig) -> str:
     """Return the meaning of the colors, as Markdown."""
-    stops = "\n".join(f"- {_STOP_TEXTS[reason]}" for reason in STOP_COLORS)
+    stops = "\n".join(f"- {text}" for _, text in STOPS.values())
     largest_mm = 1e3 * view.residual_max_m
     return f"""# What the colors mean
 

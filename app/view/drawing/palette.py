@@ -12,20 +12,21 @@ from nurbseg.segmentation.vocabulary import Division, StopReason
 #: Number of labels with a color of their own.
 LABEL_COLORS = 1023
 
-#: Fill of a leaf by its stop reason; the first four are those of the paper's figure 3.
-STOP_COLORS: dict[StopReason, tuple[int, int, int]] = {
-    StopReason.CRITERION: (222, 45, 38),
-    StopReason.CHILD_TOO_SMALL: (253, 141, 20),
-    StopReason.TOO_SMALL: (161, 225, 128),
-    StopReason.DEPTH: (26, 140, 65),
-    StopReason.SPLITS: (66, 133, 217),
-    StopReason.NO_CUT: (158, 97, 204),
-    StopReason.NO_FIT: (240, 98, 180),
-    StopReason.NO_POINTS: (240, 240, 240),
-    StopReason.NOISE: (45, 190, 200),
-    StopReason.UNTRIED: (214, 196, 120),
-    StopReason.BUDGET: (128, 20, 70),
+#: Fill of a leaf by its stop reason, and its meaning; the first four colors are the paper's (figure 3).
+STOPS: dict[StopReason, tuple[tuple[int, int, int], str]] = {
+    StopReason.CRITERION: ((222, 45, 38), "red: a split was tried and did not fit better"),
+    StopReason.CHILD_TOO_SMALL: ((253, 141, 20), "orange: a side of the cut was smaller than T_p"),
+    StopReason.TOO_SMALL: ((161, 225, 128), "light green: smaller than 2 T_p"),
+    StopReason.DEPTH: ((26, 140, 65), "green: the tree's maximum depth T_d was reached"),
+    StopReason.SPLITS: ((66, 133, 217), "blue: the maximum number of splits T_s was reached"),
+    StopReason.NO_CUT: ((158, 97, 204), "violet: no cut was found"),
+    StopReason.NO_FIT: ((240, 98, 180), "pink: no surface could be fitted"),
+    StopReason.NO_POINTS: ((240, 240, 240), "white: no points"),
+    StopReason.NOISE: ((45, 190, 200), "turquoise: so close to the sensor's noise that no split can be kept"),
+    StopReason.UNTRIED: ((214, 196, 120), "sand: no split was tried recently (live)"),
+    StopReason.BUDGET: ((128, 20, 70), "maroon: the time limit for the frame (--budget-ms) was reached"),
 }
+STOP_COLORS = {reason: color for reason, (color, _) in STOPS.items()}
 #: Fill of a divided segment: gray if it was cut, otherwise darker.
 DIVISION_COLORS: dict[Division, tuple[int, int, int]] = {
     Division.CUT: (150, 155, 162),
