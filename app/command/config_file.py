@@ -100,8 +100,6 @@ def _nearest(key: str) -> str:
                 valid.setdefault(spelling, full)
     valid.pop("", None)
     bare = key.rpartition(".")[2]
-    if bare in valid:
-        return f" (did you mean {valid[bare]}?)"
     for wanted in (bare, key):
         close = difflib.get_close_matches(wanted, valid, n=1, cutoff=0.7)
         if close:

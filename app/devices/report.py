@@ -119,20 +119,14 @@ def _looked_at(system: System) -> str:
 
 def _modes_as_text(modes: Sequence[VideoMode]) -> str:
     """Return modes grouped by size and rate: "640x480 at 30, 25 (1 mm, 100 um); ..."."""
-    by_formats: dict[tuple[int, int, tuple[str, ...]], list[int]] = {}
-    for width, height, fps in dict.fromkeys((mode.width, mode.height, mode.fps) for mode in modes):
-        formats = tuple(
-            dict.fromkeys(
-                _FORMATS.get(mode.pixel_format.name, mode.pixel_format.name)
-                for mode in modes
-                if (mode.width, mode.height, mode.fps) == (width, height, fps)
-            )
-        )
-        by_formats.setdefault((width, height, formats), []).append(fps)
-    texts = [
-        f"{width}x{height} at {', '.join(str(fps) for fps in rates)} ({', '.join(formats)})"
-        for (width, height, formats), rates in by_formats.items()
-    ]
+    formats: dict[tuple[int, int, int], dict[str, None]] = {}
+    for mode in modes:
+        name = mode.pixel_format.name
+        formats.setdefault((mode.width, mode.height, mode.fps), {})[_FORMATS.get(name, name)] = None
+    rates: dict[tuple[int, int, str], list[str]] = {}
+    for (width, height, fps), names in formats.items():
+        rates.setdefault((width, height, ", ".join(names)), []).append(str(fps))
+    texts = [f"{each[0]}x{each[1]} at {', '.join(fps)} ({each[2]})" for each, fps in rates.items()]
     return "; ".join(texts) or "none"
 
 
