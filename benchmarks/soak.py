@@ -61,7 +61,7 @@ class Life:
     def slope(self) -> float:
         """Return how memory grew in the second half of its work, 10^6 bytes a minute.
 
-        A process that is kept ready for a camera has a fraction of its memory until there is one to read.
+        A process that looks for a lost camera has a fraction of its memory until there is one to read.
         """
         ready = next(n for n, memory_mb in enumerate(self.memory_mb) if memory_mb > 0.5 * self.memory_mb[-1])
         half = (ready + len(self.minutes)) // 2

@@ -34,9 +34,8 @@ class Reconnecting(FrameSource):
     slow camera. When it is back, indices continue, and so do timestamps, advanced by the time that has
     passed: a camera's clock restarts when it is plugged in.
 
-    The open `source` is owned. `reopen` is called every `interval_s` seconds to open the same camera again,
-    and raises DriverError while it is disconnected; `abandon` is called on closing, to cancel what `reopen`
-    has begun.
+    The open `source` is owned. `reopen` returns a source of the same camera, which is waited for until it
+    `is_open`. After a DriverError it is called again, every `interval_s` seconds at most.
 
     Attributes
     ----------
@@ -55,7 +54,6 @@ class Reconnecting(FrameSource):
         source: FrameSource,
         reopen: Callable[[], FrameSource],
         *,
-        abandon: Callable[[], None] | None = None,
         interval_s: float = 0.5,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
@@ -66,8 +64,8 @@ class Reconnecting(FrameSource):
         self.reconnections = 0
         self._lost: Counter[str] = Counter()
         self._source: FrameSource | None = source
+        self._opening: FrameSource | None = None
         self._reopen = reopen
-        self._abandon = abandon
         self._interval_s = interval_s
         self._clock = clock
         self._sleep = sleep
@@ -152,22 +150,29 @@ class Reconnecting(FrameSource):
 
     def _wait_for_camera(self, deadline: float, timeout_s: float) -> FrameSource:
         while True:
-            now = self._clock()
-            if now >= self._next_try_s:
-                self._next_try_s = now + self._interval_s
-                try:
-                    source = self._reopen()
-                except DriverError as err:
-                    logger.debug("still disconnected: %s", err)
-                else:
-                    self._source = source
+            try:
+                if self._opening is None and self._clock() >= self._next_try_s:
+                    self._next_try_s = self._clock() + self._interval_s
+                    self._opening = self._reopen()
+                left_s = max(0.0, deadline - self._clock())
+                if self._opening is not None and self._opening.is_open(left_s):
+                    source, self._source, self._opening = self._opening, self._opening, None
                     self._take_over(source)
                     self._continue_recording(source)
                     return source
+            except DriverError as err:
+                logger.debug("still disconnected: %s", err)
+                self._stop_opening()
             now = self._clock()
             if now >= deadline:
                 raise FrameTimeoutError(f"the camera is disconnected: no frame within {timeout_s:g} s")
-            self._sleep(max(0.0, min(self._next_try_s, deadline) - now))
+            if self._opening is None:
+                self._sleep(max(0.0, min(self._next_try_s, deadline) - now))
+
+    def _stop_opening(self) -> None:
+        opening, self._opening = self._opening, None
+        if opening is not None:
+            opening.close()
 
     def _take_over(self, source: FrameSource) -> None:
         before, self.calibration = self.calibration, source.calibration
@@ -196,8 +201,7 @@ class Reconnecting(FrameSource):
         return frame
 
     def _close(self) -> None:
-        if self._abandon is not None:
-            self._abandon()
+        self._stop_opening()
         if self._source is not None:
             self._source.close()
             self._source = None

@@ -67,6 +67,13 @@ class FrameSource(Closing):
             raise DriverError(f"{type(self).__name__} is closed")
         return self._read(timeout_s)
 
+    def is_open(self, timeout_s: float = 0.0) -> bool:
+        """Whether frames can be read; waits at most this long for a camera that is being looked for.
+
+        Raises DriverError if it cannot be opened.
+        """
+        return True
+
     @property
     def losses(self) -> Mapping[str, int]:
         """What was lost before it could be read here, counted by reason; empty for a recording."""

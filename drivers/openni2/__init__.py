@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,19 +25,19 @@ def open_uri(rest: str, options: SourceOptions) -> FrameSource:
     asked of it, and RecordingFormatError if the recording is damaged.
     """
     # Imported late: the options alone need neither numpy nor the library.
-    from nurbseg.drivers.openni2.isolated.source import IsolatedCamera, Reopening
+    from nurbseg.drivers.openni2.isolated.source import IsolatedCamera
     from nurbseg.drivers.reconnect import Reconnecting
 
     if rest.lower().endswith(".oni"):
         from nurbseg.drivers.openni2.oni.playback import OniSource
 
         return OniSource(Path(rest), options)
-    settings, limit_s = options.device or DeviceOptions(), options.association_limit_s
-    camera = IsolatedCamera(rest, settings, pairing_limit_s=limit_s)
+    settings = options.device or DeviceOptions()
+    open_camera = partial(IsolatedCamera, options=settings, pairing_limit_s=options.association_limit_s)
+    camera = open_camera(rest)
     if not settings.reconnect:
         return camera
     with closed_on_error(camera.close):
         same = camera.metadata["serial"] or f"port:{camera.metadata['usb_port']}"
-        reopen = Reopening(same, settings, limit_s)
-    interval_s = min(settings.reconnect_interval_s, 0.1)
-    return Reconnecting(camera, reopen, abandon=reopen.close, interval_s=interval_s)
+    interval_s = settings.reconnect_interval_s
+    return Reconnecting(camera, partial(open_camera, same, patience_s=interval_s), interval_s=interval_s)

@@ -28,45 +28,14 @@ _START_LIMIT_S = 5.0
 _SETTLING_PAIRS = 2
 
 
-class Pairing:
-    """Pairs depth and color images by the device's time.
-
-    Images wait for their other half; `half_pairs` counts those whose other half never came.
-    """
-
-    def __init__(self, limit_us: int) -> None:
-        self._limit_us = limit_us
-        self._waiting: dict[Sensor, Image] = {}
-        self.half_pairs = 0
-
-    def clear(self) -> None:
-        """Discard the waiting images, whose other half will not come."""
-        self._waiting.clear()
-
-    def add(self, sensor: Sensor, image: Image) -> tuple[Image, Image] | None:
-        """Add an image; return the pair of depth and color that it completes, if any."""
-        self.half_pairs += sensor in self._waiting
-        self._waiting[sensor] = image
-        if len(self._waiting) < 2:
-            return None
-        depth, color = self._waiting[Sensor.DEPTH], self._waiting[Sensor.COLOR]
-        ahead_us = depth.timestamp_us - color.timestamp_us
-        if abs(ahead_us) <= self._limit_us:
-            self._waiting.clear()
-            return depth, color
-        # The other half of the older one can no longer come.
-        self.half_pairs += 1
-        del self._waiting[Sensor.COLOR if ahead_us > 0 else Sensor.DEPTH]
-        return None
-
-
 class DeviceSource(FrameSource):
     """Frames of a camera, each a depth image and the color image taken with it.
 
-    Frames are not queued: a late reader gets the newest, and `missed` counts the others. Parameters,
-    attributes and errors are those of `nurbseg.drivers.openni2.isolated.source.IsolatedCamera`, which reads
-    one of these in a process of its own. Where `pairing_limit_s` is longer than half a period of the faster
-    stream, that is the limit.
+    Frames are not queued: a late reader gets the newest, and `missed` counts the others. Depth and color are
+    paired by the device's time; `half_pairs` counts the images whose other half never came. Parameters and
+    errors are those of `nurbseg.drivers.openni2.isolated.source.IsolatedCamera`, which reads one of these in
+    a process of its own. Where `pairing_limit_s` is longer than half a period of the faster stream, that is
+    the limit.
     """
 
     live = True
@@ -79,13 +48,14 @@ class DeviceSource(FrameSource):
         pairing_limit_s: float = 0.02,
     ) -> None:
         super().__init__()
-        self.missed = 0
+        self.missed = self.half_pairs = 0
         self._options = options or DeviceOptions()
         self._gone = threading.Event()
         self._index = 0
         self._last_number: int | None = None
         self._settling = _SETTLING_PAIRS
         self._silent_s = 0.0
+        self._waiting: dict[Sensor, Image] = {}
         self._recorder: OniRecorder | None = None
         self._device, listing = open_camera(wanted, self._options.serial, self._on_event)
         with closed_on_error(self.close):
@@ -106,12 +76,7 @@ class DeviceSource(FrameSource):
             )
             self._streams = (depth, color)
             period_us = min(stream.mode.period_us for stream in self._streams)
-            self._pairing = Pairing(min(round(pairing_limit_s * 1e6), period_us // 2 + 1000))
-
-    @property
-    def half_pairs(self) -> int:
-        """Images whose other half never came."""
-        return self._pairing.half_pairs
+            self._pairing_limit_us = min(round(pairing_limit_s * 1e6), period_us // 2 + 1000)
 
     @property
     def losses(self) -> Mapping[str, int]:
@@ -139,7 +104,7 @@ class DeviceSource(FrameSource):
             wanted = self._applied.registered
             if self._device.register(wanted) != wanted:
                 logger.warning("%s lost its registration as the recording began", self.metadata["device"])
-            self._pairing.clear()
+            self._waiting.clear()
             self._last_number = None
 
     def stop_recording(self) -> None:
@@ -194,13 +159,26 @@ class DeviceSource(FrameSource):
             raise DeviceLostError(f"{name}: no depth and color for {limit_s:g} s")
 
     def _add(self, stream: Stream, image: Image) -> tuple[Image, Image] | None:
+        """Add an image; return the pair of depth and color that it completes, if any."""
         if self._recorder is not None:
             self._recorder.see(stream.sensor, image)
         if stream.sensor == Sensor.DEPTH:
             if self._last_number is not None and not self._settling:
                 self.missed += max(0, image.number - self._last_number - 1)
             self._last_number = image.number
-        return self._pairing.add(stream.sensor, image)
+        self.half_pairs += stream.sensor in self._waiting
+        self._waiting[stream.sensor] = image
+        if len(self._waiting) < 2:
+            return None
+        depth, color = self._waiting[Sensor.DEPTH], self._waiting[Sensor.COLOR]
+        ahead_us = depth.timestamp_us - color.timestamp_us
+        if abs(ahead_us) <= self._pairing_limit_us:
+            self._waiting.clear()
+            return depth, color
+        # The other half of the older one can no longer come.
+        self.half_pairs += 1
+        del self._waiting[Sensor.COLOR if ahead_us > 0 else Sensor.DEPTH]
+        return None
 
     def _frame(self, depth: Image, color: Image) -> RGBDFrame:
         frame = frame_of(

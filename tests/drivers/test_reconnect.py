@@ -111,6 +111,61 @@ def test_a_camera_that_is_away_is_a_timeout_and_looked_for_at_intervals():
     np.testing.assert_allclose(np.diff(world.tries_s), 0.5, atol=0.21)
 
 
+class Opening(Camera):
+    """Is not open the first three times that it is asked."""
+
+    def __init__(self, clock, frames, error=None):
+        super().__init__(clock, frames)
+        self.answers = deque([None, None, error])
+        self.waits_s = []
+
+    def is_open(self, timeout_s=0.0):
+        self.waits_s.append(timeout_s)
+        if not self.answers:
+            return True
+        self.clock.sleep(timeout_s)
+        if error := self.answers.popleft():
+            raise error
+        return False
+
+
+def test_a_source_that_looks_for_its_camera_is_waited_for():
+    clock = Clock()
+    opening = Opening(clock, 1)
+    world = World(clock, [opening])
+    with reconnecting(clock, Camera(clock, 0), world) as source:
+        for _ in range(3):
+            begun_s = clock()
+            with pytest.raises(FrameTimeoutError, match=r"disconnected: no frame within 0\.7 s"):
+                source.read(timeout_s=0.7)
+            assert clock() - begun_s == pytest.approx(0.7, abs=1e-3)
+            assert not source.connected
+        assert source.read(timeout_s=0.7).index == 0
+    assert opening.waits_s == pytest.approx([0.7] * 4)
+    assert len(world.tries_s) == 1
+
+
+def test_a_source_that_fails_while_it_looks_for_its_camera_is_closed_and_another_is_opened():
+    clock = Clock()
+    failing = Opening(clock, 1, DeviceLostError("its driver hangs"))
+    with reconnecting(clock, Camera(clock, 0), World(clock, [failing, Camera(clock, 1)])) as source:
+        for _ in range(3):
+            with pytest.raises(FrameTimeoutError):
+                source.read(timeout_s=0.7)
+        assert source.read(timeout_s=0.7).index == 0
+        assert failing._closed
+
+
+def test_a_source_that_looks_for_its_camera_is_closed_with_the_other():
+    clock = Clock()
+    opening = Opening(clock, 1)
+    with reconnecting(clock, Camera(clock, 0), World(clock, [opening])) as source:
+        with pytest.raises(FrameTimeoutError):
+            source.read(timeout_s=0.7)
+        assert not opening._closed
+    assert opening._closed
+
+
 def test_no_time_to_wait_still_means_one_try():
     clock = Clock()
     world = World(clock, [Camera(clock, 1)])

@@ -11,39 +11,22 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import NoReturn
 
-import numpy as np
-from numpy.typing import NDArray
-
 from nurbseg.drivers.errors import DeviceNotFoundError, FrameTimeoutError
 from nurbseg.drivers.frame import Calibration
 from nurbseg.drivers.openni2.device import DeviceSource
+from nurbseg.drivers.openni2.isolated.source import CODEC, CameraFrame
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.process.channel import Channel, LogForwarder, connect_to_parent
-from nurbseg.drivers.process.messages import Call, Codec
+from nurbseg.drivers.process.messages import Call
 
 #: Longest wait for a frame before messages are looked at again, seconds.
 _SLICE_S = 0.1
 #: What ending may take, with a recording to be finished; seconds.
 _END_S = 30.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CameraFrame:
-    """A pair of images, and how many were lost until then."""
-
-    timestamp_ns: int
-    depth_mm: NDArray[np.uint16]
-    color: NDArray[np.uint8]
-    missed: int
-    half_pairs: int
-
-
-CODEC = Codec(CameraFrame, DeviceOptions, Calibration)
 
 
 def open_camera(
@@ -83,7 +66,6 @@ def _deliver(source: DeviceSource, channel: Channel) -> NoReturn:
         "start_recording": lambda path, lossy: source.start_recording(Path(path), lossy=lossy),
         "stop_recording": source.stop_recording,
     }
-    lost, before = 0, (0, 0)
     while True:
         while channel.is_waiting():
             if isinstance(call := channel.receive(0.0), Call):
@@ -95,16 +77,12 @@ def _deliver(source: DeviceSource, channel: Channel) -> NoReturn:
             continue
         if not begun:
             # Nobody reads yet: these frames are not missed.
-            before = source.missed, source.half_pairs
+            source.missed = source.half_pairs = 0
             continue
         message = CameraFrame(
-            frame.timestamp_ns,
-            frame.depth_mm,
-            frame.color,
-            missed=source.missed - before[0] + lost,
-            half_pairs=source.half_pairs - before[1],
+            frame.timestamp_ns, frame.depth_mm, frame.color, source.missed, source.half_pairs
         )
-        lost += not channel.send(message, 0.0)
+        source.missed += not channel.send(message, 0.0)
 
 
 def main() -> int:

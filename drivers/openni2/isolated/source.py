@@ -5,17 +5,20 @@ import logging
 import time
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.errors import DeviceLostError, DeviceNotFoundError, DriverError, FrameTimeoutError
-from nurbseg.drivers.frame import RGBDFrame
-from nurbseg.drivers.openni2.isolated.program import CODEC, CameraFrame, open_camera
+from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameTimeoutError
+from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.openni2.options import DeviceOptions, parse_mode
 from nurbseg.drivers.process.channel import ChannelClosedError
 from nurbseg.drivers.process.child import ChildProcess
-from nurbseg.drivers.process.messages import Answer, Call
+from nurbseg.drivers.process.messages import Answer, Call, Codec
 from nurbseg.drivers.source import FrameSource
 
 #: The process must have opened the camera within this time, seconds.
@@ -24,18 +27,24 @@ _OPEN_LIMIT_S = 60.0
 _ANSWER_LIMIT_S = 30.0
 #: A process that is silent for this long hangs, seconds; it reports a silent camera itself.
 _HANG_LIMIT_S = 10.0
+#: Longest single wait for the camera to open, seconds.
+_LOOK_S = 1.0
 #: Frames that may wait, seconds; and some more, as several slots come free at a time.
 _DEPTH_S, _MORE = 1.0, 4
 
 
-def begin_process(options: DeviceOptions) -> ChildProcess:
-    """Start a process that will read a camera, once an `IsolatedCamera` tells it which."""
-    return ChildProcess("nurbseg.drivers.openni2.isolated.program", slots=_slots(options))
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraFrame:
+    """A pair of images, and how many were lost until then."""
+
+    timestamp_ns: int
+    depth_mm: NDArray[np.uint16]
+    color: NDArray[np.uint8]
+    missed: int
+    half_pairs: int
 
 
-def _slots(options: DeviceOptions) -> int:
-    fps = max(parse_mode(each)[2] for each in (options.depth_mode, options.color_mode))
-    return max(4, round(fps * _DEPTH_S) + _MORE)
+CODEC = Codec(CameraFrame, DeviceOptions, Calibration)
 
 
 class IsolatedCamera(FrameSource):
@@ -47,7 +56,7 @@ class IsolatedCamera(FrameSource):
 
     `wanted` is interpreted by `nurbseg.drivers.openni2.selection.choose`. With `patience_s`, the process
     looks for a camera that is not there at this interval, seconds, and the source is usable once `is_open`
-    says so. `process` is from `begin_process` with the same options, and ended with this source.
+    says so.
 
     Raises BackendMissingError if OpenNI2 is not installed, DeviceNotFoundError if there is no such camera or
     it cannot be opened, CalibrationError if the options name a calibration file that is damaged, and
@@ -63,44 +72,33 @@ class IsolatedCamera(FrameSource):
         *,
         pairing_limit_s: float = 0.02,
         patience_s: float | None = None,
-        process: ChildProcess | None = None,
     ) -> None:
         super().__init__()
         self.missed = self.half_pairs = 0
-        self._options = options or DeviceOptions()
         self._index = self._refused = 0
         self._begun = self._is_open = False
         self._frames: deque[CameraFrame] = deque()
         self._failure: DriverError | None = None
-        self._slots = _slots(self._options)
-        self._process = process or begin_process(self._options)
+        options = options or DeviceOptions()
+        fps = max(parse_mode(each)[2] for each in (options.depth_mode, options.color_mode))
+        self._slots = max(4, round(fps * _DEPTH_S) + _MORE)
+        self._process = ChildProcess("nurbseg.drivers.openni2.isolated.program", slots=self._slots)
         self._channel = self._process.connect(CODEC)
         level = logging.getLogger("nurbseg.drivers").getEffectiveLevel()
-        self._ask(open_camera.__name__, level, wanted, self._options, pairing_limit_s, patience_s)
-        if patience_s is None:
-            self._wait_until_open()
-
-    def _wait_until_open(self) -> None:
-        deadline = time.monotonic() + _OPEN_LIMIT_S
+        self._ask("open_camera", level, wanted, options, pairing_limit_s, patience_s)
         with closed_on_error(self.close):
-            while not self.is_open(deadline - time.monotonic()):
-                if time.monotonic() >= deadline:
-                    raise DeviceLostError(f"OpenNI2 did not open a camera within {_OPEN_LIMIT_S:g} s")
+            while patience_s is None and not self.is_open(_LOOK_S):
+                pass
 
     def is_open(self, timeout_s: float = 0.0) -> bool:
-        """Whether the camera is open; waits at most this long for an answer.
-
-        Raises DriverError as on opening.
-        """
-        if not self._is_open and (answer := self._answer(timeout_s)) is not None:
-            metadata, self.calibration = answer.result()
-            self.metadata.update(metadata)
-            self._is_open = True
-        if not self._is_open and self._channel.silent_s > _OPEN_LIMIT_S:
+        """Whether the camera is open; raises DriverError as on opening."""
+        if not self._is_open:
+            self._receive(timeout_s)
             # A process that looks for its camera sends a heartbeat after each attempt.
-            self._failure = self._failure or DeviceLostError("OpenNI2 cannot open a camera; its driver hangs")
-        if not self._is_open and self._failure is not None:
-            raise self._failure
+            if self._channel.silent_s > _OPEN_LIMIT_S:
+                self._fail(f"OpenNI2 did not open a camera within {_OPEN_LIMIT_S:g} s; its driver hangs")
+            if self._failure is not None and not self._is_open:
+                raise self._failure
         return self._is_open
 
     @property
@@ -124,33 +122,43 @@ class IsolatedCamera(FrameSource):
     def _call(self, function: str, *arguments: Any) -> None:
         self._ask(function, *arguments)
         deadline = time.monotonic() + _ANSWER_LIMIT_S
-        while time.monotonic() < deadline:
-            answer = self._answer(deadline - time.monotonic())
-            if self._failure is not None:
-                raise self._failure
+        while self._failure is None:
+            answer = self._receive(deadline - time.monotonic())
             if answer is not None and answer.function == function:
                 answer.result()
                 return
-        raise DeviceLostError(f"OpenNI2 does not answer within {_ANSWER_LIMIT_S:g} s; its driver hangs")
+            if time.monotonic() >= deadline:
+                raise DeviceLostError(
+                    f"OpenNI2 does not answer within {_ANSWER_LIMIT_S:g} s; its driver hangs"
+                )
+        raise self._failure
 
-    def _answer(self, timeout_s: float) -> Answer | None:
-        """Return an answer, if one comes in time; frames are kept, and the camera's failure is noted."""
+    def _receive(self, timeout_s: float) -> Answer | None:
+        """Receive a message, if one comes in time: return an answer, keep a frame, take note of a failure."""
         try:
             message = self._channel.receive(max(0.0, timeout_s))
         except ChannelClosedError:
             if self._failure is None:
                 code = self._process.end(_ANSWER_LIMIT_S)
-                self._failure = DeviceLostError(f"OpenNI2's driver crashed the camera's process, code {code}")
+                self._fail(f"OpenNI2's driver crashed the camera's process, code {code}")
             return None
-        if isinstance(message, Answer):
-            if message.function != open_camera.__name__ or message.raised is None:
-                return message
+        if isinstance(message, CameraFrame):
+            if len(self._frames) < self._slots:
+                self._frames.append(message)
+            else:
+                self._refused += 1
+        elif isinstance(message, Answer) and message.function == "open_camera":
+            if message.raised is None:
+                metadata, self.calibration = message.value
+                self.metadata.update(metadata)
+                self._is_open = True
             self._failure = message.raised
-        elif message is not None and len(self._frames) < self._slots:
-            self._frames.append(message)
-        elif message is not None:
-            self._refused += 1
+        elif isinstance(message, Answer):
+            return message
         return None
+
+    def _fail(self, reason: str) -> None:
+        self._failure = self._failure or DeviceLostError(reason)
 
     def _read(self, timeout_s: float) -> RGBDFrame:
         if not self._begun:
@@ -160,24 +168,17 @@ class IsolatedCamera(FrameSource):
         while not self._frames:
             if self._failure is not None:
                 raise self._failure
-            self._answer(deadline - time.monotonic())
-            if self._frames or self._failure is not None:
-                continue
+            left_s = deadline - time.monotonic()
+            self._receive(left_s)
             if self._channel.silent_s > _HANG_LIMIT_S:
-                self._failure = DeviceLostError(f"{self.metadata['device']}: its driver hangs")
-            elif time.monotonic() >= deadline:
+                self._fail(f"{self.metadata['device']}: its driver hangs")
+            elif left_s <= 0 and not self._frames and self._failure is None:
                 raise FrameTimeoutError(
                     f"{self.metadata['device']}: no depth and color within {timeout_s:g} s"
                 )
         taken = self._frames.popleft()
         self.missed, self.half_pairs = taken.missed + self._refused, taken.half_pairs
-        frame = RGBDFrame(
-            index=self._index,
-            timestamp_ns=taken.timestamp_ns,
-            depth_mm=taken.depth_mm,
-            color=taken.color,
-            calibration=self.calibration,
-        )
+        frame = RGBDFrame(self._index, taken.timestamp_ns, taken.depth_mm, taken.color, self.calibration)
         self._index += 1
         return frame
 
@@ -189,46 +190,3 @@ class IsolatedCamera(FrameSource):
             while (left_s := deadline - time.monotonic()) > 0:
                 self._channel.receive(left_s)
         self._process.close(max(0.0, deadline - time.monotonic()))
-
-
-class Reopening:
-    """Opens a camera again that was lost: each call asks one process, which looks for it, whether it is back.
-
-    Another such process is kept ready: to start Python takes longer than all else that is done when a camera
-    is plugged in again.
-    """
-
-    def __init__(self, wanted: str, options: DeviceOptions, pairing_limit_s: float) -> None:
-        self._wanted, self._options, self._pairing_limit_s = wanted, options, pairing_limit_s
-        self._ready: ChildProcess | None = begin_process(options)
-        self._waiting: IsolatedCamera | None = None
-
-    def __call__(self) -> IsolatedCamera:
-        """Return the camera, open, for the caller to close; a DriverError says why it is not back."""
-        if self._waiting is None:
-            process, self._ready = self._ready or begin_process(self._options), None
-            self._waiting = IsolatedCamera(
-                self._wanted,
-                self._options,
-                pairing_limit_s=self._pairing_limit_s,
-                patience_s=self._options.reconnect_interval_s,
-                process=process,
-            )
-        try:
-            is_open = self._waiting.is_open()
-        except DriverError:
-            self.close()
-            raise
-        if not is_open:
-            raise DeviceNotFoundError("the camera is disconnected")
-        camera, self._waiting = self._waiting, None
-        self._ready = begin_process(self._options)
-        return camera
-
-    def close(self) -> None:
-        """Stop looking for the camera; safe to repeat."""
-        waiting, self._waiting = self._waiting, None
-        ready, self._ready = self._ready, None
-        for each in (waiting, ready):
-            if each is not None:
-                each.close()
