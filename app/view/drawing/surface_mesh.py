@@ -1,12 +1,19 @@
-"""The fitted surfaces of a frame as one triangle mesh, trimmed to the pixels of their segments."""
+"""The fitted surfaces of a frame as one triangle mesh, trimmed to the pixels of their segments.
+
+All surfaces lie end to end in a few arrays: fifty calls for small ones would cost more than the arithmetic.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.view.drawing.frame import SurfaceMesh
-from nurbseg.app.view.drawing.surface_samples import Lattices, evaluate_vertices
-from nurbseg.drivers.compiled import F32, F64, I64, U16, Intp, compiled
+from nurbseg.drivers.compiled import F32, F64, I64, U16, Bool, Intp, compiled, inlined
 from nurbseg.segmentation.segments import SegmentationTree
+from nurbseg.segmentation.surfaces.bspline import CUBIC, cubic_functions, knot_span
+from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 #: Every so many rows and columns of a lattice are drawn as lines.
 _ISOLINE_EVERY = 4
@@ -29,20 +36,13 @@ def surface_mesh(tree: SegmentationTree, labels: NDArray[np.uint16], step_px: fl
     SurfaceMesh
         Empty where no leaf has a surface.
     """
-    shown = [
-        (label, leaf.fit, leaf.fit.surface)
-        for label, leaf in enumerate(tree.leaves(), start=1)
-        if leaf.fit.surface is not None
-    ]
-    fits = [fit for _, fit, _ in shown]
-    surfaces = [surface for _, _, surface in shown]
-    label_of = np.array([label for label, _, _ in shown], dtype=np.uint16)
+    fits = {label: leaf.fit for label, leaf in enumerate(tree.leaves(), 1) if leaf.fit.surface is not None}
+    surfaces = [fit.surface for fit in fits.values() if fit.surface is not None]
+    label_of = np.array([*fits], dtype=np.uint16)
     lattices = Lattices.over(surfaces, step_px)
-    first, step, count = lattices.first, lattices.step, lattices.count
-
     row_of = np.empty(lattices.vertices, dtype=np.int64)
     corners = np.empty((2 * lattices.vertices, 3), dtype=np.uint32)
-    cut = _trimmed_triangles(np.ascontiguousarray(labels), label_of, first, step, count, row_of, corners)
+    cut = _trimmed_triangles(np.ascontiguousarray(labels), label_of, lattices, row_of, corners)
     triangles = corners[:cut].copy()
     wanted = row_of >= 0
     vertices = evaluate_vertices(surfaces, lattices, wanted)
@@ -51,20 +51,99 @@ def surface_mesh(tree: SegmentationTree, labels: NDArray[np.uint16], step_px: fl
     residuals = np.zeros(len(vertices), dtype=np.float32)
     if fits:
         _mean_residuals(
-            np.concatenate([fit.pixels for fit in fits]),
-            np.concatenate([fit.residuals_m for fit in fits]),
-            np.array([fit.pixels.size for fit in fits], dtype=np.intp),
+            np.concatenate([fit.pixels for fit in fits.values()]),
+            np.concatenate([fit.residuals_m for fit in fits.values()]),
+            np.array([fit.pixels.size for fit in fits.values()], dtype=np.intp),
             labels.shape[1],
-            first,
-            step,
-            count,
+            lattices,
             row_of,
             residuals,
         )
-    sizes = count[:, 0] * count[:, 1]
-    labels_of_vertices = np.repeat(label_of, sizes)[wanted]
+    labels_of_vertices = np.repeat(label_of, lattices.counts.prod(axis=1))[wanted]
     lines = isolines(lattices, row_of, _ISOLINE_EVERY)
     return SurfaceMesh(vertices, normals, triangles, residuals, labels_of_vertices, *lines)
+
+
+class Lattices(NamedTuple):
+    """Evenly spaced rows and columns over the windows of surfaces.
+
+    Parameters
+    ----------
+    first : (L, 2) float64
+        First row and column of each surface's lattice, pixels.
+    step : (L, 2) float64
+        Distance of its rows and of its columns, pixels.
+    counts : (L, 2) intp
+        Number of its rows and of its columns.
+    start : (L,) intp
+        Where its vertices begin among those of all; they count row by row.
+    """
+
+    first: NDArray[np.float64]
+    step: NDArray[np.float64]
+    counts: NDArray[np.intp]
+    start: NDArray[np.intp]
+
+    @classmethod
+    def over(cls, surfaces: Sequence[NurbsSurface], step_px: float) -> Self:
+        """Lay a lattice over each surface's window, its border included, with steps near `step_px` pixels."""
+        windows = np.array([surface.window for surface in surfaces], dtype=np.float64).reshape(-1, 4)
+        first = np.ascontiguousarray(windows[:, :2])
+        extent = np.maximum(windows[:, 2:] - 1.0 - first, 0.0)
+        count = np.maximum(np.rint(extent / step_px).astype(np.intp) + 1, 2)
+        sizes = count.prod(axis=1)
+        return cls(first, extent / (count - 1), count, np.cumsum(sizes) - sizes)
+
+    @property
+    def vertices(self) -> int:
+        """Number of the vertices of all lattices."""
+        return int(self.counts.prod(axis=1).sum())
+
+
+def evaluate_vertices(
+    surfaces: Sequence[NurbsSurface], lattices: Lattices, wanted: NDArray[np.bool_]
+) -> NDArray[np.float32]:
+    """Evaluate bicubic surfaces at vertices of their lattices.
+
+    Parameters
+    ----------
+    surfaces : sequence of NurbsSurface
+        Bicubic.
+    lattices : Lattices
+        Of these surfaces.
+    wanted : (V,) bool
+        Which of the lattices' vertices.
+
+    Returns
+    -------
+    (N, 3) float32
+        Points, metres, of the wanted vertices in their order.
+
+    Raises
+    ------
+    ValueError
+        If a surface is not bicubic.
+
+    References
+    ----------
+    .. [1] L. Piegl and W. Tiller, "The NURBS Book", 2nd ed., 1997, algorithms A2.2 and A4.3.
+    """
+    for surface in surfaces:
+        if surface.degree != (CUBIC, CUBIC):
+            raise ValueError(f"surfaces: expected bicubic ones, got degree {surface.degree}")
+    points = np.empty((np.count_nonzero(wanted), 3), dtype=np.float32)
+    if surfaces:
+        _evaluate(
+            np.concatenate([each.knots_u for each in surfaces]),
+            np.concatenate([each.knots_v for each in surfaces]),
+            np.concatenate([each.control_points_m.reshape(-1, 3) for each in surfaces]),
+            np.concatenate([each.weights.ravel() for each in surfaces]),
+            np.array([each.weights.shape for each in surfaces], dtype=np.intp),
+            lattices,
+            wanted,
+            points,
+        )
+    return points
 
 
 def isolines(
@@ -88,7 +167,7 @@ def isolines(
     sizes : (L,) intp
         Number of vertices of each line, at least two.
     """
-    rows, columns = lattices.count.T
+    rows, columns = lattices.counts.T
     surface = np.repeat(np.arange(rows.size), rows * columns)
     place = np.arange(surface.size) - lattices.start[surface]
     row, column = np.divmod(place, columns[surface])
@@ -109,7 +188,7 @@ def isolines(
 
 @compiled
 def _trimmed_triangles(
-    labels: U16, label_of: U16, first: F64, step: F64, count: Intp, row_of: I64, corners: NDArray[np.uint32]
+    labels: U16, label_of: U16, lattices: Lattices, row_of: I64, corners: NDArray[np.uint32]
 ) -> int:
     """Keep the triangles, two for a cell, at whose centroid the image has the surface's label.
 
@@ -117,9 +196,11 @@ def _trimmed_triangles(
     with such rows; returns the number of triangles.
     """
     row_of[:] = -1
-    kept = start = 0
+    kept = 0
+    first, step = lattices.first, lattices.step
     for surface in range(label_of.size):
-        rows, columns = count[surface]
+        start = lattices.start[surface]
+        rows, columns = lattices.counts[surface]
         for row in range(rows - 1):
             for column in range(columns - 1):
                 corner = start + row * columns + column
@@ -134,7 +215,6 @@ def _trimmed_triangles(
                     for each in corners[kept]:
                         row_of[each] = 0
                     kept += 1
-        start += rows * columns
     needed = 0
     for vertex in range(row_of.size):
         if row_of[vertex] == 0:
@@ -148,15 +228,7 @@ def _trimmed_triangles(
 
 @compiled
 def _mean_residuals(
-    pixels: Intp,
-    residuals_m: F64,
-    sizes: Intp,
-    width: int,
-    first: F64,
-    step: F64,
-    count: Intp,
-    row_of: I64,
-    means: F32,
+    pixels: Intp, residuals_m: F64, sizes: Intp, width: int, lattices: Lattices, row_of: I64, means: F32
 ) -> None:
     """Average the residuals around each vertex; where there is none, those of the whole fit.
 
@@ -164,9 +236,11 @@ def _mean_residuals(
     """
     total = np.zeros(means.size)
     number = np.zeros(means.size)
-    begin = start = 0
+    begin = 0
+    first, step = lattices.first, lattices.step
     for surface in range(sizes.size):
-        rows, columns = count[surface]
+        start = lattices.start[surface]
+        rows, columns = lattices.counts[surface]
         per_row, per_column = 1.0 / max(step[surface, 0], 1e-9), 1.0 / max(step[surface, 1], 1e-9)
         of_fit = 0.0
         for place in range(begin, begin + sizes[surface]):
@@ -183,12 +257,11 @@ def _mean_residuals(
         for place in range(start, start + rows * columns):
             vertex = row_of[place]
             if vertex >= 0:
-                mean = (
-                    total[vertex] / number[vertex] if number[vertex] > 0 else of_fit / max(sizes[surface], 1)
-                )
-                means[vertex] = mean
+                if number[vertex] > 0:
+                    means[vertex] = total[vertex] / number[vertex]
+                else:
+                    means[vertex] = of_fit / max(sizes[surface], 1)
         begin += sizes[surface]
-        start += rows * columns
 
 
 @compiled
@@ -215,3 +288,62 @@ def _normals(vertices: F32, triangles: NDArray[np.uint32], normals: F32) -> None
         if x * px + y * py + z * pz > 0.0:
             length = -length
         normals[vertex, 0], normals[vertex, 1], normals[vertex, 2] = x / length, y / length, z / length
+
+
+@compiled
+def _evaluate(
+    knots_u: F64,
+    knots_v: F64,
+    control: F64,
+    weights: F64,
+    shapes: Intp,
+    lattices: Lattices,
+    wanted: Bool,
+    points: F32,
+) -> None:
+    """Fill `points`: for each lattice row a curve of homogeneous points, evaluated at the columns."""
+    basis_v = np.empty(CUBIC + 1)
+    at_u = at_v = net = vertex = done = 0
+    first, step, count = lattices.first, lattices.step, lattices.counts
+    for surface in range(shapes.shape[0]):
+        height, width = shapes[surface]
+        curve = np.empty((width, 4))
+        bases_u = np.empty((count[surface, 1], CUBIC + 1))
+        spans_u = np.empty(count[surface, 1], dtype=np.intp)
+        own_u = knots_u[at_u : at_u + width + CUBIC + 1]
+        own_v = knots_v[at_v : at_v + height + CUBIC + 1]
+        for column in range(count[surface, 1]):
+            spans_u[column] = _basis(own_u, first[surface, 1] + column * step[surface, 1], bases_u[column])
+        for row in range(count[surface, 0]):
+            span_v = _basis(own_v, first[surface, 0] + row * step[surface, 0], basis_v)
+            curve[:] = 0.0
+            for a in range(CUBIC + 1):
+                begin = net + (span_v + a) * width
+                for b in range(width):
+                    share = basis_v[a] * weights[begin + b]
+                    for axis in range(3):
+                        curve[b, axis] += share * control[begin + b, axis]
+                    curve[b, 3] += share
+            for column in range(count[surface, 1]):
+                if wanted[vertex]:
+                    x = y = z = w = 0.0
+                    for b in range(CUBIC + 1):
+                        at = curve[spans_u[column] + b]
+                        x += bases_u[column, b] * at[0]
+                        y += bases_u[column, b] * at[1]
+                        z += bases_u[column, b] * at[2]
+                        w += bases_u[column, b] * at[3]
+                    points[done, 0], points[done, 1], points[done, 2] = x / w, y / w, z / w
+                    done += 1
+                vertex += 1
+        at_u += width + CUBIC + 1
+        at_v += height + CUBIC + 1
+        net += height * width
+
+
+@inlined
+def _basis(knots: F64, at: float, values: F64) -> int:
+    """Fill in the cubic functions that are not 0 at a parameter; return the number of the first."""
+    span = knot_span(knots, at)
+    values[0], values[1], values[2], values[3] = cubic_functions(knots, span, at)
+    return span - CUBIC

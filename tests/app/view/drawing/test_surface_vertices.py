@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nurbseg.app.view.drawing.surface_samples import Lattices, evaluate_vertices
+from nurbseg.app.view.drawing.surface_mesh import Lattices, evaluate_vertices
 from nurbseg.segmentation.surfaces.bspline import averaged_knots
 from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate_lattice
 
@@ -35,7 +35,7 @@ def test_vertices_are_where_the_surfaces_own_evaluation_puts_them() -> None:
     ends = [*lattices.start, lattices.vertices]
     for number, each in enumerate(surfaces):
         top, left, bottom, right = each.window
-        rows, columns = lattices.count[number]
+        rows, columns = lattices.counts[number]
         v, u = np.linspace(top, bottom - 1, rows), np.linspace(left, right - 1, columns)
         assert points[ends[number] : ends[number + 1]].reshape(rows, columns, 3) == pytest.approx(
             evaluate_lattice(each, u, v), abs=2e-6, rel=2e-5
@@ -48,7 +48,7 @@ def test_a_lattice_spans_its_window_with_steps_near_the_requested_one() -> None:
     rng = np.random.default_rng(4)
     lattices = Lattices.over([surface(rng, (10, 20, 71, 141), 5, 5)], 6.0)
     assert lattices.first.tolist() == [[10.0, 20.0]]
-    assert lattices.count.tolist() == [[11, 21]]
+    assert lattices.counts.tolist() == [[11, 21]]
     assert lattices.step.tolist() == [[6.0, 6.0]]
 
 
