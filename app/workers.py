@@ -1,14 +1,19 @@
-"""Distributes tasks to processes of this computer or of a Dask cluster."""
+"""Distributes tasks to processes of this computer, whose program this is, too, or of a Dask cluster."""
 
+import importlib
+import logging
 import os
+import pickle
 import queue
 import socket
 import subprocess
+import sys
 import threading
+import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any, Literal, TypeVar
@@ -139,7 +144,7 @@ class _Process:
         self._connection = Connection(ours.detach())
         with theirs:
             self._process = subprocess.Popen(
-                dying_with_parent(python_command("nurbseg.app.worker", str(theirs.fileno()), self._module)),
+                dying_with_parent(python_command("nurbseg.app.workers", str(theirs.fileno()), self._module)),
                 stdin=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
                 # Ctrl-C must reach this process only, which ends the others.
@@ -195,3 +200,34 @@ def _cluster(scheduler: str) -> Iterator[Workers]:
                 f"--scheduler {scheduler}: it has no workers; start some: dask worker {scheduler}"
             ) from err
         yield Workers(client.get_executor().submit, lambda: 2 * int(sum(client.ncores().values())))
+
+
+def serve(descriptor: int, module: str) -> None:
+    """Import a module, if named; execute the calls that arrive through a connection until its end."""
+    # The process that started this one reads each recording as well, and says what is wrong with it.
+    logging.getLogger("nurbseg").addHandler(logging.NullHandler())
+    calls = Connection(descriptor)
+    if module:
+        importlib.import_module(module)
+    with suppress(EOFError, ConnectionError):
+        while True:
+            function, task = calls.recv()
+            answer: tuple[Any, Exception | None]
+            try:
+                answer = function(task), None
+            except Exception as err:
+                answer = None, _sendable(err)
+            calls.send(answer)
+
+
+def _sendable(err: Exception) -> Exception:
+    err.add_note(traceback.format_exc())
+    try:
+        pickle.loads(pickle.dumps(err))
+    except Exception:
+        return RuntimeError(f"{type(err).__name__}: {err}")
+    return err
+
+
+if __name__ == "__main__":
+    serve(int(sys.argv[1]), sys.argv[2])

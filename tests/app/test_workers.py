@@ -11,8 +11,7 @@ import pytest
 from own_children import own_children
 from worker_tasks import die_at_2, fail_at_1, is_imported, named, process_of, raise_unsendable, sleep_if
 
-from nurbseg.app import worker
-from nurbseg.app.workers import WorkerLostError, Workers, in_order, open_workers, process_count
+from nurbseg.app.workers import WorkerLostError, Workers, in_order, open_workers, process_count, serve
 
 FAKES = str(Path(__file__).parents[1] / "fakes")
 
@@ -116,7 +115,7 @@ def test_a_process_whose_parent_has_ended_ends_without_an_error(tasks: int) -> N
     for task in range(tasks):
         parent.send((process_of, task))
     parent.close()
-    worker.serve(os.dup(child.fileno()), "")
+    serve(os.dup(child.fileno()), "")
 
 
 def test_processes_end_with_the_one_that_started_them(tmp_path: Path) -> None:
