@@ -22,24 +22,19 @@ class _Format(logging.Formatter):
         return f"{self._command}: {level}{super().format(record)}"
 
 
-class _Once(logging.Filter):
-    """Leaves out repeated messages: a recording is opened once for each frame, or by each process."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._said: set[str] = set()
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        text = record.getMessage()
-        new = text not in self._said
-        self._said.add(text)
-        return new
-
-
 def message_handler(command: str, *, repeated: bool = False) -> logging.Handler:
     """Return a handler that writes messages to standard error, repeated ones only if they are `repeated`."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_Format(command))
+    said: set[str] = set()
+
+    def is_new(record: logging.LogRecord) -> bool:
+        text = record.getMessage()
+        new = text not in said
+        said.add(text)
+        return new
+
     if not repeated:
-        handler.addFilter(_Once())
+        # A recording is opened once for each frame, or by each process.
+        handler.addFilter(is_new)
     return handler

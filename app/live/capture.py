@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 from nurbseg.app.recording.recording import Recording
+from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.process.bounded_queue import BoundedQueue
@@ -81,12 +82,9 @@ class CaptureThread:
         self._thread = threading.Thread(target=self._run, name="capture")
 
     def __enter__(self) -> Self:
-        try:
+        # Ctrl-C may come between the start and its confirmation.
+        with closed_on_error(self.stop):
             self._thread.start()
-        except BaseException:
-            # Ctrl-C may come between the start and its confirmation.
-            self.stop()
-            raise
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from nurbseg.app.config import AppConfig, SourceConfig, flags
 from nurbseg.app.live.replay import Limited, Looped
+from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.errors import BackendMissingError, DeviceNotFoundError, RecordingFormatError
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.options import SourceOptions
@@ -121,15 +122,12 @@ def _opened_at_start(uri: str, config: SourceConfig, options: SourceOptions) -> 
     source = open_source(uri, options)
     if source.live or not config.start:
         return source
-    try:
+    with closed_on_error(source.close):
         passed = source.skip(config.start)
         if passed < config.start:
             raise RecordingFormatError(
                 f"{uri}: has {passed} frames, so none is left after --start {config.start}"
             )
-    except BaseException:
-        source.close()
-        raise
     return source
 
 

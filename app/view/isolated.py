@@ -19,6 +19,7 @@ from nurbseg.app.view.drawing.frame import Moment, ViewFrame
 from nurbseg.app.view.messages import CODEC, Close, Line, Open, State
 from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import FILE_CLOSE_S, FILE_PATIENCE_S, ViewError
+from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.process.bounded_queue import BoundedQueue
 from nurbseg.drivers.process.channel import ChannelClosedError
 from nurbseg.drivers.process.child import ChildProcess, how_it_ended
@@ -88,11 +89,8 @@ class IsolatedView(View):
         self._table_s = float("-inf")
         self._moment = Moment(0, None)
         self._file_limit_s = FILE_CLOSE_S
-        try:
+        with closed_on_error(process.close):
             self._open(segmentation, metadata, name)
-        except BaseException:
-            process.close()
-            raise
         # A daemon: a program that never closes the view still ends, which closes the file.
         self._thread = threading.Thread(target=self._run, name="view", daemon=True)
         self._thread.start()

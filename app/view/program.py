@@ -31,6 +31,7 @@ from nurbseg.app.view.messages import CODEC, Close, Line, Open, State
 from nurbseg.app.view.serving import WebServer
 from nurbseg.app.view.stream import Opening
 from nurbseg.app.view.viewer import FILE_PATIENCE_S, ViewError
+from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.process.channel import Channel, ChannelClosedError, LogForwarder, connect_to_parent
 
 logger = logging.getLogger(__name__)
@@ -74,13 +75,10 @@ class RerunView:
                 (LEGEND, markdown(legend(config, wanted.segmentation))),
             ),
         )
-        try:
+        with closed_on_error(self.close):
             if config.save is not None:
                 self._file = FileSink(Path(config.save), opening, index=config.save_index != "off")
             self._how_to_look = self._open_viewer(opening)
-        except BaseException:
-            self.close()
-            raise
 
     def state(self, *, closed: bool = False) -> State:
         """Return what the other process is to know."""
