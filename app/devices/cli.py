@@ -66,37 +66,32 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--serial", default="", help="the camera with this serial number")
     command.add_argument("--force", action="store_true", help="overwrite an existing file")
 
-    command = commands.add_parser("tilt", help="tilt a Kinect v1")
-    command.set_defaults(run=_motor)
+    motor = argparse.ArgumentParser(add_help=False)
+    motor.set_defaults(run=_motor)
+    motor.add_argument(
+        "--number", type=int, default=0, metavar="N", help="number of the Kinect, from 0 (default: 0)"
+    )
+
+    command = commands.add_parser("tilt", help="tilt a Kinect v1", parents=[motor])
     command.add_argument(
         "angle_deg",
         type=_angle,
         metavar="DEG",
         help=f"angle above the horizon, degrees, -{TILT_MAX_DEG} to {TILT_MAX_DEG}",
     )
-    _add_number(command)
 
     colors = get_args(LedColor)
-    command = commands.add_parser("led", help="set a Kinect v1's LED")
-    command.set_defaults(run=_motor)
+    command = commands.add_parser("led", help="set a Kinect v1's LED", parents=[motor])
     command.add_argument("color", choices=colors, metavar="COLOR", help=", ".join(colors))
-    _add_number(command)
 
-    command = commands.add_parser("accelerometer", help="read a Kinect v1's accelerometer and tilt")
-    command.set_defaults(run=_motor)
+    text = "read a Kinect v1's accelerometer and tilt"
+    command = commands.add_parser("accelerometer", help=text, parents=[motor])
     command.add_argument("--json", action="store_true", help="write the values as JSON")
-    _add_number(command)
     return parser
 
 
 def _add_device(command: argparse.ArgumentParser, text: str) -> None:
     command.add_argument("--device", default="any", metavar="NAME", help=f"{text} (default: any)")
-
-
-def _add_number(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--number", type=int, default=0, metavar="N", help="number of the Kinect, from 0 (default: 0)"
-    )
 
 
 def _angle(text: str) -> float:

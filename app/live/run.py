@@ -3,7 +3,7 @@
 import gc
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +29,6 @@ from nurbseg.app.live.warmup import WarmUp
 from nurbseg.app.messages import error_text
 from nurbseg.app.recording.config import dated
 from nurbseg.app.recording.recorder import DEFAULT_NAME, Recorder
-from nurbseg.app.result import FrameResult
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import ViewError
@@ -43,9 +42,6 @@ _log = logging.getLogger(__name__)
 
 #: Number of frames after which everything is imported and compiled.
 _SETTLED_FRAMES = 5
-
-#: The name of a stage in the report, and a function that takes a result.
-Consumer = tuple[str, Callable[[FrameResult], None]]
 
 
 class SetupError(Exception):
@@ -234,7 +230,7 @@ def _segment(
     if (count := process_count(config.source.workers)) > 1:
         _segment_in_parallel(config, feed, count, exporter, view, report)
         return
-    exports: list[Consumer] = [] if exporter is None else [("export", exporter.write)]
+    exports = [] if exporter is None else [("export", exporter.write)]
     segmenter: Segmenter | None = None
     latency_filter = LatencyFilter(0.0 if opened.every_frame else config.live.age_max_ms)
     controls = Controls(
@@ -266,11 +262,9 @@ def _segment(
             latency_ms = 1e3 * (time.monotonic() - captured.arrived_s)
             elapsed_ms = {"wait": waited_ms, **result.elapsed_ms, "capture_to_labels": latency_ms}
             result = replace(result, elapsed_ms=MappingProxyType(elapsed_ms))
-            shown: list[Consumer] = (
-                # During a pause, the user waits for this frame.
-                [("show", view.show)] if latency_filter.passes(0.0 if controls.paused else latency_ms) else []
-            )
-            for stage, consume in (*exports, *shown):
+            # During a pause, the user waits for this frame.
+            is_shown = latency_filter.passes(0.0 if controls.paused else latency_ms)
+            for stage, consume in (*exports, ("show", view.show)) if is_shown else exports:
                 started_s = time.perf_counter()
                 consume(result)
                 elapsed_ms[stage] = 1e3 * (time.perf_counter() - started_s)
@@ -279,11 +273,8 @@ def _segment(
                 write_snapshot(result, settings, Path.cwd())
             report.late = latency_filter.held_back
             report.add(elapsed_ms, result.events, result.update)
-            tree = result.tree
-            leaves, objects = len(tree.leaves()), len(tree.objects)
-            feed.progress.segmented(
-                result.frame, leaves, elapsed_ms, objects=objects, late=latency_filter.held_back
-            )
+            leaves, objects = len(result.tree.leaves()), len(result.tree.objects)
+            feed.progress.segmented(result.frame, leaves, elapsed_ms, objects=objects, late=report.late)
             if report.segmented == _SETTLED_FRAMES:
                 # These objects are permanent; collecting garbage among them takes a tenth of a second.
                 gc.freeze()

@@ -8,7 +8,6 @@ import numpy as np
 from nurbseg.app.live.tracking import Segmenter
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
-from nurbseg.app.view.drawing.frame import Moment
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
 
@@ -42,7 +41,7 @@ class WarmUp:
             segmenter = Segmenter(self._config, temporal=self._temporal)
             for index in range(_FRAMES if self._temporal else 1):
                 result = segmenter.process(_frame(index))
-                drawn(result, ViewConfig(), self._config.metric, moment=Moment(index, None))
+                drawn(result, ViewConfig(), self._config.metric)
         except Exception:
             # The run's own frames will fail with a clearer message.
             _log.debug("the warm-up failed", exc_info=True)

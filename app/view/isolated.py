@@ -6,7 +6,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from operator import attrgetter
 from typing import Any
@@ -125,15 +125,10 @@ class IsolatedView(View):
         self._shown_s.append(now_s)
         lists_objects = self.every_table or now_s - self._table_s >= _TABLES_S
         self._table_s = now_s if lists_objects else self._table_s
+        # The run goes on adding to the stages.
+        result = replace(result, elapsed_ms=dict(result.elapsed_ms))
         draw = partial(
-            drawn,
-            result,
-            self._config,
-            self.metric,
-            moment=self._moment,
-            elapsed_ms=dict(result.elapsed_ms),
-            rate_hz=self._rate_hz(),
-            lists_objects=lists_objects,
+            drawn, result, self._config, self.metric, rate_hz=self._rate_hz(), lists_objects=lists_objects
         )
         try:
             self._queue.put(draw, _STUCK_S)

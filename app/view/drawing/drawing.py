@@ -1,6 +1,6 @@
 """Turns a frame's result into what views show."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -20,15 +20,12 @@ def drawn(
     view: ViewConfig,
     metric: Metric,
     *,
-    moment: Moment,
-    elapsed_ms: Mapping[str, float] | None = None,
     rate_hz: float = 0.0,
     lists_objects: bool = True,
 ) -> ViewFrame:
     """Return what views show of a frame, in the detail that `view` asks for.
 
-    `elapsed_ms` holds the stages so far, if the run goes on adding to those of `result`. The table of objects
-    is left out unless `lists_objects`.
+    The table of objects is left out unless `lists_objects`.
     """
     frame, tree = result.frame, result.tree
     # Meshes need the tree's own labels; the ones shown persist from frame to frame.
@@ -40,7 +37,7 @@ def drawn(
     mesh = surface_mesh(tree, labels, view.mesh_step_px * np.sqrt(labels.size / REFERENCE_PIXELS))
     registered = frame.calibration.is_registered
     return ViewFrame(
-        moment=moment,
+        moment=Moment(frame.index, frame.timestamp_ns),
         name=frame.name,
         metric=metric,
         calibration=frame.calibration,
@@ -56,7 +53,7 @@ def drawn(
         mesh=replace(mesh, labels=result.surface_of_leaf[mesh.labels]),
         tree=_nodes(result, metric),
         merges=tuple(_merges(result)) if lists_objects else None,
-        elapsed_ms=dict(elapsed_ms or result.elapsed_ms),
+        elapsed_ms=dict(result.elapsed_ms),
         rate_hz=rate_hz,
         events=tuple(map(event_text, result.events)),
         grid_step=None if result.update is None else result.update.step,

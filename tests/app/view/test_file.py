@@ -27,7 +27,6 @@ from nurbseg.app.view.config import Layout, ViewConfig
 from nurbseg.app.view.drawing.blueprint import blueprint
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.entities import FrameEntities
-from nurbseg.app.view.drawing.frame import Moment
 from nurbseg.app.view.drawing.palette import DIVISION_COLORS, STOP_COLORS
 from nurbseg.app.view.file import FileSink
 from nurbseg.app.view.messages import Close, Open
@@ -39,7 +38,7 @@ from nurbseg.app.view.viewer import ViewError, viewer_executable
 from nurbseg.drivers.frame import Calibration, Intrinsics
 from tests.fakes.fair_clock import FairClock
 from tests.fakes.saved_view import SavedView, read_saved_view
-from tests.fakes.small_scene import CONFIG, HEIGHT, WIDTH, small_frame, small_result
+from tests.fakes.small_scene import CONFIG, HEIGHT, WIDTH, numbered, small_frame, small_result
 
 FRAMES = 12
 
@@ -162,7 +161,7 @@ def views_of(part: rrb.Container | rrb.View) -> Iterator[rrb.View]:
 def test_each_view_holds_data_and_all_that_is_drawn_is_seen(
     saved: SavedView, results: list[FrameResult], layout: Layout
 ) -> None:
-    frame = drawn(results[0], ViewConfig(), "mse", moment=Moment(0, None))
+    frame = drawn(results[0], ViewConfig(), "mse")
     assert frame.truth is not None and frame.objects is not None
     logged = {*saved.by_frame, *saved.static}
     seen: set[str] = set()
@@ -183,8 +182,8 @@ def test_the_layout_follows_what_frames_hold(
     stream.memory_recording()
     sent: list[object] = []
     monkeypatch.setattr(type(stream), "send_blueprint", lambda _, layout: sent.append(layout))
-    writer, moment = Writer(stream), Moment(0, None)
-    frame = drawn(results[0], ViewConfig(), "mse", moment=moment, elapsed_ms={}, rate_hz=0.0)
+    writer = Writer(stream)
+    frame = drawn(results[0], ViewConfig(), "mse")
     assert frame.objects is not None
     for each in (frame, frame, replace(frame, objects=None), replace(frame, objects=None), frame):
         writer.write(FrameEntities(each, ViewConfig()))
@@ -200,8 +199,7 @@ def test_a_viewer_follows_the_time_of_day_once_frames_went_back(
     monkeypatch.setattr(type(stream), "send_blueprint", lambda _, layout: sent.append(layout))
     writer = Writer(stream)
     for index in (4, 5, 3, 4, 5, 2):
-        moment = Moment(index, None)
-        frame = drawn(results[0], ViewConfig(), "mse", moment=moment, elapsed_ms={}, rate_hz=0.0)
+        frame = drawn(numbered(results[0], index), ViewConfig(), "mse")
         writer.write(FrameEntities(frame, ViewConfig()))
     assert [layout.time_panel.timeline for layout in sent] == ["frame", "log_time"]
 
@@ -444,18 +442,8 @@ def test_showing_waits_for_a_file_that_grows_slowly(
         written(writer, item)
 
     monkeypatch.setattr(Writer, "write", slowly)
-    moments = [Moment(index, None) for index in range(6)]
-    for moment in moments:
-        view.show(
-            drawn(
-                results[0],
-                ViewConfig(),
-                CONFIG.metric,
-                moment=moment,
-                elapsed_ms={},
-                rate_hz=0.0,
-            )
-        )
+    for index in range(6):
+        view.show(drawn(numbered(results[0], index), ViewConfig(), CONFIG.metric))
     view.close(file_limit_s=1.5)
     assert read_saved_view(path).frames("world/camera/image/depth") == list(range(6))
 

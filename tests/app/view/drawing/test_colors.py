@@ -17,7 +17,7 @@ from nurbseg.app.live.tracking import process_frame
 from nurbseg.app.result import FrameResult
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
-from nurbseg.app.view.drawing.frame import Moment, TreeNode, ViewFrame
+from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame
 from nurbseg.app.view.drawing.tables import object_table
 from nurbseg.app.view.drawing.tree import folded_by_object
 from nurbseg.app.view.opening import open_view
@@ -149,8 +149,7 @@ def test_a_part_of_the_tree_within_one_object_is_one_node() -> None:
 
 @pytest.fixture(scope="module")
 def frame(result: FrameResult) -> ViewFrame:
-    moment = Moment(0, None)
-    return drawn(result, ViewConfig(), "mse", moment=moment, elapsed_ms={}, rate_hz=0.0)
+    return drawn(result, ViewConfig(), "mse")
 
 
 def test_sizes_are_those_of_boxes_around_the_points_shown(frame: ViewFrame) -> None:
