@@ -5,7 +5,6 @@ a new field; a new section is a new dataclass and a new field of `AppConfig`.
 """
 
 import logging
-import math
 from collections.abc import Collection
 from dataclasses import Field, dataclass, field
 from typing import Any, Literal
@@ -84,11 +83,8 @@ class SourceConfig(Settings):
         if (self.color_images is None) != (self.depth_images is None):
             missing = "depth_images" if self.depth_images is None else "color_images"
             raise ValueError(f"{missing}: expected a pattern; color and depth images must be given together")
-        if self.intrinsics is not None:
-            if not all(math.isfinite(value) for value in self.intrinsics):
-                raise ValueError(f"intrinsics: expected finite numbers, got {self.intrinsics}")
-            if self.intrinsics[0] <= 0 or self.intrinsics[1] == 0:
-                raise ValueError(f"intrinsics: expected focal lengths in pixels, got {self.intrinsics[:2]}")
+        if self.intrinsics is not None and (self.intrinsics[0] <= 0 or self.intrinsics[1] == 0):
+            raise ValueError(f"intrinsics: expected focal lengths in pixels, got {self.intrinsics[:2]}")
 
     @property
     def named(self) -> tuple[str, ...]:

@@ -46,29 +46,18 @@ class Looped(Wrapped):
             self._index_offset = index - frame.index
             self._time_offset_ns = timestamp_ns - frame.timestamp_ns
             self._seam = None
-        elif (
-            self._last is not None
-            and frame.index == self._last.index + 1
-            and frame.timestamp_ns > self._last.timestamp_ns
-        ):
-            self._period_ns = frame.timestamp_ns - self._last.timestamp_ns
-        self._last = frame
-        return self._numbered(frame)
-
-    def _numbered(self, frame: RGBDFrame) -> RGBDFrame:
-        if not self._index_offset and not self._time_offset_ns:
-            return frame
-        return replace(
-            frame,
-            index=frame.index + self._index_offset,
-            timestamp_ns=frame.timestamp_ns + self._time_offset_ns,
-        )
+        if self._index_offset or self._time_offset_ns:
+            index, timestamp_ns = frame.index + self._index_offset, frame.timestamp_ns + self._time_offset_ns
+            frame = replace(frame, index=index, timestamp_ns=timestamp_ns)
+        last, self._last = self._last, frame
+        if last is not None and frame.index == last.index + 1 and frame.timestamp_ns > last.timestamp_ns:
+            self._period_ns = frame.timestamp_ns - last.timestamp_ns
+        return frame
 
     def _begin_again(self) -> None:
         if self._last is None:
             raise EndOfRecordingError("the recording has no frame to repeat")
-        last = self._numbered(self._last)
-        self._seam = last.index + 1, last.timestamp_ns + self._period_ns
+        self._seam = self._last.index + 1, self._last.timestamp_ns + self._period_ns
         self._last = None
         self._source.close()
         self._source = self._reopen()
