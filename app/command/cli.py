@@ -75,9 +75,9 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
     # A user at a terminal who writes no files wants to see something.
     somebody_waits = sys.stderr.isatty() and config.view.save is None and config.export.directory is None
     view = replace(config.view, save=config.view.save and dated(config.view.save))
-    config = replace(config, view=chosen_view(view, somebody_waits=somebody_waits))
     verbose = arguments.verbosity > 0
     try:
+        config = replace(config, view=chosen_view(view, somebody_waits=somebody_waits))
         process = begin_view(config.shown)
     except ViewError as err:
         _log.error("%s", err, exc_info=verbose)

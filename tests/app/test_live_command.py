@@ -15,6 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from program_in_terminal import terminal
 
 from nurbseg.app.live.opening import SYNTHETIC, demo_uri
 from nurbseg.app.view.viewer import viewer_executable
@@ -175,6 +176,17 @@ def test_a_paced_replay_drops_what_it_cannot_follow_and_says_so(live: Live, tmp_
     assert frames["read"] == 60
     assert frames["segmented"] < 60
     assert frames["segmented"] + frames["dropped"]["overwritten_by_a_newer_frame"] == 60
+
+
+def test_an_address_where_no_page_can_be_served_is_named_and_nothing_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with terminal(["--synthetic", "--bind", "192.0.2.1"], tmp_path) as program:
+        program.wait_for("nurbseg-live: error: bind 192.0.2.1, port 9876: cannot listen there")
+        assert program.exit_code() == 2
+        assert "Traceback" not in program.all_said
 
 
 def test_a_recording_that_is_deleted_while_it_is_replayed_is_read_to_its_end_and_named(
