@@ -3,8 +3,7 @@
 import hashlib
 import os
 import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any, ParamSpec, TypeAlias, TypeVar
@@ -46,12 +45,16 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     hold compiled functions: these may call each other, and read each other's constants. Indices are not
     checked.
     """
+    # Numba makes this attribute when it reads its environment variables, and chooses a folder here and now.
+    before: str = config.CACHE_DIR  # type: ignore[attr-defined]
+    config.CACHE_DIR = str(_folder(before))  # type: ignore[attr-defined]
     try:
-        with _code_folder():
-            return _compiled(function, cache=True)
+        return _compiled(function, cache=True)
     except RuntimeError:
         # It cannot be kept: each process compiles for itself.
         return _compiled(function, cache=False)
+    finally:
+        config.CACHE_DIR = before  # type: ignore[attr-defined]
 
 
 def inlined(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -80,18 +83,6 @@ def _compiled(function: Callable[_P, _R], **options: Any) -> Callable[_P, _R]:
     }
     decorated: Callable[_P, _R] = numba.njit(**options)(function)
     return decorated
-
-
-@contextmanager
-def _code_folder() -> Iterator[None]:
-    """Let Numba look for a function's code in our folder; it chooses where when the function is decorated."""
-    # Numba makes this attribute when it reads its environment variables.
-    before: str = config.CACHE_DIR  # type: ignore[attr-defined]
-    config.CACHE_DIR = str(_folder(before))  # type: ignore[attr-defined]
-    try:
-        yield
-    finally:
-        config.CACHE_DIR = before  # type: ignore[attr-defined]
 
 
 @cache

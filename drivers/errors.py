@@ -42,20 +42,14 @@ class FrameFormatError(RecordingFormatError):
 _QUOTED_CHARACTERS = 80
 
 
-class _ShortRepr(reprlib.Repr):
-    def repr_int(self, x: int, level: int) -> str:
-        try:
-            return super().repr_int(x, level)
-        except ValueError:
-            # Python does not print thousands of digits.
-            return f"an integer of {x.bit_length()} bits"
-
-
-_short = _ShortRepr()
+_short = reprlib.Repr()
 _short.maxlevel, _short.maxstring, _short.maxother = 3, _QUOTED_CHARACTERS, _QUOTED_CHARACTERS
 
 
 def quoted(value: object) -> str:
     """Return a value of a file as an error quotes it: 80 characters at most, however large it is."""
-    text = _short.repr(value)
+    try:
+        text = _short.repr(value)
+    except ValueError:  # Python does not print them
+        text = "an integer of thousands of digits"
     return text if len(text) <= _QUOTED_CHARACTERS else f"{text[: _QUOTED_CHARACTERS - 3]}..."

@@ -71,7 +71,7 @@ class Intrinsics:
         distortion.flags.writeable = False
         object.__setattr__(self, "distortion", distortion)
         # A few pixels all over the image will do.
-        if np.isnan(self._rays(step=max(1, max(self.width, self.height) // 24))).mean() > 0.5:
+        if np.isnan(self.rays(step=max(1, max(self.width, self.height) // 24))).mean() > 0.5:
             raise ValueError(
                 f"distortion: expected rays for most pixels of a {self.width}x{self.height} image, got none "
                 f"with {distortion.tolist()}"
@@ -82,14 +82,12 @@ class Intrinsics:
         """The (3, 3) camera matrix, pixels."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
-    def rays(self) -> NDArray[np.float32]:
+    def rays(self, step: int = 1) -> NDArray[np.float32]:
         """Return the ray of each pixel, (H, W, 2) float32 of x / z and y / z, lens distortion removed.
 
-        NaN where the distortion cannot be undone, as at the far corners of a strongly distorting lens.
+        NaN where the distortion cannot be undone, as at the far corners of a strongly distorting lens. With a
+        `step`, of every so many rows and columns only.
         """
-        return self._rays(step=1)
-
-    def _rays(self, *, step: int) -> NDArray[np.float32]:
         v, u = np.mgrid[: self.height : step, : self.width : step]
         x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
         rays = np.stack([x, y], axis=-1)

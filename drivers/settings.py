@@ -208,8 +208,6 @@ class ValueKind:
 
     def from_text(self, text: str) -> Any:
         """Return the value that a text stands for; raises ValueError where it is of another kind."""
-        if self.length:
-            return self._checked(tuple(self._number(part) for part in text.split(",")), text)
         if self.kind is bool:
             if text.lower() not in _SWITCH:
                 raise ValueError(f"expected 0 or 1, got {text!r}")
@@ -218,24 +216,35 @@ class ValueKind:
             # Mostly a variable of a script that is not set: a path would be the working folder.
             raise ValueError("expected a value, got ''")
         # Without a word of its own, an empty text is none either.
-        return text if self.kind is str or (self.word and text == self.word) else self._number(text)
+        if self.kind is str or (self.word and text == self.word):
+            return text
+        try:
+            numbers = [self.kind(part) for part in (text.split(",") if self.length else [text])]
+        except ValueError:
+            numbers = []
+        if len(numbers) != max(self.length, 1):
+            raise ValueError(f"expected {self.words}, got {quoted(text)}")
+        return self.from_toml(numbers if self.length else numbers[0])
 
     def from_toml(self, value: Any) -> Any:
         """Return the value of what a TOML or JSON file holds; raises ValueError if it is of another kind."""
         if value is None and self.optional:
             return None
         if self.length:
-            if not isinstance(value, list):
+            if not isinstance(value, list) or len(value) != self.length:
                 raise ValueError(f"expected {self.words}, got {quoted(value)}")
-            return self._checked(tuple(ValueKind(self.kind).from_toml(each) for each in value), value)
+            return tuple(ValueKind(self.kind).from_toml(each) for each in value)
         if self.word and value == self.word:
             return value
         whole = isinstance(value, int) and not isinstance(value, bool)
         if self.kind is float and (whole or isinstance(value, float)):
             try:
-                return self._finite(float(value), value)
+                number = float(value)
             except OverflowError:
                 raise ValueError(f"expected {self.words} of a float's range, got {quoted(value)}") from None
+            if not math.isfinite(number):
+                raise ValueError(f"expected a finite number, got {value}")
+            return number
         if whole if self.kind is int else isinstance(value, self.kind):
             return value
         raise ValueError(f"expected {self.words}, got {quoted(value)}")
@@ -247,23 +256,6 @@ class ValueKind:
         either = f" or {self.word}" if self.word else ""
         numbers = f"{self.length} {'whole ' if self.kind is int else ''}numbers, separated by commas"
         return numbers if self.length else names[self.kind] + either
-
-    def _number(self, text: str) -> float:
-        try:
-            number: float = self.kind(text)
-        except ValueError:
-            raise ValueError(f"expected {self.words}, got {text!r}") from None
-        return self._finite(number, text)
-
-    def _finite(self, number: float, given: object) -> float:
-        if not math.isfinite(number):
-            raise ValueError(f"expected a finite number, got {given}")
-        return number
-
-    def _checked(self, numbers: tuple[float, ...], given: object) -> tuple[float, ...]:
-        if len(numbers) != self.length:
-            raise ValueError(f"expected {self.words}, got {quoted(given)}")
-        return numbers
 
 
 def value_kinds(section: type[Any]) -> dict[str, ValueKind]:

@@ -26,13 +26,12 @@ _COLOR_FORMATS = (PixelFormat.RGB888, PixelFormat.YUYV, PixelFormat.YUV422, Pixe
 class AppliedSettings:
     """What the camera does after it was configured.
 
-    An image is flipped here where the camera does not mirror as asked; `states` is what is on and off, for a
-    person and for recordings.
+    `flips` are whether depth and color are mirrored here, since the camera does not mirror as asked; `states`
+    is what is on and off, for a person and for recordings.
     """
 
     registered: bool
-    flip_depth: bool
-    flip_color: bool
+    flips: tuple[bool, bool]
     states: dict[str, str]
 
 
@@ -69,14 +68,15 @@ def configure(device: OpenedDevice, options: DeviceOptions, name: str) -> Applie
         "registration": "hardware" if registered else "software",
         "mirror": "on" if options.mirror else "off",
     }
-    flips = [_mirror(stream, options.mirror) != options.mirror for stream in (depth, color)]
+    flips = (_must_flip(depth, options.mirror), _must_flip(color, options.mirror))
     _set_color_controls(color, options, name, states)
-    return AppliedSettings(registered, flips[0], flips[1], states)
+    return AppliedSettings(registered, flips, states)
 
 
-def _mirror(stream: Stream, wanted: bool) -> bool:
-    stream.try_to_set(StreamProperty.MIRRORING, ctypes.c_int(wanted))
-    return bool(stream.find(StreamProperty.MIRRORING, ctypes.c_int))
+def _must_flip(stream: Stream, mirror: bool) -> bool:
+    """Ask a stream to mirror, or not to; return whether it does otherwise."""
+    stream.try_to_set(StreamProperty.MIRRORING, ctypes.c_int(mirror))
+    return bool(stream.find(StreamProperty.MIRRORING, ctypes.c_int)) != mirror
 
 
 def _set_color_controls(color: Stream, options: DeviceOptions, name: str, states: dict[str, str]) -> None:

@@ -188,8 +188,7 @@ class DeviceSource(FrameSource):
             color.pixels,
             self.calibration,
             tenths=self._options.depth_unit == "100um",
-            flip_depth=self._applied.flip_depth,
-            flip_color=self._applied.flip_color,
+            flips=self._applied.flips,
         )
         self._index += 1
         return frame

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.errors import BackendMissingError, DeviceNotFoundError, DriverError
 from nurbseg.drivers.openni2 import capi
 
@@ -126,12 +127,9 @@ class Library:
 
     def _add_user(self) -> None:
         if self._users == 0:
-            status = self.native.oniInitialize(capi.API_VERSION)
-            if status != capi.Status.OK:
-                try:
-                    self.check(status, f"initializing OpenNI2 from {self.path}", BackendMissingError)
-                finally:
-                    self.native.oniShutdown()
+            with closed_on_error(self.native.oniShutdown):
+                status = self.native.oniInitialize(capi.API_VERSION)
+                self.check(status, f"initializing OpenNI2 from {self.path}", BackendMissingError)
             self.native.oniRegisterDeviceCallbacks(
                 ctypes.byref(self._callbacks), None, ctypes.byref(self._handle)
             )

@@ -209,18 +209,17 @@ def frame_of(
     calibration: Calibration,
     *,
     tenths: bool,
-    flip_depth: bool,
-    flip_color: bool,
+    flips: tuple[bool, bool],
 ) -> RGBDFrame:
     """Return the frame of the images that a device or a recording delivers.
 
-    Depth in tenths of a millimetre is rounded to whole ones; an image is mirrored where that is asked.
+    Depth in tenths of a millimetre is rounded to whole ones; `flips` are whether depth and color are flipped.
     """
     if tenths:
         depth = ((depth.astype(np.uint32) + 5) // 10).astype(np.uint16)
     depth, color = (
         np.ascontiguousarray(image[:, ::-1]) if flip else image
-        for image, flip in ((depth, flip_depth), (color, flip_color))
+        for image, flip in zip((depth, color), flips, strict=True)
     )
     return RGBDFrame(index, timestamp_us * 1000, depth, color, calibration)
 

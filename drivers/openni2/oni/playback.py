@@ -99,9 +99,7 @@ class OniSource(FrameSource):
                     f"{self._path}: {name}: xnMapOutputMode says {stored.size}, OpenNI2 {each.size}"
                 )
         # A recording remembers whether its images are mirrored; they come as is wanted here.
-        self._flip_depth, self._flip_color = (
-            each.mirrored != self._options.mirror for each in (depth, color)
-        )
+        self._flips = (depth.mirrored != self._options.mirror, color.mirrored != self._options.mirror)
         self._tenths = depth.format == PixelFormat.DEPTH_100_UM
         noted = file.note.get("calibration")
         if noted is not None and self._options.calibration is None and self._cameras is None:
@@ -137,8 +135,8 @@ class OniSource(FrameSource):
             raise EndOfRecordingError(f"{self._path}: end after {len(self._pairs)} frames")
         stored_depth, stored_color = self._pairs[self._next]
         deadline = time.monotonic() + timeout_s
-        wanted = ((Sensor.DEPTH, stored_depth.number), (Sensor.COLOR, stored_color.number))
-        while not all(each in self._waiting for each in wanted):
+        wanted = {Sensor.DEPTH: stored_depth.number, Sensor.COLOR: stored_color.number}
+        while not wanted.items() <= self._waiting.keys():
             answer = self._player.receive(deadline - time.monotonic())
             if answer is None:
                 raise FrameTimeoutError(f"{self._path}: no frame within {timeout_s:g} s")
@@ -147,9 +145,12 @@ class OniSource(FrameSource):
                 raise RecordingFormatError(
                     f"{self._path}: frame {self._next}: OpenNI2 cannot play it ({why})"
                 )
-            self._waiting[image.sensor, image.number] = image
-            self._forget_before(stored_depth.number, stored_color.number)
-        depth, color = (self._waiting.pop(each) for each in wanted)
+            if image.number >= wanted[image.sensor]:
+                self._waiting[image.sensor, image.number] = image
+        depth, color = (self._waiting.pop(each) for each in wanted.items())
+        self._waiting = {
+            key: each for key, each in self._waiting.items() if each.number > wanted[each.sensor]
+        }
         frame = frame_of(
             self._next,
             stored_depth.timestamp_us,
@@ -157,8 +158,7 @@ class OniSource(FrameSource):
             color.pixels,
             self.calibration,
             tenths=self._tenths,
-            flip_depth=self._flip_depth,
-            flip_color=self._flip_color,
+            flips=self._flips,
         )
         self._next += 1
         return frame
@@ -171,11 +171,6 @@ class OniSource(FrameSource):
             self._player = PlayerProcess(self._path)
             self._description()
         self._next = index
-
-    def _forget_before(self, depth: int, color: int) -> None:
-        oldest = {Sensor.DEPTH: depth, Sensor.COLOR: color}
-        for each in [each for each in self._waiting if each[1] < oldest.get(each[0], 0)]:
-            del self._waiting[each]
 
     def _close(self) -> None:
         self._player.close()

@@ -13,6 +13,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from nurbseg.drivers.closing import Closing
 from nurbseg.drivers.errors import RecordingFormatError
 from nurbseg.drivers.openni2.capi import DeviceProperty, DeviceState, PixelFormat, Sensor, StreamProperty
 from nurbseg.drivers.openni2.opened import OpenedDevice
@@ -69,7 +70,7 @@ class PlayedImage:
 CODEC = Codec(Description, PlayedImage)
 
 
-class PlayerProcess:
+class PlayerProcess(Closing):
     """The process that plays a file: its answers hold a `Description`, then each `PlayedImage`, then None."""
 
     def __init__(self, path: Path) -> None:
@@ -78,10 +79,10 @@ class PlayerProcess:
         self._channel = self._process.connect(CODEC)
         self._channel.send(Call(play.__name__, (str(path.absolute()),)))
 
-    def receive(self, timeout_s: float, limit_s: float | None = None) -> Answer | None:
+    def receive(self, timeout_s: float, patience_s: float = 0.0) -> Answer | None:
         """Return the next answer, or None if it does not come in time.
 
-        Raises RecordingFormatError if the player has died, or has sent nothing for `limit_s`.
+        Raises RecordingFormatError if the player has died or hangs; it may be silent for `patience_s`.
         """
         try:
             answer: Answer | None = self._channel.receive(max(0.0, timeout_s))
@@ -90,7 +91,7 @@ class PlayerProcess:
             raise RecordingFormatError(
                 f"{self._path}: OpenNI2's file driver stopped with code {code}; the file is damaged"
             ) from None
-        if answer is None and self._channel.silent_s >= (_HANG_LIMIT_S if limit_s is None else limit_s):
+        if answer is None and self._channel.silent_s >= max(patience_s, _HANG_LIMIT_S):
             raise RecordingFormatError(
                 f"{self._path}: OpenNI2's file driver hangs on it; the file is damaged"
             )

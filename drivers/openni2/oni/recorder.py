@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.files import create_private
 from nurbseg.drivers.openni2.capi import Sensor, StreamProperty
@@ -58,7 +59,7 @@ class OniRecorder:
             library.native.oniCreateRecorder(os.fsencode(path), ctypes.byref(self._handle)),
             f"recording to {path}",
         )
-        try:
+        with closed_on_error(self._destroy):
             for stream in device.streams:
                 library.check(
                     library.native.oniRecorderAttachStream(self._handle, stream.handle, int(lossy)),
@@ -66,9 +67,6 @@ class OniRecorder:
                 )
             library.check(library.native.oniRecorderStart(self._handle), f"recording to {path}")
             self._wait_until_begun()
-        except BaseException:
-            self._destroy()
-            raise
 
     def _wait_until_begun(self) -> None:
         deadline = time.monotonic() + _START_LIMIT_S
@@ -116,8 +114,7 @@ class OniRecorder:
         if len(self._seen) < 2:
             return 0
         differences: dict[Sensor, list[float]] = {Sensor.DEPTH: [], Sensor.COLOR: []}
-        player = PlayerProcess(self.path)
-        try:
+        with PlayerProcess(self.path) as player:
             while len(differences[Sensor.DEPTH]) < _FIRST_IMAGES:
                 answer = player.receive(_PLAY_LIMIT_S)
                 if answer is None or answer.value is None:
@@ -125,8 +122,6 @@ class OniRecorder:
                 if isinstance(image := answer.value, PlayedImage) and image.sensor in self._seen:
                     difference = image.pixels.astype(np.int32) - self._seen[image.sensor].pixels
                     differences[image.sensor].append(float(np.abs(difference).mean()))
-        finally:
-            player.close()
         structure = read_structure(self.path)
         begun_us: dict[Sensor, int] = {}
         for kind, stream in ((Sensor.DEPTH, structure.depth), (Sensor.COLOR, structure.color)):
