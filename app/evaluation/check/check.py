@@ -7,12 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from nurbseg.app.evaluation.check.exported import ExportedFrame, ExportedTrial, Finding
-from nurbseg.app.evaluation.check.merges import check_merges
+from nurbseg.app.evaluation.check.exported import ExportedFrame, Finding
 from nurbseg.app.evaluation.check.reading import DamagedExportError, read_frame, read_settings
-from nurbseg.app.evaluation.check.splits import check_splits
-from nurbseg.app.evaluation.check.stops import check_live_stops, check_stops
-from nurbseg.app.evaluation.check.structure import check_names, check_partition
+from nurbseg.app.evaluation.check.splits import check_live_stops, check_splits, check_stops
+from nurbseg.app.evaluation.check.structure import check_merges, check_names, check_partition
 from nurbseg.app.evaluation.check.surfaces import check_measured, check_surfaces
 from nurbseg.app.evaluation.check.values import check_floors, check_values
 from nurbseg.app.export.exporter import SETTINGS_FILE, differences
@@ -36,27 +34,24 @@ class History:
     def __init__(self) -> None:
         #: Number of values and trials from frames that are not in the export.
         self.unchecked = 0
-        self._values: dict[int, set[tuple[float | None, int]]] = {}
-        self._trials: dict[int, set[ExportedTrial | None]] = {}
+        self._known: dict[tuple[str, int], set[object]] = {}
 
-    def check(self, frame: ExportedFrame) -> Iterator[Finding]:
+    def check(self, frame: ExportedFrame) -> None:
         """Check values and trials from earlier frames, and remember those of this frame."""
+        now = frame.tree.frame
+        own = {"value": set[object](), "trial": set[object]()}
         for name, each in frame.segments.items():
-            for field, number, known, found in (
-                ("value", each.measured, self._values, (each.value, each.points)),
-                ("trial", each.judged, self._trials, each.trial),
+            for field, number, found in (
+                ("value", each.measured, (each.value, each.points)),
+                ("trial", each.judged, each.trial),
             ):
-                if number == frame.tree.frame or found in known.get(number, ()):
-                    continue
-                if number > frame.tree.frame or number in known:
-                    yield frame.wrong(name, field, f"one of frame {number}, as the file says", found)
-                else:
+                if number == now:
+                    own[field].add(found)
+                elif number < now and (field, number) not in self._known:
                     self.unchecked += 1
-        own = frame.segments.values()
-        self._values[frame.tree.frame] = {
-            (each.value, each.points) for each in own if each.measured == frame.tree.frame
-        }
-        self._trials[frame.tree.frame] = {each.trial for each in own if each.judged == frame.tree.frame}
+                elif found not in self._known.get((field, number), ()):
+                    frame.wrong(name, field, f"one of frame {number}, as the file says", found)
+        self._known |= {(field, now): values for field, values in own.items()}
 
 
 class FolderCheck:
@@ -116,7 +111,8 @@ class FolderCheck:
                     continue
                 self.frames += 1
                 self.segments += len(frame.segments)
-                yield from self._check(frame, source)
+                self._check(frame, source)
+                yield from frame.findings
 
     def _unlike(self, calibration: Calibration) -> str:
         """Describe how the cameras of the export differ from those of the recording; empty if they agree."""
@@ -127,35 +123,29 @@ class FolderCheck:
             recorded["color_from_depth"] = exported["color_from_depth"]
         return ", ".join(differences(exported, recorded))
 
-    def _check(self, frame: ExportedFrame, source: FrameSource | None) -> Iterator[Finding]:
-        names = list(check_names(frame))
-        yield from names
-        if names:
+    def _check(self, frame: ExportedFrame, source: FrameSource | None) -> None:
+        check_names(frame)
+        if frame.findings:
             # The other checks need to know which segment is part of which.
             return
         stops = check_stops if frame.settings.independent else check_live_stops
         for check in (check_partition, check_merges, check_splits, stops, self.history.check):
-            yield from check(frame)
-        if not frame.settings.surfaces:
-            return
-        yield from check_measured(frame)
-        yield from check_surfaces(frame)
-        if source is not None:
-            yield from self._check_against(frame, _recorded(source, frame))
+            check(frame)
+        if frame.settings.surfaces:
+            check_measured(frame)
+            check_surfaces(frame)
+            if source is not None:
+                self._check_against(frame, _recorded(source, frame))
 
-    def _check_against(self, frame: ExportedFrame, recorded: RGBDFrame | None) -> Iterator[Finding]:
+    def _check_against(self, frame: ExportedFrame, recorded: RGBDFrame | None) -> None:
         if recorded is None:
-            yield frame.wrong("", "frame", "one of the recording, without its repeats", frame.tree.frame)
+            frame.wrong("", "frame", "one of the recording, without its repeats", frame.tree.frame)
             return
-        for field, expected, found in (
-            ("name", recorded.name, frame.tree.name),
-            ("timestamp_ns", recorded.timestamp_ns, frame.tree.timestamp_ns),
-        ):
-            if found != expected:
-                yield frame.wrong("", field, f"{expected} as recorded", found)
+        frame.compare("", "name", recorded.name, frame.tree.name, " as recorded")
+        frame.compare("", "timestamp_ns", recorded.timestamp_ns, frame.tree.timestamp_ns, " as recorded")
         cloud = register(self._preparation.prepared(recorded))
-        yield from check_values(frame, cloud)
-        yield from check_floors(frame, cloud)
+        check_values(frame, cloud)
+        check_floors(frame, cloud)
         self.recomputed += len(frame.surfaces)
 
 

@@ -1,7 +1,7 @@
 """The files of an export as they are read back, and findings on them."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -101,9 +101,9 @@ class ExportedContact:
     first: str
     second: str
     merged: bool
-    samples: int | None
-    log_odds: float | None
-    evidence: Mapping[str, float] | None
+    samples: int | None = None
+    log_odds: float | None = None
+    evidence: Mapping[str, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +116,7 @@ class ExportedJoin:
 
 @dataclass(frozen=True, slots=True)
 class ExportedTree:
-    """The file of a frame's tree."""
+    """The file of a frame's tree; earlier versions left `joins` out."""
 
     frame: int
     name: str
@@ -128,7 +128,7 @@ class ExportedTree:
     segments: tuple[ExportedSegment, ...]
     objects: tuple[ExportedObject, ...]
     contacts: tuple[ExportedContact, ...]
-    joins: tuple[ExportedJoin, ...]
+    joins: tuple[ExportedJoin, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,16 +136,16 @@ class ExportedSurface:
     """A surface in the file of surfaces, with the shapes and units of `NurbsSurface`."""
 
     degree: tuple[int, int]
+    window: tuple[int, int, int, int]
     knots_u: NDArray[np.float64]
     knots_v: NDArray[np.float64]
     control_points_m: NDArray[np.float64]
     weights: NDArray[np.float64]
-    window: tuple[int, int, int, int]
 
 
 @dataclass(frozen=True, eq=False)
 class ExportedFrame:
-    """All files of a frame, whose names begin with `stem`.
+    """All files of a frame, whose names begin with `stem`, and what was found wrong in them so far.
 
     Images are "labels" and, if there are objects, "surfaces" and "objects", (H, W) uint16. Surfaces and
     measured pixels, (N,) int64 flat indices, are by segment name; empty if surfaces are not exported.
@@ -157,15 +157,23 @@ class ExportedFrame:
     images: Mapping[str, NDArray[np.uint16]]
     surfaces: Mapping[str, ExportedSurface]
     measured: Mapping[str, NDArray[np.int64]]
+    findings: list[Finding] = field(default_factory=list)
 
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
         return self.tree.height, self.tree.width
 
-    def wrong(self, segment: str, field: str, expected: object, found: object) -> Finding:
-        """Return a finding in the file of the tree."""
-        return Finding(f"{self.stem}_tree.json", segment, field, str(expected), str(found))
+    def wrong(
+        self, segment: str, field: str, expected: object, found: object, file: str = "tree.json"
+    ) -> None:
+        """Add a finding in the file of the tree, or in that with another ending."""
+        self.findings.append(Finding(f"{self.stem}_{file}", segment, field, str(expected), str(found)))
+
+    def compare(self, segment: str, field: str, expected: object, found: object, why: str = "") -> None:
+        """Add a finding, with the reason `why`, if the tree holds something else than expected."""
+        if found != expected:
+            self.wrong(segment, field, f"{expected}{why}", found)
 
     @cached_property
     def segments(self) -> Mapping[str, ExportedSegment]:
@@ -173,9 +181,19 @@ class ExportedFrame:
         return {each.name: each for each in self.tree.segments}
 
     @cached_property
+    def leaves(self) -> tuple[ExportedSegment, ...]:
+        """Segments without children, in the order of the file."""
+        return tuple(each for each in self.segments.values() if not each.children)
+
+    @cached_property
     def objects(self) -> Mapping[int, tuple[str, ...]]:
         """Names of the leaves of each object; empty if nothing was merged."""
         return {each.object: each.leaves for each in self.tree.objects}
+
+    @cached_property
+    def object_of(self) -> Mapping[str, int]:
+        """Label of each leaf's object."""
+        return {name: number for number, names in self.objects.items() for name in names}
 
     @cached_property
     def step(self) -> int:
@@ -194,30 +212,18 @@ class ExportedFrame:
     def points_min(self) -> float:
         """T_p in points of the grid."""
         config = self.settings.config
-        pixels_min = (
-            config.stag15.segment_pixels_min
-            if config.method == "stag15"
-            else config.extended.piece_pixels_min
-        )
+        paper, extended = config.stag15.segment_pixels_min, config.extended.piece_pixels_min
+        pixels_min = paper if config.method == "stag15" else extended
         return pixels_min * self.shape[0] * self.shape[1] / (640 * 480) / self.step**2
-
-    @property
-    def surfaces_file(self) -> str:
-        """Name of the file that holds surfaces and measured pixels."""
-        return f"{self.stem}_surfaces.npz"
 
     @property
     def leaf_image(self) -> NDArray[np.uint16]:
         """Label of each pixel's leaf, (H, W)."""
         return self.images["surfaces" if self.objects else "labels"]
 
-    def leaves(self) -> Iterator[ExportedSegment]:
-        """Return the leaves."""
-        return (each for each in self.segments.values() if not each.children)
-
     def below(self, name: str) -> list[ExportedSegment]:
         """Return the leaves below a segment, or a leaf itself."""
-        return [leaf for leaf in self.leaves() if leaf.name.startswith(name)]
+        return [leaf for leaf in self.leaves if leaf.name.startswith(name)]
 
     def points_below(self, name: str) -> int:
         """Return the number of points of all leaves below a segment."""

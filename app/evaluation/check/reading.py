@@ -1,19 +1,20 @@
 """Reads the files of an export, strictly."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
+from inspect import Parameter, signature
 from io import BytesIO
 from pathlib import Path
 from types import UnionType
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, get_args, get_origin
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.atomic_file import read_json
-from nurbseg.app.command.config_file import ConfigError, read_section
+from nurbseg.app.command.config_file import read_section
 from nurbseg.app.evaluation.check.exported import (
     ExportedFrame,
     ExportedSegment,
@@ -23,7 +24,7 @@ from nurbseg.app.evaluation.check.exported import (
 from nurbseg.app.export.exporter import SETTINGS_FILE, RunSettings
 from nurbseg.drivers.calibration.file import cameras_of_table
 from nurbseg.drivers.datasets.images import decode
-from nurbseg.drivers.errors import CalibrationError, RecordingFormatError, quoted
+from nurbseg.drivers.errors import RecordingFormatError, quoted
 from nurbseg.drivers.files import read_file
 from nurbseg.drivers.limits import FRAME_BYTES_MAX
 from nurbseg.drivers.settings import in_sections
@@ -44,6 +45,7 @@ _ARRAYS = {
     "weights": ("f", 2, 0),
     "measured": ("i", 1, 0),
 }
+_OF_A_SURFACE = ("knots_u", "knots_v", "control_points_m", "weights")
 
 
 class DamagedExportError(ValueError):
@@ -63,20 +65,16 @@ class _Settings:
     temporal: bool
     target_fps: float
     surfaces: bool
-    depth: dict[str, Any]
-    camera: dict[str, Any] | None
-    depth_scale: float | None
+    depth: dict[str, Any] = field(default_factory=dict)
+    camera: dict[str, Any] | None = None
+    depth_scale: float | None = None
 
 
 def read_settings(folder: Path) -> RunSettings:
     """Read the settings of a folder of exports; raises ValueError if they are missing or damaged."""
     path = folder / SETTINGS_FILE
     try:
-        document = {"depth": {}, "camera": None, "depth_scale": None} | read_json(path)
-    except FileNotFoundError as err:
-        raise ValueError(f"{err}; nurbseg-live --export writes it") from None
-    try:
-        values: _Settings = _decoded(_Settings, document)
+        values: _Settings = _decoded(_Settings, read_json(path))
         segmentation, _ = in_sections(SegmentationConfig, values.segmentation)
         depth, _ = in_sections(DepthConfig, values.depth)
         return RunSettings(
@@ -89,10 +87,11 @@ def read_settings(folder: Path) -> RunSettings:
             None if values.camera is None else cameras_of_table(path, values.camera).calibration(),
             values.depth_scale,
         )
-    except (CalibrationError, ConfigError) as err:
-        raise ValueError(f"{err}; export again with this version") from err
+    except FileNotFoundError as err:
+        raise ValueError(f"{err}; nurbseg-live --export writes it") from None
     except ValueError as err:
-        raise ValueError(f"{path}: {err}; export again with this version") from err
+        reason = str(err).removeprefix(f"{path}: ")
+        raise ValueError(f"{path}: {reason}; export again with this version") from err
 
 
 def read_frame(folder: Path, stem: str, settings: RunSettings) -> ExportedFrame:
@@ -102,7 +101,11 @@ def read_frame(folder: Path, stem: str, settings: RunSettings) -> ExportedFrame:
     """
     path = folder / f"{stem}_tree.json"
     try:
-        tree: ExportedTree = _decoded(ExportedTree, _filled_in(read_json(path)))
+        document: Any = read_json(path)
+        for each in document.get("segments", ()):
+            # Null where nothing was measured or tried; earlier versions left them out.
+            each |= {key: document.get("frame") for key in ("measured", "judged") if each.get(key) is None}
+        tree: ExportedTree = _decoded(ExportedTree, document)
         if len({each.name for each in tree.segments}) < len(tree.segments) or not tree.segments:
             raise ValueError("segments: expected at least one, and each name once")
     except (OSError, ValueError, TypeError, AttributeError) as err:
@@ -113,24 +116,11 @@ def read_frame(folder: Path, stem: str, settings: RunSettings) -> ExportedFrame:
     return ExportedFrame(stem, settings, tree, images, surfaces, measured)
 
 
-def _filled_in(document: Any) -> Any:
-    """Fill in fields that earlier versions left out."""
-    for each in document.get("segments", ()):
-        for key in ("measured", "judged"):
-            if each.get(key) is None:
-                each[key] = document.get("frame")
-    document.setdefault("joins", [])
-    for each in document.get("contacts", ()):
-        for key in ("samples", "log_odds", "evidence"):
-            each.setdefault(key, None)
-    return document
-
-
-_type_hints = cache(get_type_hints)
+_parameters = cache(lambda kind: signature(kind).parameters)
 
 
 def _decoded(kind: Any, value: Any) -> Any:
-    """Convert a JSON value to a type: objects to dataclasses, lists to tuples.
+    """Convert a JSON value to a type: objects to dataclasses with their defaults, lists to tuples.
 
     Raises ValueError, which names the field and its segment, or TypeError if the value itself does not fit.
     """
@@ -144,11 +134,13 @@ def _decoded(kind: Any, value: Any) -> Any:
     if origin is None and hasattr(kind, "__annotations__") and isinstance(value, dict):
         fields = {}
         whose = f"{value.get('name')} " if kind is ExportedSegment else ""
-        for name, hint in _type_hints(kind).items():
+        for name, parameter in _parameters(kind).items():
             if name not in value:
-                raise ValueError(f"{whose}{name} is missing")
+                if parameter.default is Parameter.empty:
+                    raise ValueError(f"{whose}{name} is missing")
+                continue
             try:
-                fields[name] = _decoded(hint, value[name])
+                fields[name] = _decoded(parameter.annotation, value[name])
             except TypeError as err:
                 raise ValueError(f"{whose}{name}: {err}") from err
             except ValueError as err:
@@ -175,37 +167,33 @@ def _image(path: Path, shape: tuple[int, int]) -> NDArray[np.uint16]:
 
 def _surfaces(path: Path) -> tuple[dict[str, ExportedSurface], dict[str, NDArray[np.int64]]]:
     try:
-        with np.load(BytesIO(read_file(path, _NPZ_BYTES_MAX, what="file"))) as arrays:
-            size = sum(each.file_size for each in arrays.zip.infolist())
+        with np.load(BytesIO(read_file(path, _NPZ_BYTES_MAX, what="file"))) as file:
+            size = sum(each.file_size for each in file.zip.infolist())
             if size > FRAME_BYTES_MAX:
                 raise ValueError(f"expected {FRAME_BYTES_MAX} bytes at most in its arrays, got {size}")
-            surfaces = {
-                name: ExportedSurface(
-                    degree=tuple(degree),
-                    window=tuple(window),
-                    **{
-                        part: _array(arrays, name, part)
-                        for part in ("knots_u", "knots_v", "control_points_m", "weights")
-                    },
-                )
-                for name, degree, window in zip(
-                    *(_array(arrays, "", key).tolist() for key in ("names", "degree", "window")), strict=True
-                )
-            }
-            measured = {
-                name: np.cumsum(_array(arrays, name, part), dtype=np.int64)
-                for name, part in (key.split("_", 1) for key in arrays.files if key.endswith("_measured"))
-            }
+            arrays = {key: _checked(key, file[key]) for key in file.files}
+        surfaces = {
+            name: ExportedSurface(
+                tuple(degree), tuple(window), **{part: arrays[f"{name}_{part}"] for part in _OF_A_SURFACE}
+            )
+            for name, degree, window in zip(
+                *(arrays[key].tolist() for key in ("names", "degree", "window")), strict=True
+            )
+        }
+        measured = {
+            key.removesuffix("_measured"): np.cumsum(array, dtype=np.int64)
+            for key, array in arrays.items()
+            if key.endswith("_measured")
+        }
     # What NumPy and zipfile raise for damaged files is of many kinds, some of them without a text.
     except Exception as err:
         raise DamagedExportError(path, str(err) or type(err).__name__) from err
     return surfaces, measured
 
 
-def _array(arrays: Mapping[str, NDArray[Any]], name: str, part: str) -> NDArray[Any]:
-    """Return an array of a segment, or of all; raises ValueError if it is of another kind or shape."""
-    key = f"{name}_{part}".lstrip("_")
-    array, (kind, dimensions, columns) = arrays[key], _ARRAYS[part]
+def _checked(key: str, array: NDArray[Any]) -> NDArray[Any]:
+    """Return an array; raises ValueError if it is of another kind or shape than its name says."""
+    kind, dimensions, columns = _ARRAYS[key.partition("_")[2] or key]
     if array.dtype.kind != kind or array.ndim != dimensions or columns not in (0, array.shape[-1]):
         raise ValueError(f"{key}: is an array {array.shape} of {array.dtype}, not as in docs/files.md")
     return array

@@ -1,20 +1,20 @@
 """Checks surfaces and the pixels they were fitted to, and evaluates surfaces with SciPy."""
 
-from collections.abc import Iterator
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.ndimage import find_objects
 
-from nurbseg.app.evaluation.check.exported import ExportedFrame, ExportedSurface, Finding
+from nurbseg.app.evaluation.check.exported import ExportedFrame, ExportedSurface
+
+#: Ending of the file that holds surfaces and measured pixels.
+SURFACES = "surfaces.npz"
 
 
-def check_measured(frame: ExportedFrame) -> Iterator[Finding]:
+def check_measured(frame: ExportedFrame) -> None:
     """Check the measured pixels against each other, the grid and the number of points."""
-    file = frame.surfaces_file
     if set(frame.measured) != set(frame.segments):
-        yield Finding(file, "", "measured", f"{sorted(frame.segments)}", f"{sorted(frame.measured)}")
+        frame.wrong("", "measured", sorted(frame.segments), sorted(frame.measured), SURFACES)
         return
     valid, step = frame.leaf_image > 0, frame.step
     on_grid = np.zeros_like(valid)
@@ -22,14 +22,14 @@ def check_measured(frame: ExportedFrame) -> Iterator[Finding]:
     for name, each in frame.segments.items():
         pixels = frame.measured[name]
         if pixels.size != each.points:
-            yield Finding(file, name, "measured", f"{each.points} pixels", str(pixels.size))
+            frame.wrong(name, "measured", f"{each.points} pixels", pixels.size, SURFACES)
         # Values from another frame have its pixels; a segment that a live tree did not cut has none.
         own = each.measured == frame.tree.frame and (pixels.size or each.points)
         if each.children and own and not np.array_equal(pixels, _measured_below(frame, name)):
-            yield Finding(file, name, "measured", "the pixels of its leaves", "others")
+            frame.wrong(name, "measured", "the pixels of its leaves", "others", SURFACES)
     if not np.array_equal(_measured_below(frame, "P"), np.flatnonzero(on_grid)):
         expected = f"in all leaves the pixels with a label of every {step} rows and columns"
-        yield Finding(file, "P", "measured", expected, "others")
+        frame.wrong("P", "measured", expected, "others", SURFACES)
 
 
 def _measured_below(frame: ExportedFrame, name: str) -> NDArray[np.int64]:
@@ -37,47 +37,33 @@ def _measured_below(frame: ExportedFrame, name: str) -> NDArray[np.int64]:
     return np.sort(np.concatenate([frame.measured[leaf.name] for leaf in frame.below(name)]))
 
 
-def check_surfaces(frame: ExportedFrame) -> Iterator[Finding]:
+def check_surfaces(frame: ExportedFrame) -> None:
     """Check the surfaces' arrays against each other, and their windows against the pixels."""
     with_surface = [name for name, each in frame.segments.items() if each.surface]
     if list(frame.surfaces) != with_surface:
-        yield Finding(frame.surfaces_file, "", "names", str(with_surface), str(list(frame.surfaces)))
+        frame.wrong("", "names", with_surface, list(frame.surfaces), SURFACES)
     for name, each in frame.segments.items():
         if each.surface == bool(each.reason):
-            yield frame.wrong(name, "reason", "one where there is no surface", repr(each.reason))
-    boxes = _boxes(frame)
+            frame.wrong(name, "reason", "one where there is no surface", repr(each.reason))
+    height, width = frame.shape
+    box_of = dict(enumerate(find_objects(frame.leaf_image), start=1))
     for name, surface in frame.surfaces.items():
         if name not in frame.segments:
             continue
-        wrong = malformed(surface)
-        if wrong:
-            yield Finding(frame.surfaces_file, name, *wrong)
-        rows, columns = np.divmod(frame.measured.get(name, np.zeros(0, dtype=np.int64)), frame.shape[1])
-        corners = [boxes[name]] if name in boxes else []
-        if rows.size:
-            corners.append((rows.min(), columns.min(), rows.max() + 1, columns.max() + 1))
+        if found := malformed(surface):
+            frame.wrong(name, *found, SURFACES)
+        boxes = [box for leaf in frame.below(name) if (box := box_of.get(leaf.leaf or 0))]
+        pixels = frame.measured.get(name, np.zeros(0, dtype=np.int64))
+        rows = np.concatenate([pixels // width, *((box[0].start, box[0].stop - 1) for box in boxes)])
+        columns = np.concatenate([pixels % width, *((box[1].start, box[1].stop - 1) for box in boxes)])
         top, left, bottom, right = surface.window
-        for box in corners:
-            if not (top <= box[0] and left <= box[1] and box[2] <= bottom and box[3] <= right):
-                whole = f"to hold all pixels, {tuple(int(each) for each in box)}"
-                yield Finding(frame.surfaces_file, name, "window", whole, str(surface.window))
-                break
-        if not (0 <= top < bottom <= frame.shape[0] and 0 <= left < right <= frame.shape[1]):
-            image = f"part of the image {frame.shape}"
-            yield Finding(frame.surfaces_file, name, "window", image, str(surface.window))
-
-
-def _boxes(frame: ExportedFrame) -> dict[str, tuple[int, int, int, int]]:
-    """Return the bounding box of each segment's pixels: first row and column, one past the last of each."""
-    leaf_of = {leaf.leaf: leaf.name for leaf in frame.leaves() if leaf.leaf}
-    boxes: dict[str, tuple[int, int, int, int]] = {}
-    for label, found in enumerate(find_objects(frame.leaf_image), start=1):
-        name = leaf_of.get(label, "") if found is not None else ""
-        for end in range(1, len(name) + 1):
-            box, (rows, columns) = boxes.get(name[:end], (*frame.shape, 0, 0)), found
-            first = min(box[0], rows.start), min(box[1], columns.start)
-            boxes[name[:end]] = (*first, max(box[2], rows.stop), max(box[3], columns.stop))
-    return boxes
+        if rows.size:
+            first, end = (rows.min(), columns.min()), (rows.max() + 1, columns.max() + 1)
+            if not (top <= first[0] and left <= first[1] and end[0] <= bottom and end[1] <= right):
+                whole = tuple(int(each) for each in (*first, *end))
+                frame.wrong(name, "window", f"to hold all pixels, {whole}", surface.window, SURFACES)
+        if not (0 <= top < bottom <= height and 0 <= left < right <= width):
+            frame.wrong(name, "window", f"part of the image {frame.shape}", surface.window, SURFACES)
 
 
 def malformed(surface: ExportedSurface) -> tuple[str, str, str] | None:

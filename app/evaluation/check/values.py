@@ -1,14 +1,14 @@
 """Checks that values and floors of metrics follow from the surfaces and the recording's points."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion
 from scipy.special import erfc
 
-from nurbseg.app.evaluation.check.exported import ExportedFrame, Finding
-from nurbseg.app.evaluation.check.surfaces import derivatives, malformed
+from nurbseg.app.evaluation.check.exported import ExportedFrame
+from nurbseg.app.evaluation.check.surfaces import SURFACES, derivatives, malformed
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap
 
@@ -31,27 +31,27 @@ _NOISE_ERROR = 2.0**-21
 Bounds = tuple[float, float]
 
 
-def check_values(frame: ExportedFrame, cloud: PointMap) -> Iterator[Finding]:
+def check_values(frame: ExportedFrame, cloud: PointMap) -> None:
     """Recompute the values of every segment from its surface and the points at its measured pixels.
 
     Damaged surfaces are skipped; `cloud` holds the points of the same frame.
     """
     labelled, config = frame.leaf_image > 0, frame.settings.config
     if labelled.shape != cloud.valid.shape:
-        yield frame.wrong("", "height, width", f"{cloud.valid.shape} as recorded", labelled.shape)
+        frame.wrong("", "height, width", f"{cloud.valid.shape} as recorded", labelled.shape)
         return
     if not np.array_equal(labelled, cloud.valid):
         row, column = np.argwhere(labelled != cloud.valid)[0].tolist()
         expected = "a label" if cloud.valid[row, column] else "no label, there is no point"
         found = f"{frame.leaf_image[row, column]} there"
-        yield Finding(f"{frame.stem}_labels.png", "", f"pixel [{row}, {column}]", expected, found)
+        frame.wrong("", f"pixel [{row}, {column}]", expected, found, "labels.png")
         return
     for name, surface in frame.surfaces.items():
         if malformed(surface) or name not in frame.segments:
             continue
         pixels = frame.measured.get(name, np.zeros(0, dtype=np.int64))
         if not have_points(pixels, cloud):
-            yield Finding(frame.surfaces_file, name, "measured", "pixels that have a point", "others")
+            frame.wrong(name, "measured", "pixels that have a point", "others", SURFACES)
             continue
         rows, columns = np.divmod(pixels, frame.shape[1])
         points_m = cloud.points_m[rows, columns].astype(np.float64)
@@ -61,7 +61,7 @@ def check_values(frame: ExportedFrame, cloud: PointMap) -> Iterator[Finding]:
             residuals_m, off_m, beside = _along_rays(S[0, 0], points_m)
             if beside > _BESIDE_MOST:
                 expected = f"surface points on their rays, to {_BESIDE_MOST} rad"
-                yield Finding(frame.surfaces_file, name, "control_points_m", expected, f"{beside:.2g} rad")
+                frame.wrong(name, "control_points_m", expected, f"{beside:.2g} rad", SURFACES)
         else:
             residuals_m = np.linalg.norm(S[0, 0] - points_m, axis=1)
             off_m = _DOUBLE * np.linalg.norm(points_m, axis=1)
@@ -72,11 +72,11 @@ def check_values(frame: ExportedFrame, cloud: PointMap) -> Iterator[Finding]:
                 for key, value in curvature_values(S, config).items()
             }
         if set(values) != set(bounds):
-            yield frame.wrong(name, "values", sorted(bounds), sorted(values))
+            frame.wrong(name, "values", sorted(bounds), sorted(values))
         for key in values.keys() & bounds.keys():
             (least, most), value = bounds[key], values[key]
             if value is None or not least <= value <= most:
-                yield frame.wrong(name, key, f"{least:.9g} to {most:.9g}", value)
+                frame.wrong(name, key, f"{least:.9g} to {most:.9g}", value)
 
 
 def have_points(pixels: NDArray[np.int64], cloud: PointMap) -> bool:
@@ -175,7 +175,7 @@ def curvature_values(
     }
 
 
-def check_floors(frame: ExportedFrame, cloud: PointMap) -> Iterator[Finding]:
+def check_floors(frame: ExportedFrame, cloud: PointMap) -> None:
     """Recompute the floor of the deciding metric at the measured pixels of every segment.
 
     Noise of inverse depth moves a point along its ray by its deviation times depth times distance. Floors of
@@ -200,13 +200,13 @@ def check_floors(frame: ExportedFrame, cloud: PointMap) -> Iterator[Finding]:
                 _floor(noise_m * factor, config) for factor in (1.0 - _NOISE_ERROR, 1.0 + _NOISE_ERROR)
             )
         if not least <= each.floor <= most:
-            yield frame.wrong(name, "floor", f"{least:.9g} to {most:.9g}", each.floor)
+            frame.wrong(name, "floor", f"{least:.9g} to {most:.9g}", each.floor)
     for name, floor in per_point.items():
         first = next(iter(per_point.values()))
         # The probability of a curvature beyond T_c may be too small for a number.
         positive = floor > 0 or (floor == 0 and config.metric == "nlc")
         if not positive or abs(floor - first) > 1e-9 * first:
-            yield frame.wrong(name, "floor", f"{first:.9g} as of others, more than 0", floor)
+            frame.wrong(name, "floor", f"{first:.9g} as of others, more than 0", floor)
 
 
 def _noise(pixels: NDArray[np.int64], cloud: PointMap, step: int) -> NDArray[np.float64]:

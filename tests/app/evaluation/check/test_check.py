@@ -449,6 +449,13 @@ def test_an_object_without_one_of_its_leaves_is_found(export):
     assert any(" object: expected None" in each for each in found)
 
 
+@pytest.mark.parametrize("number", [-1, 1 << 16, 10**30])
+def test_an_object_whose_number_is_no_label_is_found(export, number):
+    folder = export("nurbseg")
+    folder.document(lambda tree: tree["objects"][0].update(object=number))
+    assert any(f" object: expected {number}" in each for each in folder.findings())
+
+
 def test_a_contact_that_is_not_what_became_of_it_is_found(export):
     folder = export("nurbseg")
 
