@@ -95,8 +95,7 @@ class Answers:
         if variant.lambda_auto:
             used = (config.samples, config.affinity_scale)
             if used not in self._lambdas:
-                chosen, _ = best_lambda(self._cloud, config, clusters=CLUSTERS, seed=self._seed)
-                self._lambdas[used] = chosen
+                self._lambdas[used] = best_lambda(self._cloud, config, clusters=CLUSTERS, seed=self._seed)[0]
             config = replace(config, geometry_weight=self._lambdas[used])
         if config.method == "stag15":
             tree = segment_stag15(self._cloud, config, cut=self._shared.cut, fit=self._shared.fit)

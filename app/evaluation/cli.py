@@ -131,29 +131,24 @@ def main(words: Sequence[str] | None = None) -> int:
             commands.search(given, study)
         else:
             commands.noise(study)
+        return 0
     except (ValueError, DeviceNotFoundError, BackendMissingError) as err:
-        print(f"nurbseg-eval: error: {err}", file=sys.stderr)
-        return 2
+        code, text = 2, f"error: {err}"
     except (DriverError, OSError, RuntimeError) as err:
         file = getattr(err, "filename", None)
         if file is None and getattr(err, "errno", None) in (errno.EPIPE, errno.ENOSPC):
             # Of standard output: all files are named.
             raise
         what = f"{file}: {err.strerror}" if isinstance(err, OSError) and file else err
-        print(f"nurbseg-eval: error: {what}", file=sys.stderr)
-        return 1
+        code, text = 1, f"error: {what}"
     except ModuleNotFoundError as err:
-        print(
-            f"nurbseg-eval: error: {err.name} is not installed; evaluation needs the extra 'eval': "
-            "pip install '.[eval]' in the project's folder",
-            file=sys.stderr,
-        )
-        return 2
+        needed = "evaluation needs the extra 'eval': pip install '.[eval]' in the project's folder"
+        code, text = 2, f"error: {err.name} is not installed; {needed}"
     except KeyboardInterrupt:
         goes_on = "; run the same command to resume" if given.command == "run" else ""
-        print(f"nurbseg-eval: interrupted{goes_on}", file=sys.stderr)
-        return 130
-    return 0
+        code, text = 130, f"interrupted{goes_on}"
+    print(f"nurbseg-eval: {text}", file=sys.stderr)
+    return code
 
 
 if __name__ == "__main__":

@@ -4,9 +4,8 @@ import argparse
 import shlex
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from importlib import import_module
 from tempfile import TemporaryFile
 from typing import get_args
@@ -22,15 +21,13 @@ from nurbseg.app.evaluation.report.findings import findings, means_of, verdict
 from nurbseg.app.evaluation.report.progress import Progress
 from nurbseg.app.evaluation.report.report import write_report
 from nurbseg.app.evaluation.report.tables import all_tables, as_markdown, as_text
-from nurbseg.app.evaluation.results import StudyResults, write_rows
-from nurbseg.app.evaluation.store import StudyStore
-from nurbseg.app.evaluation.study import Study, frame_refs, read_frame, run_study, times_per_frame
+from nurbseg.app.evaluation.results import StudyResults, StudyStore, write_rows
+from nurbseg.app.evaluation.study import Study, frame_refs, readable_frames, run_study, times_per_frame
 from nurbseg.app.evaluation.tuning import searched_settings, tune
-from nurbseg.app.evaluation.variants import LABELS_PREFIX, grid_of, variants_of
-from nurbseg.drivers.errors import FrameFormatError
+from nurbseg.app.evaluation.variants import LABELS_PREFIX, grid_of, setting_value, variants_of
 from nurbseg.drivers.settings import changed_paths
 from nurbseg.segmentation.config import Metric
-from nurbseg.segmentation.points.registration import PointMap, register
+from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.surfaces.noise import measure_noise
 
 #: Number of sentences in the final summary.
@@ -60,10 +57,6 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
     methods = [*_words(given.methods), *(f"{LABELS_PREFIX}{folder}" for folder in given.labels)]
     for method in methods:
         check_method(method)
-    try:
-        thresholds = [float(each) for each in _words(given.thresholds)]
-    except ValueError:
-        raise ValueError(f"--thresholds {given.thresholds}: expected numbers, separated by commas") from None
     base, grid = base_config(given), grid_of(given.grid)
     warn_of_unread([*changed_paths(base), *grid], methods)
     study = replace(
@@ -71,7 +64,7 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
         variants=variants_of(
             methods,
             metrics=get_args(Metric) if given.metrics == "all" else _words(given.metrics),
-            thresholds=thresholds,
+            thresholds=[setting_value("threshold", each) for each in _words(given.thresholds)],
             grid=grid,
             base=base,
         ),
@@ -79,7 +72,7 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
     _check_before(study, report=not given.no_report)
     store = StudyStore(given.out, study.description())
     refs = run_study(study, store, jobs=given.jobs, scheduler=given.scheduler, report=Progress("frames"))
-    results = StudyResults.load(store, study.variants, {ref.key for ref in refs})
+    results = StudyResults.load(store, study.variants, [ref.key for ref in refs])
     if not results.frames:
         raise ValueError(f"{', '.join(study.sources)}: no frame has ground truth; see {given.out}/frames")
     seconds = times_per_frame(study, given.time_frames) if given.time_frames > 0 else {}
@@ -91,11 +84,10 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
     for caption, rows in tables:
         print(f"\n{caption}\n{as_text(rows)}")
     print(f"\n{about}")
-    markdown = given.out / "tables.md"
     parts = [about, "\n".join(f"- {each}" for each in sentences)]
     parts += [f"**{caption}**\n\n{as_markdown(rows)}" for caption, rows in tables]
-    write_atomically(markdown, ("\n\n".join(parts) + "\n").encode())
-    files.append(markdown)
+    files.append(given.out / "tables.md")
+    write_atomically(files[-1], ("\n\n".join(parts) + "\n").encode())
     if not given.no_report:
         files.append(
             write_report(
@@ -105,7 +97,6 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
                 seconds,
                 title=given.title,
                 command=shlex.join(["nurbseg-eval", *words]),
-                date=datetime.now(UTC).date().isoformat(),
                 frames_shown=given.pictures,
             )
         )
@@ -119,13 +110,8 @@ def _check_before(study: Study, *, report: bool) -> None:
     """Raise errors that would end the study later, before anything is written or computed."""
     for name in ("pyarrow", *(("jinja2", "matplotlib") if report else ())):
         import_module(name)
-    for ref in frame_refs(study):
-        try:
-            if read_frame(ref, study.options).labels is not None:
-                return
-        except FrameFormatError:
-            continue
-    raise ValueError(f"{', '.join(study.sources)}: no frame has ground truth")
+    if all(frame.labels is None for _, frame in readable_frames(study)):
+        raise ValueError(f"{', '.join(study.sources)}: no frame has ground truth")
 
 
 def search(given: argparse.Namespace, study: Study) -> None:
@@ -134,8 +120,6 @@ def search(given: argparse.Namespace, study: Study) -> None:
     if given.method is not None:
         config = replace(config, method=given.method)
     warn_of_unread(changed_paths(config), [config.method])
-    if not given.out.parent.is_dir():
-        raise ValueError(f"--out {given.out}: no such folder")
     try:
         TemporaryFile(dir=given.out.parent).close()
     except OSError as err:
@@ -152,8 +136,8 @@ def search(given: argparse.Namespace, study: Study) -> None:
     )
     before = AppConfig() if given.config is None else read_config(given.config)
     write_atomically(given.out, format_config(replace(before, segmentation=found.config)).encode())
-    for name, value in searched_settings(found.config).items():
-        print(f"{name} = {value}")
+    for path, value in searched_settings(found.config).items():
+        print(f"{path.rpartition('.')[2]} = {value}")
     gain = found.gain
     print(
         f"objective {found.objective:.4f} on all frames (GTRC - VoI / 10); gain on held-out frames "
@@ -170,19 +154,11 @@ def search(given: argparse.Namespace, study: Study) -> None:
 
 def noise(study: Study) -> None:
     """Measure the sensor's noise on the largest plane."""
-
-    def clouds() -> Iterator[PointMap]:
-        for ref in refs:
-            try:
-                yield register(read_frame(ref, study.options))
-            except FrameFormatError as err:
-                print(f"nurbseg-eval: {err}", file=sys.stderr)
-
-    refs = frame_refs(study)
-    estimate = measure_noise(clouds(), seed=study.seed)
+    frames = readable_frames(study, report=lambda err: print(f"nurbseg-eval: {err}", file=sys.stderr))
+    estimate = measure_noise((register(frame) for _, frame in frames), seed=study.seed)
     print(f"inverse_depth_noise = {estimate.inverse_depth_noise:.6f}")
     print(
-        f"from {estimate.points} points on planes in {estimate.frames} of {len(refs)} frames; "
+        f"from {estimate.points} points on planes in {estimate.frames} of {len(frame_refs(study))} frames; "
         f"{estimate.nearest_per_m:.6f} 1/m at {estimate.nearest_m:.2f} m, "
         f"{estimate.farthest_per_m:.6f} 1/m at {estimate.farthest_m:.2f} m"
     )

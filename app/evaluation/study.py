@@ -1,13 +1,13 @@
 """Runs variants on labelled frames in parallel, and stores each finished frame on disk."""
 
 import hashlib
-import itertools
 import json
 import re
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import islice
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from nurbseg.app.computer import computer, versions
 from nurbseg.app.evaluation.answers import Answers
+from nurbseg.app.evaluation.results import StudyStore
 from nurbseg.app.evaluation.scoring import score_frame, score_objects
-from nurbseg.app.evaluation.store import StudyStore
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, Variant
 from nurbseg.app.export.frame_files import png
 from nurbseg.app.frames import survey
@@ -27,21 +27,13 @@ from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
-from nurbseg.segmentation.points.registration import PointMap, register
+from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.segments import SegmentationTree
 
-#: Last number of each category of the (modified) Object Segmentation Database, as its README lists them.
-_OSD = {
-    "learn": ((16, "boxes"), (24, "stacked boxes"), (32, "occluded objects"), (44, "cylindric objects")),
-    "test": (
-        (15, "boxes"),
-        (23, "stacked boxes"),
-        (30, "occluded objects"),
-        (42, "cylindric objects"),
-        (54, "mixed objects"),
-        (65, "complex scene"),
-    ),
-}
+#: Categories of the (modified) Object Segmentation Database, as its README lists them, and the last number of
+#: each in its two sets.
+_OSD = ("boxes", "stacked boxes", "occluded objects", "cylindric objects", "mixed objects", "complex scene")
+_OSD_LAST = {"learn": (16, 24, 32, 44), "test": (15, 23, 30, 42, 54, 65)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,10 +111,8 @@ def run_study(
     refs = frame_refs(study)
     for ref in refs:
         known = store.frame(ref.key)
-        if known is not None and known.get("skipped"):
-            continue
-        missing = tuple(each for each in study.variants if each.key not in (known or {}).get("results", {}))
-        if missing:
+        missing = tuple(each for each in study.variants if each.key not in known.get("results", {}))
+        if missing and not known.get("skipped"):
             todo.append((ref, missing))
     done = len(refs) - len(todo)
     report(done, len(refs))
@@ -133,8 +123,7 @@ def run_study(
                 record, files = future.result()
             except WorkerLostError as err:
                 raise WorkerLostError(f"{ref.uri}, frame {ref.index}: {err}") from err
-            known = store.frame(ref.key) or {}
-            results = {**known.get("results", {}), **record.get("results", {})}
+            results = {**store.frame(ref.key).get("results", {}), **record.get("results", {})}
             store.keep(ref.key, {**record, "results": results}, files)
             done += 1
             report(done, len(refs))
@@ -146,6 +135,17 @@ def read_frame(ref: FrameRef, options: SourceOptions) -> RGBDFrame:
     with open_source(ref.uri, options) as source:
         source.skip(ref.index)
         return source.read(timeout_s=60.0)
+
+
+def readable_frames(
+    study: Study, report: Callable[[FrameFormatError], object] = lambda err: None
+) -> Iterator[tuple[FrameRef, RGBDFrame]]:
+    """Yield the frames of a study, except damaged ones, whose errors are passed to `report`."""
+    for ref in frame_refs(study):
+        try:
+            yield ref, read_frame(ref, study.options)
+        except FrameFormatError as err:
+            report(err)
 
 
 def evaluate_frame(
@@ -201,21 +201,14 @@ def times_per_frame(study: Study, frames: int) -> Mapping[str, float]:
     The first frames that are not damaged are used; each variant runs once before it is timed. Label images of
     other programs have no time.
     """
-    clouds: list[tuple[PointMap, str, int]] = []
-    for ref in frame_refs(study):
-        if len(clouds) == frames:
-            break
-        try:
-            frame = read_frame(ref, study.options)
-        except FrameFormatError:
-            continue
-        clouds.append((register(frame), frame.name, ref.index))
+    first = islice(readable_frames(study), frames)
+    clouds = [(register(frame), frame.name, ref.index) for ref, frame in first]
     seconds = {}
     for variant in study.variants:
         if variant.method.startswith(LABELS_PREFIX):
             continue
         taken = []
-        for cloud, name, index in itertools.chain(clouds[:1], clouds):
+        for cloud, name, index in (*clouds[:1], *clouds):
             start = time.perf_counter()
             Answers(cloud, name, index, study.seed).of(variant)
             taken.append(time.perf_counter() - start)
@@ -263,7 +256,7 @@ def category_of(name: str, uri: str) -> str:
     """
     match = re.fullmatch(r"(learn|test)(\d+)", name)
     if match:
-        for last, category in _OSD[match[1]]:
+        for last, category in zip(_OSD_LAST[match[1]], _OSD, strict=False):
             if int(match[2]) <= last:
                 return category
     match = re.match(r"scene[_ ]?(\d+)", name)

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
 from typing import Any, get_args
 
 import numpy as np
@@ -15,7 +16,7 @@ from nurbseg.app.evaluation.study import FrameRef, Study, frame_refs, read_frame
 from nurbseg.app.workers import in_order, open_workers
 from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.settings import updated
+from nurbseg.drivers.settings import nested, updated
 from nurbseg.segmentation.config import Metric, SegmentationConfig, SplittingPoint
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap, register
@@ -58,19 +59,18 @@ def tune(
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     search = optuna.create_study(direction="maximize", sampler=optuna.samplers.TPESampler(seed=seed))
     search.enqueue_trial(searched_settings(start))
+    distributions = _distributions(start.method)
     tried: list[SegmentationConfig] = []
     scores: list[NDArray[np.float64]] = []
     with open_workers(jobs) as workers:
         for number in range(budget):
-            trial = search.ask()
-            config = start if number == 0 else _suggested(trial, start)
-            judged = in_order(workers, partial(_frame_objective, study=study, config=config), refs)
+            trial = search.ask(distributions)
+            config = start if number == 0 else updated(start, **nested(trial.params))
+            judged = in_order(workers, partial(_frame_objective, options=study.options, config=config), refs)
             values = np.array([future.result() for _, future in judged])
             if np.isfinite(values).sum() < 2:
                 raise ValueError(f"{', '.join(study.sources)}: expected at least 2 frames with ground truth")
             mean = float(np.nanmean(values))
-            if number == 0:
-                _suggested(trial, start)
             search.tell(trial, mean)
             tried.append(config)
             scores.append(values)
@@ -98,28 +98,27 @@ _CLOUDS_MOST = 100
 _CLOUDS: dict[tuple[FrameRef, SourceOptions], _Labelled | None] = {}
 
 
-def _labelled_cloud(ref: FrameRef, study: Study) -> _Labelled | None:
+def _labelled_cloud(ref: FrameRef, options: SourceOptions) -> _Labelled | None:
     """Register a frame, the first `_CLOUDS_MOST` only once in each process."""
-    known = ref, study.options
-    if known in _CLOUDS:
-        return _CLOUDS[known]
+    if (ref, options) in _CLOUDS:
+        return _CLOUDS[ref, options]
     labelled = None
     with suppress(FrameFormatError):
-        frame = read_frame(ref, study.options)
+        frame = read_frame(ref, options)
         cloud = register(frame)
         if frame.labels is not None and (cloud.valid & (frame.labels > 0)).any():
             labelled = cloud, frame.labels
     if len(_CLOUDS) < _CLOUDS_MOST:
-        _CLOUDS[known] = labelled
+        _CLOUDS[ref, options] = labelled
     return labelled
 
 
-def _frame_objective(ref: FrameRef, study: Study, config: SegmentationConfig) -> float:
+def _frame_objective(ref: FrameRef, options: SourceOptions, config: SegmentationConfig) -> float:
     """Return the ground-truth region covering minus a tenth of the VoI in bits; NaN without ground truth.
 
     The covering alone hardly depends on how small objects are divided; VoI / 10 has a similar scale.
     """
-    labelled = _labelled_cloud(ref, study)
+    labelled = _labelled_cloud(ref, options)
     if labelled is None:
         return float("nan")
     cloud, truth = labelled
@@ -129,29 +128,26 @@ def _frame_objective(ref: FrameRef, study: Study, config: SegmentationConfig) ->
 
 #: T_p of each method: the setting and its bounds.
 _SMALLEST = {
-    "stag15": ("stag15", "segment_pixels_min", 50, 4000),
-    "nurbseg": ("extended", "piece_pixels_min", 50, 2000),
+    "stag15": ("stag15.segment_pixels_min", 50, 4000),
+    "nurbseg": ("extended.piece_pixels_min", 50, 2000),
 }
 
 
 def searched_settings(config: SegmentationConfig) -> dict[str, Any]:
-    """Return the settings that are searched, by name."""
-    names = ("metric", "ratio_max", "geometry_weight", "affinity_scale", "splitting_point")
-    section, smallest, _, _ = _SMALLEST[config.method]
-    return {name: getattr(config, name) for name in names} | {
-        smallest: getattr(getattr(config, section), smallest)
+    """Return the settings that are searched, by path."""
+    return {path: attrgetter(path)(config) for path in _distributions(config.method)}
+
+
+def _distributions(method: str) -> dict[str, Any]:
+    """Return Optuna's distributions of the searched settings, by path."""
+    from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
+
+    smallest, least, most = _SMALLEST[method]
+    return {
+        "metric": CategoricalDistribution(get_args(Metric)),
+        "ratio_max": FloatDistribution(0.5, 1.0),
+        "geometry_weight": FloatDistribution(0.1, 10.0, log=True),
+        "affinity_scale": FloatDistribution(0.3, 3.0, log=True),
+        "splitting_point": CategoricalDistribution(get_args(SplittingPoint)),
+        smallest: IntDistribution(least, most, log=True),
     }
-
-
-def _suggested(trial: Any, start: SegmentationConfig) -> SegmentationConfig:
-    section, smallest, least, most = _SMALLEST[start.method]
-    result: SegmentationConfig = updated(
-        start,
-        metric=trial.suggest_categorical("metric", list(get_args(Metric))),
-        ratio_max=trial.suggest_float("ratio_max", 0.5, 1.0),
-        geometry_weight=trial.suggest_float("geometry_weight", 0.1, 10.0, log=True),
-        affinity_scale=trial.suggest_float("affinity_scale", 0.3, 3.0, log=True),
-        splitting_point=trial.suggest_categorical("splitting_point", list(get_args(SplittingPoint))),
-        **{section: {smallest: trial.suggest_int(smallest, least, most, log=True)}},
-    )
-    return result

@@ -6,10 +6,10 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from nurbseg.drivers.settings import nested, setting_paths, updated, value_kind
-from nurbseg.segmentation.config import Metric, SegmentationConfig
+from nurbseg.segmentation.config import SegmentationConfig
 
 #: Methods with a tree of surface fits, to which grids of metrics and thresholds apply.
 TREE_METHODS = ("nurbseg", "stag15", "pz14")
@@ -17,12 +17,8 @@ TREE_METHODS = ("nurbseg", "stag15", "pz14")
 #: Settings of the flat clustering, which chooses lambda itself.
 _FLAT_SETTINGS = ("samples", "affinity_scale")
 
-#: Settings that a method's name implies.
-_FIXED = {
-    "stag15": ("method",),
-    "nurbseg": ("method",),
-    "pz14": ("method", "metric", "stag15.control_points"),
-}
+#: Settings of `stag15` that the name of ``pz14`` implies.
+_FIXED = ("metric", "stag15.control_points")
 
 #: Prefix of methods that read label images of another program.
 LABELS_PREFIX = "labels:"
@@ -113,48 +109,41 @@ def variants_of(
     """
     base = base or SegmentationConfig()
     for metric in metrics:
-        if metric not in get_args(Metric):
-            raise ValueError(f"metric: expected one of {', '.join(get_args(Metric))}, got {metric!r}")
-    axes: dict[str, Sequence[Any]] = dict(grid or {})
+        setting_value("metric", metric)
     variants: dict[str, Variant] = {}
     for method in methods:
         if method.startswith(LABELS_PREFIX):
             state = _state_of_images(Path(method.removeprefix(LABELS_PREFIX)))
             variants[method] = Variant(name=method, method=method, config=base, content=state)
             continue
-        if method not in TREE_METHODS:
-            own = {name: axes[name] for name in _FLAT_SETTINGS if method == "dmzc12" and name in axes}
-        else:
-            read = ("", "extended" if method == "nurbseg" else "stag15")
-            own = {
-                path: values
-                for path, values in axes.items()
-                if path not in _FIXED[method] and path.rpartition(".")[0] in read
-            }
+        axes: dict[str, Sequence[Any]] = {}
         if method in ("stag15", "nurbseg") and (metrics or thresholds):
-            own = {
-                "metric": list(metrics or [base.metric]),
-                "ratio_max": list(thresholds or [base.ratio_max]),
-                **own,
-            }
-        for values in itertools.product(*own.values()):
-            variant = _variant(method, dict(zip(own, values, strict=True)), base)
+            axes = {"metric": metrics or [base.metric], "ratio_max": thresholds or [base.ratio_max]}
+        axes |= {path: values for path, values in (grid or {}).items() if _reads(method, path)}
+        for values in itertools.product(*axes.values()):
+            variant = _variant(method, dict(zip(axes, values, strict=True)), base)
             variants[variant.name] = variant
     return tuple(variants.values())
 
 
+def _reads(method: str, path: str) -> bool:
+    """Whether a setting changes the labels of a method."""
+    if method not in TREE_METHODS:
+        return method == "dmzc12" and path in _FLAT_SETTINGS
+    if method == "pz14" and path in _FIXED:
+        return False
+    return path.rpartition(".")[0] in ("", "extended" if method == "nurbseg" else "stag15")
+
+
 def _variant(method: str, chosen: Mapping[str, Any], base: SegmentationConfig) -> Variant:
+    words = [str(value) if path == "metric" else f"{_symbol(path)}={value}" for path, value in chosen.items()]
     settings = dict(chosen)
-    lambda_auto = settings.get("geometry_weight") == "auto"
-    if lambda_auto:
+    if lambda_auto := settings.get("geometry_weight") == "auto":
         del settings["geometry_weight"]
-    words = [method]
-    for path, value in chosen.items():
-        words.append(str(value) if path == "metric" else f"{_symbol(path)}={value}")
     config = updated(base, method="nurbseg" if method == "nurbseg" else "stag15", **nested(settings))
     if method == "pz14":
         config = updated(config, metric="mse", stag15={"control_points": "fixed"})
-    return Variant(name=" ".join(words), method=method, config=config, lambda_auto=lambda_auto)
+    return Variant(name=" ".join([method, *words]), method=method, config=config, lambda_auto=lambda_auto)
 
 
 def _state_of_images(folder: Path) -> str:

@@ -8,8 +8,8 @@ import os
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from functools import cache
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,7 @@ from nurbseg.segmentation.points.registration import PointMap
 
 _BUILD_TIMEOUT_S = 900.0
 _RUN_TIMEOUT_S = 120.0
-_SOURCES = ("CMakeLists.txt", "pcl_rivals.cpp")
+_SOURCES = Path(__file__).with_name("pcl_program")
 
 
 @cache
@@ -33,27 +33,19 @@ def program() -> Path:
     needed = "install them: apt-get install libpcl-dev cmake g++"
     if shutil.which("cmake") is None or shutil.which("c++") is None:
         raise BackendMissingError(f"lccp, pcl-organized: cmake and a C++ compiler are needed; {needed}")
-    sources = resources.files("nurbseg.app.evaluation.methods").joinpath("pcl_program")
-    content = {name: sources.joinpath(name).read_bytes() for name in _SOURCES}
-    digest = hashlib.sha256(b"".join(content.values())).hexdigest()[:16]
+    content = b"".join(path.read_bytes() for path in sorted(_SOURCES.iterdir()))
+    digest = hashlib.sha256(content).hexdigest()[:16]
     cache_home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     folder = cache_home / "nurbseg" / f"pcl-{digest}"
     built = folder / "pcl_rivals"
     if built.exists():
         return built
     folder.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder.parent) as name:
-        work = Path(name)
-        for source, text in content.items():
-            (work / source).write_bytes(text)
-        for command in (
-            ["cmake", "-S", ".", "-B", ".", "-DCMAKE_BUILD_TYPE=Release"],
-            ["cmake", "--build", "."],
-        ):
+    with tempfile.TemporaryDirectory(dir=folder.parent) as work:
+        configure = ["cmake", "-S", _SOURCES, "-B", work, "-DCMAKE_BUILD_TYPE=Release"]
+        for command in (configure, ["cmake", "--build", work]):
             try:
-                done = subprocess.run(
-                    command, cwd=work, capture_output=True, text=True, timeout=_BUILD_TIMEOUT_S, check=False
-                )
+                done = _run(command, _BUILD_TIMEOUT_S)
             except subprocess.TimeoutExpired as err:
                 raise BackendMissingError(
                     f"lccp, pcl-organized: the build took over {err.timeout:.0f} s"
@@ -64,25 +56,23 @@ def program() -> Path:
                     f"lccp, pcl-organized: cannot build against PCL ({' '.join(reason[:1])}); {needed}"
                 )
         folder.mkdir(exist_ok=True)
-        (work / "pcl_rivals").replace(built)
+        (Path(work) / "pcl_rivals").replace(built)
     return built
 
 
-def _run(method: str, cloud: PointMap) -> NDArray[np.uint16]:
+def _run(command: Sequence[object], timeout_s: float) -> subprocess.CompletedProcess[str]:
+    words = [str(word) for word in command]
+    return subprocess.run(words, capture_output=True, text=True, timeout=timeout_s, check=False)
+
+
+def _labels(method: str, cloud: PointMap) -> NDArray[np.uint16]:
     height, width = cloud.valid.shape
     with tempfile.TemporaryDirectory() as name:
         points, colors, labels = (Path(name) / each for each in ("points.f32", "colors.u8", "labels.u16"))
         cloud.points_m.tofile(points)
         cloud.color.tofile(colors)
-        command = [program(), method, str(width), str(height), points, colors, labels]
         try:
-            done = subprocess.run(
-                [str(word) for word in command],
-                capture_output=True,
-                text=True,
-                timeout=_RUN_TIMEOUT_S,
-                check=False,
-            )
+            done = _run([program(), method, width, height, points, colors, labels], _RUN_TIMEOUT_S)
         except subprocess.TimeoutExpired as err:
             raise RuntimeError(f"{method}: a frame took over {err.timeout:g} s") from err
         if done.returncode != 0:
@@ -97,7 +87,7 @@ def lccp(cloud: PointMap, rng: np.random.Generator) -> NDArray[np.integer]:
     ----------
     .. [1] S. Stein et al., "Object partitioning using local convexity", CVPR 2014.
     """
-    return _run("lccp", cloud)
+    return _labels("lccp", cloud)
 
 
 def organized(cloud: PointMap, rng: np.random.Generator) -> NDArray[np.integer]:
@@ -108,4 +98,4 @@ def organized(cloud: PointMap, rng: np.random.Generator) -> NDArray[np.integer]:
     .. [1] A. Trevor et al., "Efficient organized point cloud segmentation with connected components",
        SPME 2013.
     """
-    return _run("organized", cloud)
+    return _labels("organized", cloud)

@@ -19,19 +19,13 @@ def label_colors(labels: NDArray[np.integer], truth: NDArray[np.integer] | None 
     other segments have colors that no region has.
     """
     colors = np.zeros((*labels.shape, 3), np.uint8)
-    values = np.unique(labels[labels > 0])
-    number = {int(value): place for place, value in enumerate(values)}
-    if truth is not None:
-        number = _matched(labels, truth, values)
-    for value, place in number.items():
+    for value, place in _matched(labels, labels if truth is None else truth).items():
         colors[labels == value] = label_color(place + 1)
     return colors
 
 
-def _matched(
-    labels: NDArray[np.integer], truth: NDArray[np.integer], values: NDArray[np.integer]
-) -> dict[int, int]:
-    regions = np.unique(truth[truth > 0])
+def _matched(labels: NDArray[np.integer], truth: NDArray[np.integer]) -> dict[int, int]:
+    values, regions = np.unique(labels[labels > 0]), np.unique(truth[truth > 0])
     both = (labels > 0) & (truth > 0)
     rows = np.searchsorted(values, labels[both])
     columns = np.searchsorted(regions, truth[both])

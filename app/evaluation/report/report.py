@@ -2,7 +2,7 @@
 
 import base64
 from collections.abc import Mapping, Sequence
-from importlib import resources
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,7 @@ from nurbseg.app.evaluation.answers import Answers
 from nurbseg.app.evaluation.report import pictures, plots
 from nurbseg.app.evaluation.report.findings import findings, means_of, verdict
 from nurbseg.app.evaluation.report.tables import all_tables
-from nurbseg.app.evaluation.results import StudyResults
-from nurbseg.app.evaluation.store import StudyStore
+from nurbseg.app.evaluation.results import StudyResults, StudyStore
 from nurbseg.app.evaluation.study import FrameRef, Study, label_path, read_frame, tree_path
 from nurbseg.app.evaluation.variants import TREE_METHODS, Variant
 from nurbseg.app.view.drawing.palette import STOP_COLORS
@@ -40,8 +39,7 @@ def write_report(
     *,
     title: str,
     command: str,
-    date: str,
-    frames_shown: int = 200,
+    frames_shown: int,
 ) -> Path:
     """Write ``report.html`` and ``pictures/*.png`` to the study's folder; return the path of the former.
 
@@ -60,18 +58,15 @@ def write_report(
         ("Covering against time", "time.png", plots.time_plot(results, seconds)),
     ):
         if image is not None:
-            write_atomically(folder / name, image)
-            drawn_plots.append((caption, _base64(image)))
+            drawn_plots.append((caption, _saved(folder / name, image)))
     trees_of = next((each for each in shown if each.method in TREE_METHODS), None)
     template = jinja2.Environment(autoescape=True).from_string(
-        resources.files("nurbseg.app.evaluation.report")
-        .joinpath("report.html.j2")
-        .read_text(encoding="utf-8")
+        Path(__file__).with_name("report.html.j2").read_text(encoding="utf-8")
     )
     html = template.render(
         title=title,
         command=command,
-        date=date,
+        date=datetime.now(UTC).date(),
         versions=versions_line(),
         computers=results.computers(),
         findings=[verdict(results), *findings(means_of(results))],
@@ -147,11 +142,11 @@ def _tree_pictures(
             image = plots.tree_plot(read_json(path)["segments"])
         except (KeyError, TypeError, ValueError) as err:
             raise ValueError(f"{path}: cannot be drawn ({err!r}); remove it to leave it out") from err
-        write_atomically(folder / f"{key}-{frame['name']}-tree.png", image)
-        drawn.append((f"{frame['name']}: tree of {variant.name}", _base64(image)))
         errors = pictures.strip_png(_error_tiles(study, frame, variant), 420)
-        write_atomically(folder / f"{key}-{frame['name']}-errors.png", errors)
-        drawn.append((f"{frame['name']}: fitting error, blue 0 to red {_ERROR_M} m", _base64(errors)))
+        name = frame["name"]
+        drawn.append((f"{name}: tree of {variant.name}", _saved(folder / f"{key}-{name}-tree.png", image)))
+        caption = f"{name}: fitting error, blue 0 to red {_ERROR_M} m"
+        drawn.append((caption, _saved(folder / f"{key}-{name}-errors.png", errors)))
     return drawn
 
 
@@ -197,6 +192,12 @@ def _spread(image: NDArray[np.float64], step: int) -> NDArray[np.float64]:
     """Fill pixels between those of a decimated grid with the value to their upper left."""
     height, width = image.shape
     return image[::step, ::step].repeat(step, axis=0).repeat(step, axis=1)[:height, :width]
+
+
+def _saved(path: Path, png: bytes) -> str:
+    """Write a picture, and return it for the report."""
+    write_atomically(path, png)
+    return _base64(png)
 
 
 def _base64(content: bytes) -> str:

@@ -45,26 +45,18 @@ def object_rows(results: StudyResults) -> list[list[str]]:
 
 def as_text(rows: Sequence[Sequence[str]]) -> str:
     """Format a table for a terminal."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    first, *others = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = []
-    for number, row in enumerate(rows):
-        cells = [
-            cell.ljust(w) if i == 0 else cell.rjust(w)
-            for i, (cell, w) in enumerate(zip(row, widths, strict=True))
-        ]
-        lines.append("  ".join(cells).rstrip())
-        if number == 0:
-            lines.append("-" * len(lines[0]))
-    return "\n".join(lines)
+    for name, *cells in rows:
+        figures = (cell.rjust(width) for cell, width in zip(cells, others, strict=True))
+        lines.append("  ".join([name.ljust(first), *figures]).rstrip())
+    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
 
 
 def as_markdown(rows: Sequence[Sequence[str]]) -> str:
     """Format a table as Markdown; cells in ``*`` become bold."""
-    lines = []
-    for number, row in enumerate(rows):
-        lines.append("| " + " | ".join(cell.replace("*", "**") for cell in row) + " |")
-        if number == 0:
-            lines.append("| --- |" + " ---: |" * (len(row) - 1))
+    lines = ["| " + " | ".join(cell.replace("*", "**") for cell in row) + " |" for row in rows]
+    lines.insert(1, "| --- |" + " ---: |" * (len(rows[0]) - 1))
     return "\n".join(lines)
 
 
@@ -74,12 +66,10 @@ def all_tables(results: StudyResults, seconds: Mapping[str, float]) -> list[tupl
     for score, (heading, greater) in SCORES.items():
         direction = "greater" if greater else "smaller"
         tables.append((f"{heading}: mean over frames, {direction} is better", score_rows(results, score)))
-    caption = (
-        "Objects matched one to one, without background: overlap, boundaries, share with F of .75 or more"
-    )
-    tables.append((caption, object_rows(results)))
-    caption = "Numbers of segments and regions, errors (bits), boundaries within 2 px, time"
-    return [*tables, (caption, detail_rows(results, seconds))]
+    shown = "overlap, boundaries, share with F of .75 or more"
+    objects = f"Objects matched one to one, without background: {shown}"
+    details = "Numbers of segments and regions, errors (bits), boundaries within 2 px, time"
+    return [*tables, (objects, object_rows(results)), (details, detail_rows(results, seconds))]
 
 
 def digits(value: float) -> str:
