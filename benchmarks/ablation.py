@@ -9,7 +9,6 @@ Labelled frames without calibration, as docs/ablation.md::
 
 from __future__ import annotations
 
-import argparse
 import datetime
 import platform
 import shlex
@@ -24,12 +23,11 @@ from typing import Any
 import cv2
 import numpy as np
 import scipy
+from labelled import frames_parser, labelled_frames
 from numpy.typing import NDArray
 
 from nurbseg.app.evaluation.results import bootstrap_mean
-from nurbseg.drivers.errors import DriverError
-from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.registry import open_source
+from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.methods import segment
@@ -62,14 +60,9 @@ NO_RATIO = ("the ratio (every split is kept)", {"ratio_max": 1e9})
 Frames = Sequence[tuple[PointMap, NDArray[np.uint16]]]
 
 
-def labelled_frames(path: str, intrinsics: tuple[float, float, float, float] | None) -> Frames:
-    """Read and register every frame of a recording that has labels."""
-    frames = []
-    with open_source(path, SourceOptions(intrinsics=intrinsics)) as source:
-        for frame in source:
-            if frame.labels is not None:
-                frames.append((register(frame), frame.labels))
-    return frames
+def registered(frames: Iterable[RGBDFrame]) -> Frames:
+    """Register every frame that has labels."""
+    return [(register(frame), frame.labels) for frame in frames if frame.labels is not None]
 
 
 def measured(
@@ -230,21 +223,10 @@ def report(named: Sequence[tuple[str, Frames]], seeds: int, command: str) -> lis
 
 def main() -> int:
     """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("frames", nargs="+", help="labelled frames: folders of pairs or recordings")
-    parser.add_argument("--intrinsics", help="fx,fy,cx,cy in pixels, for folders without calibration")
-    parser.add_argument("--seeds", type=int, default=5, help="seeds for the spread (%(default)s)")
+    parser = frames_parser(__doc__, "labelled frames: folders of pairs or recordings")
     parser.add_argument("--out", type=Path, help="page to write; the terminal without it")
     given = parser.parse_args()
-    intrinsics = None
-    if given.intrinsics:
-        fx, fy, cx, cy = (float(each) for each in given.intrinsics.split(","))
-        intrinsics = fx, fy, cx, cy
-    try:
-        named = [(Path(each).name, labelled_frames(each, intrinsics)) for each in given.frames]
-    except DriverError as err:
-        print(err, file=sys.stderr)
-        return 2
+    named = [(Path(each).name, registered(labelled_frames(each, given))) for each in given.frames]
     for name, frames in named:
         if not frames:
             print(f"{name}: no frame has labels", file=sys.stderr)

@@ -42,7 +42,7 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import register
 
-#: Slower by more than this share is told; with such a confidence it counts.
+#: Slower by more than this share is reported; with such a confidence it counts.
 SLOWER, CONFIDENCE = 0.05, 0.95
 _DRAWS = 4000
 _FRAMES = 3
@@ -102,11 +102,11 @@ def command(*words: str) -> Measured:
 
 def start_of_command(uri: str) -> Measured:
     """Measure the help, and the way to the first frame and out again."""
-    told = command("nurbseg-live", "--help")
+    helped = command("nurbseg-live", "--help")
     shown = command("nurbseg-live", "--replay", uri, "--speed", "0", "--frames", "1", "--view", "none")
     name = f"first frame of {Path(uri).name}"
     return {
-        "--help, processor s": told["processor"],
+        "--help, processor s": helped["processor"],
         f"{name}, s": shown["took"],
         f"{name}, processor s": shown["processor"],
     }
@@ -169,10 +169,10 @@ def compare(before: dict[str, Any], after: dict[str, Any]) -> int:
     for name in sorted({*before["values"], *after["values"]} - set(common)):
         print(f"only in one of them: {name}")
     found = [(name, *slower(before["values"][name], after["values"][name])) for name in common]
-    told = sorted((each for each in found if each[1] > 1 + SLOWER), key=lambda each: -each[2])
-    for name, ratio, confidence in told:
+    slowed = sorted((each for each in found if each[1] > 1 + SLOWER), key=lambda each: -each[2])
+    for name, ratio, confidence in slowed:
         print(f"{name}: {100 * (ratio - 1):+.0f} %; confidence {confidence:.0%}")
-    certain = sum(confidence >= CONFIDENCE for _, _, confidence in told)
+    certain = sum(confidence >= CONFIDENCE for _, _, confidence in slowed)
     print(f"{certain} of {len(common)} slower by more than {100 * SLOWER:g} % with {CONFIDENCE:.0%} or more")
     return certain
 

@@ -21,6 +21,8 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
+from run_files import viewer_chunks
+
 from nurbseg.app.live.tracking import process_frame
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.isolated import IsolatedView
@@ -75,13 +77,10 @@ def run(
 
 def missing_frames(path: Path, frames: list[RGBDFrame]) -> set[int]:
     """Return the numbers of the frames that lack an image, the surfaces or the tree in a saved file."""
-    from rerun.chunk import RrdReader  # late, so that the view decides how much Rerun says
-
     found: dict[str, set[int]] = {"world/camera/image/depth": set(), "world/surfaces": set(), "tree": set()}
-    for chunk in RrdReader(str(path)).stream():
-        entity = str(chunk.entity_path).strip("/")
-        if entity in found and not chunk.is_static:
-            found[entity].update(chunk.to_record_batch().column("frame").to_pylist())
+    for entity, records in viewer_chunks(path):
+        if entity in found:
+            found[entity].update(records.column("frame").to_pylist())
     return {frame.index for frame in frames} - set.intersection(*found.values())
 
 

@@ -14,7 +14,6 @@ to be written; `--slowdown 4` lets the camera's clock go at a quarter of its pac
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import random
 import signal
@@ -22,14 +21,13 @@ import subprocess
 import sys
 import tempfile
 import time
-import warnings
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 import psutil
+from run_files import contradictory_trees, viewer_chunks
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "virtualcam"))
 # The camera that the tests have.
@@ -85,10 +83,10 @@ def main() -> None:
         ):
             outcomes.append(outcome)
             print(outcome, flush=True)
-    sys.exit(told(outcomes))
+    sys.exit(print_table(outcomes))
 
 
-def told(outcomes: list[Outcome]) -> bool:
+def print_table(outcomes: list[Outcome]) -> bool:
     """Print the table; return whether a promise does not hold."""
     print(f"\n{len(outcomes)} kills; {computer()}")
     columns = ("runs", "frames", "wrong", "median", "99 %", "worst", "over 0.2 s", "broken")
@@ -161,10 +159,7 @@ def looked_at(number: int, own: Path, recording: Path, color: str, diary: Path, 
     except DriverError as err:
         broken.append(str(err))
     saved = frames_saved(own / "X.rrd", broken)
-    for tree in (own / "out").glob("*_tree.json"):
-        labels = cv2.imread(str(tree).replace("_tree.json", "_labels.png"), cv2.IMREAD_UNCHANGED)
-        if labels is None or json.loads(tree.read_text())["segments"][0]["size"] != (labels > 0).sum():
-            broken.append(tree.name)
+    broken += contradictory_trees(own / "out")
     return Outcome(
         number, recording.suffix, frames, wrong, (delivered[-1] - last) / FPS, saved, tuple(broken)
     )
@@ -186,15 +181,11 @@ def is_exact(frame: RGBDFrame, number: int, *, exact_color: bool) -> bool:
 
 def frames_saved(path: Path, broken: list[str]) -> int:
     """Return how many frames the viewer's file holds, and note where it cannot be read."""
-    from rerun.chunk import RrdReader  # late, so that the command decides how much Rerun says
-
     numbers: set[int] = set()
     try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="RRD file has no footer")
-            for chunk in RrdReader(str(path)).stream():
-                if "depth" in str(chunk.entity_path) and not chunk.is_static:
-                    numbers.update(chunk.to_record_batch().column("frame").to_pylist())
+        for entity, records in viewer_chunks(path):
+            if "depth" in entity:
+                numbers.update(records.column("frame").to_pylist())
     except Exception as err:
         broken.append(f"{path.name}: {err}")
     return len(numbers)

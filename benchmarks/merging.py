@@ -9,7 +9,6 @@ Labelled frames without calibration, as in docs/accuracy.md; needs scikit-learn:
 
 from __future__ import annotations
 
-import argparse
 import re
 import sys
 from collections.abc import Sequence
@@ -17,13 +16,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from labelled import frames_parser, labelled_frames
 from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 
-from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.frame import RGBDFrame
-from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.border_statistics import border_statistics
 from nurbseg.segmentation.extended.evidence import BASE, DIGITS, GAP, TERMS, pair_features
@@ -152,28 +149,15 @@ def scores(each: Surfaces, odds: NDArray[np.float64], log_odds_min: float = 0.0)
 
 def main() -> int:
     """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("frames", nargs="+", help="labelled frames: folders of pairs or recordings")
-    parser.add_argument("--intrinsics", help="fx,fy,cx,cy in pixels, for folders without calibration")
-    parser.add_argument("--seeds", type=int, default=5, help="seeds of the surfaces (%(default)s)")
+    parser = frames_parser(__doc__, "labelled frames: folders of pairs or recordings")
     parser.add_argument(
         "--complex-from", type=int, help="frames from this number on are a group of their own"
     )
     given = parser.parse_args()
-    intrinsics = None
-    if given.intrinsics:
-        fx, fy, cx, cy = (float(each) for each in given.intrinsics.split(","))
-        intrinsics = fx, fy, cx, cy
     groups: list[str] = []
     known: list[Surfaces] = []
     for path in given.frames:
-        try:
-            with open_source(path, SourceOptions(intrinsics=intrinsics)) as source:
-                frames = [frame for frame in source if frame.labels is not None]
-        except DriverError as err:
-            print(err, file=sys.stderr)
-            return 2
-        for frame in frames:
+        for frame in labelled_frames(path, given):
             digits = re.search(r"\d+", frame.name)
             late = given.complex_from is not None and digits and int(digits[0]) >= given.complex_from
             groups.append(Path(path).name + (f" from {given.complex_from}" if late else ""))

@@ -9,7 +9,6 @@ Labelled frames without calibration, as the tables of docs/accuracy.md::
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,14 +16,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from ablation import SCORES, measured
+from ablation import SCORES, measured, registered
+from labelled import frames_parser, labelled_frames
 
-from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.frame import Calibration, RGBDFrame
-from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.points.registration import register
 
 #: Standard deviation of the noise that is added to inverse depth, 1/m.
 _NOISE_PER_M = 1.25e-3
@@ -97,8 +93,7 @@ def rows(frames: list[RGBDFrame], seeds: int) -> list[str]:
         means = []
         for seed in range(seeds):
             varied = [vary(frame, np.random.default_rng([seed, n])) for n, frame in enumerate(frames)]
-            labelled = [(register(each), each.labels) for each in varied if each.labels is not None]
-            values = measured(labelled, replace(SegmentationConfig(), seed=seed))
+            values = measured(registered(varied), replace(SegmentationConfig(), seed=seed))
             means.append(values[:, : len(SCORES)].mean(axis=0))
         average, spread = np.mean(means, axis=0), np.std(means, axis=0)
         covering = names.index("GTRC")
@@ -112,22 +107,9 @@ def rows(frames: list[RGBDFrame], seeds: int) -> list[str]:
 
 def main() -> int:
     """Run from the command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("frames", nargs="+", help="labelled frames whose depth is registered")
-    parser.add_argument("--intrinsics", help="fx,fy,cx,cy in pixels, for folders without calibration")
-    parser.add_argument("--seeds", type=int, default=5, help="seeds (%(default)s)")
-    given = parser.parse_args()
-    intrinsics = None
-    if given.intrinsics:
-        fx, fy, cx, cy = (float(each) for each in given.intrinsics.split(","))
-        intrinsics = fx, fy, cx, cy
+    given = frames_parser(__doc__, "labelled frames whose depth is registered").parse_args()
     for path in given.frames:
-        try:
-            with open_source(path, SourceOptions(intrinsics=intrinsics)) as source:
-                frames = [frame for frame in source if frame.labels is not None]
-        except DriverError as err:
-            print(err, file=sys.stderr)
-            return 2
+        frames = labelled_frames(path, given)
         if not frames or not all(frame.calibration.is_registered for frame in frames):
             print(f"{path}: expected frames with labels, depth registered to color", file=sys.stderr)
             return 2

@@ -26,12 +26,12 @@ import cv2
 import numpy as np
 import scipy
 import skimage
+from labelled import add_intrinsics, frames_of
+from registration import milliseconds
 from skimage.segmentation import felzenszwalb
 
 from nurbseg.app.computer import computer
 from nurbseg.drivers.frame import Calibration, RGBDFrame
-from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation import stag15
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended import splitting
@@ -74,17 +74,6 @@ STAGES: dict[str, tuple[ModuleType, dict[str, str]]] = {
     ),
 }
 SIZES = {"QVGA": (320, 240), "VGA": (640, 480), "SXGA": (1280, 960)}
-
-
-def milliseconds(work: Callable[[], Any], repeat: int) -> float:
-    """Median time of some work after one call to warm up."""
-    work()
-    times = []
-    for _ in range(repeat):
-        start = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - start)
-    return 1e3 * statistics.median(times)
 
 
 @contextmanager
@@ -183,15 +172,13 @@ def main() -> None:
     """Run and print the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("data", nargs="?", default=str(DEMO), help="what nurbseg-live replays (the demo)")
-    parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="of frames without calibration, pixels")
+    add_intrinsics(parser)
     parser.add_argument("--frames", type=int, default=5, help="frames, spread over the data (5)")
     parser.add_argument("--repeat", type=int, default=5, help="runs of which the median is taken (5)")
     parser.add_argument("--method", default="nurbseg", choices=STAGES, help="segmentation method (nurbseg)")
     parser.add_argument("--literal", action="store_true", help="time the literal version too: minutes")
     arguments = parser.parse_args()
-    intrinsics = tuple(float(x) for x in arguments.intrinsics.split(",")) if arguments.intrinsics else None
-    with open_source(arguments.data, SourceOptions(intrinsics=intrinsics)) as source:  # type: ignore[arg-type]
-        frames = list(source)
+    frames = frames_of(arguments.data, arguments)
     frames = frames[:: max(1, len(frames) // arguments.frames)][: arguments.frames]
     config = SegmentationConfig(method=arguments.method)
     versions = f"numpy {np.__version__}, scipy {scipy.__version__}, OpenCV {cv2.__version__}"

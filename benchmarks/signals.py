@@ -20,14 +20,13 @@ import subprocess
 import sys
 import tempfile
 import time
-import warnings
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
+from run_files import contradictory_trees, viewer_chunks
 
 from nurbseg.app.computer import computer
 from nurbseg.app.live.opening import demo_uri
@@ -69,10 +68,10 @@ def main() -> None:
         for outcome in pool.map(one_signal, range(given.first, given.first + given.runs)):
             outcomes.append(outcome)
             print(outcome, flush=True)
-    sys.exit(told(outcomes))
+    sys.exit(print_table(outcomes))
 
 
-def told(outcomes: list[Outcome]) -> bool:
+def print_table(outcomes: list[Outcome]) -> bool:
     """Print the table; return whether anything is wrong."""
     print(f"\n{len(outcomes)} signals; {computer()}")
     print(f"{'moment':>12}{'signals':>9}{'median, s':>11}{'longest, s':>12}{'Python':>8}{'wrong':>7}  codes")
@@ -136,10 +135,7 @@ def wrong_with(folder: Path) -> list[str]:
         ended = json.loads((folder / "report.json").read_text())["ended"]
         if ended not in ("interrupted", "still running"):
             wrong.append(f"report.json: ended: {ended}")
-    for tree in (folder / "out").glob("*_tree.json"):
-        labels = cv2.imread(str(tree).replace("_tree.json", "_labels.png"), cv2.IMREAD_UNCHANGED)
-        if labels is None or json.loads(tree.read_text())["segments"][0]["size"] != (labels > 0).sum():
-            wrong.append(tree.name)
+    wrong += contradictory_trees(folder / "out")
     wrong += [f"{path.name} is left" for path in folder.rglob("*.part")]
     if (folder / "X.mcap").exists():
         try:
@@ -150,22 +146,11 @@ def wrong_with(folder: Path) -> list[str]:
         except DriverError as err:
             wrong.append(str(err))
     if (folder / "X.rrd").exists():
-        wrong += unreadable(folder / "X.rrd")
+        try:
+            list(viewer_chunks(folder / "X.rrd"))
+        except Exception as err:
+            wrong.append(f"X.rrd: {err}")
     return wrong
-
-
-def unreadable(path: Path) -> list[str]:
-    """Return why a viewer's file cannot be read; nothing where it can."""
-    from rerun.chunk import RrdReader  # late, so that the command decides how much Rerun says
-
-    try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="RRD file has no footer")
-            for chunk in RrdReader(str(path)).stream():
-                chunk.to_record_batch()
-    except Exception as err:
-        return [f"{path.name}: {err}"]
-    return []
 
 
 if __name__ == "__main__":

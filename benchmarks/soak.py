@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 import psutil
+from labelled import add_intrinsics
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "virtualcam"))
 # The camera that the tests have.
@@ -44,7 +45,7 @@ _LOOK_S = 10.0
 _AWAY_S = 3.0
 #: Parts of the recording are deleted but for so many, to take no disk.
 _PARTS_KEPT = 2
-#: Modules by which the processes are told apart.
+#: Modules by which the processes are distinguished.
 _ROLES = {"isolated.program": "camera", "view.program": "view", "nurbseg-live": "segmentation"}
 
 
@@ -72,7 +73,7 @@ def main() -> None:
     """Run and print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("source", help="what the camera shows: anything that can be replayed, VGA")
-    parser.add_argument("--intrinsics", type=float_list, help="FX,FY,CX,CY of images that do not say it")
+    add_intrinsics(parser)
     parser.add_argument("--frames", type=int, default=40, help="frames shown, forth and back (40)")
     parser.add_argument("--minutes", type=float, default=120.0, help="how long (120)")
     parser.add_argument("--unplug", type=float, default=5.0, help="minutes between two unplugs (5)")
@@ -89,7 +90,7 @@ def main() -> None:
         cameras = VirtualCameras(build(folder / "redist"), folder / "cameras")
         camera = cameras.add(frames=shown)
         lives, report = soak(given, folder, camera, cameras.environment)
-    told(given, lives, report)
+    print_tables(given, lives, report)
 
 
 class Played:
@@ -101,11 +102,6 @@ class Played:
     def read(self) -> Any:
         """Return the next one."""
         return next(self._frames)
-
-
-def float_list(text: str) -> tuple[float, ...]:
-    """Return the numbers of a list with commas."""
-    return tuple(map(float, text.split(",")))
 
 
 def soak(
@@ -173,7 +169,7 @@ def look(pid: int, minutes: float, lives: dict[int, Life]) -> None:
         life.descriptors.append(descriptors)
 
 
-def told(given: argparse.Namespace, lives: dict[int, Life], report: dict[str, Any]) -> None:
+def print_tables(given: argparse.Namespace, lives: dict[int, Life], report: dict[str, Any]) -> None:
     """Print the tables."""
     print(f"{given.minutes:g} minutes of {given.source}; {computer()}, {os.cpu_count()} cores")
     rerun = subprocess.run([viewer_executable(), "--version"], capture_output=True, text=True, timeout=60)

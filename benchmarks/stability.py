@@ -144,6 +144,11 @@ def best_agreement(before: Labels, after: Labels, pairs: tuple[NDArray[np.intp],
     return float(table[rows, columns].sum() / a.size)
 
 
+def bits_between(labels: Labels, others: Labels) -> float:
+    """Return the variation of information of two label maps, bits."""
+    return Contingency.between(labels, others).variation_of_information()
+
+
 def levels(tree: SegmentationTree) -> dict[str, Labels]:
     """Return both label images of a tree."""
     return {level: tree.labels(level) for level in get_args(Level)}
@@ -176,22 +181,14 @@ def measure(source: FrameSource, motion: Motion, config: SegmentationConfig, cou
                 for level in live:
                     each = found[level]
                     each.alone.append(best_agreement(earlier[level], alone[level], pairs))
-                    each.live_to_alone.append(
-                        Contingency.between(live[level], alone[level]).variation_of_information()
-                    )
-                    each.alone_to_alone.append(
-                        Contingency.between(other[level], alone[level]).variation_of_information()
-                    )
+                    each.live_to_alone.append(bits_between(live[level], alone[level]))
+                    each.alone_to_alone.append(bits_between(other[level], alone[level]))
                     carried = earlier[level].ravel()[pairs[0]], alone[level].ravel()[pairs[1]]
-                    each.alone_to_before.append(Contingency.between(*carried).variation_of_information())
+                    each.alone_to_before.append(bits_between(*carried))
                     if frame.labels is not None:
                         truth = np.where(cloud.valid, frame.labels, 0)
-                        each.live_to_truth.append(
-                            Contingency.between(live[level], truth).variation_of_information()
-                        )
-                        each.alone_to_truth.append(
-                            Contingency.between(alone[level], truth).variation_of_information()
-                        )
+                        each.live_to_truth.append(bits_between(live[level], truth))
+                        each.alone_to_truth.append(bits_between(alone[level], truth))
         if frame.labels is not None:
             truth = np.where(cloud.valid, frame.labels, 0)
             for label in np.flatnonzero(np.bincount(truth.ravel()) >= _OBJECT_PIXELS_MIN):

@@ -12,17 +12,14 @@ As in docs/accuracy.md::
 
 from __future__ import annotations
 
-import argparse
-import sys
-from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from ablation import Frames, labelled_frames
+from ablation import Frames, registered
+from labelled import frames_parser, labelled_frames
 from numpy.typing import NDArray
 
-from nurbseg.drivers.errors import DriverError
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.scoring.scores import Contingency
@@ -75,28 +72,16 @@ def measured(frames: Frames, seed: int) -> NDArray[np.float64]:
     return np.array(rows)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> None:
     """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("frames", nargs="+", help="folders of pairs or recordings with labelled pieces")
-    parser.add_argument("--intrinsics", help="fx,fy,cx,cy in pixels, for folders without calibration")
-    parser.add_argument("--seeds", type=int, default=5, help="seeds of the segmentation (%(default)s)")
-    given = parser.parse_args(arguments)
-    intrinsics = None
-    if given.intrinsics:
-        fx, fy, cx, cy = (float(each) for each in given.intrinsics.split(","))
-        intrinsics = fx, fy, cx, cy
+    given = frames_parser(__doc__, "folders of pairs or recordings with labelled pieces").parse_args()
     print(
         "| frames | pairs joined | precision | recall | not of the table | precision | recall "
         "| objects: GTRC | VoI | things: GTRC | VoI |"
     )
     print("|---" * 11 + "|")
     for path in given.frames:
-        try:
-            frames = labelled_frames(path, intrinsics)
-        except DriverError as err:
-            print(err, file=sys.stderr)
-            return 2
+        frames = registered(labelled_frames(path, given))
         rows = [measured(frames, seed) for seed in range(given.seeds)]
         counts = " | ".join(
             f"{joined:.0f} | {right / max(1, joined):.3f} | {right / max(1, possible):.2f}"
@@ -104,8 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         scores = " | ".join(f"{each:.4f}" for each in np.mean(rows, axis=(0, 1))[6:])
         print(f"| {Path(path).name} | {counts} | {scores} |", flush=True)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
