@@ -77,14 +77,13 @@ def _camera(listing: DeviceListing, usb_devices: dict[str, UsbDevice]) -> Camera
                 registration=device.can_register,
             )
             if missing := [sensor.name.lower() for sensor in sensors if sensor not in streams]:
-                return replace(camera, error=f"it has no {' and no '.join(missing)} stream")
+                raise DriverError(f"it has no {' and no '.join(missing)} stream")
             for stream in streams.values():
                 stream.start()
             # Only a running camera knows whether it can.
             camera = replace(camera, sync=device.synchronize())
             if wait_for_any(device.library, device.streams, _FIRST_IMAGE_LIMIT_S) is None:
-                error = f"it opens, but no image arrived within {_FIRST_IMAGE_LIMIT_S:g} s"
-                return replace(camera, error=error)
+                raise DriverError(f"it opens, but no image arrived within {_FIRST_IMAGE_LIMIT_S:g} s")
     except DriverError as err:
         return replace(camera, error=str(err))
     return camera

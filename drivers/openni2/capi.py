@@ -59,11 +59,9 @@ BYTES_PER_PIXEL = {
 
 
 class DeviceState(IntEnum):
-    """What a device's state callback reports."""
+    """What a device's state callback reports, as far as it is used here."""
 
-    OK = 0
     ERROR = 1
-    NOT_READY = 2
     EOF = 3
 
 
@@ -170,10 +168,7 @@ PROTOTYPES: dict[str, tuple[object, list[object]]] = {
     "oniGetExtendedError": (c_char_p, []),
     "oniGetDeviceList": (c_int, [POINTER(POINTER(OniDeviceInfo)), POINTER(c_int)]),
     "oniReleaseDeviceList": (c_int, [POINTER(OniDeviceInfo)]),
-    "oniRegisterDeviceCallbacks": (
-        c_int,
-        [POINTER(OniDeviceCallbacks), c_void_p, POINTER(c_void_p)],
-    ),
+    "oniRegisterDeviceCallbacks": (c_int, [POINTER(OniDeviceCallbacks), c_void_p, POINTER(c_void_p)]),
     "oniUnregisterDeviceCallbacks": (None, [c_void_p]),
     "oniWaitForAnyStream": (c_int, [POINTER(c_void_p), c_int, POINTER(c_int), c_int]),
     "oniDeviceOpen": (c_int, [c_char_p, POINTER(c_void_p)]),

@@ -1,7 +1,6 @@
 """A depth camera through OpenNI2, as a source of frames."""
 
 import logging
-import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -50,14 +49,13 @@ class DeviceSource(FrameSource):
         super().__init__()
         self.missed = self.half_pairs = 0
         self._options = options or DeviceOptions()
-        self._gone = threading.Event()
         self._index = 0
         self._last_number: int | None = None
         self._settling = _SETTLING_PAIRS
         self._silent_s = 0.0
         self._waiting: dict[Sensor, Image] = {}
         self._recorder: OniRecorder | None = None
-        self._device, listing = open_camera(wanted, self._options.serial, self._on_event)
+        self._device, listing = open_camera(wanted, self._options.serial)
         with closed_on_error(self.close):
             depth = self._device.add_stream(Sensor.DEPTH)
             color = self._device.add_stream(Sensor.COLOR)
@@ -119,11 +117,6 @@ class DeviceSource(FrameSource):
                 }
             )
 
-    def _on_event(self, event: str) -> None:
-        # On one of the library's threads.
-        if event in ("disconnected", f"state {DeviceState.ERROR.value}"):
-            self._gone.set()
-
     def _read(self, timeout_s: float) -> RGBDFrame:
         deadline = time.monotonic() + timeout_s
         while True:
@@ -132,7 +125,7 @@ class DeviceSource(FrameSource):
             wait_s = min(max(deadline - begun, 0.0), _SLICE_S)
             stream = wait_for_any(self._device.library, self._streams, wait_s)
             # A stale image may follow the disconnection.
-            image = None if stream is None or self._gone.is_set() else stream.take()
+            image = None if stream is None or self._is_gone else stream.take()
             pair = None if stream is None or image is None else self._add(stream, image)
             if pair is None:
                 now = time.monotonic()
@@ -148,9 +141,13 @@ class DeviceSource(FrameSource):
                 return self._frame(*pair)
             self._settling -= 1
 
+    @property
+    def _is_gone(self) -> bool:
+        return DeviceState.ERROR in self._device.states
+
     def _check_present(self) -> None:
         name = f"{self.metadata['device']} at {self.metadata['uri']}"
-        if self._gone.is_set():
+        if self._is_gone:
             raise DeviceLostError(f"{name} was unplugged or has failed")
         limit_s = self._options.silence_limit_s
         if self._index == 0:

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -57,8 +58,9 @@ class Library:
     Use `in_use`, which counts the users; the last one to go shuts it down, so that the next one finds the
     cameras that are there by then (some drivers look only once).
 
-    Each of the `listeners` is a device's URI and a function that is called with "disconnected" or "state N"
-    of that device. It runs on one of the library's threads, so it must be quick and must not wait.
+    Each of the `listeners` is a device's URI and a function that is called with each `capi.DeviceState` of
+    that device, which is an error when it is disconnected. It runs on one of the library's threads, so it
+    must be quick and must not wait.
     """
 
     def __init__(self, path: str) -> None:
@@ -72,21 +74,21 @@ class Library:
         self.path = path
         self._users = 0
         self._handle = ctypes.c_void_p()
-        self.listeners: list[tuple[str, Callable[[str], None]]] = []
+        self.listeners: list[tuple[str, Callable[[int], None]]] = []
         # The library calls these from its own threads for as long as it is initialized, and would not
         # keep them alive.
         self._callbacks = capi.OniDeviceCallbacks(
             capi.DeviceCallback(),
-            capi.DeviceCallback(lambda device, _: self._notify(device, "disconnected")),
-            capi.StateCallback(lambda device, state, _: self._notify(device, f"state {state}")),
+            capi.DeviceCallback(lambda device, _: self._notify(device, capi.DeviceState.ERROR)),
+            capi.StateCallback(lambda device, state, _: self._notify(device, state)),
         )
 
-    def _notify(self, device: Any, event: str) -> None:
-        # Called on the library's threads: it only passes on an event, and takes no lock.
+    def _notify(self, device: Any, state: int) -> None:
+        # Called on the library's threads: it only passes on a state, and takes no lock.
         uri = os.fsdecode(device.contents.uri)
         for watched, listener in tuple(self.listeners):
             if watched == uri:
-                listener(event)
+                listener(state)
 
     def check(self, status: int, doing: str, error: type[DriverError] = DriverError) -> None:
         """Raise an error if a function did not answer OK; must follow it on the same thread.
@@ -146,7 +148,7 @@ class Library:
 
 
 _lock = threading.Lock()
-_loaded: dict[str, Library] = {}
+_loaded = cache(Library)
 
 
 @contextmanager
@@ -157,9 +159,7 @@ def in_use() -> Iterator[Library]:
     """
     path = find_library()
     with _lock:
-        library = _loaded.get(path)
-        if library is None:
-            library = _loaded[path] = Library(path)
+        library = _loaded(path)
         library._add_user()
     try:
         yield library

@@ -4,7 +4,6 @@ import contextlib
 import ctypes
 import logging
 import os
-from collections.abc import Callable
 
 from nurbseg.drivers.closing import Closing, closed_on_error
 from nurbseg.drivers.errors import DeviceNotFoundError, DriverError
@@ -21,20 +20,19 @@ _DEPTH_TO_COLOR = 1
 class OpenedDevice(WithProperties, Closing):
     """A device that is open until `close`, and the library in use for as long.
 
-    `on_event` is called with "disconnected" or "state N", on a thread of the library's. Raises
+    `states` are those that it has reported so far, `DeviceState.ERROR` once it is disconnected. Raises
     BackendMissingError if OpenNI2 is not installed, and DeviceNotFoundError if the library cannot open it.
     """
 
-    def __init__(self, uri: str, on_event: Callable[[str], None] | None = None) -> None:
-        self.uri = uri
+    def __init__(self, uri: str) -> None:
+        self.states: set[int] = set()
         self.streams: tuple[Stream, ...] = ()
         self._held = contextlib.ExitStack()
         super().__init__(self._held.enter_context(in_use()), "Device")
         with closed_on_error(self.close):
-            if on_event is not None:
-                # Before it is opened, so that its going in between is not missed.
-                self.library.listeners.append((uri, on_event))
-                self._held.callback(self.library.listeners.remove, (uri, on_event))
+            # Before it is opened, so that a disconnection in between is not missed.
+            self.library.listeners.append((uri, self.states.add))
+            self._held.callback(self.library.listeners.remove, (uri, self.states.add))
             native = self.library.native
             self.library.check(
                 native.oniDeviceOpen(os.fsencode(uri), ctypes.byref(self.handle)),
@@ -104,9 +102,7 @@ def serial_of(listing: DeviceListing) -> str:
         return ""
 
 
-def open_camera(
-    wanted: str, serial: str = "", on_event: Callable[[str], None] | None = None
-) -> tuple[OpenedDevice, DeviceListing]:
+def open_camera(wanted: str, serial: str = "") -> tuple[OpenedDevice, DeviceListing]:
     """Open the requested camera, as `nurbseg.drivers.openni2.selection.choose` interprets it.
 
     Of several, the first that opens: another program may have the others. Raises BackendMissingError if
@@ -116,7 +112,7 @@ def open_camera(
         first: DeviceNotFoundError | None = None
         for listing in choose(library.devices(), wanted, serial, serial_of):
             try:
-                return OpenedDevice(listing.uri, on_event), listing
+                return OpenedDevice(listing.uri), listing
             except DeviceNotFoundError as err:
                 logger.info("%s", err)
                 first = first or err

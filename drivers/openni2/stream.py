@@ -133,10 +133,8 @@ class Stream(WithProperties):
         self.library.native.oniStreamStop(self.handle)
 
     def destroy(self) -> None:
-        """Destroy the stream; safe to repeat."""
-        if self.handle:
-            self.library.native.oniStreamDestroy(self.handle)
-            self.handle = ctypes.c_void_p()
+        """Destroy the stream; must be called once."""
+        self.library.native.oniStreamDestroy(self.handle)
 
     def take(self) -> Image | None:
         """Copy the image that is waiting, for a stream that `wait_for_any` has named.
@@ -153,25 +151,19 @@ class Stream(WithProperties):
             return None
         try:
             head = frame.contents
-            mode = _mode(head.mode)
+            pixel_format = _mode(head.mode).pixel_format
             size = head.stride * head.height
-            if (
-                mode.pixel_format not in capi.BYTES_PER_PIXEL
-                or head.stride < head.width * capi.BYTES_PER_PIXEL[mode.pixel_format]
-                or not 0 < size <= head.data_size
-                or not head.data
-            ):
+            row_bytes = head.width * capi.BYTES_PER_PIXEL.get(pixel_format, 0)
+            if not 0 < row_bytes <= head.stride or not 0 < size <= head.data_size or not head.data:
                 raise FrameFormatError(
                     f"{self.sensor.name.lower()} frame {head.frame_index}: {head.width}x{head.height} "
-                    f"{mode.pixel_format.name}, {head.stride} bytes a row, does not fit "
-                    f"{head.data_size} bytes"
+                    f"{pixel_format.name}, {head.stride} bytes a row, does not fit {head.data_size} bytes"
                 )
-            copy = ctypes.string_at(head.data, size)
-            shape = (head.height, head.stride)
-            width, timestamp_us, number = head.width, head.timestamp, head.frame_index
+            copy = np.frombuffer(ctypes.string_at(head.data, size), np.uint8)
+            rows = copy.reshape(head.height, head.stride)[:, :row_bytes]
+            return Image(head.timestamp, head.frame_index, _pixels(rows, pixel_format))
         finally:
             self.library.native.oniFrameRelease(frame)
-        return Image(timestamp_us, number, _pixels(copy, shape, width, mode.pixel_format))
 
 
 def _mode(mode: capi.OniVideoMode) -> VideoMode:
@@ -182,13 +174,10 @@ def _mode(mode: capi.OniVideoMode) -> VideoMode:
     return VideoMode(mode.width, mode.height, mode.fps, pixel_format)
 
 
-def _pixels(copy: bytes, shape: tuple[int, int], width: int, pixel_format: capi.PixelFormat) -> NDArray[Any]:
-    rows = np.frombuffer(copy, np.uint8).reshape(shape)
-    bytes_per_pixel = capi.BYTES_PER_PIXEL[pixel_format]
-    rows = rows[:, : width * bytes_per_pixel]
+def _pixels(rows: NDArray[np.uint8], pixel_format: capi.PixelFormat) -> NDArray[Any]:
     if pixel_format in (capi.PixelFormat.DEPTH_1_MM, capi.PixelFormat.DEPTH_100_UM):
         return rows.view(np.uint16)
-    image = rows.reshape(shape[0], width, bytes_per_pixel)
+    image = rows.reshape(len(rows), -1, capi.BYTES_PER_PIXEL[pixel_format])
     if pixel_format == capi.PixelFormat.RGB888:
         return image
     import cv2  # late: few cameras need it, and starting to read one must be quick

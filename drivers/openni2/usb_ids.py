@@ -23,20 +23,24 @@ ASUS = 0x0B05
 class Family:
     """Cameras that are driven alike.
 
-    The file of their OpenNI2 driver begins with `file_stem`, in lower case; Debian's `package` brings it, if
-    any does. `install` are the steps where it is missing; ``{drivers}`` stands for the drivers folder and
-    ``{suffix}`` for the ending that the installed OpenNI2 loads. `speed_min` is the slowest USB speed that
-    they work at, and `usb3_trouble` whether old firmware is known to fail behind a USB 3 controller.
+    Debian's `package` brings their OpenNI2 driver, if any does. `install` are the steps where it is missing;
+    ``{drivers}`` stands for the drivers folder and ``{suffix}`` for the ending that the installed OpenNI2
+    loads. `speed_min` is the slowest USB speed that they work at, and `usb3_trouble` whether old firmware is
+    known to fail behind a USB 3 controller.
     """
 
     key: str
     name: str
     driver: str
-    file_stem: str
     install: tuple[str, ...]
     package: str = ""
     speed_min: Literal["high", "super"] = "high"
     usb3_trouble: bool = False
+
+    @property
+    def file_stem(self) -> str:
+        """How the name of the driver's file begins, in lower case."""
+        return f"lib{self.driver.lower().removeprefix('lib')}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,22 +55,13 @@ class Model:
 _DEBIAN = "libopenni2-0"
 _REINSTALL = (f"sudo apt install --reinstall {_DEBIAN}",)
 _PS1080 = Family(
-    "ps1080",
-    "Xtion or PrimeSense camera",
-    "PS1080",
-    "libps1080",
-    _REINSTALL,
-    package=_DEBIAN,
-    usb3_trouble=True,
+    "ps1080", "Xtion or PrimeSense camera", "PS1080", _REINSTALL, package=_DEBIAN, usb3_trouble=True
 )
-_PSLINK = replace(
-    _PS1080, key="pslink", name="PrimeSense PSLink camera", driver="PSLink", file_stem="libpslink"
-)
+_PSLINK = replace(_PS1080, key="pslink", name="PrimeSense PSLink camera", driver="PSLink")
 _KINECT1 = Family(
     "kinect1",
     "Kinect v1 (Xbox 360)",
     "FreenectDriver",
-    "libfreenectdriver",
     (
         "sudo apt install git cmake g++ python3 libusb-1.0-0-dev",
         "git clone https://github.com/OpenKinect/libfreenect",
@@ -79,7 +74,6 @@ _KINECT1 = Family(
 _KINECT2 = Family(
     "kinect2",
     "Kinect v2 (Xbox One)",
-    "libfreenect2-openni2",
     "libfreenect2-openni2",
     (
         "sudo apt install git cmake g++ pkg-config libusb-1.0-0-dev libturbojpeg0-dev"
@@ -96,7 +90,6 @@ _ORBBEC = Family(
     "orbbec",
     "Orbbec Astra",
     "orbbec",
-    "liborbbec",
     (
         "download Orbbec's OpenNI SDK for Linux: https://www.orbbec.com/developers/openni-sdk/",
         "in the unpacked SDK, find the folder with libOpenNI2.so and OpenNI2/Drivers/liborbbec.so",
@@ -108,7 +101,6 @@ _XTION2 = Family(
     "xtion2",
     "Xtion 2",
     "SenDuck",
-    "libsenduck",
     (
         "download the SDK for Linux from ASUS: https://www.asus.com/supportonly/xtion%202/helpdesk_download/",
         "from the unpacked SDK: sudo cp ASUS/Xtion2/lib/libSenDuck.so {drivers}/libSenDuck{suffix}",

@@ -167,10 +167,6 @@ class Channel:
         with contextlib.suppress(OSError):
             self._connection.shutdown(socket.SHUT_WR)
 
-    def wait_finished(self) -> None:
-        """Wait until the other process has finished or died; for a thread of its own."""
-        _is_ready(self._connection, select.POLLRDHUP, None)
-
     def close(self) -> None:
         """Release the connection and the memory; safe to call twice."""
         if self._descriptor >= 0:
@@ -283,16 +279,16 @@ def connect_to_parent(codec: Codec, *, limit_s: float) -> Channel:
     end. Where it hangs instead for longer than the limit, it is ended.
     """
     descriptor, memory, slots = map(int, sys.argv[1:4])
-    channel = Channel(socket.socket(fileno=descriptor), memory, slots, codec)
+    connection = socket.socket(fileno=descriptor)
 
     def end_with_parent() -> None:
-        channel.wait_finished()
+        _is_ready(connection, select.POLLRDHUP, None)
         time.sleep(limit_s)
         os._exit(1)
 
     # A daemon: it ends with the process, or ends it.
     threading.Thread(target=end_with_parent, name="parent", daemon=True).start()
-    return channel
+    return Channel(connection, memory, slots, codec)
 
 
 def _is_ready(connection: socket.socket, event: int, timeout_s: float | None) -> bool:

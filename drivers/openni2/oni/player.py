@@ -117,24 +117,17 @@ def play(path: str) -> Iterator[Description | PlayedImage | None]:
 
     Raises DriverError if OpenNI2 cannot play it.
     """
-    ended: list[bool] = []
-
-    def on_event(event: str) -> None:
-        if event == f"state {DeviceState.EOF.value}":
-            ended.append(True)
-
-    with OpenedDevice(path, on_event) as device:
+    with OpenedDevice(path) as device:
         device.set(DeviceProperty.PLAYBACK_REPEAT_ENABLED, ctypes.c_int(0))
         device.set(DeviceProperty.PLAYBACK_SPEED, ctypes.c_float(_STEPWISE))
-        streams: tuple[Stream, ...] = (
-            device.add_stream(Sensor.DEPTH),
-            device.add_stream(Sensor.COLOR),
-        )
+        streams = device.add_stream(Sensor.DEPTH), device.add_stream(Sensor.COLOR)
         depth, color = map(_description, streams)
         yield Description(device.library.version(), depth, color)
         for stream in streams:
             stream.start()
-        while ready := wait_for_any(device.library, streams, 0.2 if ended else _WAIT_S):
+        while ready := wait_for_any(
+            device.library, streams, 0.2 if DeviceState.EOF in device.states else _WAIT_S
+        ):
             if (image := ready.take()) is not None:
                 yield PlayedImage(ready.sensor, image.number, image.pixels)
         # Before the driver is closed, which crashes it now and then.
