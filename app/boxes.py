@@ -64,8 +64,6 @@ def _without_strays(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Leave out the outermost of points, (3, N), along each of their principal axes."""
     count = points_m.shape[1]
     strays = int(_STRAY_SHARE * count)
-    if strays == 0:
-        return points_m
     centered = points_m - points_m.mean(axis=1, keepdims=True)
     places = _principal_axes(centered) @ centered
     ordered = np.partition(places, (strays, count - 1 - strays), axis=1)

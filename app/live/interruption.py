@@ -53,8 +53,7 @@ class Interruption:
             time.sleep(0.2)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        first = self.signal_number is None
-        if first:
+        if self.signal_number is None:
             self.signal_number = number
-        if first and not self._held:
-            raise KeyboardInterrupt
+            if not self._held:
+                raise KeyboardInterrupt

@@ -123,13 +123,12 @@ class IsolatedView(View):
         self._moment = Moment(frame.index, frame.timestamp_ns)
         now_s = time.monotonic()
         self._shown_s.append(now_s)
+        rate_hz = (len(self._shown_s) - 1) / max(now_s - self._shown_s[0], 1e-6)
         lists_objects = self.every_table or now_s - self._table_s >= _TABLES_S
         self._table_s = now_s if lists_objects else self._table_s
         # The run goes on adding to the stages.
         result = replace(result, elapsed_ms=dict(result.elapsed_ms))
-        draw = partial(
-            drawn, result, self._config, self.metric, rate_hz=self._rate_hz(), lists_objects=lists_objects
-        )
+        draw = partial(drawn, result, self._config, self.metric, rate_hz=rate_hz, lists_objects=lists_objects)
         try:
             self._queue.put(draw, _STUCK_S)
         except TimeoutError:
@@ -177,11 +176,6 @@ class IsolatedView(View):
                 return False
             self._ended.wait(limit_s - silent_s)
         return True
-
-    def _rate_hz(self) -> float:
-        if len(self._shown_s) < 2:
-            return 0.0
-        return (len(self._shown_s) - 1) / max(self._shown_s[-1] - self._shown_s[0], 1e-6)
 
     def _check(self) -> None:
         if self._problem:
