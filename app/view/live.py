@@ -11,7 +11,7 @@ import rerun as rr
 from nurbseg.app.view.config import viewer_address
 from nurbseg.app.view.drawing.entities import FrameEntities
 from nurbseg.app.view.stream import Item, Opening, Writer
-from nurbseg.app.view.viewer import cut_connections, listens
+from nurbseg.app.view.viewer import listens
 from nurbseg.drivers.process.bounded_queue import BoundedQueue
 
 logger = logging.getLogger(__name__)
@@ -54,9 +54,6 @@ class ViewerSink:
         self._thread.join(limit_s)
         self._stopping.set()
         self._thread.join(1.5 * _POLL_S)
-        if self._thread.is_alive():
-            cut_connections(*self._address)
-            self._thread.join(_POLL_S)
 
     def _run(self) -> None:
         try:
@@ -103,8 +100,6 @@ class ViewerSink:
                 logger.warning("the viewer at %s is gone; it will be used again if it comes back", self._url)
             return connected
         finally:
-            if not taken:
-                cut_connections(*self._address)
             stream.disconnect()
 
     def _taken(self, stream: rr.RecordingStream) -> bool:

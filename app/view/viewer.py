@@ -1,6 +1,5 @@
 """Viewers as processes and peers: how they are started, found and disconnected."""
 
-import contextlib
 import errno
 import logging
 import os
@@ -144,23 +143,3 @@ def listens(host: str, port: int) -> bool:
             return True
     except OSError:
         return False
-
-
-def cut_connections(host: str, port: int) -> None:
-    """Shut down this process's TCP connections to a peer.
-
-    If a peer stops reading, Rerun waits forever, at the latest when the interpreter ends; a closed connection
-    is an error from which it continues.
-    """
-    try:
-        peers = {entry[4][:2] for entry in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)}
-    except OSError:
-        return
-    for entry in Path("/proc/self/fd").iterdir():
-        with contextlib.suppress(OSError):
-            if not str(entry.readlink()).startswith("socket:"):
-                continue
-            with socket.socket(fileno=os.dup(int(entry.name))) as connection:
-                is_tcp = connection.family in (socket.AF_INET, socket.AF_INET6)
-                if is_tcp and connection.getpeername()[:2] in peers:
-                    connection.shutdown(socket.SHUT_RDWR)
