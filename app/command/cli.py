@@ -23,8 +23,7 @@ DONE, FAILED, NOT_STARTED = 0, 1, 2
 def command() -> NoReturn:
     """Run the command with the process's arguments, and end the process with its exit code."""
     code = main()
-    # Everything is closed. Threads of libraries that hang, as Rerun's do on a full disk, would keep the
-    # process alive forever.
+    # Everything is closed. A thread that waits for a dead disk would keep the process alive forever.
     logging.shutdown()
     sys.stdout.flush()
     os._exit(code)

@@ -37,7 +37,6 @@ class ViewerSink:
         self._absence_logged = self._stall_logged = False
         self.connections = 0
         self.queue: BoundedQueue[Item] = BoundedQueue(1, "drop oldest")
-        self._stopping = threading.Event()
         # A daemon, because Rerun can block for good.
         self._thread = threading.Thread(target=self._run, name="view-live", daemon=True)
         self._thread.start()
@@ -50,20 +49,18 @@ class ViewerSink:
             self.queue.put_note(item)
 
     def finish_close(self, limit_s: float) -> None:
-        """Give the viewer so many seconds to take what is queued, then disconnect."""
+        """Give the viewer so many seconds to take what is queued; the connection ends with the process."""
         self._thread.join(limit_s)
-        self._stopping.set()
-        self._thread.join(1.5 * _POLL_S)
 
     def _run(self) -> None:
         try:
-            while not self._stopping.is_set() and not self.queue.finished:
+            while not self.queue.finished:
                 if listens(*self._address):
                     if self._serve():
                         continue
                 elif not self._may_come():
                     return
-                self._stopping.wait(_RETRY_S)
+                time.sleep(_RETRY_S)
         except Exception:
             logger.exception("nothing more will be shown in the viewer at %s", self._url)
 
@@ -79,7 +76,7 @@ class ViewerSink:
         return not self.queue.closed
 
     def _serve(self) -> bool:
-        """Send to one viewer until it is gone or we stop; return whether it took anything."""
+        """Send to one viewer until it is gone or all is sent; return whether it took anything."""
         stream = self._opening.stream()
         taken = False
         try:
@@ -90,24 +87,24 @@ class ViewerSink:
                 logger.info("showing in the viewer at %s", self._url)
                 self.connections += 1
             writer = Writer(stream)
-            while taken and not self._stopping.is_set() and not self.queue.finished:
+            while taken and not self.queue.finished:
                 with contextlib.suppress(TimeoutError):
                     if (item := self.queue.take(1.0)) is not None:
                         writer.write(item)
                 taken = self._taken(stream)
             # While it starts or ends, it may listen for a moment without taking anything.
-            if connected and not taken and not self._stopping.is_set():
+            if connected and not taken:
                 logger.warning("the viewer at %s is gone; it will be used again if it comes back", self._url)
             return connected
         finally:
             stream.disconnect()
 
     def _taken(self, stream: rr.RecordingStream) -> bool:
-        """Wait until the viewer's side took everything; return False if it is gone or we stop."""
+        """Wait until the viewer's side took everything; return False if it is gone."""
         began_s = time.monotonic()
         timeout_s = _POLL_S
         logged = False
-        while not self._stopping.is_set():
+        while True:
             try:
                 stream.flush(timeout_sec=timeout_s)
             except RuntimeError as err:
@@ -123,4 +120,3 @@ class ViewerSink:
             if not self._stall_logged and time.monotonic() - began_s > _PATIENCE_S:
                 logged = self._stall_logged = True
                 logger.warning("the viewer at %s is not responding; frames are not shown for now", self._url)
-        return False

@@ -109,7 +109,6 @@ class PageServer:
 
         class Server(ThreadingHTTPServer):
             address_family = socket.AF_INET6 if ":" in bind else socket.AF_INET
-            daemon_threads = True
 
         self._server = Server((bind, port), Handler)
         self._thread = threading.Thread(target=self._server.serve_forever, name="view-page", daemon=True)
