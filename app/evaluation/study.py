@@ -5,7 +5,7 @@ import json
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from itertools import islice
 from pathlib import Path, PurePath
@@ -116,9 +116,8 @@ def run_study(
             todo.append((ref, missing))
     done = len(refs) - len(todo)
     report(done, len(refs))
-    evaluate = partial(evaluate_frame, options=study.options, seed=study.seed, pieces=study.pieces)
     with open_workers(jobs, scheduler) as workers:
-        for (ref, _), future in in_order(workers, evaluate, todo):
+        for (ref, _), future in in_order(workers, partial(evaluate_frame, study=study), todo):
             try:
                 record, files = future.result()
             except WorkerLostError as err:
@@ -149,7 +148,7 @@ def readable_frames(
 
 
 def evaluate_frame(
-    task: tuple[FrameRef, Sequence[Variant]], *, options: SourceOptions, seed: int, pieces: int = 1
+    task: tuple[FrameRef, Sequence[Variant]], study: Study
 ) -> tuple[dict[str, Any], dict[str, bytes]]:
     """Segment one frame with several variants and score each; return scores, and files by path in the store.
 
@@ -159,14 +158,13 @@ def evaluate_frame(
     ref, variants = task
     cv2.setNumThreads(1)
     try:
-        frame = read_frame(ref, options)
+        frame = read_frame(ref, study.options)
     except FrameFormatError as err:
         return {"key": ref.key, "skipped": str(err)}, {}
     cloud = register(frame)
     about = {
         "key": ref.key,
-        "uri": ref.uri,
-        "index": ref.index,
+        **asdict(ref),
         "name": frame.name or str(frame.index),
         "category": category_of(frame.name, ref.uri),
         "computer": computer(),
@@ -177,13 +175,13 @@ def evaluate_frame(
         return {**about, "skipped": "no pixel has both depth and ground truth"}, {}
     results: dict[str, Any] = {}
     files: dict[str, bytes] = {}
-    answers = Answers(cloud, frame.name, ref.index, seed)
+    answers = Answers(cloud, frame.name, ref.index, study.seed)
     for variant in variants:
         labels, tree = answers.of(variant)
         try:
             scores = {
                 **score_frame(labels, frame.labels, cloud.valid)._asdict(),
-                **score_objects(labels, frame.labels, cloud.points_m, pieces)._asdict(),
+                **score_objects(labels, frame.labels, cloud.points_m, study.pieces)._asdict(),
             }
         except ValueError as err:
             raise ValueError(f"{ref.uri}: frame {about['name']}: {variant.name}: {err}") from err

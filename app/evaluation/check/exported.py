@@ -39,8 +39,7 @@ class Measured(NamedTuple):
     points: int
 
 
-@dataclass(frozen=True, slots=True)
-class ExportedTrial:
+class ExportedTrial(NamedTuple):
     """A split that was tried: value and points of the whole and of each part."""
 
     metric: str
@@ -55,8 +54,7 @@ class ExportedTrial:
         return Measured(self.value, self.points)
 
 
-@dataclass(frozen=True, slots=True)
-class ExportedSegment:
+class ExportedSegment(NamedTuple):
     """A segment in the tree's file; `measured` and `judged` are the file's own frame if missing there."""
 
     name: str
@@ -86,16 +84,14 @@ class ExportedSegment:
         return max(self.value or 0.0, self.floor)
 
 
-@dataclass(frozen=True, slots=True)
-class ExportedObject:
+class ExportedObject(NamedTuple):
     """An object's label and the names of its leaves."""
 
     object: int
     leaves: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class ExportedContact:
+class ExportedContact(NamedTuple):
     """Two leaves in contact, whether they were merged, and the evidence, which earlier versions left out."""
 
     first: str
@@ -106,16 +102,14 @@ class ExportedContact:
     evidence: Mapping[str, float] | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class ExportedJoin:
+class ExportedJoin(NamedTuple):
     """Two leaves whose objects are one thing."""
 
     first: str
     second: str
 
 
-@dataclass(frozen=True, slots=True)
-class ExportedTree:
+class ExportedTree(NamedTuple):
     """The file of a frame's tree; earlier versions left `joins` out."""
 
     frame: int

@@ -1,13 +1,12 @@
 """Reads the files of an export, strictly."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from functools import cache
 from inspect import Parameter, signature
 from io import BytesIO
 from pathlib import Path
 from types import UnionType
-from typing import Any, get_args, get_origin
+from typing import Any, NamedTuple, get_args, get_origin
 
 import cv2
 import numpy as np
@@ -56,16 +55,15 @@ class DamagedExportError(ValueError):
         self.file = path.name
 
 
-@dataclass(frozen=True, slots=True)
-class _Settings:
-    """The content of the file of settings; exports of earlier versions lack the last three."""
+class _Settings(NamedTuple):
+    """The fields of `RunSettings` in the file; exports of earlier versions lack the last three."""
 
     segmentation: dict[str, Any]
     source: str
     temporal: bool
     target_fps: float
     surfaces: bool
-    depth: dict[str, Any] = field(default_factory=dict)
+    depth: dict[str, Any] | None = None
     camera: dict[str, Any] | None = None
     depth_scale: float | None = None
 
@@ -74,19 +72,14 @@ def read_settings(folder: Path) -> RunSettings:
     """Read the settings of a folder of exports; raises ValueError if they are missing or damaged."""
     path = folder / SETTINGS_FILE
     try:
-        values: _Settings = _decoded(_Settings, read_json(path))
-        segmentation, _ = in_sections(SegmentationConfig, values.segmentation)
-        depth, _ = in_sections(DepthConfig, values.depth)
-        return RunSettings(
-            read_section(path, "segmentation", SegmentationConfig, segmentation),
-            values.source,
-            values.temporal,
-            values.target_fps,
-            values.surfaces,
-            read_section(path, "depth", DepthConfig, depth),
-            None if values.camera is None else cameras_of_table(path, values.camera).calibration(),
-            values.depth_scale,
-        )
+        values: Any = _decoded(_Settings, read_json(path))
+        read = {
+            name: read_section(path, name, kind, in_sections(kind, getattr(values, name) or {})[0])
+            for name, kind in (("segmentation", SegmentationConfig), ("depth", DepthConfig))
+        }
+        if values.camera is not None:
+            read["camera"] = cameras_of_table(path, values.camera).calibration()
+        return RunSettings(*values._replace(**read))
     except FileNotFoundError as err:
         raise ValueError(f"{err}; nurbseg-live --export writes it") from None
     except ValueError as err:
