@@ -18,8 +18,9 @@ from __future__ import annotations
 import argparse
 import statistics
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 from typing import get_args
 
@@ -28,7 +29,6 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from nurbseg.app.live.tracking import Segmenter
-from nurbseg.drivers.errors import EndOfRecordingError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
@@ -97,15 +97,6 @@ def known_motion(source: FrameSource, uri: str) -> Motion:
     return lambda first, second: {0: np.linalg.inv(poses[second]) @ poses[first]}
 
 
-def frames_of(source: FrameSource, count: int) -> Iterator[RGBDFrame]:
-    """Yield so many frames."""
-    for _ in range(count):
-        try:
-            yield source.read()
-        except EndOfRecordingError:
-            return
-
-
 def carried_pixels(
     frame: RGBDFrame, cloud: PointMap, after: PointMap, moves: dict[int, NDArray[np.float64]]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -162,7 +153,7 @@ def measure(source: FrameSource, motion: Motion, config: SegmentationConfig, cou
     cold: Counter[str] = Counter()
     events: Counter[str] = Counter()
     before: tuple[RGBDFrame, PointMap, dict[str, Labels]] | None = None
-    for place, frame in enumerate(frames_of(source, count)):
+    for place, frame in enumerate(islice(source, count)):
         result = segmenter.process(frame)
         cloud = result.cloud
         if result.update is not None and result.update.reset:

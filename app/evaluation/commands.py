@@ -17,10 +17,9 @@ from nurbseg.app.config import AppConfig, warn_of_unread
 from nurbseg.app.evaluation.arguments import base_config, source_options
 from nurbseg.app.evaluation.check.check import FolderCheck
 from nurbseg.app.evaluation.methods.methods import check_method
-from nurbseg.app.evaluation.report.findings import findings, means_of, verdict
+from nurbseg.app.evaluation.report.findings import all_tables, as_markdown, as_text, conclusions
 from nurbseg.app.evaluation.report.progress import Progress
 from nurbseg.app.evaluation.report.report import write_report
-from nurbseg.app.evaluation.report.tables import all_tables, as_markdown, as_text
 from nurbseg.app.evaluation.results import StudyResults, StudyStore, write_rows
 from nurbseg.app.evaluation.study import Study, frame_refs, readable_frames, run_study, times_per_frame
 from nurbseg.app.evaluation.tuning import searched_settings, tune
@@ -80,7 +79,7 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
     files = list(write_rows(results, given.out))
     tables = all_tables(results, seconds)
     about = f"{len(results.frames)} frames. {versions_line()}. Computed on {'; '.join(results.computers())}."
-    sentences = [verdict(results), *findings(means_of(results))]
+    sentences = conclusions(results)
     for caption, rows in tables:
         print(f"\n{caption}\n{as_text(rows)}")
     print(f"\n{about}")

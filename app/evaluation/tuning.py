@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from operator import attrgetter
 from typing import Any, get_args
 
@@ -91,26 +91,15 @@ def _cross_validated_gain(table: NDArray[np.float64], folds: int, seed: int) -> 
     return bootstrap_mean(chosen - table[0])
 
 
-_Labelled = tuple[PointMap, NDArray[np.uint16]]
-
-#: Number of registered frames that a process keeps: half a gigabyte at 640x480.
-_CLOUDS_MOST = 100
-_CLOUDS: dict[tuple[FrameRef, SourceOptions], _Labelled | None] = {}
-
-
-def _labelled_cloud(ref: FrameRef, options: SourceOptions) -> _Labelled | None:
-    """Register a frame, the first `_CLOUDS_MOST` only once in each process."""
-    if (ref, options) in _CLOUDS:
-        return _CLOUDS[ref, options]
-    labelled = None
+@lru_cache(maxsize=100)  # half a gigabyte at 640x480
+def _labelled_cloud(ref: FrameRef, options: SourceOptions) -> tuple[PointMap, NDArray[np.uint16]] | None:
+    """Register a frame; return None if it is damaged or has no ground truth."""
     with suppress(FrameFormatError):
         frame = read_frame(ref, options)
         cloud = register(frame)
         if frame.labels is not None and (cloud.valid & (frame.labels > 0)).any():
-            labelled = cloud, frame.labels
-    if len(_CLOUDS) < _CLOUDS_MOST:
-        _CLOUDS[ref, options] = labelled
-    return labelled
+            return cloud, frame.labels
+    return None
 
 
 def _frame_objective(ref: FrameRef, options: SourceOptions, config: SegmentationConfig) -> float:

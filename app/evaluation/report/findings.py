@@ -1,17 +1,91 @@
-"""Findings of a study as sentences."""
+"""The tables of a study, as in the paper, and its findings as sentences."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 
-import numpy as np
-
-from nurbseg.app.evaluation.report.tables import digits, interval
-from nurbseg.app.evaluation.results import StudyResults, bootstrap_mean
+from nurbseg.app.evaluation.results import Estimate, StudyResults, bootstrap_mean
 from nurbseg.app.evaluation.scoring import SCORES
+from nurbseg.segmentation.scoring.objects import ObjectScores
 
 
-def means_of(results: StudyResults) -> dict[str, dict[str, float]]:
-    """Return each score's means over all frames by the names of variants."""
-    return {score: {each.name: results.mean(each, score) for each in results.variants} for score in SCORES}
+def score_rows(results: StudyResults, score: str) -> list[list[str]]:
+    """Return the table of a score: categories, mean and interval; the best of a column in ``*``."""
+    categories = results.categories()
+    columns: list[str | None] = [*categories, None] if len(categories) > 1 else [None]
+    rows = [["variant", *("mean" if each is None else each for each in columns), "95 % interval"]]
+    best = {each: results.best(score, each) for each in columns}
+    for variant in results.variants:
+        row = [variant.name]
+        for each in columns:
+            text = digits(results.mean(variant, score, each))
+            row.append(f"*{text}*" if variant.name in best[each] else text)
+        row.append(interval(results.estimate(variant, score)))
+        rows.append(row)
+    return rows
+
+
+def detail_rows(results: StudyResults, seconds: Mapping[str, float]) -> list[list[str]]:
+    """Return a table of segments, over- and under-segmentation, boundaries and time."""
+    rows = [["variant", "segments", "of", "over", "under", "precision", "recall", "ms/frame"]]
+    for variant in results.variants:
+        counts = (f"{results.mean(variant, score):.1f}" for score in ("segments", "regions"))
+        shares = (digits(results.mean(variant, score)) for score in ("over", "under", "precision", "recall"))
+        time = f"{1000 * seconds[variant.name]:.0f}" if variant.name in seconds else ""
+        rows.append([variant.name, *counts, *shares, time])
+    return rows
+
+
+def object_rows(results: StudyResults) -> list[list[str]]:
+    """Return a table of objects: overlap and boundaries (precision, recall, F), and the share found."""
+    rows = [["variant", *(f"{what} {score}" for what in ("overlap", "boundary") for score in "PRF"), "found"]]
+    for variant in results.variants:
+        rows.append([variant.name, *(digits(results.mean(variant, score)) for score in ObjectScores._fields)])
+    return rows
+
+
+def as_text(rows: Sequence[Sequence[str]]) -> str:
+    """Format a table for a terminal."""
+    first, *others = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = []
+    for name, *cells in rows:
+        figures = (cell.rjust(width) for cell, width in zip(cells, others, strict=True))
+        lines.append("  ".join([name.ljust(first), *figures]).rstrip())
+    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
+
+
+def as_markdown(rows: Sequence[Sequence[str]]) -> str:
+    """Format a table as Markdown; cells in ``*`` become bold."""
+    lines = ["| " + " | ".join(cell.replace("*", "**") for cell in row) + " |" for row in rows]
+    lines.insert(1, "| --- |" + " ---: |" * (len(rows[0]) - 1))
+    return "\n".join(lines)
+
+
+def all_tables(results: StudyResults, seconds: Mapping[str, float]) -> list[tuple[str, list[list[str]]]]:
+    """Return all tables with their captions."""
+    tables = []
+    for score, (heading, greater) in SCORES.items():
+        direction = "greater" if greater else "smaller"
+        tables.append((f"{heading}: mean over frames, {direction} is better", score_rows(results, score)))
+    shown = "overlap, boundaries, share with F of .75 or more"
+    objects = f"Objects matched one to one, without background: {shown}"
+    details = "Numbers of segments and regions, errors (bits), boundaries within 2 px, time"
+    return [*tables, (objects, object_rows(results)), (details, detail_rows(results, seconds))]
+
+
+def digits(value: float) -> str:
+    """Format a score with three digits, or "-"."""
+    return "-" if math.isnan(value) else f"{value:.3f}"
+
+
+def interval(estimate: Estimate) -> str:
+    """Format an interval."""
+    return f"{digits(estimate.low)} to {digits(estimate.high)}"
+
+
+def conclusions(results: StudyResults) -> list[str]:
+    """Return the verdict and the findings of a study."""
+    means = {score: {each.name: results.mean(each, score) for each in results.variants} for score in SCORES}
+    return [verdict(results), *findings(means)]
 
 
 def verdict(results: StudyResults) -> str:
@@ -25,7 +99,7 @@ def verdict(results: StudyResults) -> str:
     sure = "is ahead of" if gain.low > 0 else "cannot be told apart from"
     return (
         f"Verdict: {first} {sure} {ranked[1].name} ({digits(results.mean(ranked[1], 'gtrc'))}): better on "
-        f"{np.count_nonzero(ours > theirs)} of {gain.frames} frames, by {digits(gain.mean)} in the mean "
+        f"{(ours > theirs).sum()} of {gain.frames} frames, by {digits(gain.mean)} in the mean "
         f"(95 %: {interval(gain)})."
     )
 
@@ -33,7 +107,7 @@ def verdict(results: StudyResults) -> str:
 def findings(means: Mapping[str, Mapping[str, float]]) -> list[str]:
     """Describe the ranking of methods by each score, and the range of each method over its settings.
 
-    `means` comes from `means_of`; a variant's name begins with its method.
+    `means` are those of each score over all frames by the names of variants, which begin with the method.
     """
     methods: dict[str, list[str]] = {}
     for name in means["ri"]:
@@ -62,7 +136,7 @@ def findings(means: Mapping[str, Mapping[str, float]]) -> list[str]:
 
 def _ordered(means: Mapping[str, float], names: list[str], greater: bool) -> list[str]:
     """Sort variants that have a mean, rounded to three digits, the best first."""
-    known = [name for name in names if np.isfinite(means[name])]
+    known = [name for name in names if math.isfinite(means[name])]
     return sorted(known, key=lambda name: round(means[name], 3) * (-1 if greater else 1))
 
 

@@ -14,8 +14,7 @@ from nurbseg.app.atomic_file import read_json, write_atomically
 from nurbseg.app.computer import versions_line
 from nurbseg.app.evaluation.answers import Answers
 from nurbseg.app.evaluation.report import pictures, plots
-from nurbseg.app.evaluation.report.findings import findings, means_of, verdict
-from nurbseg.app.evaluation.report.tables import all_tables
+from nurbseg.app.evaluation.report.findings import all_tables, conclusions
 from nurbseg.app.evaluation.results import StudyResults, StudyStore
 from nurbseg.app.evaluation.study import FrameRef, Study, label_path, read_frame, tree_path
 from nurbseg.app.evaluation.variants import TREE_METHODS, Variant
@@ -60,16 +59,15 @@ def write_report(
         if image is not None:
             drawn_plots.append((caption, _saved(folder / name, image)))
     trees_of = next((each for each in shown if each.method in TREE_METHODS), None)
-    template = jinja2.Environment(autoescape=True).from_string(
-        Path(__file__).with_name("report.html.j2").read_text(encoding="utf-8")
-    )
+    source = Path(__file__).with_name("report.html.j2").read_text(encoding="utf-8")
+    template = jinja2.Template(source, autoescape=True)
     html = template.render(
         title=title,
         command=command,
         date=datetime.now(UTC).date(),
         versions=versions_line(),
         computers=results.computers(),
-        findings=[verdict(results), *findings(means_of(results))],
+        findings=conclusions(results),
         frames=len(results.frames),
         variants=len(results.variants),
         skipped=len(results.skipped),
