@@ -20,10 +20,12 @@ _LINES = ("-", "--", ":", "-.")
 _MARKS = ("o", "s", "^")
 
 
-def _figure(width: float, height: float) -> Any:
+def _figure(width: float, height: float, columns: int = 1) -> tuple[Any, Any]:
+    """Return a figure of this size, inches, and its axes."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height))
+    figure = Figure(figsize=(width, height))
+    return figure, figure.subplots(1, columns)
 
 
 def _png_of(figure: Any) -> bytes:
@@ -38,8 +40,7 @@ def threshold_plot(results: StudyResults) -> bytes | None:
     thresholds = sorted({each.config.ratio_max for each in trees})
     if len(thresholds) < 2:
         return None
-    figure = _figure(4 * len(SCORES), 3.4)
-    axes = figure.subplots(1, len(SCORES))
+    figure, axes = _figure(4 * len(SCORES), 3.4, len(SCORES))
     lines = dict.fromkeys((each.method, each.config.metric) for each in trees)
     for axis, (score, (heading, _)) in zip(axes, SCORES.items(), strict=True):
         for method, metric in lines:
@@ -48,13 +49,8 @@ def threshold_plot(results: StudyResults) -> bytes | None:
                 for each in trees
                 if (each.method, each.config.metric) == (method, metric)
             }
-            axis.plot(
-                sorted(own),
-                [own[t] for t in sorted(own)],
-                color=method_color(results, method),
-                **metric_line(metric),
-                label=f"{method} {metric}",
-            )
+            style = metric_line(metric) | {"color": method_color(results, method)}
+            axis.plot(*zip(*sorted(own.items()), strict=True), label=f"{method} {metric}", **style)
         axis.set(xlabel="T", title=heading)
         axis.grid(alpha=0.3)
     axes[-1].legend(fontsize=7, loc="center left", bbox_to_anchor=(1.02, 0.5))
@@ -67,8 +63,7 @@ def category_plot(results: StudyResults) -> bytes | None:
     shown = results.leaders()
     if len(categories) < 2:
         return None
-    figure = _figure(max(6.0, 2.2 * len(categories)), 3.6)
-    axis = figure.subplots()
+    figure, axis = _figure(max(6.0, 2.2 * len(categories)), 3.6)
     step = 0.8 / len(shown)
     for place, variant in enumerate(shown):
         found = [results.estimate(variant, "gtrc", each) for each in categories]
@@ -87,10 +82,9 @@ def time_plot(results: StudyResults, seconds: Mapping[str, float]) -> bytes | No
     timed = [each for each in results.variants if each.name in seconds]
     if not timed:
         return None
-    from matplotlib import ticker
+    from matplotlib.ticker import LogLocator
 
-    figure = _figure(6.5, 4)
-    axis = figure.subplots()
+    figure, axis = _figure(6.5, 4)
     named = {each.name for each in results.leaders()}
     for variant in timed:
         at = 1000 * seconds[variant.name], results.mean(variant, "gtrc")
@@ -99,9 +93,9 @@ def time_plot(results: StudyResults, seconds: Mapping[str, float]) -> bytes | No
             axis.annotate(variant.name, at, fontsize=7, xytext=(4, 3), textcoords="offset points")
     axis.set(xscale="log", xlabel="time per frame (ms)", ylabel="GTRC")
     # Plain numbers, also between powers of ten.
-    axis.xaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.xaxis.set_major_formatter(ticker.FuncFormatter(lambda ms, _: f"{ms:g}"))
-    axis.xaxis.set_minor_formatter(ticker.NullFormatter())
+    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.xaxis.set_major_formatter("{x:g}")
+    axis.xaxis.set_minor_formatter("")
     axis.grid(alpha=0.3)
     return _png_of(figure)
 
@@ -132,8 +126,7 @@ def tree_plot(segments: Sequence[Mapping[str, Any]]) -> bytes:
     children = {name: (f"{name}0", f"{name}1") for name in names if f"{name}0" in names}
     x = {name: place for name, (place, _) in tree_positions(children, "").items()}
     leaves, deepest = len(names) - len(children), max(map(len, names))
-    figure = _figure(max(4.0, 0.62 * leaves), 0.7 * (deepest + 1.4))
-    axis = figure.subplots()
+    figure, axis = _figure(max(4.0, 0.62 * leaves), 0.7 * (deepest + 1.4))
     for each in segments:
         name = each["name"]
         if name:

@@ -66,12 +66,8 @@ def write_report(
         command=command,
         date=datetime.now(UTC).date(),
         versions=versions_line(),
-        computers=results.computers(),
+        results=results,
         findings=conclusions(results),
-        frames=len(results.frames),
-        variants=len(results.variants),
-        skipped=len(results.skipped),
-        skipped_frames=results.skipped,
         tables=[
             (caption, rows, [row for row in rows[1:] if row[0] in {each.name for each in shown}])
             for caption, rows in all_tables(results, seconds)
