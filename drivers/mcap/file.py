@@ -14,7 +14,6 @@ import shlex
 import struct
 import zlib
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Header, Metadata, Schema, Statistics
+from mcap.records import Channel, Header, Message, Metadata, Schema, Statistics
 
 from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError, quoted
@@ -39,10 +38,9 @@ from nurbseg.drivers.limits import (
 _log = logging.getLogger(__name__)
 
 _RECORD_HEAD = struct.Struct("<BQ")
-_MESSAGE_HEAD = struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
-
-
+#: Bytes of a message before its content.
+_MESSAGE_HEAD_BYTES = 22
 #: The records that say what a file holds.
 _CATALOG: dict[int, Any] = {
     Opcode.HEADER: Header,
@@ -51,17 +49,6 @@ _CATALOG: dict[int, Any] = {
     Opcode.METADATA: Metadata,
     Opcode.STATISTICS: Statistics,
 }
-
-
-@dataclass(frozen=True, slots=True)
-class McapMessage:
-    """One message: its channel, its number there, its two times, and its undecoded content."""
-
-    channel: Channel
-    sequence: int
-    log_time_ns: int
-    publish_time_ns: int
-    content: bytes
 
 
 class McapFile:
@@ -105,8 +92,8 @@ class McapFile:
 
     def messages(
         self, most_bytes: int | None = None, *, first: int = 0
-    ) -> Iterator[McapMessage | FrameFormatError]:
-        """Yield the messages in the file's order; an error in place of a chunk that is damaged.
+    ) -> Iterator[tuple[Channel, Message] | FrameFormatError]:
+        """Yield the messages and their channels in the file's order; an error in place of a damaged chunk.
 
         Ends after `most_bytes` of messages, decompressed. `first` is the entry to begin with, which `entry`
         was before.
@@ -135,8 +122,10 @@ class McapFile:
                 for kind, record in records:
                     if kind != Opcode.MESSAGE:
                         self._register(kind, record)
-                    elif (message := self._message(record)) is not None:
-                        yield message
+                    elif len(record) >= _MESSAGE_HEAD_BYTES:
+                        message = Message.read(ReadDataStream(BytesIO(record)), len(record))
+                        if message.channel_id in self.channels:
+                            yield self.channels[message.channel_id], message
             except FrameFormatError as err:
                 yield err
 
@@ -191,16 +180,6 @@ class McapFile:
                 self.metadata[record.name] = record.metadata
             case Statistics():
                 self.message_counts = dict(record.channel_message_counts)
-
-    def _message(self, content: bytes) -> McapMessage | None:
-        if len(content) < _MESSAGE_HEAD.size:
-            return None
-        channel_id, sequence, log_time_ns, publish_time_ns = _MESSAGE_HEAD.unpack_from(content)
-        channel = self.channels.get(channel_id)
-        if channel is None:
-            return None
-        body = content[_MESSAGE_HEAD.size :]
-        return McapMessage(channel, sequence, log_time_ns, publish_time_ns, body)
 
 
 def _records(content: bytes, name: str) -> Iterator[tuple[int, bytes]]:

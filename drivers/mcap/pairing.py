@@ -2,7 +2,7 @@
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from nurbseg.drivers.limits import CHUNK_BYTES_MAX
 
@@ -28,18 +28,16 @@ class StampPairing:
     def __init__(self, limit_ns: int) -> None:
         self.dropped = 0
         self._limit_ns = limit_ns
-        self._depth: deque[tuple[int, bytes]] = deque()
-        self._color: deque[tuple[int, bytes]] = deque()
-        self._labels: deque[tuple[int, bytes]] = deque()
+        self._waiting: dict[Kind, deque[tuple[int, bytes]]] = {each: deque() for each in get_args(Kind)}
 
     @property
     def waiting(self) -> int:
         """How many messages wait for their partners."""
-        return len(self._depth) + len(self._color) + len(self._labels)
+        return sum(map(len, self._waiting.values()))
 
     def add(self, kind: Kind, stamp_ns: int, content: bytes) -> None:
         """Add a message."""
-        waiting = {"depth": self._depth, "color": self._color, "labels": self._labels}[kind]
+        waiting = self._waiting[kind]
         waiting.append((stamp_ns, content))
         while len(waiting) > _WAITING_MAX or sum(len(each) for _, each in waiting) > _WAITING_BYTES_MAX:
             waiting.popleft()
@@ -48,33 +46,29 @@ class StampPairing:
 
     def take(self, *, at_end: bool = False) -> StampedPair | None:
         """Return the next pair, or None while it is not certain; `at_end` says that nothing follows."""
-        while self._depth and self._color:
-            stamp_ns, depth = self._depth[0]
-            place = min(range(len(self._color)), key=lambda n: abs(self._color[n][0] - stamp_ns))
-            color_ns, color = self._color[place]
+        depths, colors, labels = self._waiting.values()
+        while depths and colors:
+            stamp_ns, depth = depths[0]
+            place = min(range(len(colors)), key=lambda n: abs(colors[n][0] - stamp_ns))
+            color_ns, color = colors[place]
             gap_ns = abs(color_ns - stamp_ns)
-            if gap_ns and not at_end and (self._color[-1][0] < stamp_ns or len(self._depth) < 2):
+            if gap_ns and not at_end and (colors[-1][0] < stamp_ns or len(depths) < 2):
                 # A nearer color image, or one for which this is the nearer, may follow.
                 return None
-            next_is_nearer = len(self._depth) > 1 and abs(color_ns - self._depth[1][0]) < gap_ns
+            next_is_nearer = len(depths) > 1 and abs(color_ns - depths[1][0]) < gap_ns
+            depths.popleft()
             if gap_ns > self._limit_ns or next_is_nearer:
-                self._depth.popleft()
                 self.dropped += 1
                 continue
-            self._depth.popleft()
-            for _ in range(place):
-                self._color.popleft()
-                self.dropped += 1
-            self._color.popleft()
-            return StampedPair(stamp_ns, depth, color, self._take_labels(stamp_ns))
+            self.dropped += place
+            for _ in range(place + 1):
+                colors.popleft()
+            own = next((content for ns, content in labels if ns == stamp_ns), None)
+            while labels and labels[0][0] <= stamp_ns:
+                labels.popleft()
+            return StampedPair(stamp_ns, depth, color, own)
         if at_end:
-            self.dropped += len(self._depth) + len(self._color)
-            self._depth.clear()
-            self._color.clear()
+            self.dropped += len(depths) + len(colors)
+            depths.clear()
+            colors.clear()
         return None
-
-    def _take_labels(self, stamp_ns: int) -> bytes | None:
-        found = next((content for ns, content in self._labels if ns == stamp_ns), None)
-        while self._labels and self._labels[0][0] <= stamp_ns:
-            self._labels.popleft()
-        return found

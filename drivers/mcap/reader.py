@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mcap.records import Schema
+from mcap.records import Channel, Message, Schema
 
 from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.closing import closed_on_error
@@ -15,7 +15,7 @@ from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.limits import SAMPLES_BYTES_MAX, SCAN_BYTES_MAX, STAMP_END_NS, TRANSFORMS_BYTES_MAX
 from nurbseg.drivers.mcap import definitions
 from nurbseg.drivers.mcap import messages as ros
-from nurbseg.drivers.mcap.file import McapFile, McapMessage
+from nurbseg.drivers.mcap.file import McapFile
 from nurbseg.drivers.mcap.pairing import Kind, StampedPair, StampPairing
 from nurbseg.drivers.mcap.topics import Topics, TopicSample, choose_topics, recorded_cameras
 from nurbseg.drivers.options import SourceOptions
@@ -141,9 +141,7 @@ class RecordingReader(FrameSource):
 
         depth_mm = ros.depth_of(*decoded(pair.depth, topics.depth), self._units_per_metre)
         color = ros.color_of(*decoded(pair.color, topics.color))
-        labels = None
-        if pair.labels is not None and topics.labels is not None:
-            labels = ros.labels_of(*decoded(pair.labels, topics.labels))
+        labels = pair.labels and ros.labels_of(*decoded(pair.labels, topics.labels or ""))
         try:
             return RGBDFrame(
                 index=index,
@@ -162,11 +160,14 @@ class RecordingReader(FrameSource):
     def _next_pair(self) -> StampedPair:
         pair = self._pairing.take()
         while pair is None:
-            item = self._next_message()
-            if isinstance(item, FrameFormatError):
-                raise item
+            item = next(self._messages, None)
             if item is not None:
-                self._enter(item)
+                entry, before = self._file.entry, self._position
+                passed = before.passed + 1 if entry == before.entry else 1
+                self._position = before._replace(entry=entry, passed=passed)
+                if isinstance(item, FrameFormatError):
+                    raise item
+                self._enter(*item)
             pair = self._pairing.take(at_end=item is None)
             self.metadata["dropped"] = str(self.dropped)
             if item is None and pair is None:
@@ -178,17 +179,8 @@ class RecordingReader(FrameSource):
             self._places.append(self._position._replace(frame=self._index, dropped=self.dropped))
         return pair
 
-    def _next_message(self) -> McapMessage | FrameFormatError | None:
-        item = next(self._messages, None)
-        if item is None:
-            return None
-        entry, before = self._file.entry, self._position
-        passed = before.passed + 1 if entry == before.entry else 1
-        self._position = before._replace(entry=entry, passed=passed)
-        return item
-
-    def _enter(self, message: McapMessage) -> None:
-        topic, content = message.channel.topic, message.content
+    def _enter(self, channel: Channel, message: Message) -> None:
+        topic, content = channel.topic, message.data
         kind = self._kind_of_topic.get(topic)
         if len(content) < 12 or kind is None:
             return
@@ -220,30 +212,32 @@ class RecordingReader(FrameSource):
             if isinstance(item, FrameFormatError):
                 damage = damage or item
                 continue
-            start_ns = item.log_time_ns if start_ns is None else start_ns
+            channel, message = item
+            start_ns = message.log_time if start_ns is None else start_ns
             # Our own recordings say everything with the first frame.
             if self._is_ours and definitions.DEPTH_TOPIC in samples:
                 break
-            if item.log_time_ns - start_ns > _SCAN_NS and self._has_images(samples):
+            if message.log_time - start_ns > _SCAN_NS and self._has_images(samples):
                 break
-            topic = item.channel.topic
-            schema = self._file.schemas.get(item.channel.schema_id)
-            known = schema is not None and schema.name in definitions.DEFINITIONS
-            if schema is None or not known or item.channel.message_encoding != "cdr":
+            topic = channel.topic
+            schema = self._file.schemas.get(channel.schema_id)
+            if schema is None or schema.name not in definitions.DEFINITIONS:
+                continue
+            if channel.message_encoding != "cdr":
                 continue
             is_transform = schema.name == definitions.TRANSFORMS
             if (topic in samples and not is_transform) or not self._is_decodable(schema):
                 continue
-            left[is_transform] -= len(item.content)
+            left[is_transform] -= len(message.data)
             if left[is_transform] < 0:
                 continue
             try:
-                message = definitions.decode(item.content, schema.name, f"{self._path}: {topic}")
+                decoded = definitions.decode(message.data, schema.name, f"{self._path}: {topic}")
             except FrameFormatError:
                 continue
             if is_transform:
-                transforms += ros.transforms_of(message)
-            samples.setdefault(topic, TopicSample(schema.name, message))
+                transforms += ros.transforms_of(decoded)
+            samples.setdefault(topic, TopicSample(schema.name, decoded))
         if damage is not None and start_ns is None:
             raise RecordingFormatError(f"{damage}; no message can be read")
         return samples, transforms
@@ -290,8 +284,7 @@ class RecordingReader(FrameSource):
         metadata["format"] = "MCAP recording"
         metadata["dropped"] = "0"
         metadata["whole"] = str(self._file.whole).lower()
-        for channel_id, count in self._file.message_counts.items():
-            channel = self._file.channels.get(channel_id)
-            if channel is not None and channel.topic == self._topics.depth:
-                metadata["frames"] = str(count)
+        for number, channel in self._file.channels.items():
+            if channel.topic == self._topics.depth and number in self._file.message_counts:
+                metadata["frames"] = str(self._file.message_counts[number])
         return metadata

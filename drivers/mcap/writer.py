@@ -105,10 +105,11 @@ class RecordingWriter(Closing):
                 stamp, definitions.COLOR_FRAME, definitions.DEPTH_FRAME, self._calibration.color_from_depth
             )
             self._add(definitions.TRANSFORMS_TOPIC, TRANSFORMS, message, stamp)
-        color_info = ros.camera_info_message(stamp, definitions.COLOR_FRAME, self._calibration.color)
-        depth_info = ros.camera_info_message(stamp, self._depth_frame, self._calibration.depth)
-        self._add(definitions.COLOR_INFO_TOPIC, CAMERA_INFO, color_info, stamp)
-        self._add(definitions.DEPTH_INFO_TOPIC, CAMERA_INFO, depth_info, stamp)
+        for topic, camera_frame, camera in (
+            (definitions.COLOR_INFO_TOPIC, definitions.COLOR_FRAME, self._calibration.color),
+            (definitions.DEPTH_INFO_TOPIC, self._depth_frame, self._calibration.depth),
+        ):
+            self._add(topic, CAMERA_INFO, ros.camera_info_message(stamp, camera_frame, camera), stamp)
         self._add_color(frame)
         if frame.labels is not None:
             # PNG, because viewers take every plain image of one channel for depth.
@@ -194,7 +195,7 @@ def rewrite(path: Path, output: BinaryIO) -> int:
             if isinstance(item, FrameFormatError):
                 damaged += 1
                 continue
-            channel = item.channel
+            channel, message = item
             if channel.id not in numbers:
                 schema = source.schemas.get(channel.schema_id)
                 number = schema and writer.register_schema(schema.name, schema.encoding, schema.data)
@@ -202,7 +203,7 @@ def rewrite(path: Path, output: BinaryIO) -> int:
                     channel.topic, channel.message_encoding, number or 0, channel.metadata
                 )
             writer.add_message(
-                numbers[channel.id], item.log_time_ns, item.content, item.publish_time_ns, item.sequence
+                numbers[channel.id], message.log_time, message.data, message.publish_time, message.sequence
             )
         if not numbers:
             raise RecordingFormatError(f"{path}: the recording has no message that can be read")

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, I64, U8, Bool, compiled, inlined
-from nurbseg.drivers.synthetic.intersections import RECTANGLE
 from nurbseg.drivers.synthetic.scene import RenderedScene
+from nurbseg.drivers.synthetic.shapes import RECTANGLE
 
 #: Direction to the lamp, from left, in front and above.
-_LAMP = np.array([-0.45, -0.5, 0.95]) / np.linalg.norm([-0.45, -0.5, 0.95])
+LAMP = np.array([-0.45, -0.5, 0.95]) / np.linalg.norm([-0.45, -0.5, 0.95])
 _LAMP_COLOR = np.array([1.06, 1.0, 0.92], dtype=np.float32)
 _SKY_COLOR = np.array([0.93, 0.98, 1.08], dtype=np.float32)
 _LAMP_SHARE, _SKY_SHARE = np.float32(0.66), np.float32(0.52)
@@ -28,56 +28,8 @@ _BACKGROUND = (52, 54, 58)
 _ZERO, _HALF, _ONE, _TWO, _THREE = (np.float32(n) for n in (0, 0.5, 1, 2, 3))
 
 
-class Light:
-    """The scene's textures under the lamp and the sky."""
-
-    def __init__(self, scene: RenderedScene) -> None:
-        self._scene = scene
-        grounds = _lit_grounds(scene.seed)
-        textures = [grounds.get(n, each.texture) for n, each in enumerate(scene.objects)]
-        rows, columns = (np.array([each.shape[axis] for each in textures]) for axis in (0, 1))
-        ends = np.cumsum(columns)
-        # All textures side by side in one image, from which one call takes what a camera sees.
-        self._atlas = np.zeros((rows.max(), ends[-1], 3), dtype=np.uint8)
-        for each, end in zip(textures, ends, strict=True):
-            self._atlas[: each.shape[0], end - each.shape[1] : end] = each
-        #: First column and row of each object's texture in the atlas, and the size less one, (S, 4) float32.
-        self.atlas_windows = np.stack([ends - columns, 0 * rows, columns - 1, rows - 1], axis=1).astype(
-            np.float32
-        )
-        self._is_lit = np.array([n in grounds for n in range(len(textures))])
-        self._shininess = np.array([each.shininess for each in scene.objects], dtype=np.float32)
-
-    def image(
-        self,
-        world_from_camera: NDArray[np.float64],
-        tick: float,
-        points: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
-        objects: NDArray[np.uint8],
-        runs: NDArray[np.int64],
-        normals: NDArray[np.float32],
-        atlas_px: NDArray[np.float32],
-    ) -> NDArray[np.uint8]:
-        """Return what a camera sees in color, (H, W, 3) uint8 RGB.
-
-        The `points`, three of (H, W), are x / z, y / z and z of what each pixel shows, and the `normals`, (3,
-        H, W), are in the camera's frame too. `objects` (H, W) holds the number of the visible object + 1, 0
-        where there is none, in `runs` (`nurbseg.drivers.synthetic.rays.runs_of`). `atlas_px` (2, H, W) holds
-        columns and rows.
-        """
-        image = np.empty((*objects.shape, 3), dtype=np.uint8)
-        cv2.remap(self._atlas, atlas_px[0], atlas_px[1], cv2.INTER_LINEAR, dst=image)
-        # All in the camera's frame, in which the eye is the origin.
-        lamp, up = (world_from_camera[:3, :3].T @ each for each in (_LAMP, np.array([0.0, 0.0, 1.0])))
-        ball = np.linalg.inv(world_from_camera) @ self._scene.world_from_object(self._scene.ball, tick)[:, 3]
-        vectors = np.stack([lamp, up, ball[:3]]).astype(np.float32)
-        height, radius = (np.float32(each) for each in (world_from_camera[2, 3], self._scene.ball_radius_m))
-        _light(self._is_lit, self._shininess, vectors, height, radius, *points, objects, runs, normals, image)
-        return image
-
-
 @compiled
-def _light(
+def shade(
     is_lit: Bool,
     shininess: F32,
     vectors: F32,
@@ -91,7 +43,23 @@ def _light(
     normals: F32,
     image: U8,
 ) -> None:
-    """Shade the texture; `vectors` are the directions to the lamp and up, and the ball's center."""
+    """Put the scene's textures, as a camera sees them, under the lamp and the sky.
+
+    Parameters
+    ----------
+    is_lit : (S,) bool
+        Which textures have the light baked into them; only the ball's shadow is added to these.
+    shininess : (S,) float32
+        Strength of each object's highlight, 0 to 1.
+    vectors : (3, 3) float32
+        Directions to the lamp and up, and the ball's center, in the camera's frame.
+    camera_height, ball_radius : float32
+        Metres.
+    x, y, z, objects, runs, normals
+        See `nurbseg.drivers.synthetic.rays.surfaces_seen`, `z` being the depth.
+    image : (H, W, 3) uint8
+        The textures, RGB; shaded in place.
+    """
     for row, first, end in runs:
         part = slice(first, end)
         pixels = image[row, part]
@@ -177,7 +145,7 @@ def _clipped(value: Any) -> Any:
 
 
 @lru_cache(maxsize=2)
-def _lit_grounds(seed: int) -> dict[int, NDArray[np.uint8]]:
+def lit_grounds(seed: int) -> dict[int, NDArray[np.uint8]]:
     """Return the textures of a scene's table and wall, by object, with the light baked into them.
 
     They include the shadows of all objects but the ball, whose shadow moves.
@@ -195,7 +163,7 @@ def _lit_grounds(seed: int) -> dict[int, NDArray[np.uint8]]:
             np.linspace(low[0], high[0], _SHADOW_SIZE[1]), np.linspace(high[1], low[1], _SHADOW_SIZE[0])
         )
         lit = _lit_share(scene, still, pose, grid)
-        facing = max(float(pose[:3, 2] @ _LAMP), 0.0)
+        facing = max(float(pose[:3, 2] @ LAMP), 0.0)
         height, width = each.texture.shape[:2]
         soft = cv2.resize(lit, (width, height), interpolation=cv2.INTER_LINEAR)
         lit = np.asarray(soft, dtype=np.float32)
@@ -215,14 +183,14 @@ def _lit_share(
     """Return which share of the lamp each point of a flat ground sees."""
     points = np.stack([*grid, np.zeros_like(grid[0]), np.ones_like(grid[0])]).reshape(4, -1)
     world = world_from_ground @ points
-    sideways = np.cross(_LAMP, [0.0, 1.0, 0.0])
+    sideways = np.cross(LAMP, [0.0, 1.0, 0.0])
     sideways /= np.linalg.norm(sideways)
-    other = np.cross(_LAMP, sideways)
+    other = np.cross(LAMP, sideways)
     lit = np.zeros(points.shape[1], dtype=np.float32)
     for part in range(_LAMP_PARTS):
         # A sunflower's seeds fill the lamp's disc evenly.
         radius, angle = 0.085 * np.sqrt((part + 0.5) / _LAMP_PARTS), part * np.pi * (3 - np.sqrt(5))
-        towards = _LAMP + radius * (np.cos(angle) * sideways + np.sin(angle) * other)
+        towards = LAMP + radius * (np.cos(angle) * sideways + np.sin(angle) * other)
         free = np.ones(points.shape[1], dtype=np.bool_)
         for number in casting:
             each = scene.objects[number]

@@ -6,7 +6,7 @@ import numpy as np
 from numba import literal_unroll
 
 from nurbseg.drivers.compiled import F32, I64, U8, compiled, inlined
-from nurbseg.drivers.synthetic.intersections import KINDS, intersect, surface
+from nurbseg.drivers.synthetic.shapes import KINDS, intersect, surface
 
 
 @compiled
@@ -143,11 +143,3 @@ def _surfaces_in_row(kind: int, shape: Any, pixels: Any, found: Any) -> None:
         normal_z[n] = m[0, 2] * nx + m[1, 2] * ny + m[2, 2] * nz
         columns[n] = window[0] + window[2] * min(max(across, np.float32(0)), np.float32(1))
         rows[n] = window[1] + window[3] * min(max(down, np.float32(0)), np.float32(1))
-
-
-@compiled
-def hit_each(kind: int, size: F32, origins: F32, directions: F32, multiples: F32, faces: U8) -> None:
-    """Find where each ray meets one shape, see `Shape.hit`."""
-    for n in range(multiples.size):
-        o, d = origins[n], directions[n]
-        multiples[n], faces[n] = intersect(kind, size, o[0], o[1], o[2], d[0], d[1], d[2])

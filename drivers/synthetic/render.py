@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.frame import Intrinsics
-from nurbseg.drivers.synthetic.light import Light
+from nurbseg.drivers.synthetic.light import LAMP, lit_grounds, shade
 from nurbseg.drivers.synthetic.rays import cast, runs_of, surfaces_seen
 from nurbseg.drivers.synthetic.scene import RenderedScene
 
@@ -35,6 +35,7 @@ class Renderer:
         self._scene, self._camera = scene, camera
         self._kinds = np.array([each.shape.kind for each in scene.objects])
         self._sizes = np.stack([each.shape.sizes for each in scene.objects])
+        self._shininess = np.array([each.shininess for each in scene.objects], dtype=np.float32)
         corners = np.stack([each.shape.corners_m.T for each in scene.objects])
         self._corners = np.concatenate([corners, np.ones_like(corners[:, :1])], axis=1)
         rays = camera.rays()
@@ -45,9 +46,21 @@ class Renderer:
         self._rays = (np.nan_to_num(rays[..., 0], nan=1e6), np.nan_to_num(rays[..., 1], nan=1e6))
 
     @cached_property
-    def _light(self) -> Light:
-        # Made for cameras that ask for color: it takes a moment.
-        return Light(self._scene)
+    def _atlas(self) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.bool_]]:
+        """All textures side by side, from which one call takes what a camera sees.
+
+        With them, for each object, the first column and row of its texture and the size less one, (S, 4), and
+        whether it has the light baked into it. Made for cameras that ask for color: it takes a moment.
+        """
+        grounds = lit_grounds(self._scene.seed)
+        textures = [grounds.get(n, each.texture) for n, each in enumerate(self._scene.objects)]
+        rows, columns = (np.array([each.shape[axis] for each in textures]) for axis in (0, 1))
+        ends = np.cumsum(columns)
+        atlas = np.zeros((rows.max(), ends[-1], 3), dtype=np.uint8)
+        for each, end in zip(textures, ends, strict=True):
+            atlas[: each.shape[0], end - each.shape[1] : end] = each
+        windows = np.stack([ends - columns, 0 * rows, columns - 1, rows - 1], axis=1).astype(np.float32)
+        return atlas, windows, np.array([n in grounds for n in range(len(textures))])
 
     def render(self, world_from_camera: NDArray[np.float64], tick: float) -> Rendering:
         """Return what the camera sees from a place at a moment."""
@@ -67,9 +80,17 @@ class Renderer:
         """Return the color image, (H, W, 3) RGB, of what the camera sees."""
         shape, runs, points = seen.objects.shape, runs_of(seen.objects), (*self._rays, seen.depth_m)
         normals, atlas_px = np.empty((3, *shape), dtype=np.float32), np.empty((2, *shape), dtype=np.float32)
-        scene = self._kinds, self._sizes, seen.object_from_camera, self._light.atlas_windows
+        atlas, windows, is_lit = self._atlas
+        scene = self._kinds, self._sizes, seen.object_from_camera, windows
         surfaces_seen(*scene, *points, seen.objects, seen.faces, runs, normals, atlas_px)
-        image = self._light.image(world_from_camera, tick, points, seen.objects, runs, normals, atlas_px)
+        image = np.empty((*shape, 3), dtype=np.uint8)
+        cv2.remap(atlas, atlas_px[0], atlas_px[1], cv2.INTER_LINEAR, dst=image)
+        # All in the camera's frame, in which the eye is the origin.
+        lamp, up = (world_from_camera[:3, :3].T @ each for each in (LAMP, np.array([0.0, 0.0, 1.0])))
+        ball = np.linalg.inv(world_from_camera) @ self._scene.world_from_object(self._scene.ball, tick)[:, 3]
+        vectors = np.stack([lamp, up, ball[:3]]).astype(np.float32)
+        lengths = np.float32(world_from_camera[2, 3]), np.float32(self._scene.ball_radius_m)
+        shade(is_lit, self._shininess, vectors, *lengths, *points, seen.objects, runs, normals, image)
         # A lens does not draw steps: the slight blur is what antialiasing would give.
         return np.asarray(cv2.GaussianBlur(image, (3, 3), 0.6), dtype=np.uint8)
 

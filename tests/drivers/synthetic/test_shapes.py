@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from nurbseg.drivers.synthetic.intersections import surface
-from nurbseg.drivers.synthetic.shapes import bowl, box, cushion, cylinder, ellipsoid, rectangle
+from nurbseg.drivers.synthetic.shapes import bowl, box, cushion, cylinder, ellipsoid, rectangle, surface
 
 CUSHION = cushion(0.15, 0.12, 0.06)
 
