@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from nurbseg.app.atomic_file import read_json, write_atomically, write_json
 from nurbseg.app.export.config import ExportConfig
-from nurbseg.app.export.object_table import ObjectTable
+from nurbseg.app.export.objects import ObjectTable
 from nurbseg.drivers.calibration.cameras import calibration_table
 from nurbseg.drivers.files import create_folder
 from nurbseg.drivers.frame import Calibration
@@ -45,10 +45,10 @@ class RunSettings:
     target_fps: float = 0.0
     surfaces: bool = False
     depth: DepthConfig = field(default_factory=DepthConfig)
-    #: The cameras, if known; earlier versions left them out.
-    camera: Calibration | None = None
     #: Of the depth images, units per metre, if the user gave one.
     depth_scale: float | None = None
+    #: The cameras, if known; earlier versions left them out.
+    camera: Calibration | None = None
 
     @property
     def independent(self) -> bool:
@@ -57,16 +57,9 @@ class RunSettings:
 
     def document(self) -> dict[str, Any]:
         """Return the content of ``settings.json``."""
-        return {
-            "source": self.source,
-            "temporal": self.temporal,
-            "target_fps": self.target_fps,
-            "surfaces": self.surfaces,
-            "depth": asdict(self.depth),
-            "depth_scale": self.depth_scale,
-            "camera": None if self.camera is None else calibration_table(self.camera),
-            "segmentation": asdict(self.config),
-        }
+        found = asdict(replace(self, camera=None))
+        camera = self.camera and calibration_table(self.camera)
+        return found | {"camera": camera, "segmentation": found.pop("config")}
 
 
 def check_libraries(export: ExportConfig) -> None:

@@ -48,21 +48,17 @@ def mesh_file(result: FrameResult, form: MeshForm) -> bytes:
 
 
 def _ply(meshes: Sequence[_ObjectMesh]) -> bytes:
-    sizes = [len(each.mesh.vertices_m) for each in meshes]
     kinds = [*((name, "<f4") for name in _PLY_VECTORS), *((name, "|u1") for name in _PLY_COLORS)]
-    vertices = np.empty(sum(sizes), dtype=[*kinds, ("object", "<u2")])
-    triangles = [np.zeros((0, 3), dtype=np.int64)]
-    first = 0
-    for each, size in zip(meshes, sizes, strict=True):
-        own = vertices[first : first + size]
+    vertices = [np.empty(0, dtype=[*kinds, ("object", "<u2")])]
+    triangles, first = [np.zeros((0, 3), dtype=np.int64)], 0
+    for each in meshes:
         columns = (*each.mesh.vertices_m.T, *each.mesh.normals.T, *each.color, each.label)
-        for name, values in zip(vertices.dtype.names or (), columns, strict=True):
-            own[name] = values
+        vertices.append(np.rec.fromarrays(np.broadcast_arrays(*columns), dtype=vertices[0].dtype))
         triangles.append(each.mesh.triangles.astype(np.int64) + first)
-        first += size
+        first += len(each.mesh.vertices_m)
     faces = np.empty(sum(map(len, triangles)), dtype=[("count", "|u1"), ("vertex_indices", "<i4", (3,))])
     faces["count"], faces["vertex_indices"] = 3, np.concatenate(triangles)
-    return ply(vertex=vertices, face=faces)
+    return ply(vertex=np.concatenate(vertices), face=faces)
 
 
 def _obj(meshes: Sequence[_ObjectMesh]) -> bytes:

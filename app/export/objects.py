@@ -1,16 +1,45 @@
-"""The objects of a frame as JSON."""
+"""The objects of a frame as JSON, and those of all frames as a table."""
 
-from typing import Any
+from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from nurbseg.app.result import FrameResult
+from nurbseg.app.atomic_file import write_atomically
 from nurbseg.drivers.frame import Intrinsics
 from nurbseg.segmentation.vocabulary import display_name
 
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from nurbseg.app.result import FrameResult
+
 #: Description of the coordinates.
 CONVENTION = "depth camera, metres: x right, y down, z forward; pixel centres at whole numbers (column, row)"
+#: Columns of the table, by their keys in the documents of a frame and of an object.
+_OF_FRAME = ("frame", "name", "timestamp_ns")
+_VECTORS = {
+    "centroid_m": "xyz",
+    "size_m": "123",
+    "center_m": "xyz",
+    "axis_1": "xyz",
+    "axis_2": "xyz",
+    "axis_3": "xyz",
+    "normal": "xyz",
+    "color": "rgb",
+}
+COLUMNS = (
+    *_OF_FRAME,
+    "object",
+    "pixels",
+    *(f"{name}_{axis}" for name, axes in _VECTORS.items() for axis in axes),
+    "rms_m",
+    "leaves",
+)
 
 
 def objects_document(result: FrameResult) -> dict[str, Any]:
@@ -51,3 +80,50 @@ def _camera_document(camera: Intrinsics) -> dict[str, Any]:
 
 def _rounded(values: NDArray[np.floating], digits: int = 6) -> list[float]:
     return [round(float(value), digits) for value in values]
+
+
+class ObjectTable:
+    """A CSV table with a row for each object of each frame.
+
+    Rows of an existing table are kept up to the first frame that is added.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._begun = False
+
+    def add(self, document: Mapping[str, Any]) -> None:
+        """Add the objects of a frame from its `objects_document`."""
+        if not self._begun:
+            self._begin(int(document["frame"]))
+            self._begun = True
+        with self._path.open("a", encoding="utf-8", newline="") as file:
+            file.write(_lines(_rows(document)))
+
+    def _begin(self, frame: int) -> None:
+        """Write the header, and rows of an existing table before the first frame."""
+        rows: list[Sequence[Any]] = [COLUMNS]
+        if self._path.exists():
+            with self._path.open(encoding="utf-8", newline="") as file:
+                # The last line of a killed run may be incomplete.
+                before = (row for row in csv.reader(file) if len(row) == len(COLUMNS))
+                rows += [row for row in before if row[0].isdecimal() and int(row[0]) < frame]
+        write_atomically(self._path, _lines(rows).encode())
+
+
+def _rows(document: Mapping[str, Any]) -> list[Sequence[Any]]:
+    rows: list[Sequence[Any]] = []
+    for each in document["objects"]:
+        values = each | each["box"]
+        values |= {f"axis_{n}": axis for n, axis in enumerate(each["box"]["axes"], start=1)}
+        vectors = [value for name, axes in _VECTORS.items() for value in values[name] or [""] * len(axes)]
+        of_frame = [document[name] for name in _OF_FRAME]
+        leaves = " ".join(each["leaves"])
+        rows.append([*of_frame, each["object"], each["pixels"], *vectors, each["rms_m"], leaves])
+    return rows
+
+
+def _lines(rows: Sequence[Sequence[Any]]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()

@@ -1,13 +1,17 @@
-"""The tree of a frame as JSON or DOT."""
+"""The tree of a frame as JSON or DOT, and its surfaces as an NPZ file."""
 
+import io
 import math
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
 from nurbseg.app.result import FrameResult
 from nurbseg.segmentation.config import Metric
+from nurbseg.segmentation.extended.merge import Contact
 from nurbseg.segmentation.extended.things import Join
-from nurbseg.segmentation.segments import Segment, Trial
+from nurbseg.segmentation.segments import Segment, SegmentationTree, Trial
 from nurbseg.segmentation.vocabulary import display_name
 
 
@@ -42,24 +46,14 @@ def tree_document(result: FrameResult, metric: Metric) -> dict[str, Any]:
         "events": [
             {"kind": each.kind, "label": each.identity, "other": each.other} for each in result.events
         ],
-        "contacts": [
-            {
-                "first": display_name(each.first),
-                "second": display_name(each.second),
-                "merged": each.merged,
-                "reason": each.reason,
-                "samples": each.samples,
-                "log_odds": each.log_odds,
-                "evidence": dict(each.evidence),
-            }
-            for each in tree.contacts
-        ],
-        **({"joins": [_join_document(each) for each in tree.joins]} if tree.level == "things" else {}),
+        "contacts": [_pair_document(each, left_out=("touching",)) for each in tree.contacts],
+        **({"joins": [_pair_document(each) for each in tree.joins]} if tree.level == "things" else {}),
     }
 
 
-def _join_document(each: Join) -> dict[str, Any]:
-    return {**asdict(each), "first": display_name(each.first), "second": display_name(each.second)}
+def _pair_document(pair: Contact | Join, left_out: tuple[str, ...] = ()) -> dict[str, Any]:
+    found = {name: value for name, value in asdict(pair).items() if name not in left_out}
+    return {**found, "first": display_name(pair.first), "second": display_name(pair.second)}
 
 
 def _segment_document(each: Segment, metric: Metric, frame: int) -> dict[str, Any]:
@@ -76,7 +70,7 @@ def _segment_document(each: Segment, metric: Metric, frame: int) -> dict[str, An
         "floor": _number(each.fit.floor),
         "values": {name: _number(value) for name, value in each.fit.values.items()},
         "ratio": None if each.ratio is None else _number(each.ratio),
-        "trial": None if each.trial is None else _trial_document(each.trial),
+        "trial": each.trial and _trial_document(each.trial),
         "division": None if each.division is None else each.division.value,
         "stop": None if each.stop is None else each.stop.value,
         "points": int(each.fit.pixels.size),
@@ -86,13 +80,8 @@ def _segment_document(each: Segment, metric: Metric, frame: int) -> dict[str, An
 
 
 def _trial_document(trial: Trial) -> dict[str, Any]:
-    return {
-        "metric": trial.metric,
-        "value": _number(trial.value),
-        "points": trial.points,
-        "parts": [{"value": _number(value), "points": points} for value, points in trial.parts],
-        "kept": trial.kept,
-    }
+    parts = [{"value": _number(value), "points": points} for value, points in trial.parts]
+    return {**asdict(trial), "value": _number(trial.value), "parts": parts}
 
 
 def _number(value: float) -> float | None:
@@ -120,3 +109,28 @@ def tree_graph(result: FrameResult, metric: Metric) -> str:
         lines.append(f'  {name} [label="{label}"];')
         lines += [f"  {name} -> {display_name(child)};" for child in each.children]
     return "\n".join([*lines, "}"]) + "\n"
+
+
+def surfaces_npz(tree: SegmentationTree) -> bytes:
+    """Return the surfaces of a tree's segments as an NPZ file.
+
+    docs/files.md describes its arrays.
+    """
+    arrays: dict[str, Any] = {}
+    names, degrees, windows = [], [], []
+    for each in tree.segments:
+        name, surface = display_name(each.name), each.fit.surface
+        arrays[f"{name}_measured"] = np.diff(each.fit.pixels, prepend=0).astype(np.int32)
+        if surface is None:
+            continue
+        names.append(name)
+        degrees.append(surface.degree)
+        windows.append(surface.window)
+        for part in ("knots_u", "knots_v", "control_points_m", "weights"):
+            arrays[f"{name}_{part}"] = getattr(surface, part)
+    arrays["names"] = np.array(names, dtype=np.str_)
+    arrays["degree"] = np.array(degrees, dtype=np.int32).reshape(-1, 2)
+    arrays["window"] = np.array(windows, dtype=np.int32).reshape(-1, 4)
+    file = io.BytesIO()
+    np.savez_compressed(file, **arrays)
+    return file.getvalue()

@@ -12,8 +12,7 @@ import pytest
 from nurbseg.app.atomic_file import write_atomically
 from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings
-from nurbseg.app.export.surfaces import surfaces_npz
-from nurbseg.app.export.tree import tree_document
+from nurbseg.app.export.tree import surfaces_npz, tree_document
 from nurbseg.app.live.tracking import process_frame
 from nurbseg.app.result import FrameResult
 from nurbseg.drivers.frame import Calibration
