@@ -35,7 +35,7 @@ def main(words: Sequence[str] | None = None) -> int:
     """Run the command with the process's arguments, or others; return its exit code."""
     logging.basicConfig(handlers=[message_handler("nurbseg-record")])
     given = _parser().parse_args(words)
-    from nurbseg.app.recording.viewer_file import WriteError
+    from nurbseg.app.recording.inspection import WriteError
     from nurbseg.drivers.errors import DriverError
 
     if given.command == "repair" and given.out is not None and len(given.files) > 1:
@@ -71,8 +71,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _inspected(given: argparse.Namespace, file: Path) -> Inspection:
     """Inspect a file, or its repaired copy."""
-    from nurbseg.app.recording.inspection import inspect
-    from nurbseg.app.recording.repair import repair
+    from nurbseg.app.recording.inspection import inspect, repair
 
     if given.command == "check":
         found = inspect(file)

@@ -2,6 +2,7 @@
 
 import contextlib
 import logging
+import math
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -27,55 +28,30 @@ _DRAIN_S, _INTERRUPTED_DRAIN_S = 60.0, 1.2
 _LAST_FRAME_S = 10.0
 
 
-class PartedWriter:
-    """Writes frames to a file and, every `split_s` seconds of their timestamps, to a new one.
-
-    Raises OSError if the file cannot be created.
-    """
-
-    def __init__(
-        self, path: Path, open_file: Callable[[Path], RecordingWriter], split_s: float | None = None
-    ) -> None:
-        self.files: tuple[Path, ...] = (path,)
-        self._open_file = open_file
-        self._split_ns = None if split_s is None else round(split_s * 1e9)
-        self._first_ns: int | None = None
-        self._writer = open_file(path)
-
-    def write(self, frame: RGBDFrame) -> None:
-        """Write a frame.
-
-        Raises OSError if that fails, and DriverError if the file was deleted, as its disk space would not be
-        free until it is closed.
-        """
-        if not self.files[-1].exists():
-            raise DriverError(f"{self.files[-1]} was deleted or moved")
-        if self._first_ns is None:
-            self._first_ns = frame.timestamp_ns
-        elif self._split_ns is not None and frame.timestamp_ns - self._first_ns >= self._split_ns:
-            self._writer.close()
-            part = part_after(self.files[0], len(self.files))
-            self._writer = self._open_file(part)
-            self.files += (part,)
-            self._first_ns = frame.timestamp_ns
-        self._writer.write(frame)
-
-    def close(self) -> None:
-        """Finish the current file; raises OSError if it cannot be written."""
-        self._writer.close()
-
-
 class QueuedRecording(Recording):
-    """Queues frames and writes them on its own thread.
+    """Queues frames and writes them on its own thread, to a new file every ``config.split_s`` seconds.
 
     If the queue is full, a frame is lost and counted or, if `lossless`, waits. Before that, while `behind`,
     the capture thread does not pass frames on, which leaves the processor to the recording. If the disk is
     nearly full or writing fails, the file is closed and remains readable, and `failure` says why.
+    Raises OSError if the file cannot be created.
     """
 
-    def __init__(self, writer: PartedWriter, config: RecordConfig, *, lossless: bool = False) -> None:
-        super().__init__(writer.files[0], config)
-        self._writer = writer
+    def __init__(
+        self,
+        path: Path,
+        open_file: Callable[[Path], RecordingWriter],
+        config: RecordConfig,
+        *,
+        lossless: bool = False,
+    ) -> None:
+        self._files: tuple[Path, ...] = (path,)
+        super().__init__(path, config)
+        self._open_file = open_file
+        self._split_ns = math.inf if config.split_s is None else round(config.split_s * 1e9)
+        #: Time of the first frame in the current file.
+        self._began_ns: int | None = None
+        self._writer = open_file(path)
         self._lossless = lossless
         self._queue: BoundedQueue[RGBDFrame] = BoundedQueue(
             _QUEUE_BYTES_MAX,
@@ -90,7 +66,7 @@ class QueuedRecording(Recording):
     @property
     def files(self) -> tuple[Path, ...]:
         """The files; several if the recording is split."""
-        return self._writer.files
+        return self._files
 
     @property
     def behind(self) -> bool:
@@ -122,7 +98,7 @@ class QueuedRecording(Recording):
                     self._in_hand = 1
                     if missing := self._shortage():
                         raise DriverError(missing)
-                    self._writer.write(frame)
+                    self._write(frame)
                     self.frames += 1
                     self._in_hand = 0
             finally:
@@ -130,6 +106,20 @@ class QueuedRecording(Recording):
         except Exception as err:
             # The run continues without the recording, and reports it at the end.
             self._fail(err)
+
+    def _write(self, frame: RGBDFrame) -> None:
+        if not self._files[-1].exists():
+            # Its disk space would not be free until it is closed.
+            raise DriverError(f"{self._files[-1]} was deleted or moved")
+        if self._began_ns is None:
+            self._began_ns = frame.timestamp_ns
+        elif frame.timestamp_ns - self._began_ns >= self._split_ns:
+            self._writer.close()
+            part = part_after(self.path, len(self._files))
+            self._writer = self._open_file(part)
+            self._files += (part,)
+            self._began_ns = frame.timestamp_ns
+        self._writer.write(frame)
 
     def _next(self) -> RGBDFrame | None:
         """Wait for the next frame; None after the last one."""

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Any, Self
 
 from nurbseg.app.export.exporter import ExportError
-from nurbseg.app.recording import disk_space
 from nurbseg.app.recording.config import RecordConfig, dated
 from nurbseg.app.recording.oni import OniRecording
-from nurbseg.app.recording.queue import PartedWriter, QueuedRecording
+from nurbseg.app.recording.queue import QueuedRecording
 from nurbseg.app.recording.recording import Recording
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.files import check_absent, part_after
@@ -50,21 +49,15 @@ def open_recording(
     try:
         check_absent(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        missing = disk_space.shortage(disk_space.free_space(path), config.space_min_mb)
-        if missing:
-            raise RecordError(
-                f"{path}: {missing}, and recording stops at {config.space_min_mb} MB (--record-space-min)"
-            )
-        if path.suffix.lower() == ".oni":
-            if not isinstance(source, Recordable):
-                raise RecordError(f"{path}: only cameras record .oni; record this source as .mcap")
-            return OniRecording(path, source, config, at_once=at_once)
-        writer = PartedWriter(path, open_file, config.split_s)
+        if path.suffix.lower() != ".oni":
+            return QueuedRecording(path, open_file, config, lossless=lossless)
+        if not isinstance(source, Recordable):
+            raise RecordError(f"{path}: only cameras record .oni; record this source as .mcap")
+        return OniRecording(path, source, config, at_once=at_once)
     except DriverError as err:
         raise RecordError(str(err)) from err
     except OSError as err:
         raise RecordError(f"{path}: cannot be written: {err.strerror}") from err
-    return QueuedRecording(writer, config, lossless=lossless)
 
 
 def log_recorded(recording: Recording) -> None:
@@ -72,10 +65,8 @@ def log_recorded(recording: Recording) -> None:
     if recording.failure:
         raise RecordError(f"{recording.failure}; the {recording.frames} previous frames can be replayed")
     files = ", ".join(str(file) for file in recording.files)
-    size_mb = disk_space.megabytes(recording.files)
-    _log.info(
-        "recorded %d frames, %.1f s, %.1f MB to %s", recording.frames, recording.seconds, size_mb, files
-    )
+    counted = recording.frames, recording.seconds, recording.size_mb
+    _log.info("recorded %d frames, %.1f s, %.1f MB to %s", *counted, files)
     if recording.lost:
         _log.warning("%d frames are missing from %s: writing was too slow", recording.lost, recording.path)
     if recording.frames == 0:

@@ -1,20 +1,29 @@
-"""The base class of recordings made during a run."""
+"""The base class of recordings made during a run, and the disk space that they need."""
 
+import shutil
 from abc import abstractmethod
 from pathlib import Path
 from typing import Any
 
-from nurbseg.app.recording import disk_space
 from nurbseg.app.recording.config import RecordConfig
 from nurbseg.drivers.closing import Closing
+from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.frame import RGBDFrame
 
 #: A longer time between two frames, nanoseconds, is a jump of the clock.
 _LONGEST_GAP_NS = 10_000_000_000
 
 
+def free_space(path: Path) -> int:
+    """Return the free space for a file, bytes."""
+    return shutil.disk_usage(path.parent).free
+
+
 class Recording(Closing):
-    """Records frames of a run; `path` is the first file."""
+    """Records frames of a run; `path` is the first file.
+
+    Raises DriverError if the disk is too full to begin.
+    """
 
     def __init__(self, path: Path, config: RecordConfig) -> None:
         self.path = path
@@ -24,12 +33,20 @@ class Recording(Closing):
         self.seconds = 0.0
         #: Why the recording ended before the run did.
         self.failure = ""
-        #: Size of the files, and the disk space they may still use, 10^6 bytes.
-        self.size_mb = self.room_mb = 0.0
+        #: Disk space that the files may still use, 10^6 bytes.
+        self.room_mb = 0.0
         self._delay_ns = round(config.delay_s * 1e9)
         self._space_min_mb = config.space_min_mb
         self._first_ns: int | None = None
         self._last_ns: int | None = None
+        if missing := self._shortage():
+            least = f"recording stops at {config.space_min_mb} MB (--record-space-min)"
+            raise DriverError(f"{path}: {missing}, and {least}")
+
+    @property
+    def size_mb(self) -> float:
+        """Size of the files, 10^6 bytes."""
+        return round(sum(file.stat().st_size for file in self.files if file.exists()) / 1e6, 1)
 
     @property
     def behind(self) -> bool:
@@ -61,13 +78,12 @@ class Recording(Closing):
 
     def figures(self) -> dict[str, Any]:
         """Return the recording's entry in the run's report."""
-        files = self.files
         return {
             "file": str(self.path),
-            "files": [str(file) for file in files],
+            "files": [str(file) for file in self.files],
             "frames": self.frames,
             "lost": self.lost,
-            "megabytes": disk_space.megabytes(files),
+            "megabytes": self.size_mb,
             "failure": self.failure,
         }
 
@@ -84,8 +100,8 @@ class Recording(Closing):
         self._last_ns = frame.timestamp_ns
 
     def _shortage(self) -> str:
-        """Update the sizes; return a message if the disk is nearly full, or an empty text."""
-        free_bytes = disk_space.free_space(self.files[-1])
-        self.size_mb = disk_space.megabytes(self.files)
+        """Return a message if the disk is nearly full, or an empty text."""
+        free_bytes = free_space(self.path)
         self.room_mb = max(0.0, free_bytes / 1e6 - self._space_min_mb)
-        return disk_space.shortage(free_bytes, self._space_min_mb)
+        enough = free_bytes >= self._space_min_mb * 1_000_000
+        return "" if enough else f"only {free_bytes // 1_000_000} MB of disk space are left"

@@ -214,9 +214,9 @@ def test_a_disk_that_fills_up_ends_a_recording_with_a_readable_file(virtual_came
     path = tmp_path / "X.mcap"
     code = (
         "import sys, itertools\n"
-        "from nurbseg.app.recording import disk_space\n"
+        "from nurbseg.app.recording import recording\n"
         "left = itertools.chain([10**12] * 16, itertools.repeat(10**6))\n"
-        "disk_space.free_space = lambda path: next(left)\n"
+        "recording.free_space = lambda path: next(left)\n"
         "from nurbseg.app.command.cli import main\n"
         "sys.exit(main(sys.argv[1:]))\n"
     )

@@ -130,7 +130,7 @@ def test_a_full_disk_ends_a_repair_with_1_and_loses_nothing(cut, form, capsys, m
         cut = cut.with_name("a.rrd")
         cut.write_bytes(b"RRF2")
         said = "Error: couldn't encode messages: No space left on device (os error 28)"
-        monkeypatch.setattr("nurbseg.app.recording.viewer_file.complaint", lambda *_: said)
+        monkeypatch.setattr("nurbseg.app.recording.inspection._complaint", lambda *_: said)
     before = {path: path.read_bytes() for path in cut.parent.iterdir()}
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     # The system refuses to let a file grow past this, as a full disk would.

@@ -13,12 +13,12 @@ from scripted_source import ScriptedSource, small_frame
 
 from nurbseg.app.command.arguments import parse_arguments
 from nurbseg.app.live.capture import CaptureThread
-from nurbseg.app.recording import disk_space
 from nurbseg.app.recording import queue as record_queue
+from nurbseg.app.recording import recording as recordings
 from nurbseg.app.recording.config import RecordConfig
-from nurbseg.app.recording.disk_space import free_space
 from nurbseg.app.recording.queue import QueuedRecording
 from nurbseg.app.recording.recorder import RecordError, log_recorded, open_recording
+from nurbseg.app.recording.recording import free_space
 from nurbseg.drivers.errors import DeviceLostError, DriverError, EndOfRecordingError
 from nurbseg.drivers.reconnect import Reconnecting
 from nurbseg.drivers.registry import open_source
@@ -28,14 +28,13 @@ LARGE = 10**12
 
 @pytest.fixture(autouse=True)
 def much_room(monkeypatch):
-    monkeypatch.setattr(disk_space, "free_space", lambda _: LARGE)
+    monkeypatch.setattr(recordings, "free_space", lambda _: LARGE)
 
 
 class Pen:
     """Writes nothing; waits until it is allowed to, and fails when it is told to."""
 
     def __init__(self, path, *, waits=False, fails_at=None, error=None):
-        self.files = (path,)
         self.written = []
         self.closed = threading.Event()
         self.allowed = threading.Event()
@@ -93,7 +92,7 @@ def test_without_a_file_nothing_is_recorded():
 def test_putting_a_frame_does_not_wait_for_the_file(path, monkeypatch):
     monkeypatch.setattr(record_queue, "_QUEUE_BYTES_MAX", 5 * small_frame(0).depth_mm.nbytes * 5 // 2)
     pen = Pen(path, waits=True)
-    recording = QueuedRecording(pen, RecordConfig())
+    recording = QueuedRecording(path, lambda _: pen, RecordConfig())
     recording.put(small_frame(0))
     assert pen.began.wait(10)
     assert not recording.behind
@@ -111,7 +110,7 @@ def test_putting_a_frame_does_not_wait_for_the_file(path, monkeypatch):
 def test_a_lossless_recording_makes_its_source_wait_and_loses_nothing(path, monkeypatch):
     monkeypatch.setattr(record_queue, "_QUEUE_BYTES_MAX", 1)
     pen = Pen(path, waits=True)
-    recording = QueuedRecording(pen, RecordConfig(), lossless=True)
+    recording = QueuedRecording(path, lambda _: pen, RecordConfig(), lossless=True)
 
     def put_all():
         for index in range(30):
@@ -132,7 +131,7 @@ def test_while_the_recording_is_behind_frames_are_kept_from_being_segmented(path
     monkeypatch.setattr(record_queue, "_QUEUE_BYTES_MAX", 20 * small_frame(0).depth_mm.nbytes * 5 // 2)
     pen = Pen(path, waits=True)
     source = ScriptedSource([small_frame(index) for index in range(15)])
-    with QueuedRecording(pen, RecordConfig()) as recording:
+    with QueuedRecording(path, lambda _: pen, RecordConfig()) as recording:
         with CaptureThread(source, lossless=True, recording=recording) as capture:
             indexes = []
             while (captured := capture.frames.take(10.0)) is not None:
@@ -148,7 +147,7 @@ def test_while_the_recording_is_behind_frames_are_kept_from_being_segmented(path
 def test_the_delay_goes_by_the_frames_own_clock(path):
     pen = Pen(path)
     config = RecordConfig(file="x.mcap", delay_s=0.5)
-    with QueuedRecording(pen, config) as recording:
+    with QueuedRecording(path, lambda _: pen, config) as recording:
         for index in range(30):
             recording.put(small_frame(index))
     assert pen.written == list(range(15, 30))
@@ -159,7 +158,7 @@ def test_recording_stops_before_the_disk_is_full_and_the_file_can_be_replayed(tm
     path = tmp_path / "run.mcap"
     left = iter([LARGE] * 6)
     config = RecordConfig(file=str(path), space_min_mb=100)
-    monkeypatch.setattr(disk_space, "free_space", lambda _: next(left, 99_000_000))
+    monkeypatch.setattr(recordings, "free_space", lambda _: next(left, 99_000_000))
     recording = open_recording(config, ScriptedSource([]))
     with recording:
         for index in range(12):
@@ -174,10 +173,10 @@ def test_recording_stops_before_the_disk_is_full_and_the_file_can_be_replayed(tm
 
 
 def test_a_recording_knows_its_size_and_how_much_it_may_still_become(path, monkeypatch):
-    monkeypatch.setattr(disk_space, "free_space", lambda _: 350_000_000)
+    monkeypatch.setattr(recordings, "free_space", lambda _: 350_000_000)
     path.write_bytes(bytes(3_000_000))
     config = RecordConfig(space_min_mb=100)
-    with QueuedRecording(Pen(path), config) as recording:
+    with QueuedRecording(path, Pen, config) as recording:
         recording.put(small_frame(0))
     assert (recording.size_mb, recording.room_mb) == (3.0, 250.0)
 
@@ -192,7 +191,7 @@ def test_a_recording_knows_its_size_and_how_much_it_may_still_become(path, monke
 )
 def test_a_write_that_fails_ends_the_recording_but_not_the_run(path, error, words):
     pen = Pen(path, fails_at=3, error=error)
-    recording = QueuedRecording(pen, RecordConfig())
+    recording = QueuedRecording(path, lambda _: pen, RecordConfig())
     for index in range(4):
         recording.put(small_frame(index))
     assert pen.closed.wait(10)
@@ -203,7 +202,7 @@ def test_a_write_that_fails_ends_the_recording_but_not_the_run(path, error, word
 
 
 def test_too_little_space_to_begin_with_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(disk_space, "free_space", lambda _: 400_000_000)
+    monkeypatch.setattr(recordings, "free_space", lambda _: 400_000_000)
     config = RecordConfig(file=str(tmp_path / "run.mcap"), space_min_mb=500)
     with pytest.raises(RecordError, match="only 400 MB of disk space are left"):
         open_recording(config, ScriptedSource([]))
@@ -301,7 +300,7 @@ def test_a_recording_without_frames_leaves_no_file(tmp_path):
 
 def test_closing_gives_up_on_what_cannot_be_written_in_time_and_counts_it(path):
     pen = Pen(path, waits=True)
-    recording = QueuedRecording(pen, RecordConfig())
+    recording = QueuedRecording(path, lambda _: pen, RecordConfig())
     for index in range(5):
         recording.put(small_frame(index))
     assert pen.began.wait(10)
