@@ -51,15 +51,8 @@ class Recording:
         return bool(self.failure) or 0 < self.frames == self.done
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Task:
-    """Successive frames of a recording."""
-
-    number: int
-    uri: str
-    run: range
-
-
+#: Positions of successive frames of a recording, and its name.
+_Task = tuple[range, str]
 #: The files of a frame by name and whether it has depth, or what is wrong with it.
 _Outcome = tuple[dict[str, bytes], bool] | str
 
@@ -91,9 +84,10 @@ def run_batch(
     """
     settings: dict[str, RunSettings] = {}
     exporters: dict[str, Exporter] = {}
+    by_uri = {each.uri: each for each in recordings}
 
     def tasks() -> Iterator[_Task]:
-        for number, each in enumerate(recordings):
+        for each in recordings:
             try:
                 settings[each.uri] = _begun(each, config, options, export)
             except (DriverError, ExportError, OSError, ValueError) as err:
@@ -102,24 +96,23 @@ def run_batch(
                 report(each)
             for start in range(each.done, each.frames, _TASK_FRAMES):
                 if not each.failure:
-                    yield _Task(number, each.uri, range(start, min(start + _TASK_FRAMES, each.frames)))
+                    yield range(start, min(start + _TASK_FRAMES, each.frames)), each.uri
 
     segment = partial(segment_run, config=config, options=options, export=export)
     try:
-        for task, future in in_order(workers, segment, tasks()):
-            recording = recordings[task.number]
+        for (run, uri), future in in_order(workers, segment, tasks()):
+            recording = by_uri[uri]
             if recording.failure:
                 continue
             try:
                 outcomes = future.result()
-                if task.uri not in exporters:
+                if uri not in exporters:
                     # Only now, as there would be an empty folder if no frame could be read.
                     forms = replace(export, force=True)
-                    exporters[task.uri] = Exporter(Path(recording.directory), settings[task.uri], forms)
-                _keep(recording, outcomes, exporters[task.uri])
+                    exporters[uri] = Exporter(Path(recording.directory), settings[uri], forms)
+                _keep(recording, outcomes, exporters[uri])
             except Exception as err:
-                run = f"frames {task.run.start} to {task.run.stop - 1}"
-                recording.failure = f"{run}: {error_text(err)}"
+                recording.failure = f"frames {run.start} to {run.stop - 1}: {error_text(err)}"
             if recording.ended:
                 report(recording)
     finally:
@@ -186,8 +179,7 @@ def _keep(recording: Recording, outcomes: Sequence[_Outcome], exporter: Exporter
             recording.without_depth += not has_depth
             recording.bytes += sum(map(len, files.values()))
         recording.done += 1
-    names = ("frames", "done", "damaged", "without_depth")
-    progress = {name: getattr(recording, name) for name in names}
+    progress = {name: getattr(recording, name) for name in ("frames", "done", "damaged", "without_depth")}
     path = exporter.directory / PROGRESS_FILE
     try:
         write_json(path, progress)
@@ -206,14 +198,15 @@ def segment_run(
     from nurbseg.app.live.parallel import segment_alone
 
     outcomes: list[_Outcome] = []
-    for frame in _reader().read(task.uri, options, task.run):
+    run, uri = task
+    for frame in _reader().read(uri, options, run):
         if isinstance(frame, FrameFormatError):
             outcomes.append(str(frame))
         else:
             files = segment_alone(frame, config, export=export).files
             outcomes.append((dict(files), bool(frame.depth_mm.any())))
-    if len(outcomes) < len(task.run):
-        raise RecordingFormatError(f"{task.uri}: ends after {task.run.start + len(outcomes)} frames")
+    if len(outcomes) < len(run):
+        raise RecordingFormatError(f"{uri}: ends after {run.start + len(outcomes)} frames")
     return outcomes
 
 

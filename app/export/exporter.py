@@ -45,10 +45,10 @@ class RunSettings:
     target_fps: float = 0.0
     surfaces: bool = False
     depth: DepthConfig = field(default_factory=DepthConfig)
-    #: Of the depth images, units per metre, if the user gave one.
-    depth_scale: float | None = None
     #: The cameras, if known; earlier versions left them out.
     camera: Calibration | None = None
+    #: Of the depth images, units per metre, if the user gave one.
+    depth_scale: float | None = None
 
     @property
     def independent(self) -> bool:

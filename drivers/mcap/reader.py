@@ -141,7 +141,9 @@ class RecordingReader(FrameSource):
 
         depth_mm = ros.depth_of(*decoded(pair.depth, topics.depth), self._units_per_metre)
         color = ros.color_of(*decoded(pair.color, topics.color))
-        labels = pair.labels and ros.labels_of(*decoded(pair.labels, topics.labels or ""))
+        labels = None
+        if pair.labels is not None and topics.labels is not None:
+            labels = ros.labels_of(*decoded(pair.labels, topics.labels))
         try:
             return RGBDFrame(
                 index=index,
