@@ -50,9 +50,17 @@ def _limited(read: Callable[..., dict[str, Any]]) -> Callable[..., dict[str, Any
 
 
 @_limited
-def labelled_shapes(path: str) -> dict[str, Any]:
-    """Return the shapes of the sets of a labelled file (HDF5)."""
-    return {name: each.shape for name, each in _open_hdf5(path).items()}
+def labelled_shape(path: str) -> dict[str, Any]:
+    """Return the number of frames, their width and height, on which the sets of a labelled file agree."""
+    shapes = {name: each.shape for name, each in _open_hdf5(path).items()}
+    flat = shapes["depths"]
+    if len(flat) != 3 or not all(flat):
+        raise FrameFormatError(f"depths: expected (frames, columns, rows), got {flat}")
+    expected = {"images": (flat[0], 3, *flat[1:]), "labels": flat, "instances": flat}
+    for name, shape in expected.items():
+        if shapes[name] != shape:
+            raise FrameFormatError(f"{name}: expected {shape} as for depths, got {shapes[name]}")
+    return {"shape": flat}
 
 
 @_limited
@@ -117,7 +125,7 @@ def main() -> int:
     resource.setrlimit(resource.RLIMIT_AS, (_ADDRESS_SPACE_BYTES, _ADDRESS_SPACE_BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     channel = connect_to_parent(CODEC, limit_s=_END_S)
-    channel.serve({each.__name__: each for each in (labelled_shapes, labelled_frame, single_frame)})
+    channel.serve({each.__name__: each for each in (labelled_shape, labelled_frame, single_frame)})
     return 0
 
 

@@ -114,28 +114,12 @@ class NyuLabelledSource(SequenceSource):
     def __init__(self, path: Path, options: SourceOptions) -> None:
         self._reader = MatReader()
         with closed_on_error(self._reader.close):
-            frames, width, height = self._shape(path)
+            try:
+                frames, width, height = self._reader.read(mat_program.labelled_shape, path)["shape"]
+            except FrameFormatError as err:
+                raise RecordingFormatError(str(err)) from err
             super().__init__(path, frames, "NYU Depth v2, labelled")
             self.calibration = _calibration(options, width, height)
-
-    def _shape(self, path: Path) -> tuple[int, int, int]:
-        """Return the number of frames, their width and height, which all sets agree on."""
-        try:
-            read = self._reader.read(mat_program.labelled_shapes, path)
-        except FrameFormatError as err:
-            raise RecordingFormatError(str(err)) from err
-        shapes = {name: tuple(each) for name, each in read.items()}
-        if len(shapes["depths"]) != 3 or not all(shapes["depths"]):
-            raise RecordingFormatError(
-                f"{path}: depths: expected (frames, columns, rows), got {shapes['depths']}"
-            )
-        frames, width, height = flat = shapes["depths"]
-        for name, shape in (("images", (frames, 3, width, height)), ("labels", flat), ("instances", flat)):
-            if shapes[name] != shape:
-                raise RecordingFormatError(
-                    f"{path}: {name}: expected {shape} as for depths, got {shapes[name]}"
-                )
-        return frames, width, height
 
     def _load(self, index: int) -> RGBDFrame:
         sets = self._reader.read(mat_program.labelled_frame, self._path, index)

@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,26 +49,23 @@ def read_pcd(path: Path) -> OrganizedCloud:
         raise FrameFormatError(f"{path}: POINTS: expected WIDTH x HEIGHT = {width * height}, got {points}")
     if points > PIXELS_MAX:
         raise FrameFormatError(f"{path}: WIDTH, HEIGHT: expected {PIXELS_MAX} points at most, got {points}")
-    columns, size, count = _columns(path, fields)
+    layout = _layout(path, fields)
     kind = " ".join(fields["DATA"])
-    # Numbers of text become 8 bytes each.
-    point_bytes = max(size, 8 * count if kind == "ascii" else 0)
+    point_bytes = layout.itemsize
+    if kind == "ascii":
+        # Numbers of text become 8 bytes each.
+        point_bytes = max(point_bytes, 8 * sum(layout[name].shape[0] for name in layout.names or ()))
     if points * point_bytes > FRAME_BYTES_MAX:
         raise FrameFormatError(
             f"{path}: POINTS, SIZE, COUNT: expected {FRAME_BYTES_MAX} bytes at most, "
             f"got {points} points of {point_bytes}"
         )
-    body = content[start:]
-    if kind == "binary":
-        values = _from_binary(path, body, columns, size, points)
-    elif kind == "binary_compressed":
-        values = _from_compressed(path, body, columns, size, points)
-    elif kind == "ascii":
-        values = _from_ascii(path, body, columns, count, points)
-    else:
+    readers = {"ascii": _from_ascii, "binary": _from_binary, "binary_compressed": _from_compressed}
+    if kind not in readers:
         raise FrameFormatError(
             f"{path}: DATA: expected ascii, binary or binary_compressed, got {quoted(kind)}"
         )
+    values = readers[kind](path, content[start:], layout, points)
     xyz = np.stack([values[name].astype(np.float32) for name in ("x", "y", "z")], axis=-1)
     xyz[~np.isfinite(xyz).all(axis=-1)] = np.nan
     color = next((_rgb(values[name]) for name in ("rgb", "rgba") if name in values), None)
@@ -104,21 +101,11 @@ def _whole(word: str) -> int:
     return int(word) if re.fullmatch(r"[0-9]{1,9}", word) else 0
 
 
-class _Column(NamedTuple):
-    """The numbers of a field, of which the first counts, and what comes before them in a point."""
+def _layout(path: Path, fields: dict[str, list[str]]) -> np.dtype[np.void]:
+    """Return how a point is stored: each field under its name, and as often as it says.
 
-    dtype: np.dtype[Any]
-    numbers: int
-    bytes_before: int
-    numbers_before: int
-
-
-Columns = dict[str, _Column]
-Values = dict[str, NDArray[Any]]
-
-
-def _columns(path: Path, fields: dict[str, list[str]]) -> tuple[Columns, int, int]:
-    """Return the columns that are named once, and how many bytes and numbers a point has in all."""
+    A name that is there several times, as padding is, is replaced by one that no field can have.
+    """
     names, sizes, types = fields["FIELDS"], fields["SIZE"], fields["TYPE"]
     counts = fields.get("COUNT", ["1"] * len(names))
     if not len(names) == len(sizes) == len(types) == len(counts):
@@ -128,8 +115,7 @@ def _columns(path: Path, fields: dict[str, list[str]]) -> tuple[Columns, int, in
     missing = [name for name in ("x", "y", "z") if name not in names]
     if missing:
         raise FrameFormatError(f"{path}: FIELDS: {', '.join(missing)} missing; got {quoted(names)}")
-    columns: Columns = {}
-    size = total = 0
+    columns: list[tuple[str, str, tuple[int]]] = []
     for name, width, kind, count in zip(names, sizes, types, counts, strict=True):
         if kind + width not in _NUMBERS:
             number = quoted(f"{name}: unknown number {kind} of {width} bytes")[1:-1]
@@ -138,28 +124,29 @@ def _columns(path: Path, fields: dict[str, list[str]]) -> tuple[Columns, int, in
             raise FrameFormatError(
                 f"{path}: COUNT: {quoted(name)}: expected 1 to {_COUNT_MAX}, got {quoted(count)}"
             )
-        # Padding is called "_", many times over.
         once = names.count(name) == 1
         if name in ("x", "y", "z") and (int(count) != 1 or not once):
             raise FrameFormatError(f"{path}: FIELDS: {name}: expected once with COUNT 1")
-        if once:
-            columns[name] = _Column(np.dtype(f"<{kind.lower()}{width}"), int(count), size, total)
-        size, total = size + int(count) * int(width), total + int(count)
-    return columns, size, total
+        key = name if once else f"{name} {len(columns)}"
+        columns.append((key, f"<{kind.lower()}{width}", (int(count),)))
+    return np.dtype(columns)
 
 
-def _from_binary(path: Path, body: bytes, columns: Columns, size: int, points: int) -> Values:
-    if len(body) < points * size:
-        raise FrameFormatError(f"{path}: DATA: the file is cut off: {len(body)} bytes of {points * size}")
-    return {
-        name: np.ndarray(points, each.dtype, body, each.bytes_before, strides=(size,))
-        for name, each in columns.items()
-    }
+#: The first number of each field of every point, by name.
+Values = dict[str, NDArray[Any]]
 
 
-def _from_compressed(path: Path, body: bytes, columns: Columns, size: int, points: int) -> Values:
+def _from_binary(path: Path, body: bytes, layout: np.dtype[np.void], points: int) -> Values:
+    size = points * layout.itemsize
+    if len(body) < size:
+        raise FrameFormatError(f"{path}: DATA: the file is cut off: {len(body)} bytes of {size}")
+    table = np.frombuffer(body, layout, points)
+    return {name: table[name][:, 0] for name in layout.names or ()}
+
+
+def _from_compressed(path: Path, body: bytes, layout: np.dtype[np.void], points: int) -> Values:
     compressed, uncompressed = int.from_bytes(body[:4], "little"), int.from_bytes(body[4:8], "little")
-    expected = points * size
+    expected = points * layout.itemsize
     if len(body) < 8 + compressed or uncompressed != expected:
         raise FrameFormatError(
             f"{path}: DATA: the file is cut off or damaged: {len(body) - 8} bytes of {compressed}, "
@@ -171,25 +158,27 @@ def _from_compressed(path: Path, body: bytes, columns: Columns, size: int, point
         raise FrameFormatError(f"{path}: DATA: cannot be decompressed ({err})") from err
     # One field of all points after the other.
     return {
-        name: np.frombuffer(content, each.dtype, points * each.numbers, points * each.bytes_before)[
-            :: each.numbers
-        ]
-        for name, each in columns.items()
+        name: np.frombuffer(content, kind, points, points * before)[:, 0]
+        for name, (kind, before, *_) in (layout.fields or {}).items()
     }
 
 
-def _from_ascii(path: Path, body: bytes, columns: Columns, count: int, points: int) -> Values:
-    expected = points * count
+def _from_ascii(path: Path, body: bytes, layout: np.dtype[np.void], points: int) -> Values:
+    ends = np.cumsum([layout[name].shape[0] for name in layout.names or ()])
+    expected = points * int(ends[-1])
     words = body.split(None, expected)
     if len(words) != expected:
         got = "more" if len(words) > expected else f"{len(words)} numbers"
-        raise FrameFormatError(f"{path}: DATA: expected {points} points of {count} numbers, got {got}")
+        raise FrameFormatError(f"{path}: DATA: expected {points} points of {ends[-1]} numbers, got {got}")
     try:
         table = np.fromiter(map(float, words), np.float64, expected).reshape(points, -1)
     except ValueError as err:
         raise FrameFormatError(f"{path}: DATA: not a number ({quoted(str(err))})") from err
     with np.errstate(invalid="ignore", over="ignore"):
-        return {name: table[:, each.numbers_before].astype(each.dtype) for name, each in columns.items()}
+        return {
+            name: table[:, end - layout[name].shape[0]].astype(layout[name].base)
+            for name, end in zip(layout.names or (), ends, strict=True)
+        }
 
 
 def decompress_lzf(content: bytes, size: int) -> bytes:

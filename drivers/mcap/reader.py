@@ -4,7 +4,7 @@ import logging
 from bisect import bisect_right
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 from mcap.records import Channel, Message, Schema
 
@@ -84,11 +84,7 @@ class RecordingReader(FrameSource):
         with closed_on_error(self._file.close):
             samples, transforms = self._scan_topics()
             self._topics = topics = self._choose(samples)
-            self._kind_of_topic: dict[str | None, Kind] = {
-                topics.labels: "labels",
-                topics.color: "color",
-                topics.depth: "depth",
-            }
+            self._kind_of_topic: dict[str, Kind] = {getattr(topics, each): each for each in get_args(Kind)}
             self._schemas = {definitions.LABELS_TOPIC: definitions.COMPRESSED_IMAGE} | {
                 topic: sample.schema for topic, sample in samples.items()
             }
