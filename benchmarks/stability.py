@@ -82,12 +82,11 @@ def known_motion(source: FrameSource, uri: str) -> Motion:
     if isinstance(source, SyntheticSource):
 
         def of_scene(first: int, second: int) -> dict[int, NDArray[np.float64]]:
-            before, after = source.poses(first), source.poses(second)
-            camera = np.linalg.inv(after.world_from_depth)
-            moves = {0: camera @ before.world_from_depth}
-            for label, pose in before.world_from_object.items():
-                motion_of_object = after.world_from_object[label] @ np.linalg.inv(pose)
-                moves[label] = camera @ motion_of_object @ before.world_from_depth
+            (depth_before, before), (depth_after, after) = source.poses(first), source.poses(second)
+            camera = np.linalg.inv(depth_after)
+            moves = {0: camera @ depth_before}
+            for label, pose in before.items():
+                moves[label] = camera @ after[label] @ np.linalg.inv(pose) @ depth_before
             return moves
 
         return of_scene

@@ -3,7 +3,7 @@
 World frame: x to the right, y away from the viewer, z up, metres; the table top is z = 0.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,17 +38,6 @@ class RenderedObject:
     texture: NDArray[np.uint8]
     world_from_object: NDArray[np.float64]
     shininess: float = 0.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RenderedPoses:
-    """Where everything is at the moment of one frame, (4, 4) in metres.
-
-    That is the depth camera (x right, y down, z forward), and each object by its ground-truth label.
-    """
-
-    world_from_depth: NDArray[np.float64]
-    world_from_object: Mapping[int, NDArray[np.float64]]
 
 
 class RenderedScene:
@@ -92,11 +81,6 @@ class RenderedScene:
         moved[:3, :3] = cv2.Rodrigues(np.array([0.0, x / _BALL_RADIUS_M, 0.0]))[0] @ pose[:3, :3]
         moved[:3, 3] = x, y, _BALL_RADIUS_M
         return moved
-
-    def poses(self, tick: float) -> RenderedPoses:
-        """Return where everything is, objects by number + 1."""
-        objects = {n + 1: self.world_from_object(n, tick) for n in range(len(self.objects))}
-        return RenderedPoses(self.world_from_depth(tick), objects)
 
     def _ball_place(self, tick: float) -> tuple[float, float]:
         if not self._hidden_ticks:

@@ -15,7 +15,7 @@ from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.settings import Settings, setting, value_kinds
 from nurbseg.drivers.synthetic.render import Renderer, Rendering
-from nurbseg.drivers.synthetic.scene import TICKS_PER_S, RenderedPoses, RenderedScene
+from nurbseg.drivers.synthetic.scene import TICKS_PER_S, RenderedScene
 from nurbseg.drivers.synthetic.sensor import SensorModel
 
 LabelKind = Literal["objects", "surfaces"]
@@ -77,7 +77,8 @@ class SyntheticSource(SequenceSource):
         self._depth = Renderer(self._scene, self.calibration.depth)
         self._color = Renderer(self._scene, self.calibration.color) if self.options.offset else None
         self._sensor = SensorModel(self.calibration.depth, self.options.seed) if self.options.noise else None
-        self._first_label = np.cumsum([0, *(each.shape.faces for each in self._scene.objects)])
+        #: Of each object's faces.
+        self._first_label = np.cumsum([1, *(each.shape.faces for each in self._scene.objects)])
 
     @property
     def label_names(self) -> dict[int, str]:
@@ -85,25 +86,27 @@ class SyntheticSource(SequenceSource):
         if self.options.labels == "objects":
             return {n + 1: name for n, name in enumerate(self._scene.names)}
         return {
-            int(self._first_label[n]) + face + 1: f"{name} {face}" if each.shape.faces > 1 else name
+            int(self._first_label[n]) + face: f"{name} {face}" if each.shape.faces > 1 else name
             for n, (name, each) in enumerate(zip(self._scene.names, self._scene.objects, strict=True))
             for face in range(each.shape.faces)
         }
 
-    def poses(self, index: int) -> RenderedPoses:
-        """Return the exact poses of the depth camera and of every object at a frame.
+    def poses(self, index: int) -> tuple[NDArray[np.float64], dict[int, NDArray[np.float64]]]:
+        """Return the exact poses of the depth camera and of every object at a frame, (4, 4) in metres.
 
-        Objects go by their labels in ``labels=objects``, whatever labels the frames carry.
+        They lead to the scene's frame. Objects go by their labels in ``labels=objects``, whatever labels the
+        frames carry.
         """
-        return self._scene.poses(self._tick(index))
+        tick = self._tick(index)
+        objects = range(len(self._scene.objects))
+        return self._scene.world_from_depth(tick), {
+            n + 1: self._scene.world_from_object(n, tick) for n in objects
+        }
 
-    def frame(self, index: int) -> RGBDFrame:
-        """Return any frame of the sequence, whichever is read next.
+    def _tick(self, index: int) -> float:
+        return index * TICKS_PER_S / self.options.fps
 
-        Raises ValueError if the sequence has no such frame.
-        """
-        if not 0 <= index < self.options.frames:
-            raise ValueError(f"index: expected 0 to {self.options.frames - 1}, got {index}")
+    def _load(self, index: int) -> RGBDFrame:
         tick = self._tick(index)
         world_from_depth = self._scene.world_from_depth(tick)
         seen = self._depth.render(world_from_depth, tick)
@@ -122,12 +125,6 @@ class SyntheticSource(SequenceSource):
             name=f"synthetic-{index:06d}",
         )
 
-    def _load(self, index: int) -> RGBDFrame:
-        return self.frame(index)
-
-    def _tick(self, index: int) -> float:
-        return index * TICKS_PER_S / self.options.fps
-
     def _measured(self, depth_m: NDArray[np.float32], index: int) -> NDArray[np.uint16]:
         if self._sensor is not None:
             return self._sensor.measure(depth_m, index)
@@ -136,7 +133,7 @@ class SyntheticSource(SequenceSource):
     def _labels(self, seen: Rendering) -> NDArray[np.uint16]:
         if self.options.labels == "objects":
             return seen.objects.astype(np.uint16)
-        first = np.concatenate([[0], self._first_label[:-1] + 1]).astype(np.uint16)
+        first = np.concatenate([[0], self._first_label]).astype(np.uint16)
         return np.asarray(first[seen.objects] + seen.faces, dtype=np.uint16)
 
 

@@ -213,10 +213,10 @@ def test_what_the_synthetic_color_camera_sees_is_what_is_colored(sensor):
     size = {"color_width": 1280, "color_height": 1024} if sensor == "large color" else {}
     options = SyntheticOptions(noise=False, offset=True, distortion=True, **size)
     with SyntheticSource(options) as source:
-        frame = source.frame(20)
-        world_from_color = source.poses(20).world_from_depth @ np.linalg.inv(
-            frame.calibration.color_from_depth
-        )
+        source.seek(20)
+        frame = source.read()
+        color_from_depth = frame.calibration.color_from_depth
+        world_from_color = source.poses(20)[0] @ np.linalg.inv(color_from_depth)
         seen = Renderer(source._scene, frame.calibration.color).render(world_from_color, 20)
     _, places, depth = directly_projected(frame)
     nearest = np.rint(places).astype(int)
