@@ -1,16 +1,20 @@
 """Reads and writes files that hold a sensor's calibration.
 
 It reads our TOML, OpenCV's XML or YAML, ROS's ``camera_info`` YAML, and a 3 x 3 matrix as text, which some
-data sets have; the form is recognized by the content. It writes TOML.
+data sets have; the form is recognized by the content. A ``camera_info`` is the file of a camera driver, or a
+message printed by ``ros2 topic echo``. It writes TOML.
 """
 
+import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Element
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.calibration import matrices
 from nurbseg.drivers.calibration.cameras import (
     CameraFile,
     CameraModel,
@@ -22,7 +26,7 @@ from nurbseg.drivers.errors import CalibrationError, quoted
 from nurbseg.drivers.files import read_file
 from nurbseg.drivers.frame import Calibration
 from nurbseg.drivers.limits import TEXT_BYTES_MAX
-from nurbseg.drivers.structured_text import parse_toml
+from nurbseg.drivers.structured_text import parse_toml, parse_xml, parse_yaml, scalar
 
 _FORMS = (
     "camera matrix: expected 3 rows of 3 numbers, or a calibration as TOML, OpenCV's XML or YAML, or ROS's "
@@ -30,6 +34,26 @@ _FORMS = (
 )
 _CAMERA_KEYS = {"width", "height", "fx", "fy", "cx", "cy", "distortion"}
 _FILE_KEYS = {"registered", "depth_scale", "color_from_depth", "depth", "color"}
+#: Names of a camera's matrix, distortion, width and height where it stands for both images, ...
+_SINGLE_NAMES = (
+    ("camera_matrix", "k", "K"),
+    ("distortion_coefficients", "d", "D"),
+    ("image_width", "width"),
+    ("image_height", "height"),
+)
+#: ... and in a stereo calibration, with the words for the depth and the color camera. The first of a numbered
+#: pair is the depth camera, so that R and T take its points to the color camera.
+_STEREO_NAMES = (
+    ("{}_camera_matrix", "{}_distortion", "{}_width", "{}_height", ("depth", "color")),
+    ("{}_intrinsic_params", "{}_distortion_coefficients", "{}_width", "{}_height", ("IR", "RGB")),
+    ("{}_intrinsics", "{}_distortion", "{}_width", "{}_height", ("depth", "rgb")),
+    ("M{}", "D{}", "width{}", "height{}", ("1", "2")),
+    ("cameraMatrix{}", "distCoeffs{}", "width{}", "height{}", ("1", "2")),
+)
+#: ROS's names of OpenCV's distortion model; others, as "equidistant", are different models.
+_DISTORTION_MODELS = ("plumb_bob", "rational_polynomial", "thin_prism_fisheye")
+#: The cameras of one sensor are closer than this; a longer translation is in millimetres.
+_LONGEST_BASELINE_M = 1.0
 
 
 def read_camera_file(path: Path) -> CameraFile:
@@ -45,12 +69,22 @@ def read_camera_file(path: Path) -> CameraFile:
         raise CalibrationError(f"{path}: expected text, got bytes that are not UTF-8") from err
     head, suffix = text.lstrip("\ufeff \t\r\n"), path.suffix.lower()
     if suffix == ".toml":
-        return _from_toml(path, text)
+        return cameras_of_table(path, _parsed(path, "TOML", parse_toml, text))
     if head.startswith("<"):
-        return matrices.from_xml(path, head)
+        return _cameras(path, _table_of(path, _parsed(path, "XML", parse_xml, head)))
     if head.startswith("%YAML") or suffix in (".yaml", ".yml"):
-        return matrices.from_yaml(path, head)
+        # OpenCV's first line, "%YAML:1.0", is not YAML's. A printed message may be followed by more, after
+        # "---".
+        body = head.partition("\n")[2] if head.startswith("%YAML:") else head
+        return _cameras(path, _parsed(path, "YAML", parse_yaml, body))
     return _from_matrix_text(path, text)
+
+
+def _parsed(path: Path, form: str, parse: Callable[[str], Any], text: str) -> Any:
+    try:
+        return parse(text)
+    except ValueError as err:
+        raise CalibrationError(f"{path}: not valid {form} ({err})") from err
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
@@ -68,14 +102,6 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
     for name in ("color",) if registered else ("color", "depth"):
         lines += ["", f"[{name}]", *(f"{key} = {value}" for key, value in table[name].items())]
     path.write_text("\n".join(lines) + "\n")
-
-
-def _from_toml(path: Path, text: str) -> CameraFile:
-    try:
-        table = parse_toml(text)
-    except ValueError as err:
-        raise CalibrationError(f"{path}: not valid TOML ({err})") from err
-    return cameras_of_table(path, table)
 
 
 def cameras_of_table(path: Path, table: Any) -> CameraFile:
@@ -164,3 +190,95 @@ def _from_matrix_text(path: Path, text: str) -> CameraFile:
         raise CalibrationError(f"{path}: {_FORMS}, got rows of {quoted([len(row) for row in rows])}")
     camera = CameraModel(path, "camera matrix", np.array(rows))
     return CameraFile(path=path, depth=camera, color=camera)
+
+
+def _table_of(path: Path, root: Element) -> dict[str, Any]:
+    """Return OpenCV's XML as YAML would give it: a matrix as a dict, its numbers as a list."""
+    if root.tag != "opencv_storage":
+        raise CalibrationError(f"{path}: expected OpenCV's <opencv_storage>, got {quoted(root.tag)}")
+    return {
+        node.tag: {child.tag: _value(child) for child in node} if len(node) else _value(node) for node in root
+    }
+
+
+def _value(node: Element) -> Any:
+    words = (node.text or "").split()
+    return [scalar(word) for word in words] if node.tag == "data" else scalar(" ".join(words))
+
+
+def _cameras(path: Path, table: Any) -> CameraFile:
+    if not isinstance(table, dict):
+        raise CalibrationError(f"{path}: expected named matrices, got {quoted(table)}")
+    if any(name in table for name in _SINGLE_NAMES[0]):
+        camera = _camera(path, table, _SINGLE_NAMES)
+        return CameraFile(path=path, depth=camera, color=camera)
+    for *forms, words in _STEREO_NAMES:
+        names = [tuple((str(form).format(word),) for form in forms) for word in words]
+        if names[0][0][0] in table:
+            depth, color = (_camera(path, table, each) for each in names)
+            return CameraFile(path=path, depth=depth, color=color, color_from_depth=_transform(path, table))
+    stereo = " or ".join(str(form).format(words[0]) for form, *_, words in _STEREO_NAMES)
+    raise CalibrationError(
+        f"{path}: camera_matrix: missing; expected camera_matrix, k or K for registered images, else {stereo}"
+    )
+
+
+def _camera(path: Path, table: dict[str, Any], names: tuple[tuple[str, ...], ...]) -> CameraModel:
+    name, matrix = _matrix(path, table, names[0])
+    if matrix.size != 9:
+        raise CalibrationError(f"{path}: {name}: expected 9 numbers, got {matrix.size}")
+    check_distortion_model(path, "distortion_model", table.get("distortion_model"))
+    distortion = np.zeros(0)
+    if any(each in table for each in names[1]):
+        distortion = _matrix(path, table, names[1])[1].ravel()
+    width, height = (next((each for each in alike if each in table), alike[0]) for alike in names[2:])
+    size = None
+    if width in table or height in table:
+        size = image_size(path, (width, height), (table.get(width), table.get(height)))
+    return CameraModel(path, name, matrix.reshape(3, 3), distortion, size)
+
+
+def check_distortion_model(path: Path, field: str, model: Any) -> None:
+    """Raise CalibrationError if a lens model is named that is not OpenCV's."""
+    if model and model not in _DISTORTION_MODELS:
+        expected = ", ".join(_DISTORTION_MODELS)
+        raise CalibrationError(f"{path}: {field}: expected one of {expected}, got {quoted(model)}")
+
+
+def _transform(path: Path, table: dict[str, Any]) -> NDArray[np.float64]:
+    _, rotation = _matrix(path, table, ("R", "Rotation"))
+    if rotation.size == 3:
+        rotation = np.asarray(cv2.Rodrigues(rotation.reshape(3))[0], dtype=np.float64)
+    if rotation.size != 9:
+        raise CalibrationError(f"{path}: R: expected a 3 x 3 matrix or 3 numbers, got {rotation.shape}")
+    _, translation = _matrix(path, table, ("T", "Translation"))
+    if translation.size != 3:
+        raise CalibrationError(f"{path}: T: expected 3 numbers, got {quoted(translation.tolist())}")
+    in_millimetres = np.linalg.norm(translation) >= _LONGEST_BASELINE_M
+    transform = np.eye(4)
+    transform[:3, :3] = rotation.reshape(3, 3)
+    transform[:3, 3] = translation.ravel() * (0.001 if in_millimetres else 1.0)
+    return transform
+
+
+def _matrix(path: Path, table: dict[str, Any], names: tuple[str, ...]) -> tuple[str, NDArray[np.float64]]:
+    """Return the first of these names in the table, and its numbers: a list, (N,), or rows, cols and data."""
+    name = next((each for each in names if each in table), None)
+    if name is None:
+        raise CalibrationError(f"{path}: {names[0]}: missing; expected a matrix {' or '.join(names)}")
+    values: Any = table[name]
+    shape: list[Any] = [-1]
+    if isinstance(values, dict):
+        shape, values = [values.get("rows"), values.get("cols")], values.get("data")
+        counts = all(isinstance(count, int) and count > 0 for count in shape)
+        if not counts or not isinstance(values, list) or len(values) != math.prod(shape):
+            raise CalibrationError(
+                f"{path}: {name}: expected rows x cols numbers in data, got {quoted(shape[0])} x "
+                f"{quoted(shape[1])} and {len(values) if isinstance(values, list) else quoted(values)}"
+            )
+    if not isinstance(values, list):
+        raise CalibrationError(
+            f"{path}: {name}: expected a matrix or a list of numbers, got {quoted(values)}"
+        )
+    numbers = [number(path, name, value) for value in values]
+    return name, np.array(numbers, dtype=np.float64).reshape(shape)

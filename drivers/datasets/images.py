@@ -35,12 +35,10 @@ _RAW_DISPARITY_NONE = 2047
 _RAW_DEPTH_MAX_MM = 10_000
 
 
-def check_complete(content: bytes, name: str) -> bytes:
-    """Check that an encoded image is not too large, cut off or damaged, which decoders may ignore.
+def _checked(content: bytes, name: str) -> bytes:
+    """Check that an image is not too large, cut off or damaged, which decoders may ignore.
 
-    Returns what is to be decoded: a PNG without its texts and animation. Raises FrameFormatError if the image
-    is of no known form or has too many pixels, a PNG, JPEG, PGM or PPM does not reach its end, or a PNG's
-    checksums do not hold.
+    Returns what is to be decoded: a PNG without its texts and animation.
     """
     if not content:
         raise FrameFormatError(f"{name}: the image is empty (0 bytes)")
@@ -84,7 +82,7 @@ def _check_pnm(content: bytes, name: str) -> None:
 
 def decode(content: bytes, flags: int, name: str) -> NDArray[Any]:
     """Decode an image as OpenCV does with these flags; raises FrameFormatError, which calls it `name`."""
-    checked = check_complete(content, name)
+    checked = _checked(content, name)
     try:
         image = cv2.imdecode(np.frombuffer(checked, np.uint8), flags)
     except cv2.error as err:
@@ -185,10 +183,7 @@ def _is_rotated(image: NDArray[np.uint16]) -> bool:
 
 
 def _pnm_header(content: bytes, name: str) -> tuple[int, int, int, int]:
-    """Return the width, height, maximum and length of the header of a binary PGM or PPM.
-
-    Raises FrameFormatError if it has no such header.
-    """
+    """Return the width, height, maximum and length of the header of a binary PGM or PPM."""
     header = _PNM_HEADER.match(content[:_PNM_HEADER_BYTES])
     if header is None:
         raise FrameFormatError(f"{name}: expected a binary PGM or PPM with width, height and maximum")
@@ -197,11 +192,7 @@ def _pnm_header(content: bytes, name: str) -> tuple[int, int, int, int]:
 
 
 def _check_size(content: bytes, name: str) -> None:
-    """Refuse an encoded image that is of no known form, or too large to be decoded.
-
-    Raises FrameFormatError if it is not PNG, JPEG, TIFF, PGM, PPM or BMP, its header is damaged, or it has
-    more pixels than `nurbseg.drivers.limits.PIXELS_MAX`.
-    """
+    """Refuse an image that is of no known form, or too large to be decoded, by its header alone."""
     try:
         width, height = _size(content, name)
     except (struct.error, IndexError) as err:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.calibration.cameras import CameraModel
-from nurbseg.drivers.calibration.matrices import check_distortion_model
+from nurbseg.drivers.calibration.file import check_distortion_model
 from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_labels, millimetres
 from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.drivers.frame import Intrinsics

@@ -55,8 +55,12 @@ def shade(
         Directions to the lamp and up, and the ball's center, in the camera's frame.
     camera_height, ball_radius : float32
         Metres.
-    x, y, z, objects, runs, normals
-        See `nurbseg.drivers.synthetic.rays.surfaces_seen`, `z` being the depth.
+    x, y, z : (H, W) float32
+        What each pixel shows: x / z, y / z and the depth z, metres.
+    objects, runs : (H, W) uint8, (R, 3) int64
+        Number of the visible object + 1; row, first column and end of each run of pixels that show one.
+    normals : (3, H, W) float32
+        In the camera's frame.
     image : (H, W, 3) uint8
         The textures, RGB; shaded in place.
     """

@@ -2,15 +2,18 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
+from numba import literal_unroll
 from numpy.typing import NDArray
 
+from nurbseg.drivers.compiled import F32, I64, U8, compiled, inlined
 from nurbseg.drivers.frame import Intrinsics
 from nurbseg.drivers.synthetic.light import LAMP, lit_grounds, shade
-from nurbseg.drivers.synthetic.rays import cast, runs_of, surfaces_seen
 from nurbseg.drivers.synthetic.scene import RenderedScene
+from nurbseg.drivers.synthetic.shapes import KINDS, intersect, surface
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,18 +74,18 @@ class Renderer:
         camera_from_object = np.linalg.inv(world_from_camera) @ np.stack(poses)
         windows = np.array([self._window(each) for each in camera_from_object @ self._corners])
         object_from_camera = np.linalg.inv(camera_from_object).astype(np.float32)
-        cast(self._kinds, self._sizes, object_from_camera, windows, *self._rays, depth, objects, faces)
+        _cast(self._kinds, self._sizes, object_from_camera, windows, *self._rays, depth, objects, faces)
         return Rendering(depth, objects, faces, object_from_camera)
 
     def color(
         self, world_from_camera: NDArray[np.float64], tick: float, seen: Rendering
     ) -> NDArray[np.uint8]:
         """Return the color image, (H, W, 3) RGB, of what the camera sees."""
-        shape, runs, points = seen.objects.shape, runs_of(seen.objects), (*self._rays, seen.depth_m)
+        shape, runs, points = seen.objects.shape, _runs_of(seen.objects), (*self._rays, seen.depth_m)
         normals, atlas_px = np.empty((3, *shape), dtype=np.float32), np.empty((2, *shape), dtype=np.float32)
         atlas, windows, is_lit = self._atlas
         scene = self._kinds, self._sizes, seen.object_from_camera, windows
-        surfaces_seen(*scene, *points, seen.objects, seen.faces, runs, normals, atlas_px)
+        _surfaces_seen(*scene, *points, seen.objects, seen.faces, runs, normals, atlas_px)
         image = np.empty((*shape, 3), dtype=np.uint8)
         cv2.remap(atlas, atlas_px[0], atlas_px[1], cv2.INTER_LINEAR, dst=image)
         # All in the camera's frame, in which the eye is the origin.
@@ -105,3 +108,120 @@ class Renderer:
         if not columns.size or not rows.size:
             return 0, 0, 0, 0
         return int(rows[0]), int(rows[-1]) + 1, int(columns[0]), int(columns[-1]) + 1
+
+
+@compiled
+def _cast(
+    kinds: I64,
+    sizes: F32,
+    object_from_camera: F32,
+    windows: I64,
+    x: F32,
+    y: F32,
+    depth: F32,
+    objects: U8,
+    faces: U8,
+) -> None:
+    """Lower the `depth` to shapes that are met nearer, and write their number + 1 and face.
+
+    A shape has a kind, four sizes, a pose (4, 4) and a window in which it can show: first row, row after the
+    last, first column, column after the last. `x` and `y` are the rays' x / z and y / z.
+    """
+    for number in range(kinds.size):
+        kind, size, m = kinds[number], sizes[number], object_from_camera[number]
+        top, bottom, left, right = windows[number]
+        for row in range(top, bottom):
+            part = slice(left, right)
+            rays, images = (
+                (x[row, part], y[row, part]),
+                (depth[row, part], objects[row, part], faces[row, part]),
+            )
+            for form in literal_unroll(KINDS):
+                if form == kind:
+                    _cast_row(form, size, m, number, *rays, *images)
+
+
+@inlined
+def _cast_row(
+    kind: int, size: Any, m: Any, number: int, x: Any, y: Any, depth: Any, objects: Any, faces: Any
+) -> None:
+    ox, oy, oz = m[0, 3], m[1, 3], m[2, 3]
+    for n in range(depth.size):
+        dx = m[0, 0] * x[n] + (m[0, 1] * y[n] + m[0, 2])
+        dy = m[1, 0] * x[n] + (m[1, 1] * y[n] + m[1, 2])
+        dz = m[2, 0] * x[n] + (m[2, 1] * y[n] + m[2, 2])
+        t, face = intersect(kind, size, ox, oy, oz, dx, dy, dz)
+        nearer = t < depth[n]
+        depth[n] = t if nearer else depth[n]
+        objects[n] = np.uint8(number + 1) if nearer else objects[n]
+        faces[n] = np.uint8(face) if nearer else faces[n]
+
+
+@compiled
+def _runs_of(objects: U8) -> I64:
+    """Return the row, the first column and the end of each run of pixels that show one object, (R, 3)."""
+    height, width = objects.shape
+    runs = np.empty((height * width, 3), dtype=np.int64)
+    count = 0
+    for row in range(height):
+        for column in range(width):
+            if column == 0 or objects[row, column] != objects[row, column - 1]:
+                runs[count, 0], runs[count, 1] = row, column
+                count += 1
+            runs[count - 1, 2] = column + 1
+    return runs[:count]
+
+
+@compiled
+def _surfaces_seen(
+    kinds: I64,
+    sizes: F32,
+    object_from_camera: F32,
+    atlas_windows: F32,
+    x: F32,
+    y: F32,
+    depth: F32,
+    objects: U8,
+    faces: U8,
+    runs: I64,
+    normals: F32,
+    atlas_px: F32,
+) -> None:
+    """Set the `normals` (3, H, W), in the camera's frame, and the columns and rows in the atlas, (2, H, W).
+
+    The windows (S, 4) are the first column and row of each shape's texture there, and the size less one.
+    """
+    for row, first, end in runs:
+        part = slice(first, end)
+        normal = normals[0, row, part], normals[1, row, part], normals[2, row, part]
+        found = *normal, atlas_px[0, row, part], atlas_px[1, row, part]
+        shown = objects[row, first]
+        if shown == 0:
+            for each in found:
+                each[:] = np.float32(0)
+            continue
+        number = np.int64(shown) - 1
+        kind = kinds[number]
+        shape = sizes[number], object_from_camera[number], atlas_windows[number]
+        pixels = x[row, part], y[row, part], depth[row, part], faces[row, part]
+        for form in literal_unroll(KINDS):
+            if form == kind:
+                _surfaces_in_row(form, shape, pixels, found)
+
+
+@inlined
+def _surfaces_in_row(kind: int, shape: Any, pixels: Any, found: Any) -> None:
+    (size, m, window), (x, y, depth, faces) = shape, pixels
+    normal_x, normal_y, normal_z, columns, rows = found
+    for n in range(depth.size):
+        t = depth[n]
+        u, v = t * x[n], t * y[n]
+        px = m[0, 0] * u + m[0, 1] * v + m[0, 2] * t + m[0, 3]
+        py = m[1, 0] * u + m[1, 1] * v + m[1, 2] * t + m[1, 3]
+        pz = m[2, 0] * u + m[2, 1] * v + m[2, 2] * t + m[2, 3]
+        nx, ny, nz, across, down = surface(kind, size, px, py, pz, faces[n])
+        normal_x[n] = m[0, 0] * nx + m[1, 0] * ny + m[2, 0] * nz
+        normal_y[n] = m[0, 1] * nx + m[1, 1] * ny + m[2, 1] * nz
+        normal_z[n] = m[0, 2] * nx + m[1, 2] * ny + m[2, 2] * nz
+        columns[n] = window[0] + window[2] * min(max(across, np.float32(0)), np.float32(1))
+        rows[n] = window[1] + window[3] * min(max(down, np.float32(0)), np.float32(1))
