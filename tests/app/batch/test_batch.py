@@ -291,11 +291,11 @@ class FailingWorkers:
         self._failing = failing
 
     def submit(self, function: Callable, task: Any, /) -> Future:
-        future = WaitedFor()
-        if task.run.start == self._failing:
+        future, (run, _) = WaitedFor(), task
+        if run.start == self._failing:
             future.set_exception(WorkerLostError("gone"))
         else:
-            future.set_result([({f"{place:06d}_tree.json": b"{}"}, True) for place in task.run])
+            future.set_result([({f"{place:06d}_tree.json": b"{}"}, True) for place in run])
         return future
 
     def ahead(self) -> int:
