@@ -80,13 +80,7 @@ class Answers:
         rng = np.random.default_rng([self._seed, self._index])
         if variant.method.startswith(LABELS_PREFIX):
             folder = Path(variant.method.removeprefix(LABELS_PREFIX))
-            labels = labels_on_disk(folder, self._name, self._index)
-            if labels.shape != self._cloud.valid.shape:
-                raise ValueError(
-                    f"{folder}: labels of frame {self._name or self._index}: expected "
-                    f"{self._cloud.valid.shape} as its depth image, got {labels.shape}"
-                )
-            return labels, None
+            return labels_on_disk(folder, self._name, self._index, self._cloud.valid.shape), None
         config = variant.config
         if variant.method == "dmzc12":
             return dmzc12(self._cloud, rng, config), None

@@ -38,8 +38,7 @@ class StudyStore:
     def __init__(self, folder: Path, description: Mapping[str, Any]) -> None:
         self.folder = folder
         create_folder(folder)
-        for part in ("frames", "labels", "trees"):
-            (folder / part).mkdir(exist_ok=True)
+        create_folder(folder / "frames")
         wanted = json.loads(json.dumps({"format": _FORMAT, **description}))
         path = folder / "study.json"
         if path.exists():
@@ -162,7 +161,7 @@ class StudyResults:
         """Return a score of the frames of a category, or of all, (N,) float64; NaN if a frame has none."""
         return np.array(
             [
-                np.nan if (value := frame["results"][variant.key][score]) is None else value
+                frame["results"][variant.key][score]
                 for frame in self.frames
                 if category is None or frame["category"] == category
             ],

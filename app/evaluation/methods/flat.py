@@ -141,10 +141,7 @@ def unsupervised_quality(labels: NDArray[np.uint16], cloud: PointMap) -> float:
     band = max(2, round(_BAND_SHARE * labels.shape[1]))
     kernel = np.ones((2 * band + 1, 2 * band + 1), np.uint8)
     total, weight = 0.0, 0
-    values = np.unique(labels[used])
-    if len(values) < 2:
-        return float("-inf")
-    for value in values:
+    for value in np.unique(labels[used]):
         inside = used & (labels == value)
         around = cv2.dilate(inside.astype(np.uint8), kernel).astype(bool) & used & ~inside
         if not around.any():

@@ -139,12 +139,12 @@ def check_method(name: str) -> None:
         pcl.program()
 
 
-def labels_on_disk(folder: Path, frame_name: str, index: int) -> Labels:
-    """Read another program's labels of a frame, (H, W).
+def labels_on_disk(folder: Path, frame_name: str, index: int, shape: tuple[int, ...]) -> Labels:
+    """Read another program's labels of a frame, whose depth image has this shape, (H, W).
 
     ``NAME_labels.png``, ``NAME_label.png``, ``NAME.png``, ``NNNNNN_labels.png`` and ``NNNNNN.png`` (the
-    frame's number) are tried in this order. Raises ValueError if none exists, or it is damaged or
-    has several channels.
+    frame's number) are tried in this order. Raises ValueError if none exists, or it is damaged, of another
+    shape or not of whole numbers.
     """
     names = [f"{index:06d}_labels.png", f"{index:06d}.png"]
     if frame_name:
@@ -154,7 +154,8 @@ def labels_on_disk(folder: Path, frame_name: str, index: int) -> Labels:
         if path.exists():
             content = read_file(path, FRAME_BYTES_MAX, what="label image")
             image = decode(content, cv2.IMREAD_UNCHANGED, f"{path}")
-            if image.ndim != 2 or image.dtype.kind not in "ui":
-                raise ValueError(f"{path}: expected a label image of one channel of whole numbers")
+            if image.shape != shape or image.dtype.kind not in "ui":
+                found = f"{image.shape} {image.dtype}"
+                raise ValueError(f"{path}: expected labels {shape} of whole numbers, got {found}")
             return np.asarray(image, dtype=np.int64)
     raise ValueError(f"{folder}: no labels of frame {frame_name or index}; expected {names[0]}")

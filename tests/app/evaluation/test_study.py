@@ -220,7 +220,8 @@ def test_label_images_of_another_size_are_named(
     cv2.imwrite(str(folder / "learn0_labels.png"), np.ones((36, 48), np.uint8))
     words = [str(frames), "--frames", "1", "--methods", "fh04", "--labels", str(folder)]
     assert main([*words, "--out", str(tmp_path / "out")]) == 2
-    assert f"{folder}: labels of frame learn0: expected (72, 96)" in capsys.readouterr().err
+    expected = f"{folder}/learn0_labels.png: expected labels (72, 96) of whole numbers, got (36, 48) uint8"
+    assert expected in capsys.readouterr().err
 
 
 def test_a_camera_is_no_data_set(
@@ -234,7 +235,7 @@ def test_a_camera_is_no_data_set(
 
 def test_a_missing_label_image_names_what_was_looked_for(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"learn3_labels\.png"):
-        labels_on_disk(tmp_path, "learn3", 3)
+        labels_on_disk(tmp_path, "learn3", 3, (3, 4))
 
 
 @pytest.mark.parametrize(
@@ -248,7 +249,7 @@ def test_a_missing_label_image_names_what_was_looked_for(tmp_path: Path) -> None
 def test_a_hostile_label_image_is_named(tmp_path: Path, content: bytes, text: str) -> None:
     (tmp_path / "000003.png").write_bytes(content)
     with pytest.raises(ValueError, match=text) as found:
-        labels_on_disk(tmp_path, "", 3)
+        labels_on_disk(tmp_path, "", 3, (3, 4))
     assert str(found.value).startswith(f"{tmp_path}/000003.png: ")
 
 
@@ -270,7 +271,7 @@ def test_label_images_of_too_many_labels_are_named(
 def test_a_pipe_is_no_label_image(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "000003.png")
     with pytest.raises(ValueError, match="not a regular file"):
-        labels_on_disk(tmp_path, "", 3)
+        labels_on_disk(tmp_path, "", 3, (3, 4))
 
 
 def test_a_start_behind_the_last_frame_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
