@@ -41,5 +41,9 @@ def frames_of(path: str, given: argparse.Namespace) -> list[RGBDFrame]:
 
 
 def labelled_frames(path: str, given: argparse.Namespace) -> list[RGBDFrame]:
-    """Read the frames of a recording that have ground truth; exits with 2 if it cannot be read."""
-    return [frame for frame in frames_of(path, given) if frame.labels is not None]
+    """Read the frames of a recording that have ground truth; exits with 2 if there are none."""
+    frames = [frame for frame in frames_of(path, given) if frame.labels is not None]
+    if not frames:
+        print(f"{path}: no frame has labels", file=sys.stderr)
+        raise SystemExit(2)
+    return frames

@@ -110,8 +110,8 @@ def main() -> int:
     given = frames_parser(__doc__, "labelled frames whose depth is registered").parse_args()
     for path in given.frames:
         frames = labelled_frames(path, given)
-        if not frames or not all(frame.calibration.is_registered for frame in frames):
-            print(f"{path}: expected frames with labels, depth registered to color", file=sys.stderr)
+        if not all(frame.calibration.is_registered for frame in frames):
+            print(f"{path}: expected depth registered to color", file=sys.stderr)
             return 2
         print("\n".join([f"{Path(path).name}, {len(frames)} frames:", "", *rows(frames, given.seeds), ""]))
     return 0
