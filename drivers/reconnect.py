@@ -39,6 +39,8 @@ class Reconnecting(FrameSource):
 
     Attributes
     ----------
+    connected : bool
+        Whether the camera is there.
     reconnections : int
         How often it was reopened.
     recorded_files : tuple of Path
@@ -63,8 +65,9 @@ class Reconnecting(FrameSource):
         self.metadata = source.metadata
         self.reconnections = 0
         self._lost: Counter[str] = Counter()
+        self.connected = True
+        #: Of the camera; while it is disconnected, a source that looks for it, if any.
         self._source: FrameSource | None = source
-        self._opening: FrameSource | None = None
         self._reopen = reopen
         self._interval_s = interval_s
         self._clock = clock
@@ -77,11 +80,6 @@ class Reconnecting(FrameSource):
         self._last_ns = 0
         self._last_s: float | None = None
         self._ahead_ns: int | None = 0
-
-    @property
-    def connected(self) -> bool:
-        """Whether the camera is there."""
-        return self._source is not None
 
     @property
     def losses(self) -> Mapping[str, int]:
@@ -98,7 +96,7 @@ class Reconnecting(FrameSource):
         `lossy` allows lossy compression of color. Raises DriverError if the camera is away,
         has no recorder, or cannot record to the file.
         """
-        if not isinstance(self._source, Recordable):
+        if not self.connected or not isinstance(self._source, Recordable):
             raise DriverError(f"{path}: cannot be recorded to: the camera is disconnected or has no recorder")
         self._source.start_recording(path, lossy=lossy)
         self._recording = (path, lossy)
@@ -107,7 +105,7 @@ class Reconnecting(FrameSource):
     def stop_recording(self) -> None:
         """Finish the recording, if there is one."""
         self._recording = None
-        if isinstance(self._source, Recordable):
+        if self.connected and isinstance(self._source, Recordable):
             self._source.stop_recording()
 
     def _continue_recording(self, source: FrameSource) -> None:
@@ -127,20 +125,20 @@ class Reconnecting(FrameSource):
     def _read(self, timeout_s: float) -> RGBDFrame:
         deadline = self._clock() + timeout_s
         while True:
-            source = self._source or self._wait_for_camera(deadline, timeout_s)
+            source = self._connected_source(deadline, timeout_s)
             try:
                 frame = source.read(max(deadline - self._clock(), 0.0))
             except DeviceLostError as err:
                 logger.warning("%s; waiting for it to come back", err)
                 self._release()
+                # A camera that comes back immediately is found immediately.
+                self._next_try_s = self._clock()
+                self._ahead_ns = None
             else:
                 return self._continued(frame)
 
     def _release(self) -> None:
-        source, self._source = self._source, None
-        # A camera that comes back immediately is found immediately.
-        self._next_try_s = self._clock()
-        self._ahead_ns = None
+        source, self._source, self.connected = self._source, None, False
         if source is not None:
             self._lost.update(source.losses)
             try:
@@ -148,33 +146,28 @@ class Reconnecting(FrameSource):
             except DriverError as err:  # of its recording, which ends here
                 logger.error("%s", err)
 
-    def _wait_for_camera(self, deadline: float, timeout_s: float) -> FrameSource:
+    def _connected_source(self, deadline: float, timeout_s: float) -> FrameSource:
+        """Return the source of the camera, which may have to come back first."""
         while True:
             try:
-                if self._opening is None and self._clock() >= self._next_try_s:
+                if self._source is None and self._clock() >= self._next_try_s:
                     self._next_try_s = self._clock() + self._interval_s
-                    self._opening = self._reopen()
-                left_s = max(0.0, deadline - self._clock())
-                if self._opening is not None and self._opening.is_open(left_s):
-                    source, self._source, self._opening = self._opening, self._opening, None
-                    self._take_over(source)
-                    self._continue_recording(source)
-                    return source
+                    self._source = self._reopen()
+                if self._source is not None and self._source.is_open(max(0.0, deadline - self._clock())):
+                    if not self.connected:
+                        self._take_over(self._source)
+                    return self._source
             except DriverError as err:
                 logger.debug("still disconnected: %s", err)
-                self._stop_opening()
+                self._release()
             now = self._clock()
             if now >= deadline:
                 raise FrameTimeoutError(f"the camera is disconnected: no frame within {timeout_s:g} s")
-            if self._opening is None:
+            if self._source is None:
                 self._sleep(max(0.0, min(self._next_try_s, deadline) - now))
 
-    def _stop_opening(self) -> None:
-        opening, self._opening = self._opening, None
-        if opening is not None:
-            opening.close()
-
     def _take_over(self, source: FrameSource) -> None:
+        self.connected = True
         before, self.calibration = self.calibration, source.calibration
         # In place, since others hold this dictionary.
         self.metadata.update(source.metadata)
@@ -184,6 +177,7 @@ class Reconnecting(FrameSource):
                 self.metadata.get("device", "the camera"),
                 "registers" if source.calibration.is_registered else "does not register",
             )
+        self._continue_recording(source)
 
     def _continued(self, frame: RGBDFrame) -> RGBDFrame:
         now_s = self._clock()
@@ -201,7 +195,6 @@ class Reconnecting(FrameSource):
         return frame
 
     def _close(self) -> None:
-        self._stop_opening()
         if self._source is not None:
             self._source.close()
             self._source = None

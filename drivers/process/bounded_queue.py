@@ -20,7 +20,8 @@ class BoundedQueue(Generic[Item]):
 
     The sizes of the items that wait sum up to `filled`, which is no more than `capacity`, over 0; but an item
     always fits into an empty queue. Each counts one where no `size` is given. `when_full` says what
-    happens to an item that does not fit; `dropped` counts those that were dropped or refused.
+    happens to an item that does not fit; `dropped` counts those that were dropped or refused. A queue that is
+    `closed` accepts nothing more.
     """
 
     def __init__(
@@ -36,7 +37,7 @@ class BoundedQueue(Generic[Item]):
         self._changed = threading.Condition()
         self._items: deque[Item] = deque()
         self._notes: deque[Item] = deque(maxlen=_NOTES_MAX)
-        self._closed = False
+        self.closed = False
         self._error: BaseException | None = None
 
     def put(self, item: Item, timeout_s: float | None = None) -> bool:
@@ -52,9 +53,9 @@ class BoundedQueue(Generic[Item]):
 
         with self._changed:
             waits = self._when_full == "wait"
-            if waits and not self._changed.wait_for(lambda: self._closed or fits(), timeout_s):
+            if waits and not self._changed.wait_for(lambda: self.closed or fits(), timeout_s):
                 raise TimeoutError(f"no room within {timeout_s:g} s")
-            if self._closed:
+            if self.closed:
                 return False
             while not fits():
                 self.dropped += 1
@@ -69,7 +70,7 @@ class BoundedQueue(Generic[Item]):
     def put_note(self, note: Item) -> None:
         """Add a note; never waits, and drops the oldest of very many."""
         with self._changed:
-            if not self._closed:
+            if not self.closed:
                 self._notes.append(note)
                 self._changed.notify_all()
 
@@ -80,7 +81,7 @@ class BoundedQueue(Generic[Item]):
         producer closed the queue.
         """
         with self._changed:
-            if not self._changed.wait_for(lambda: self._notes or self._items or self._closed, timeout_s):
+            if not self._changed.wait_for(lambda: self._notes or self._items or self.closed, timeout_s):
                 raise TimeoutError(f"nothing came within {timeout_s:g} s")
             self._changed.notify_all()
             if self._notes:
@@ -99,8 +100,8 @@ class BoundedQueue(Generic[Item]):
     def close(self, error: BaseException | None = None) -> None:
         """Accept nothing more, because of an error or because that was all; what waits can still be taken."""
         with self._changed:
-            if not self._closed:
-                self._closed, self._error = True, error
+            if not self.closed:
+                self.closed, self._error = True, error
                 self._changed.notify_all()
 
     def discard(self) -> int:
@@ -110,18 +111,12 @@ class BoundedQueue(Generic[Item]):
             self._items.clear()
             self._notes.clear()
             self.filled = 0.0
-            self._closed, self._error = True, None
+            self.closed, self._error = True, None
             self._changed.notify_all()
             return count
-
-    @property
-    def closed(self) -> bool:
-        """Whether nothing more is accepted."""
-        with self._changed:
-            return self._closed
 
     @property
     def finished(self) -> bool:
         """Whether it is closed and everything was taken."""
         with self._changed:
-            return self._closed and not self._items and not self._notes
+            return self.closed and not self._items and not self._notes

@@ -140,7 +140,11 @@ def test_a_source_that_looks_for_its_camera_is_waited_for():
                 source.read(timeout_s=0.7)
             assert clock() - begun_s == pytest.approx(0.7, abs=1e-3)
             assert not source.connected
+        with pytest.raises(DriverError, match="the camera is disconnected"):
+            source.start_recording(Path("clip.oni"))
+        source.stop_recording()
         assert source.read(timeout_s=0.7).index == 0
+    assert opening.recorded == []
     assert opening.waits_s == pytest.approx([0.7] * 4)
     assert len(world.tries_s) == 1
 
