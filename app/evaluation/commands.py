@@ -20,7 +20,7 @@ from nurbseg.app.evaluation.methods.methods import check_method
 from nurbseg.app.evaluation.report.findings import all_tables, as_markdown, as_text, conclusions
 from nurbseg.app.evaluation.report.progress import Progress
 from nurbseg.app.evaluation.report.report import write_report
-from nurbseg.app.evaluation.results import StudyResults, StudyStore, write_rows
+from nurbseg.app.evaluation.results import StudyStore, write_rows
 from nurbseg.app.evaluation.study import Study, frame_refs, readable_frames, run_study, times_per_frame
 from nurbseg.app.evaluation.tuning import searched_settings, tune
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, grid_of, setting_value, variants_of
@@ -70,8 +70,7 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
     )
     _check_before(study, report=not given.no_report)
     store = StudyStore(given.out, study.description())
-    refs = run_study(study, store, jobs=given.jobs, scheduler=given.scheduler, report=Progress("frames"))
-    results = StudyResults.load(store, study.variants, [ref.key for ref in refs])
+    results = run_study(study, store, jobs=given.jobs, scheduler=given.scheduler, report=Progress("frames"))
     if not results.frames:
         raise ValueError(f"{', '.join(study.sources)}: no frame has ground truth; see {given.out}/frames")
     seconds = times_per_frame(study, given.time_frames) if given.time_frames > 0 else {}

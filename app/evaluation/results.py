@@ -1,11 +1,11 @@
 """The results of a study: stored by frame, so that a killed run can be resumed, and their means."""
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,16 +138,6 @@ class StudyResults:
     variants: tuple[Variant, ...]
     frames: tuple[dict[str, Any], ...]
     skipped: tuple[dict[str, Any], ...]
-
-    @classmethod
-    def load(cls, store: StudyStore, variants: Sequence[Variant], keys: Iterable[str]) -> Self:
-        """Read the frames with these keys, which are finished for all these variants."""
-        frames = [store.frame(key) for key in sorted(keys)]
-        return cls(
-            tuple(variants),
-            tuple(frame for frame in frames if not frame.get("skipped")),
-            tuple(frame for frame in frames if frame.get("skipped")),
-        )
 
     def categories(self) -> tuple[str, ...]:
         """Return the categories in the order of frames."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from nurbseg.app.computer import computer, versions
 from nurbseg.app.evaluation.answers import Answers
-from nurbseg.app.evaluation.results import StudyStore
+from nurbseg.app.evaluation.results import StudyResults, StudyStore
 from nurbseg.app.evaluation.scoring import score_frame, score_objects
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, Variant
 from nurbseg.app.export.frame_files import png
@@ -99,8 +99,8 @@ def run_study(
     jobs: int = 1,
     scheduler: str | None = None,
     report: Callable[[int, int], None] = lambda done, total: None,
-) -> list[FrameRef]:
-    """Compute the results of a study that are not yet on disk, and return its frames.
+) -> StudyResults:
+    """Compute the results of a study that are not yet on disk, and return them all.
 
     The processes of `open_workers` segment frames; only this process writes results, which do not depend on
     the number of processes. `report` is called after each frame with the numbers of finished frames and of
@@ -126,7 +126,9 @@ def run_study(
             store.keep(ref.key, {**record, "results": results}, files)
             done += 1
             report(done, len(refs))
-    return refs
+    frames = [store.frame(key) for key in sorted(ref.key for ref in refs)]
+    finished = tuple(frame for frame in frames if not frame.get("skipped"))
+    return StudyResults(study.variants, finished, tuple(each for each in frames if each.get("skipped")))
 
 
 def read_frame(ref: FrameRef, options: SourceOptions) -> RGBDFrame:
