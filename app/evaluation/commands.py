@@ -178,11 +178,10 @@ def check(given: argparse.Namespace) -> int:
     per_frame_ms = 1e3 * (time.perf_counter() - started_s) / max(folder.frames, 1)
     numbers = ((count, "finding"), (folder.frames, "frame"), (folder.segments, "segment"))
     findings, frames, segments = (f"{number} {what}{'s' * (number != 1)}" for number, what in numbers)
-    unchecked = folder.history.unchecked
-    missing = f"{unchecked} values and trials of missing frames not checked; " if unchecked else ""
+    unchecked = f"{folder.unchecked} values and trials of missing frames not checked; "
     print(
         f"{findings} in {frames} with {segments}; {folder.recomputed} surfaces compared with their points; "
-        f"{missing}{per_frame_ms:.0f} ms per frame",
+        f"{unchecked if folder.unchecked else ''}{per_frame_ms:.0f} ms per frame",
         file=sys.stderr,
     )
     return 1 if count else 0

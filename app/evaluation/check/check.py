@@ -28,32 +28,6 @@ from nurbseg.segmentation.points.registration import register
 _RIGID = 1e-3
 
 
-class History:
-    """Values and trials of the frames that were checked so far."""
-
-    def __init__(self) -> None:
-        #: Number of values and trials from frames that are not in the export.
-        self.unchecked = 0
-        self._known: dict[tuple[str, int], set[object]] = {}
-
-    def check(self, frame: ExportedFrame) -> None:
-        """Check values and trials from earlier frames, and remember those of this frame."""
-        now = frame.tree.frame
-        own = {"value": set[object](), "trial": set[object]()}
-        for name, each in frame.segments.items():
-            for field, number, found in (
-                ("value", each.measured, (each.value, each.points)),
-                ("trial", each.judged, each.trial),
-            ):
-                if number == now:
-                    own[field].add(found)
-                elif number < now and (field, number) not in self._known:
-                    self.unchecked += 1
-                elif found not in self._known.get((field, number), ()):
-                    frame.wrong(name, field, f"one of frame {number}, as the file says", found)
-        self._known |= {(field, now): values for field, values in own.items()}
-
-
 class FolderCheck:
     """Checks the frames of a folder of exports.
 
@@ -67,9 +41,11 @@ class FolderCheck:
     def __init__(
         self, folder: Path, recording: str | None = None, options: SourceOptions | None = None
     ) -> None:
-        #: What was checked so far; `recomputed` counts segments whose values were recomputed.
-        self.frames = self.segments = self.recomputed = 0
-        self.history = History()
+        #: What was checked so far; `recomputed` counts segments whose values were recomputed, and `unchecked`
+        #: values and trials from frames that are not in the export.
+        self.frames = self.segments = self.recomputed = self.unchecked = 0
+        #: By field and frame.
+        self._known: dict[tuple[str, int], set[object]] = {}
         self._folder = folder
         self._recording = recording
         self._settings = read_settings(folder)
@@ -129,13 +105,30 @@ class FolderCheck:
             # The other checks need to know which segment is part of which.
             return
         stops = check_stops if frame.settings.independent else check_live_stops
-        for check in (check_partition, check_merges, check_splits, stops, self.history.check):
+        for check in (check_partition, check_merges, check_splits, stops, self._check_earlier):
             check(frame)
         if frame.settings.surfaces:
             check_measured(frame)
             check_surfaces(frame)
             if source is not None:
                 self._check_against(frame, _recorded(source, frame))
+
+    def _check_earlier(self, frame: ExportedFrame) -> None:
+        """Check values and trials from earlier frames, and remember those of this frame."""
+        now = frame.tree.frame
+        own = {"value": set[object](), "trial": set[object]()}
+        for name, each in frame.segments.items():
+            for field, number, found in (
+                ("value", each.measured, (each.value, each.points)),
+                ("trial", each.judged, each.trial),
+            ):
+                if number == now:
+                    own[field].add(found)
+                elif number < now and (field, number) not in self._known:
+                    self.unchecked += 1
+                elif found not in self._known.get((field, number), ()):
+                    frame.wrong(name, field, f"one of frame {number}, as the file says", found)
+        self._known |= {(field, now): values for field, values in own.items()}
 
     def _check_against(self, frame: ExportedFrame, recorded: RGBDFrame | None) -> None:
         if recorded is None:

@@ -69,7 +69,7 @@ def test_nothing_is_found_in_files_that_are_named_as_in_their_source(tmp_path):
     assert (tmp_path / "IMG_11_tree.json").exists()
     check = FolderCheck(tmp_path)
     assert [str(each) for each in check.findings()] == []
-    assert (check.frames, check.history.unchecked) == (4, 0)
+    assert (check.frames, check.unchecked) == (4, 0)
 
 
 @pytest.mark.parametrize("method", ["stag15", "nurbseg"])
@@ -674,7 +674,7 @@ def test_values_of_another_frame_are_compared_with_that_frame(export):
         file.unlink()
     check = FolderCheck(folder.folder)
     assert not any(" of frame 0" in str(each) for each in check.findings())
-    assert check.history.unchecked == 2
+    assert check.unchecked == 2
 
 
 def test_another_recording_is_found(export):
