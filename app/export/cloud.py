@@ -21,11 +21,10 @@ def cloud_file(result: FrameResult, form: CloudForm) -> bytes:
     if form == "pcd":
         return _pcd(vectors, result.cloud.color, labels)
     valid = result.cloud.valid
-    kinds = [*((name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz"))]
-    kinds += [*((name, "|u1") for name in ("red", "green", "blue"))]
-    kinds += [*((name, "<u2") for name in ("label", "surface", "object"))]
+    names = "x,y,z,nx,ny,nz,red,green,blue,label,surface,object"
+    kinds = ["<f4"] * 6 + ["|u1"] * 3 + ["<u2"] * 3
     columns = [*vectors[valid].T, *result.cloud.color[valid].T, *(image[valid] for image in labels)]
-    return ply(vertex=np.rec.fromarrays(columns, dtype=kinds))
+    return ply(vertex=np.rec.fromarrays(columns, names=names, formats=kinds))
 
 
 def surface_normals(tree: SegmentationTree) -> NDArray[np.float32]:
@@ -54,10 +53,9 @@ def surface_normals(tree: SegmentationTree) -> NDArray[np.float32]:
 def _pcd(vectors: NDArray[np.float32], color: NDArray[np.uint8], labels: list[NDArray[np.uint16]]) -> bytes:
     height, width = color.shape[:2]
     names = ("x", "y", "z", "normal_x", "normal_y", "normal_z", "rgb", "label", "surface", "object")
-    kinds = [*((name, "<f4") for name in names[:6]), *((name, "<u4") for name in names[6:])]
     red, green, blue = color.reshape(-1, 3).astype(np.uint32).T
     columns = [*vectors.reshape(-1, 6).T, red << 16 | green << 8 | blue, *(each.ravel() for each in labels)]
-    points = np.rec.fromarrays(columns, dtype=kinds)
+    points = np.rec.fromarrays(columns, formats=["<f4"] * 6 + ["<u4"] * 4)
     head = (
         "# .PCD v0.7 - Point Cloud Data file format",
         "VERSION 0.7",

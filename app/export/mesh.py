@@ -17,7 +17,8 @@ from nurbseg.app.view.drawing.frame import SurfaceMesh
 #: GLB: magic bytes, and types of chunks, components and buffers.
 _GLTF, _JSON, _BIN = b"glTF", b"JSON", b"BIN\0"
 _FLOAT, _UINT32, _ARRAY, _ELEMENTS = 5126, 5125, 34962, 34963
-_PLY_VECTORS, _PLY_COLORS = ("x", "y", "z", "nx", "ny", "nz"), ("red", "green", "blue")
+_PLY_NAMES = ("x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "object")
+_PLY_KINDS = ["<f4"] * 6 + ["|u1"] * 3 + ["<u2"]
 #: A half turn about x: glTF has y up and looks along -z.
 _HALF_TURN_X = [1.0, 0.0, 0.0, 0.0]
 
@@ -48,8 +49,7 @@ def mesh_file(result: FrameResult, form: MeshForm) -> bytes:
 
 
 def _ply(meshes: Sequence[_ObjectMesh]) -> bytes:
-    kinds = [*((name, "<f4") for name in _PLY_VECTORS), *((name, "|u1") for name in _PLY_COLORS)]
-    vertices = [np.empty(0, dtype=[*kinds, ("object", "<u2")])]
+    vertices = [np.empty(0, dtype=[*zip(_PLY_NAMES, _PLY_KINDS, strict=True)])]
     triangles, first = [np.zeros((0, 3), dtype=np.int64)], 0
     for each in meshes:
         columns = (*each.mesh.vertices_m.T, *each.mesh.normals.T, *each.color, each.label)

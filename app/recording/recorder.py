@@ -7,9 +7,8 @@ from typing import Any, Self
 
 from nurbseg.app.export.exporter import ExportError
 from nurbseg.app.recording.config import RecordConfig, dated
-from nurbseg.app.recording.oni import OniRecording
 from nurbseg.app.recording.queue import QueuedRecording
-from nurbseg.app.recording.recording import Recording
+from nurbseg.app.recording.recording import OniRecording, Recording
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.files import check_absent, part_after
 from nurbseg.drivers.mcap.writer import RecordingWriter

@@ -139,11 +139,13 @@ def number(path: Path, field: str, value: Any) -> float:
     raise CalibrationError(f"{path}: {field}: expected a finite number, got {quoted(value)}")
 
 
-def image_size(path: Path, fields: tuple[str, str], values: tuple[Any, Any]) -> tuple[int, int]:
-    """Return the width and height in a calibration file.
+def image_size(path: Path, fields: tuple[str, str], values: tuple[Any, Any]) -> tuple[int, int] | None:
+    """Return the width and height in a calibration file; None if it has neither.
 
     Raises CalibrationError if they are not whole numbers of pixels, or too many.
     """
+    if values == (None, None):
+        return None
     for field, value in zip(fields, values, strict=True):
         if isinstance(value, bool) or not isinstance(value, int | float) or not 1 <= value <= PIXELS_MAX:
             raise CalibrationError(f"{path}: {field}: expected pixels, got {quoted(value)}")

@@ -147,10 +147,8 @@ def _toml_camera(path: Path, name: str, table: Any) -> CameraModel:
         if key not in table:
             raise CalibrationError(f"{path}: {name}.{key}: missing; expected pixels")
         values[key] = number(path, f"{name}.{key}", table[key])
-    size = None
-    if "width" in table or "height" in table:
-        fields, values_px = (f"{name}.width", f"{name}.height"), (table.get("width"), table.get("height"))
-        size = image_size(path, fields, values_px)
+    fields, values_px = (f"{name}.width", f"{name}.height"), (table.get("width"), table.get("height"))
+    size = image_size(path, fields, values_px)
     distortion = table.get("distortion", [])
     if not isinstance(distortion, list):
         raise CalibrationError(f"{path}: {name}.distortion: expected a list, got {quoted(distortion)}")
@@ -232,9 +230,7 @@ def _camera(path: Path, table: dict[str, Any], names: tuple[tuple[str, ...], ...
     if any(each in table for each in names[1]):
         distortion = _matrix(path, table, names[1])[1].ravel()
     width, height = (next((each for each in alike if each in table), alike[0]) for alike in names[2:])
-    size = None
-    if width in table or height in table:
-        size = image_size(path, (width, height), (table.get(width), table.get(height)))
+    size = image_size(path, (width, height), (table.get(width), table.get(height)))
     return CameraModel(path, name, matrix.reshape(3, 3), distortion, size)
 
 

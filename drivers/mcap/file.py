@@ -25,7 +25,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Message, Metadata, Schema, Statistics
 
-from nurbseg.drivers.closing import closed_on_error
+from nurbseg.drivers.closing import Closing, closed_on_error
 from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.drivers.files import MCAP_MAGIC, open_regular
 from nurbseg.drivers.limits import (
@@ -51,7 +51,7 @@ _CATALOG: dict[int, Any] = {
 }
 
 
-class McapFile:
+class McapFile(Closing):
     """An MCAP file opened for reading; raises RecordingFormatError if it is none.
 
     `profile` is what its messages follow, such as "ros2", and may be empty; `metadata` are its records of

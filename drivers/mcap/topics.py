@@ -55,13 +55,12 @@ def choose_topics(path: Path, samples: Mapping[str, TopicSample]) -> Topics:
         found["depth"], key=lambda topic: (_rank(topic, ("aligned", "registered"), ("depth",)), topic)
     )
     color = min(found["color"], key=lambda topic: (_rank(topic, ("color", "rgb"), ("image",)), topic))
-    infos = [topic for topic, sample in samples.items() if sample.schema == definitions.CAMERA_INFO]
     return Topics(
         depth=depth,
         color=color,
         labels=min(found["labels"], default=None),
-        depth_info=_camera_topic(depth, samples[depth], infos, samples),
-        color_info=_camera_topic(color, samples[color], infos, samples),
+        depth_info=_camera_topic(depth, samples),
+        color_info=_camera_topic(color, samples),
     )
 
 
@@ -134,16 +133,15 @@ def _frame_id(sample: TopicSample) -> str:
     return str(sample.message.header.frame_id).lstrip("/")
 
 
-def _camera_topic(
-    topic: str, image: TopicSample, infos: list[str], samples: Mapping[str, TopicSample]
-) -> str | None:
+def _camera_topic(topic: str, samples: Mapping[str, TopicSample]) -> str | None:
     """Return the CameraInfo topic beside an image topic, else the one with the same frame."""
+    infos = [each for each, sample in samples.items() if sample.schema == definitions.CAMERA_INFO]
     parts = topic.split("/")
     for depth in range(len(parts) - 1, 1, -1):
         beside = "/".join([*parts[:depth], "camera_info"])
         if beside in infos:
             return beside
-    frame = _frame_id(image)
+    frame = _frame_id(samples[topic])
     return next((info for info in infos if frame and _frame_id(samples[info]) == frame), None)
 
 

@@ -184,13 +184,12 @@ def rewrite(path: Path, output: BinaryIO) -> int:
     it is not an MCAP file or no message can be read, and OSError if the new one cannot be written.
     """
     damaged = 0
-    source = McapFile(path)
-    try:
+    numbers: dict[int, int] = {}
+    with McapFile(path) as source:
         writer = Writer(output)
         writer.start(profile=source.profile)
         for name, values in source.metadata.items():
             writer.add_metadata(name, values)
-        numbers: dict[int, int] = {}
         for item in source.messages():
             if isinstance(item, FrameFormatError):
                 damaged += 1
@@ -205,9 +204,7 @@ def rewrite(path: Path, output: BinaryIO) -> int:
             writer.add_message(
                 numbers[channel.id], message.log_time, message.data, message.publish_time, message.sequence
             )
-        if not numbers:
-            raise RecordingFormatError(f"{path}: the recording has no message that can be read")
-        writer.finish()  # type: ignore[no-untyped-call]
-    finally:
-        source.close()
+    if not numbers:
+        raise RecordingFormatError(f"{path}: the recording has no message that can be read")
+    writer.finish()  # type: ignore[no-untyped-call]
     return damaged

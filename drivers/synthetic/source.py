@@ -118,17 +118,16 @@ class SyntheticSource(SequenceSource):
         return RGBDFrame(
             index=index,
             timestamp_ns=round(index * 1e9 / self.options.fps),
-            depth_mm=self._measured(seen.depth_m, index),
+            depth_mm=(
+                millimetres(seen.depth_m, units_per_metre=1.0)
+                if self._sensor is None
+                else self._sensor.measure(seen.depth_m, index)
+            ),
             color=color,
             calibration=self.calibration,
             labels=self._labels(seen),
             name=f"synthetic-{index:06d}",
         )
-
-    def _measured(self, depth_m: NDArray[np.float32], index: int) -> NDArray[np.uint16]:
-        if self._sensor is not None:
-            return self._sensor.measure(depth_m, index)
-        return millimetres(depth_m, units_per_metre=1.0)
 
     def _labels(self, seen: Rendering) -> NDArray[np.uint16]:
         if self.options.labels == "objects":
