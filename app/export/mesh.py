@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.app.export.cloud import ply
 from nurbseg.app.export.config import MeshForm
-from nurbseg.app.export.ply import ply
 from nurbseg.app.result import FrameResult
 from nurbseg.app.view.drawing.frame import SurfaceMesh
 

@@ -1,18 +1,65 @@
-"""Converts the ROS 2 messages of a recording to arrays and calibrations, and back."""
+"""The ROS 2 messages of a recording: their definitions and names, and what they say as arrays and cameras."""
 
+import functools
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+from mcap.records import Schema
+from mcap_ros2.decoder import DecoderFactory
 from numpy.typing import NDArray
 
 from nurbseg.drivers.calibration.cameras import CameraModel
 from nurbseg.drivers.calibration.file import check_distortion_model
 from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_labels, millimetres
-from nurbseg.drivers.errors import FrameFormatError
+from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.drivers.frame import Intrinsics
-from nurbseg.drivers.mcap.definitions import COMPRESSED_IMAGE
+
+IMAGE = "sensor_msgs/msg/Image"
+COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+
+#: Of our own recordings.
+VERSION = "1"
+RECORDING_RECORD = "nurbseg"
+DEVICE_RECORD = "device"
+
+DEPTH_TOPIC = "/camera/depth/image_raw"
+DEPTH_INFO_TOPIC = "/camera/depth/camera_info"
+COLOR_TOPIC = "/camera/color/image_raw"
+COLOR_COMPRESSED_TOPIC = "/camera/color/image_raw/compressed"
+COLOR_INFO_TOPIC = "/camera/color/camera_info"
+LABELS_TOPIC = "/camera/labels/image_raw/compressed"
+TRANSFORMS_TOPIC = "/tf_static"
+
+DEPTH_FRAME = "camera_depth_optical_frame"
+COLOR_FRAME = "camera_color_optical_frame"
+
+_RULE = "=" * 80
+_TIME = f"{_RULE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+_HEADER = f"{_RULE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n{_TIME}"
+#: The message definitions as a recording states them.
+DEFINITIONS = {
+    IMAGE: "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\n"
+    f"uint32 step\nuint8[] data\n{_HEADER}",
+    COMPRESSED_IMAGE: f"std_msgs/Header header\nstring format\nuint8[] data\n{_HEADER}",
+    CAMERA_INFO: "std_msgs/Header header\nuint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\n"
+    "float64[9] k\nfloat64[9] r\nfloat64[12] p\nuint32 binning_x\nuint32 binning_y\n"
+    f"sensor_msgs/RegionOfInterest roi\n{_HEADER}{_RULE}\nMSG: sensor_msgs/RegionOfInterest\n"
+    "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify\n",
+    TRANSFORMS: "geometry_msgs/TransformStamped[] transforms\n"
+    f"{_RULE}\nMSG: geometry_msgs/TransformStamped\nstd_msgs/Header header\nstring child_frame_id\n"
+    f"geometry_msgs/Transform transform\n{_RULE}\nMSG: geometry_msgs/Transform\n"
+    f"geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n{_RULE}\n"
+    f"MSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n{_RULE}\n"
+    f"MSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n{_HEADER}",
+}
+
+#: ROS 2's libraries know it without a definition.
+_TIME_NAME = "Time"
 
 DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
 COLOR_ENCODINGS = ("rgb8", "bgr8", "rgba8", "bgra8", "mono8", "8UC3")
@@ -36,6 +83,59 @@ _FAR_M = 1e6
 
 #: The names of two frames, parent and child, and the (4, 4) parent_from_child.
 Transform = tuple[str, str, NDArray[np.float64]]
+
+
+@functools.cache
+def _decoder(name: str) -> Any:
+    schema = Schema(id=1, name=name, encoding="ros2msg", data=DEFINITIONS[name].encode())
+    return DecoderFactory().decoder_for("cdr", schema)
+
+
+def decode(content: bytes, schema: str, name: str) -> Any:
+    """Decode a message by our definition of its schema, which `check_schema` found to be the recording's.
+
+    Raises FrameFormatError if the message is damaged; calls it `name`.
+    """
+    try:
+        return _decoder(schema)(content)
+    except Exception as err:  # The decoder raises whatever a damaged message leads it to.
+        raise FrameFormatError(f"{name}: the message is damaged ({quoted(str(err))})") from err
+
+
+def check_schema(schema: Schema, name: str) -> None:
+    """Check that a recording's schema with the name of one of `DEFINITIONS` is that of ROS 2.
+
+    Raises RecordingFormatError if a message of it lacks a field or has another; names the field.
+    """
+    name = f"{name}: schema {schema.name}"
+    if schema.encoding != "ros2msg":
+        raise RecordingFormatError(f"{name}: encoding: expected ros2msg, got {quoted(schema.encoding)}")
+    stated = _fields(schema.data.decode(errors="replace"))
+    for message, expected in _fields(DEFINITIONS[schema.name]).items():
+        if message == _TIME_NAME and message not in stated:
+            continue
+        pairs = zip_longest(expected, stated.get(message, []), fillvalue="nothing")
+        for place, (one, other) in enumerate(pairs, 1):
+            if one != other:
+                raise RecordingFormatError(
+                    f"{name}: {message or 'field'} {place}: expected {one!r}, got {quoted(other)}"
+                )
+
+
+def _fields(text: str) -> dict[str, list[str]]:
+    """Return the types and names of the fields of a definition, and of those it is made of, by message."""
+    found: dict[str, list[str]] = {"": []}
+    message = ""
+    for line in text.splitlines():
+        words = line.partition("#")[0].split()
+        if words[:1] == ["MSG:"] and len(words) == 2:
+            message = words[1].rpartition("/")[2]
+            found.setdefault(message, [])
+        # A constant is no field; a default value after the name changes nothing.
+        elif len(words) >= 2 and "=" not in words[1] and words[2:3] != ["="]:
+            # A package may be named or not. D, K, R and P of older definitions are d, k, r and p.
+            found[message].append(f"{words[0].rpartition('/')[2]} {words[1].lower()}")
+    return found
 
 
 def header(stamp_ns: int, frame_id: str) -> dict[str, Any]:

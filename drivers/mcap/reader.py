@@ -13,7 +13,6 @@ from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.limits import SAMPLES_BYTES_MAX, SCAN_BYTES_MAX, STAMP_END_NS, TRANSFORMS_BYTES_MAX
-from nurbseg.drivers.mcap import definitions
 from nurbseg.drivers.mcap import messages as ros
 from nurbseg.drivers.mcap.file import McapFile
 from nurbseg.drivers.mcap.pairing import Kind, StampedPair, StampPairing
@@ -80,12 +79,12 @@ class RecordingReader(FrameSource):
         self._position = _Place(0, 0, 0, 0)
         self._places = [self._position]
         self._file = McapFile(path)
-        self._is_ours = definitions.RECORDING_RECORD in self._file.metadata
+        self._is_ours = ros.RECORDING_RECORD in self._file.metadata
         with closed_on_error(self._file.close):
             samples, transforms = self._scan_topics()
             self._topics = topics = self._choose(samples)
             self._kind_of_topic: dict[str, Kind] = {getattr(topics, each): each for each in get_args(Kind)}
-            self._schemas = {definitions.LABELS_TOPIC: definitions.COMPRESSED_IMAGE} | {
+            self._schemas = {ros.LABELS_TOPIC: ros.COMPRESSED_IMAGE} | {
                 topic: sample.schema for topic, sample in samples.items()
             }
             cameras = options.given_cameras()
@@ -133,7 +132,7 @@ class RecordingReader(FrameSource):
 
         def decoded(content: bytes, topic: str) -> tuple[Any, str, str]:
             schema, name = self._schemas[topic], f"{self._path}: frame {index}: {topic}"
-            return definitions.decode(content, schema, name), schema, name
+            return ros.decode(content, schema, name), schema, name
 
         depth_mm = ros.depth_of(*decoded(pair.depth, topics.depth), self._units_per_metre)
         color = ros.color_of(*decoded(pair.color, topics.color))
@@ -192,7 +191,7 @@ class RecordingReader(FrameSource):
         if schema.id not in self._complaints:
             self._complaints[schema.id] = ""
             try:
-                definitions.check_schema(schema, str(self._path))
+                ros.check_schema(schema, str(self._path))
             except RecordingFormatError as err:
                 self._complaints[schema.id] = complaint = str(err)
                 _log.warning("%s; its messages are skipped", complaint)
@@ -213,24 +212,24 @@ class RecordingReader(FrameSource):
             channel, message = item
             start_ns = message.log_time if start_ns is None else start_ns
             # Our own recordings say everything with the first frame.
-            if self._is_ours and definitions.DEPTH_TOPIC in samples:
+            if self._is_ours and ros.DEPTH_TOPIC in samples:
                 break
             if message.log_time - start_ns > _SCAN_NS and self._has_images(samples):
                 break
             topic = channel.topic
             schema = self._file.schemas.get(channel.schema_id)
-            if schema is None or schema.name not in definitions.DEFINITIONS:
+            if schema is None or schema.name not in ros.DEFINITIONS:
                 continue
             if channel.message_encoding != "cdr":
                 continue
-            is_transform = schema.name == definitions.TRANSFORMS
+            is_transform = schema.name == ros.TRANSFORMS
             if (topic in samples and not is_transform) or not self._is_decodable(schema):
                 continue
             left[is_transform] -= len(message.data)
             if left[is_transform] < 0:
                 continue
             try:
-                decoded = definitions.decode(message.data, schema.name, f"{self._path}: {topic}")
+                decoded = ros.decode(message.data, schema.name, f"{self._path}: {topic}")
             except FrameFormatError:
                 continue
             if is_transform:
@@ -254,7 +253,7 @@ class RecordingReader(FrameSource):
             topics = choose_topics(self._path, samples)
             if topics.labels is None and self._is_ours:
                 # Perhaps later frames have ground truth.
-                topics = replace(topics, labels=definitions.LABELS_TOPIC)
+                topics = replace(topics, labels=ros.LABELS_TOPIC)
             return topics
         except RecordingFormatError as err:
             if complaint := next(filter(None, self._complaints.values()), ""):
@@ -278,7 +277,7 @@ class RecordingReader(FrameSource):
         )
 
     def _metadata(self) -> dict[str, str]:
-        metadata = dict(self._file.metadata.get(definitions.DEVICE_RECORD, {}))
+        metadata = dict(self._file.metadata.get(ros.DEVICE_RECORD, {}))
         metadata["format"] = "MCAP recording"
         metadata["dropped"] = "0"
         metadata["whole"] = str(self._file.whole).lower()

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.errors import CalibrationError, RecordingFormatError
-from nurbseg.drivers.mcap import definitions
 from nurbseg.drivers.mcap import messages as ros
 from nurbseg.drivers.mcap.pairing import Kind
 
@@ -107,13 +106,13 @@ def _kind(topic: str, sample: TopicSample) -> Kind | None:
     name = topic.lower()
     for_labels = "label" in name or "segmentation" in name
     is_labels = is_depth = is_color = False
-    if sample.schema == definitions.COMPRESSED_IMAGE:
+    if sample.schema == ros.COMPRESSED_IMAGE:
         text = sample.message.format.lower()
         is_labels = for_labels and "png" in text
         is_depth = "compressedDepth" in sample.message.format
         is_color = any(each in text for each in ("jpeg", "jpg", "png"))
         is_color &= not text.startswith(("16uc1", "32fc1"))
-    elif sample.schema == definitions.IMAGE:
+    elif sample.schema == ros.IMAGE:
         encoding = sample.message.encoding
         is_labels = for_labels and encoding in ros.LABEL_ENCODINGS
         # An infrared image is "mono16" too.
@@ -135,7 +134,7 @@ def _frame_id(sample: TopicSample) -> str:
 
 def _camera_topic(topic: str, samples: Mapping[str, TopicSample]) -> str | None:
     """Return the CameraInfo topic beside an image topic, else the one with the same frame."""
-    infos = [each for each, sample in samples.items() if sample.schema == definitions.CAMERA_INFO]
+    infos = [each for each, sample in samples.items() if sample.schema == ros.CAMERA_INFO]
     parts = topic.split("/")
     for depth in range(len(parts) - 1, 1, -1):
         beside = "/".join([*parts[:depth], "camera_info"])

@@ -13,9 +13,7 @@ from nurbseg.drivers.closing import Closing, closed_on_error
 from nurbseg.drivers.errors import DriverError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.files import create_private
 from nurbseg.drivers.frame import Calibration, RGBDFrame
-from nurbseg.drivers.mcap import definitions
 from nurbseg.drivers.mcap import messages as ros
-from nurbseg.drivers.mcap.definitions import CAMERA_INFO, COMPRESSED_IMAGE, DEFINITIONS, IMAGE, TRANSFORMS
 from nurbseg.drivers.mcap.file import McapFile
 
 ColorFormat = Literal["jpeg95", "png", "raw"]
@@ -73,16 +71,16 @@ class RecordingWriter(Closing):
             depth_bytes = 2 * calibration.depth.width * calibration.depth.height
             self._writer = Ros2Writer(self._file, chunk_size=depth_bytes)
             self._writer.add_metadata(
-                definitions.RECORDING_RECORD, {"version": definitions.VERSION, "color_format": color_format}
+                ros.RECORDING_RECORD, {"version": ros.VERSION, "color_format": color_format}
             )
-            self._writer.add_metadata(definitions.DEVICE_RECORD, dict(metadata or {}))
+            self._writer.add_metadata(ros.DEVICE_RECORD, dict(metadata or {}))
             self._schemas = {
-                name: self._writer.register_msgdef(name, text) for name, text in DEFINITIONS.items()
+                name: self._writer.register_msgdef(name, text) for name, text in ros.DEFINITIONS.items()
             }
             self._file.flush()
         # Registered images have one optical center, that of the color camera.
         registered = calibration.is_registered
-        self._depth_frame = definitions.COLOR_FRAME if registered else definitions.DEPTH_FRAME
+        self._depth_frame = ros.COLOR_FRAME if registered else ros.DEPTH_FRAME
 
     def write(self, frame: RGBDFrame) -> None:
         """Add one frame.
@@ -100,23 +98,23 @@ class RecordingWriter(Closing):
             raise DriverError(f"{self.path}: the recording is closed")
         self._check(frame)
         stamp = frame.timestamp_ns
-        if self.frames == 0 and self._depth_frame != definitions.COLOR_FRAME:
+        if self.frames == 0 and self._depth_frame != ros.COLOR_FRAME:
             message = ros.transform_message(
-                stamp, definitions.COLOR_FRAME, definitions.DEPTH_FRAME, self._calibration.color_from_depth
+                stamp, ros.COLOR_FRAME, ros.DEPTH_FRAME, self._calibration.color_from_depth
             )
-            self._add(definitions.TRANSFORMS_TOPIC, TRANSFORMS, message, stamp)
+            self._add(ros.TRANSFORMS_TOPIC, ros.TRANSFORMS, message, stamp)
         for topic, camera_frame, camera in (
-            (definitions.COLOR_INFO_TOPIC, definitions.COLOR_FRAME, self._calibration.color),
-            (definitions.DEPTH_INFO_TOPIC, self._depth_frame, self._calibration.depth),
+            (ros.COLOR_INFO_TOPIC, ros.COLOR_FRAME, self._calibration.color),
+            (ros.DEPTH_INFO_TOPIC, self._depth_frame, self._calibration.depth),
         ):
-            self._add(topic, CAMERA_INFO, ros.camera_info_message(stamp, camera_frame, camera), stamp)
+            self._add(topic, ros.CAMERA_INFO, ros.camera_info_message(stamp, camera_frame, camera), stamp)
         self._add_color(frame)
         if frame.labels is not None:
             # PNG, because viewers take every plain image of one channel for depth.
-            self._add_compressed(definitions.LABELS_TOPIC, self._depth_frame, frame, ".png", frame.labels)
+            self._add_compressed(ros.LABELS_TOPIC, self._depth_frame, frame, ".png", frame.labels)
         # Last, so that a frame whose depth is in the file is whole.
         depth = ros.image_message(stamp, self._depth_frame, frame.depth_mm, "16UC1")
-        self._add(definitions.DEPTH_TOPIC, IMAGE, depth, stamp)
+        self._add(ros.DEPTH_TOPIC, ros.IMAGE, depth, stamp)
         self._file.flush()
         self.frames += 1
 
@@ -150,14 +148,12 @@ class RecordingWriter(Closing):
     def _add_color(self, frame: RGBDFrame) -> None:
         stamp = frame.timestamp_ns
         if self._color_format == "raw":
-            message = ros.image_message(stamp, definitions.COLOR_FRAME, frame.color, "rgb8")
-            self._add(definitions.COLOR_TOPIC, IMAGE, message, stamp)
+            message = ros.image_message(stamp, ros.COLOR_FRAME, frame.color, "rgb8")
+            self._add(ros.COLOR_TOPIC, ros.IMAGE, message, stamp)
             return
         extension = ".png" if self._color_format == "png" else ".jpg"
         bgr = cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR)
-        self._add_compressed(
-            definitions.COLOR_COMPRESSED_TOPIC, definitions.COLOR_FRAME, frame, extension, bgr
-        )
+        self._add_compressed(ros.COLOR_COMPRESSED_TOPIC, ros.COLOR_FRAME, frame, extension, bgr)
 
     def _add_compressed(
         self, topic: str, camera_frame: str, frame: RGBDFrame, extension: str, image: NDArray[Any]
@@ -169,7 +165,7 @@ class RecordingWriter(Closing):
             "format": f"{'bgr8' if image.ndim == 3 else 'mono16'}; {kind} compressed",
             "data": encoded.tobytes(),
         }
-        self._add(topic, COMPRESSED_IMAGE, message, frame.timestamp_ns)
+        self._add(topic, ros.COMPRESSED_IMAGE, message, frame.timestamp_ns)
 
     def _add(self, topic: str, schema: str, message: object, stamp: int) -> None:
         self._writer.write_message(

@@ -13,7 +13,7 @@ from mcap.stream_reader import StreamReader
 from recorded_scene import APART, scenes, write_mcap
 
 from nurbseg.drivers import DriverError, FrameFormatError, RecordingFormatError, RGBDFrame, open_source
-from nurbseg.drivers.mcap import definitions
+from nurbseg.drivers.mcap import messages as ros
 
 FRAMES = 40
 LOGGER = "nurbseg.drivers"
@@ -75,7 +75,7 @@ def last_whole_frame(path: Path, size: int) -> int:
     with path.open("rb") as stream:
         summary = make_reader(stream).get_summary()
     assert summary is not None
-    depth = next(number for number, each in summary.channels.items() if each.topic == definitions.DEPTH_TOPIC)
+    depth = next(number for number, each in summary.channels.items() if each.topic == ros.DEPTH_TOPIC)
     count = 0
     with path.open("rb") as stream:
         for index in summary.chunk_indexes:

@@ -26,7 +26,7 @@ from recorded_scene import scenes, write_mcap, write_pairs, write_tum
 from nurbseg.drivers import FrameFormatError, RecordingFormatError, open_source
 from nurbseg.drivers.datasets.images import decode_color, decode_depth
 from nurbseg.drivers.limits import CHUNK_BYTES_MAX, PIXELS_MAX
-from nurbseg.drivers.mcap import definitions
+from nurbseg.drivers.mcap import messages as ros
 
 #: What one hostile file may take: one decoded image of the largest size, and its copies.
 TAKEN_MAX = GIB // 2
@@ -92,7 +92,7 @@ def test_images_without_partners_that_fill_the_memory_are_dropped(tmp_path: Path
     content = path.read_bytes()
     with path.open("rb") as stream:
         channels = [each for each in StreamReader(stream).records if isinstance(each, Channel)]
-    (depth,) = {each.id for each in channels if each.topic == definitions.DEPTH_TOPIC}
+    (depth,) = {each.id for each in channels if each.topic == ros.DEPTH_TOPIC}
     chunks = []
     for second in range(8):
         head = struct.pack("<HIQQ", depth, 0, 0, 0) + b"\0\1\0\0" + struct.pack("<iI", 1000 + second, 0)
@@ -105,16 +105,16 @@ def test_images_without_partners_that_fill_the_memory_are_dropped(tmp_path: Path
     assert reading.taken_bytes < TAKEN_MAX, f"{reading.taken_bytes / 2**20:.0f} MB"
 
 
-@pytest.mark.parametrize("kind", ["sensor_msgs/msg/Image", definitions.TRANSFORMS])
+@pytest.mark.parametrize("kind", ["sensor_msgs/msg/Image", ros.TRANSFORMS])
 def test_first_messages_that_fill_the_memory_are_passed_over(tmp_path: Path, kind: str) -> None:
     def written(record: Schema | Channel) -> bytes:
         builder = RecordBuilder()
         record.write(builder)
         return builder.end()
 
-    schema = Schema(id=1, name=kind, encoding="ros2msg", data=definitions.DEFINITIONS[kind].encode())
+    schema = Schema(id=1, name=kind, encoding="ros2msg", data=ros.DEFINITIONS[kind].encode())
     records, chunks = [written(schema)], []
-    if kind == definitions.TRANSFORMS:
+    if kind == ros.TRANSFORMS:
         names = struct.pack("<iI", 100, 0) + struct.pack("<I4sI4s", 4, b"abc", 4, b"def")
         pose = struct.pack("<7d", *[0.0] * 6, 1.0)
         body = struct.pack("<I", 60_000) + names + bytes(4) + pose + (names + pose) * 59_999
@@ -462,9 +462,7 @@ def rewritten(
     """Copy a recording, its schemas' texts and its depth messages (by number) changed on the way."""
     with path.open("rb") as stream:
         records = list(StreamReader(stream).records)
-    depth = next(
-        each.id for each in records if isinstance(each, Channel) and each.topic == definitions.DEPTH_TOPIC
-    )
+    depth = next(each.id for each in records if isinstance(each, Channel) and each.topic == ros.DEPTH_TOPIC)
     other = path.with_name("b.mcap")
     number = 0
     with other.open("wb") as stream:

@@ -20,7 +20,7 @@ from nurbseg.drivers import (
 )
 from nurbseg.drivers.frame import Intrinsics
 from nurbseg.drivers.mcap import messages as ros
-from nurbseg.drivers.mcap.definitions import CAMERA_INFO, COMPRESSED_IMAGE, DEFINITIONS, IMAGE, TRANSFORMS
+from nurbseg.drivers.mcap.messages import CAMERA_INFO, COMPRESSED_IMAGE, DEFINITIONS, IMAGE, TRANSFORMS
 
 
 class Bag:

@@ -23,7 +23,7 @@ from nurbseg.drivers import (
     SourceOptions,
     open_source,
 )
-from nurbseg.drivers.mcap import definitions
+from nurbseg.drivers.mcap import messages as ros
 from nurbseg.drivers.mcap.pairing import StampPairing
 from nurbseg.drivers.mcap.writer import ColorFormat, RecordingWriter
 
@@ -226,16 +226,16 @@ def test_rerun_is_content_with_it_and_finds_images_and_cameras(
     assert len(lines) == 6
     assert all(line.startswith("ok") and line.rstrip().endswith("—") for line in lines), check.stdout
     found = converted(path)
-    assert "DepthImage:buffer" in found[definitions.DEPTH_TOPIC]
-    assert "Pinhole:image_from_camera" in found[definitions.DEPTH_INFO_TOPIC]
-    assert "Pinhole:image_from_camera" in found[definitions.COLOR_INFO_TOPIC]
-    assert "Transform3D:translation" in found[definitions.TRANSFORMS_TOPIC]
+    assert "DepthImage:buffer" in found[ros.DEPTH_TOPIC]
+    assert "Pinhole:image_from_camera" in found[ros.DEPTH_INFO_TOPIC]
+    assert "Pinhole:image_from_camera" in found[ros.COLOR_INFO_TOPIC]
+    assert "Transform3D:translation" in found[ros.TRANSFORMS_TOPIC]
     if color_format == "raw":
-        assert "Image:buffer" in found[definitions.COLOR_TOPIC]
+        assert "Image:buffer" in found[ros.COLOR_TOPIC]
     else:
-        assert "EncodedImage:blob" in found[definitions.COLOR_COMPRESSED_TOPIC]
-    assert "EncodedImage:blob" in found[definitions.LABELS_TOPIC]
-    assert "DepthImage:buffer" not in found[definitions.LABELS_TOPIC]
+        assert "EncodedImage:blob" in found[ros.COLOR_COMPRESSED_TOPIC]
+    assert "EncodedImage:blob" in found[ros.LABELS_TOPIC]
+    assert "DepthImage:buffer" not in found[ros.LABELS_TOPIC]
 
 
 def test_the_mcap_library_reads_it_and_finds_its_index(tmp_path: Path) -> None:
@@ -245,7 +245,7 @@ def test_the_mcap_library_reads_it_and_finds_its_index(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap", scenes(3))
     with path.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
-        messages = list(reader.iter_decoded_messages(topics=[definitions.DEPTH_TOPIC]))
+        messages = list(reader.iter_decoded_messages(topics=[ros.DEPTH_TOPIC]))
         summary = reader.get_summary()
     assert [each.decoded_message.encoding for each in messages] == ["16UC1"] * 3
     assert summary is not None
