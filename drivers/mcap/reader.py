@@ -218,9 +218,7 @@ class RecordingReader(FrameSource):
                 break
             topic = channel.topic
             schema = self._file.schemas.get(channel.schema_id)
-            if schema is None or schema.name not in ros.DEFINITIONS:
-                continue
-            if channel.message_encoding != "cdr":
+            if schema is None or schema.name not in ros.DEFINITIONS or channel.message_encoding != "cdr":
                 continue
             is_transform = schema.name == ros.TRANSFORMS
             if (topic in samples and not is_transform) or not self._is_decodable(schema):

@@ -13,7 +13,7 @@ from nurbseg.drivers.compiled import F32, I64, U8, compiled, inlined
 from nurbseg.drivers.frame import Intrinsics
 from nurbseg.drivers.synthetic.light import LAMP, lit_grounds, shade
 from nurbseg.drivers.synthetic.scene import RenderedScene
-from nurbseg.drivers.synthetic.shapes import KINDS, intersect, surface
+from nurbseg.drivers.synthetic.shapes import KINDS, RECTANGLE, intersect, surface
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,11 +49,11 @@ class Renderer:
         self._rays = (np.nan_to_num(rays[..., 0], nan=1e6), np.nan_to_num(rays[..., 1], nan=1e6))
 
     @cached_property
-    def _atlas(self) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.bool_]]:
+    def _atlas(self) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """All textures side by side, from which one call takes what a camera sees.
 
-        With them, for each object, the first column and row of its texture and the size less one, (S, 4), and
-        whether it has the light baked into it. Made for cameras that ask for color: it takes a moment.
+        With them, for each object, the first column and row of its texture and the size less one, (S, 4).
+        Made for cameras that ask for color: it takes a moment.
         """
         grounds = lit_grounds(self._scene.seed)
         textures = [grounds.get(n, each.texture) for n, each in enumerate(self._scene.objects)]
@@ -62,8 +62,8 @@ class Renderer:
         atlas = np.zeros((rows.max(), ends[-1], 3), dtype=np.uint8)
         for each, end in zip(textures, ends, strict=True):
             atlas[: each.shape[0], end - each.shape[1] : end] = each
-        windows = np.stack([ends - columns, 0 * rows, columns - 1, rows - 1], axis=1).astype(np.float32)
-        return atlas, windows, np.array([n in grounds for n in range(len(textures))])
+        windows = np.stack([ends - columns, 0 * rows, columns - 1, rows - 1], axis=1)
+        return atlas, windows.astype(np.float32)
 
     def render(self, world_from_camera: NDArray[np.float64], tick: float) -> Rendering:
         """Return what the camera sees from a place at a moment."""
@@ -83,7 +83,7 @@ class Renderer:
         """Return the color image, (H, W, 3) RGB, of what the camera sees."""
         shape, runs, points = seen.objects.shape, _runs_of(seen.objects), (*self._rays, seen.depth_m)
         normals, atlas_px = np.empty((3, *shape), dtype=np.float32), np.empty((2, *shape), dtype=np.float32)
-        atlas, windows, is_lit = self._atlas
+        atlas, windows = self._atlas
         scene = self._kinds, self._sizes, seen.object_from_camera, windows
         _surfaces_seen(*scene, *points, seen.objects, seen.faces, runs, normals, atlas_px)
         image = np.empty((*shape, 3), dtype=np.uint8)
@@ -93,6 +93,7 @@ class Renderer:
         ball = np.linalg.inv(world_from_camera) @ self._scene.world_from_object(self._scene.ball, tick)[:, 3]
         vectors = np.stack([lamp, up, ball[:3]]).astype(np.float32)
         lengths = np.float32(world_from_camera[2, 3]), np.float32(self._scene.ball_radius_m)
+        is_lit = self._kinds == RECTANGLE
         shade(is_lit, self._shininess, vectors, *lengths, *points, seen.objects, runs, normals, image)
         # A lens does not draw steps: the slight blur is what antialiasing would give.
         return np.asarray(cv2.GaussianBlur(image, (3, 3), 0.6), dtype=np.uint8)
@@ -157,19 +158,13 @@ def _cast_row(
         faces[n] = np.uint8(face) if nearer else faces[n]
 
 
-@compiled
-def _runs_of(objects: U8) -> I64:
+def _runs_of(objects: NDArray[np.uint8]) -> NDArray[np.int64]:
     """Return the row, the first column and the end of each run of pixels that show one object, (R, 3)."""
-    height, width = objects.shape
-    runs = np.empty((height * width, 3), dtype=np.int64)
-    count = 0
-    for row in range(height):
-        for column in range(width):
-            if column == 0 or objects[row, column] != objects[row, column - 1]:
-                runs[count, 0], runs[count, 1] = row, column
-                count += 1
-            runs[count - 1, 2] = column + 1
-    return runs[:count]
+    begins = np.ones(objects.shape, dtype=np.bool_)
+    begins[:, 1:] = objects[:, 1:] != objects[:, :-1]
+    first_px = np.flatnonzero(begins)
+    rows, firsts = np.divmod(first_px, objects.shape[1])
+    return np.stack([rows, firsts, firsts + np.diff(first_px, append=objects.size)], axis=1)
 
 
 @compiled
