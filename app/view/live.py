@@ -16,8 +16,8 @@ from nurbseg.drivers.process.bounded_queue import BoundedQueue
 
 logger = logging.getLogger(__name__)
 
-#: First and longest wait for a viewer, and how long until a stalled one is logged; seconds.
-_POLL_S, _POLL_MAX_S, _PATIENCE_S = 0.2, 5.0, 3.0
+#: How long until a stalled viewer is logged, seconds; each flush that times out stays in Rerun's queue.
+_PATIENCE_S = 3.0
 #: Pause between two attempts to reach a viewer.
 _RETRY_S = 0.5
 
@@ -101,22 +101,18 @@ class ViewerSink:
 
     def _taken(self, stream: rr.RecordingStream) -> bool:
         """Wait until the viewer's side took everything; return False if it is gone."""
-        began_s = time.monotonic()
-        timeout_s = _POLL_S
         logged = False
         while True:
             try:
-                stream.flush(timeout_sec=timeout_s)
+                stream.flush(timeout_sec=_PATIENCE_S)
             except RuntimeError as err:
                 if "timed out" not in str(err):
                     return False
-                # Each flush that timed out stays in Rerun's queue: ask ever less often.
-                timeout_s = min(2.0 * timeout_s, _POLL_MAX_S)
             else:
                 if logged:
                     logger.info("the viewer at %s accepts frames again", self._url)
                 return True
             # Once: a browser on a slow computer stalls again and again.
-            if not self._stall_logged and time.monotonic() - began_s > _PATIENCE_S:
+            if not self._stall_logged:
                 logged = self._stall_logged = True
                 logger.warning("the viewer at %s is not responding; frames are not shown for now", self._url)

@@ -147,11 +147,8 @@ def test_a_viewer_that_thaws_is_shown_to_again(result: FrameResult, caplog: pyte
         close_in_time(view)
 
 
-def test_a_viewer_that_stalls_again_and_again_is_named_once(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_viewer_that_stalls_again_and_again_is_named_once(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, logger="nurbseg")
-    monkeypatch.setattr(live, "_PATIENCE_S", -1.0)
     stream = MagicMock(flush=MagicMock(side_effect=[RuntimeError("timed out"), None] * 3))
     sink = live.ViewerSink(f"rerun+http://{LOCAL}:{free_port(LOCAL)}/proxy", MagicMock(), lambda: True)
     assert all(sink._taken(stream) for _ in range(3))
