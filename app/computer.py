@@ -1,7 +1,6 @@
 """The processor, BLAS kernels, threads and library versions that results and times depend on."""
 
 import os
-import platform
 from collections.abc import Iterable, MutableMapping
 from contextlib import suppress
 from pathlib import Path
@@ -38,6 +37,8 @@ def one_thread_for_products(environment: MutableMapping[str, str] = os.environ) 
 
 def computer() -> str:
     """Return the processor and the BLAS kernels of this process as one line."""
+    import platform
+
     # NumPy and SciPy each have their own library.
     import scipy.linalg.lapack  # noqa: F401
     from threadpoolctl import threadpool_info
@@ -53,6 +54,7 @@ def computer() -> str:
 
 def versions(packages: Iterable[str] = _PACKAGES) -> dict[str, str]:
     """Return the versions of Python, the platform and the installed packages."""
+    import platform
     from importlib.metadata import PackageNotFoundError, version
 
     found = {"python": platform.python_version(), "platform": platform.platform()}
