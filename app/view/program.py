@@ -47,7 +47,7 @@ _LESS_URGENT = 4
 #: Parameter of glibc's `mallopt`: maximum number of heaps.
 _M_ARENA_MAX = -8
 #: How long the viewer may take for the last frame once the file is complete, seconds.
-_VIEWER_CLOSE_S = 0.3
+_VIEWER_CLOSE_S = 0.6
 
 
 class RerunView:
