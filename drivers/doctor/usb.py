@@ -8,7 +8,7 @@ or where libusb is not installed, and the other is then used alone.
 import errno
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -115,9 +115,15 @@ def scan_usb(
     """
     listed = {(device.bus, device.address): device for device in read_sysfs(root)}
     libusb, problem = True, ""
+    deadline_s = clock() + budget_s
     try:
-        for device in _scan_with_pyusb(backend, listed, clock() + budget_s, clock):
-            listed[device.bus, device.address] = device
+        for each in find_devices(backend):
+            if each.bDeviceClass == _HUB_CLASS:
+                continue
+            place = each.bus or 0, each.address or 0
+            device = listed.get(place) or _described(each)
+            may_be_camera = device.model is not None or (device.vendor_id == ASUS and not device.product)
+            listed[place] = _probed(each, device) if may_be_camera and clock() < deadline_s else device
     except BackendMissingError:
         libusb = False
     except Exception as err:
@@ -178,28 +184,17 @@ def find_devices(backend: Any = None) -> list[Any]:
         raise BackendMissingError("libusb-1.0 was not found: sudo apt install libusb-1.0-0") from err
 
 
-def _scan_with_pyusb(
-    backend: Any,
-    listed: dict[tuple[int, int], UsbDevice],
-    deadline_s: float,
-    clock: Callable[[], float],
-) -> Iterator[UsbDevice]:
-    """Yield what pyusb sees, joined with the kernel's entries."""
-    for each in find_devices(backend):
-        if each.bDeviceClass == _HUB_CLASS:
-            continue
-        numbers = ".".join(str(number) for number in each.port_numbers or ())
-        seen = UsbDevice(
-            vendor_id=each.idVendor,
-            product_id=each.idProduct,
-            bus=each.bus or 0,
-            address=each.address or 0,
-            port=f"{each.bus}-{numbers}" if numbers else "",
-            speed=SPEEDS[each.speed - 1] if each.speed in range(1, len(SPEEDS)) else "",
-        )
-        device = listed.get((seen.bus, seen.address), seen)
-        may_be_camera = device.model is not None or (device.vendor_id == ASUS and not device.product)
-        yield _probed(each, device) if may_be_camera and clock() < deadline_s else device
+def _described(each: Any) -> UsbDevice:
+    """Return what pyusb knows of a device without asking it."""
+    numbers = ".".join(str(number) for number in each.port_numbers or ())
+    return UsbDevice(
+        vendor_id=each.idVendor,
+        product_id=each.idProduct,
+        bus=each.bus or 0,
+        address=each.address or 0,
+        port=f"{each.bus}-{numbers}" if numbers else "",
+        speed=SPEEDS[each.speed - 1] if each.speed in range(1, len(SPEEDS)) else "",
+    )
 
 
 def _probed(each: Any, device: UsbDevice) -> UsbDevice:

@@ -97,22 +97,19 @@ class Stream(WithProperties):
         Raises DriverError if the device lists no such mode, or refuses it.
         """
         name = self.sensor.name.lower()
-        for pixel_format in formats:
-            wanted = VideoMode(width, height, fps, pixel_format)
-            if wanted not in self.modes:
-                continue
-            value = capi.OniVideoMode(pixel_format, width, height, fps)
-            self.library.check(
-                self.set(capi.StreamProperty.VIDEO_MODE, value), f"setting the {name} stream to {wanted}"
+        modes = (VideoMode(width, height, fps, pixel_format) for pixel_format in formats)
+        wanted = next((mode for mode in modes if mode in self.modes), None)
+        if wanted is None:
+            listed = ", ".join(str(mode) for mode in self.modes)
+            raise DriverError(
+                f"{name} stream: the camera has no {width}x{height}@{fps} as "
+                f"{' or '.join(each.name for each in formats)}; it lists {listed or 'nothing'}"
             )
-            if self.mode != wanted:
-                raise DriverError(f"{name} stream: requested {wanted}, but the camera stays at {self.mode}")
-            return
-        listed = ", ".join(str(mode) for mode in self.modes)
-        raise DriverError(
-            f"{name} stream: the camera has no {width}x{height}@{fps} as "
-            f"{' or '.join(each.name for each in formats)}; it lists {listed or 'nothing'}"
-        )
+        value = capi.OniVideoMode(wanted.pixel_format, width, height, fps)
+        status = self.set(capi.StreamProperty.VIDEO_MODE, value)
+        self.library.check(status, f"setting the {name} stream to {wanted}")
+        if self.mode != wanted:
+            raise DriverError(f"{name} stream: requested {wanted}, but the camera stays at {self.mode}")
 
     def try_to_set(self, name: capi.StreamProperty, value: Any) -> bool:
         """Set a property and read it back; return whether it has the value now."""

@@ -90,12 +90,14 @@ def read_structure(path: Path) -> OniFile:
             return _read(path, file)
     except OSError as err:
         raise RecordingFormatError(f"{path}: cannot be read ({err.strerror})") from err
+    except ValueError as err:
+        raise RecordingFormatError(f"{path}: {err}") from err
 
 
 def _read(path: Path, file: BinaryIO) -> OniFile:
     head = file.read(_HEADER.size)
     if len(head) < _HEADER.size or not head.startswith(ONI_MAGIC):
-        raise RecordingFormatError(f"{path}: header: not an OpenNI recording (.oni)")
+        raise ValueError("header: not an OpenNI recording (.oni)")
     streams: dict[int, StoredStream] = {}
     complete = False
     *_, counted = _HEADER.unpack(head)
@@ -106,17 +108,17 @@ def _read(path: Path, file: BinaryIO) -> OniFile:
             complete, note = True, _read_note(file, end)
             break
         if kind in _NODE_ADDED:
-            _add_stream(path, streams, node, fields, path.stat().st_size)
+            _add_stream(streams, node, fields, path.stat().st_size)
             largest = max(largest, node)
         elif node in streams and kind in (_INT_PROPERTY, _GENERAL_PROPERTY):
-            _take_property(path, streams[node], fields)
+            _take_property(streams[node], fields)
         elif node in streams and kind == _NEW_DATA:
-            _add_frame(path, streams[node], fields, payload_size)
+            _add_frame(streams[node], fields, payload_size)
     found = {stream.sensor: stream for stream in streams.values() if stream.frames}
     for sensor in (Sensor.DEPTH, Sensor.COLOR):
         if sensor not in found:
             cut = "" if complete else " before it breaks off"
-            raise RecordingFormatError(f"{path}: {sensor.name.lower()}: the recording holds no frames{cut}")
+            raise ValueError(f"{sensor.name.lower()}: the recording holds no frames{cut}")
     return OniFile(path, found[Sensor.DEPTH], found[Sensor.COLOR], complete, note, counted >= largest)
 
 
@@ -134,62 +136,60 @@ def _records(file: BinaryIO) -> Iterator[tuple[int, int, bytes, int, int]]:
         position = end
 
 
-def _name(path: Path, fields: bytes) -> tuple[str, bytes]:
+def _name(fields: bytes) -> tuple[str, bytes]:
     """Return the name at the start of a record's fields, and what follows it."""
     length = int.from_bytes(fields[:4], "little")
     if len(fields) < 4 + length or length == 0 or fields[3 + length] != 0:
-        raise RecordingFormatError(f"{path}: a name in a record is longer than the record")
+        raise ValueError("a name in a record is longer than the record")
     return fields[4 : 3 + length].decode(errors="replace"), fields[4 + length :]
 
 
-def _add_stream(
-    path: Path, streams: dict[int, StoredStream], node: int, fields: bytes, file_size: int
-) -> None:
-    name, rest = _name(path, fields)
+def _add_stream(streams: dict[int, StoredStream], node: int, fields: bytes, file_size: int) -> None:
+    name, rest = _name(fields)
     if len(rest) < 8:
-        raise RecordingFormatError(f"{path}: {name}: the stream's record is too short")
+        raise ValueError(f"{name}: the stream's record is too short")
     if len(rest) >= _SEEK_TABLE_AT + 8:
         (seek_table,) = struct.unpack_from("<Q", rest, _SEEK_TABLE_AT)
         if seek_table >= file_size:
             # OpenNI2 does not open such a file, and gives no reason.
-            raise RecordingFormatError(
-                f"{path}: cut short: {file_size} bytes, but the {name} stream's seek table is at "
-                f"{seek_table}; copy the whole file"
+            raise ValueError(
+                f"cut short: {file_size} bytes, but the {name} stream's seek table is at {seek_table}; "
+                "copy the whole file"
             )
     kind = int.from_bytes(rest[:4], "little")
     if kind in _SENSORS and node not in streams:
         streams[node] = StoredStream(_SENSORS[kind], rest[4:8])
 
 
-def _take_property(path: Path, stream: StoredStream, fields: bytes) -> None:
-    name, rest = _name(path, fields)
+def _take_property(stream: StoredStream, fields: bytes) -> None:
+    name, rest = _name(fields)
     value = rest[4:]
     if int.from_bytes(rest[:4], "little") != len(value):
-        raise RecordingFormatError(f"{path}: {name}: its size contradicts the record's")
+        raise ValueError(f"{name}: its size contradicts the record's")
     if name == "xnMapOutputMode" and len(value) == 12:
         width, height, fps = struct.unpack("<III", value)
         if not (0 < width <= _LARGEST_SIDE and 0 < height <= _LARGEST_SIDE):
-            raise RecordingFormatError(f"{path}: xnMapOutputMode: {width}x{height} is no image size")
+            raise ValueError(f"xnMapOutputMode: {width}x{height} is no image size")
         stream.size, stream.fps = (width, height), max(fps, 1)
     elif name == "oniPixelFormat" and len(value) == 8:
         stream.pixel_format = int.from_bytes(value, "little")
 
 
-def _add_frame(path: Path, stream: StoredStream, fields: bytes, payload_size: int) -> None:
+def _add_frame(stream: StoredStream, fields: bytes, payload_size: int) -> None:
     sensor = stream.sensor.name.lower()
     if len(fields) < 12:
-        raise RecordingFormatError(f"{path}: {sensor}: a frame's record is too short")
+        raise ValueError(f"{sensor}: a frame's record is too short")
     timestamp_us, number = struct.unpack_from("<QI", fields)
     width, height = stream.size
     if width == 0:
-        raise RecordingFormatError(f"{path}: xnMapOutputMode: missing before the first frame")
+        raise ValueError("xnMapOutputMode: missing before the first frame")
     # The format is a number that may be none of `PixelFormat`, which are whole numbers too.
     expected = width * height * BYTES_PER_PIXEL.get(stream.pixel_format, 0)  # type: ignore[call-overload]
-    name = f"{path}: {sensor} frame {number}"
+    name = f"{sensor} frame {number}"
     if stream.codec == _UNCOMPRESSED and expected and payload_size != expected:
-        raise RecordingFormatError(f"{name}: {payload_size} bytes, {expected} expected of {width}x{height}")
+        raise ValueError(f"{name}: {payload_size} bytes, {expected} expected of {width}x{height}")
     if stream.frames and number <= stream.frames[-1].number:
-        raise RecordingFormatError(f"{name}: comes after frame {stream.frames[-1].number}")
+        raise ValueError(f"{name}: comes after frame {stream.frames[-1].number}")
     stream.frames.append(StoredFrame(number, timestamp_us))
 
 
