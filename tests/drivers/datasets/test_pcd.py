@@ -39,14 +39,22 @@ def test_each_form_gives_the_images_it_was_made_from(tmp_path: Path, form) -> No
 def test_other_fields_padding_and_counts_are_passed_over(tmp_path: Path) -> None:
     table = np.zeros(
         (48, 64),
-        [("_", "u1", 4), ("normal", "<f4", 3), ("x", "<f8"), ("y", "<f4"), ("z", "<f4"), ("rgba", "<u4")],
+        [
+            ("_", "u1", 4),
+            ("normal", "<f4", 3),
+            ("x", "<f8"),
+            ("more", "u1", 2),
+            ("y", "<f4"),
+            ("z", "<f4"),
+            ("rgba", "<u4"),
+        ],
     )
     for axis, name in enumerate("xyz"):
         table[name] = POINTS_M[..., axis]
     table["rgba"] = 0xFF102030
     head = (
-        "VERSION .7\nFIELDS _ normal x y z rgba\nSIZE 1 4 8 4 4 4\nTYPE U F F F F U\nCOUNT 4 3 1 1 1 1\n"
-        "WIDTH 64\nHEIGHT 48\nPOINTS 3072\nDATA binary\n"
+        "VERSION .7\nFIELDS _ normal x _ y z rgba\nSIZE 1 4 8 1 4 4 4\nTYPE U F F U F F U\n"
+        "COUNT 4 3 1 2 1 1 1\nWIDTH 64\nHEIGHT 48\nPOINTS 3072\nDATA binary\n"
     )
     (tmp_path / "a.pcd").write_bytes(head.encode() + table.tobytes())
     cloud = read_pcd(tmp_path / "a.pcd")
