@@ -28,8 +28,7 @@ from nurbseg.segmentation.extended.merge import agglomerate
 from nurbseg.segmentation.extended.refitting import refit_surfaces
 from nurbseg.segmentation.extended.surface_statistics import surface_statistics
 from nurbseg.segmentation.methods import segment
-from nurbseg.segmentation.points.depth_grid import depth_grid
-from nurbseg.segmentation.points.grid import grid_step
+from nurbseg.segmentation.points.grid import depth_grid, grid_step
 from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.scoring.scores import Contingency
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable

@@ -9,8 +9,7 @@ from nurbseg.drivers.compiled import F32, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import lab, raw_vectors
 from nurbseg.segmentation.labels.regions import PixelAdjacency, pixel_adjacency
-from nurbseg.segmentation.points.depth_grid import DepthGrid, depth_grid
-from nurbseg.segmentation.points.grid import grid_step
+from nurbseg.segmentation.points.grid import DepthGrid, depth_grid, grid_step
 from nurbseg.segmentation.points.normals import facet_normals
 from nurbseg.segmentation.points.registration import PointMap
 
@@ -35,7 +34,7 @@ class GridFeatures:
 
     def grid_pixels_min(self, config: SegmentationConfig) -> float:
         """Return the fewest grid pixels of a segment."""
-        return config.extended.piece_pixels_min * self.grid.points.pixel_share
+        return config.extended.piece_pixels_min * self.grid.pixel_share
 
 
 def grid_features(cloud: PointMap, config: SegmentationConfig) -> GridFeatures:
@@ -44,8 +43,8 @@ def grid_features(cloud: PointMap, config: SegmentationConfig) -> GridFeatures:
     # Channel by channel: pixels of three bytes would be copied one by one, four times as slowly.
     channels = [cloud.color[:: grid.step, :: grid.step, k].ravel() for k in range(3)]
     color = lab(np.stack(channels, axis=1))
-    normals = _normals(grid, 0, 0, *grid.points.shape, config)
-    raw = _side_by_side(color, grid.points.coordinates_m, normals)
+    normals = _normals(grid, 0, 0, *grid.shape, config)
+    raw = _side_by_side(color, grid.coordinates_m, normals)
     adjacency = pixel_adjacency(grid.inverse_depth, grid.valid, config.extended.inverse_depth_gap)
     return GridFeatures(grid, adjacency, raw)
 
@@ -100,8 +99,8 @@ def with_features_at(
     """
     grid, half = features.grid, _half_window(features.grid, config)
     raw = np.zeros((grid.valid.size, 9), dtype=np.float32)
-    raw[grid_pixels, :6] = raw_vectors(cloud, grid.points.pixels(grid_pixels))
-    (top, left, bottom, right), mask = grid.points.window_mask(grid_pixels)
+    raw[grid_pixels, :6] = raw_vectors(cloud, grid.pixels(grid_pixels))
+    (top, left, bottom, right), mask = grid.window_mask(grid_pixels)
     # Windows for normals extend beyond the segment.
     above, before = max(0, top - 2 * half), max(0, left - 2 * half)
     normals = _normals(grid, above, before, bottom + 2 * half, right + 2 * half, config)

@@ -12,7 +12,7 @@ from nurbseg.segmentation.extended.border_statistics import BorderStatistics, bo
 from nurbseg.segmentation.extended.evidence import DIGITS, ITEMS, evidence
 from nurbseg.segmentation.extended.surface_statistics import surface_statistics
 from nurbseg.segmentation.labels.boxes import label_sizes
-from nurbseg.segmentation.points.depth_grid import DepthGrid
+from nurbseg.segmentation.points.grid import DepthGrid
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
 

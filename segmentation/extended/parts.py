@@ -13,7 +13,7 @@ from nurbseg.segmentation.segments import Node, Trial
 from nurbseg.segmentation.surfaces.curvature import all_metrics
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
-from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, acceptance_ratio, metric_value
+from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, acceptance_ratio
 from nurbseg.segmentation.surfaces.noise import noise_floor
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
@@ -39,20 +39,20 @@ def fit_segment(features: GridFeatures, grid_pixels: NDArray[np.intp], config: S
     if grid_pixels.size == 0:
         fit = Fit(None, np.zeros(0), {}, "0 points, 1 needed", grid_pixels)
         return Node("", grid_pixels, fit, stop=StopReason.NO_POINTS)
-    window, mask = features.grid.points.window_mask(grid_pixels)
+    window, mask = features.grid.window_mask(grid_pixels)
     floor = noise_floor(features.grid, window, mask, config)
     fit = fit_window(features.grid, window, mask, config, floor=floor)
     if fit.surface is None:
         return Node("", grid_pixels, fit)
     if config.metric in CURVATURE_METRICS:
-        fit = replace(fit, values=all_metrics(fit, features.grid.points.image_shape[1], config))
+        fit = replace(fit, values=all_metrics(fit, features.grid.image_shape[1], config))
     return Node("", grid_pixels, fit, stop=StopReason.NOISE if at_noise_floor(fit, config) else None)
 
 
 def at_noise_floor(fit: Fit, config: SegmentationConfig) -> bool:
     """Return whether the metric is so near its floor that no split can have a ratio (eq. 5) below T."""
     # See `noise_floor`: no ratio is below floor over value.
-    value = metric_value(fit.values, config.metric, fit.floor)
+    value = fit.value(config.metric)
     return config.extended.noise_floor > 0 and fit.floor >= config.ratio_max * value
 
 

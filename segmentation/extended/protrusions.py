@@ -54,7 +54,7 @@ def split_off_protrusions(root: Node, features: GridFeatures, config: Segmentati
     protrusions: dict[int, list[NDArray[np.intp]]] = {}
     for number in range(1, found.labels_of.size):
         grid_pixels = marked[numbers == number]
-        mask = features.grid.points.window_mask(grid_pixels)[1].astype(np.uint8)
+        mask = features.grid.window_mask(grid_pixels)[1].astype(np.uint8)
         if cv2.erode(mask, square, borderType=cv2.BORDER_CONSTANT, borderValue=0).any():
             protrusions.setdefault(int(found.labels_of[number]), []).append(grid_pixels)
     for label, pieces in protrusions.items():
@@ -85,7 +85,7 @@ def _in_front_of_surfaces(
             if far.size >= least:
                 flat[far], surfaces[label - 1] = label, leaf.fit.surface
     marked = np.flatnonzero(flat > 0)
-    rows, columns = np.divmod(marked.astype(np.int32), np.int32(grid.points.shape[1]))
+    rows, columns = np.divmod(marked.astype(np.int32), np.int32(grid.shape[1]))
     step = np.int32(grid.step)
     explained = SurfaceTable(surfaces).inverse_depths(flat[marked], rows * step, columns * step)
     flat[marked[inverse_depth[marked] - explained <= limits_per_m[flat[marked]]]] = 0

@@ -24,8 +24,7 @@ from nurbseg.segmentation.growth import Clock, grow, time_limit
 from nurbseg.segmentation.labels.regions import large_components
 from nurbseg.segmentation.labels.segment_pixels import finished_segments
 from nurbseg.segmentation.labels.upsample import upsample_by_depth
-from nurbseg.segmentation.points.depth_grid import inverse_depth_image
-from nurbseg.segmentation.points.grid import grid_step
+from nurbseg.segmentation.points.grid import grid_step, inverse_depth_image
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
@@ -137,10 +136,9 @@ def split_segment(features: GridFeatures, node: Node, config: SegmentationConfig
     config : SegmentationConfig
         Thresholds and choices.
     """
-    points = features.grid.points
-    drawn = (
-        points.every_second(node.grid_pixels) if node.grid_pixels.size >= _MANY_PIXELS else node.grid_pixels
-    )
+    drawn = node.grid_pixels
+    if drawn.size >= _MANY_PIXELS:
+        drawn = features.grid.every_second(drawn)
     scale = normalization(
         features.raw,
         config.geometry_weight,
@@ -196,7 +194,7 @@ def _extended(
     features: GridFeatures, node: Node, drawn: NDArray[np.intp], cut: Cut, scale: Normalization
 ) -> NDArray[np.bool_]:
     """Extend a cut of every second grid pixel to all; where those around disagree, by classification."""
-    sides, asked = _neighbors_side(cut.side, drawn, node.grid_pixels, *features.grid.points.shape)
+    sides, asked = _neighbors_side(cut.side, drawn, node.grid_pixels, *features.grid.shape)
     sides[asked] = cut.classify(normalized(features.raw, scale, node.grid_pixels[asked]))
     return sides
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, F64, I32, compiled
-from nurbseg.segmentation.points.depth_grid import DepthGrid
+from nurbseg.segmentation.points.grid import DepthGrid
 
 #: Ridge for the slopes of a plane, so that a row of points has one as well.
 _RIDGE = 1e-9
@@ -49,7 +49,7 @@ def surface_statistics(labels: NDArray[np.int32], count: int, grid: DepthGrid) -
         A label without a pixel has zeros.
     """
     sums = np.zeros((count + 1, 12))
-    _sum(np.ascontiguousarray(labels), grid.inverse_depth, grid.points.coordinates_m, sums)
+    _sum(np.ascontiguousarray(labels), grid.inverse_depth, grid.coordinates_m, sums)
     counts = sums[:, 0]
     # Columns and rows from the center of the image, in image widths.
     (_, u, v, d, uu, uv, vv, ud, vd, *center) = (sums / np.maximum(counts, 1.0)[:, np.newaxis]).T

@@ -12,7 +12,7 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import lab
 from nurbseg.segmentation.extended.merge import Contact, SceneObject, largest_first
 from nurbseg.segmentation.labels.boxes import inner_pixels
-from nurbseg.segmentation.points.depth_grid import DepthGrid
+from nurbseg.segmentation.points.grid import DepthGrid
 
 #: An object is compared by its largest surface, if that is at least this share of it.
 _SHARE_MIN = 0.5

@@ -10,7 +10,7 @@ from nurbseg.drivers.compiled import F32, F64, I32, Bool, Intp, compiled
 from nurbseg.segmentation.config import OUTLIER_DEVIATIONS, Metric, SegmentationConfig
 from nurbseg.segmentation.labels.boxes import inner_pixels
 from nurbseg.segmentation.labels.segment_pixels import by_label
-from nurbseg.segmentation.points.depth_grid import DepthGrid
+from nurbseg.segmentation.points.grid import DepthGrid
 from nurbseg.segmentation.segments import Node, Trial
 from nurbseg.segmentation.surfaces.curvature import all_metrics
 from nurbseg.segmentation.surfaces.fit import Fit
@@ -184,7 +184,7 @@ def update_residuals(
     order, bounds = by_label(labels.reshape(-1), size)
     residuals_m, pixels = np.empty(order.size), np.empty(order.size, dtype=np.intp)
     sums = np.zeros((size, 5))
-    width = grid.points.image_shape[1]
+    width = grid.image_shape[1]
     _measure(
         order,
         labels.reshape(-1),

@@ -13,7 +13,7 @@ from nurbseg.segmentation.extended.merge import Contact, SceneObject, merged_obj
 from nurbseg.segmentation.extended.surface_statistics import surface_statistics
 from nurbseg.segmentation.extended.things import Join, join_objects
 from nurbseg.segmentation.live.leaf import LeafPair, LiveLeaf
-from nurbseg.segmentation.points.depth_grid import DepthGrid
+from nurbseg.segmentation.points.grid import DepthGrid
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 
 #: Weight of a new frame in the filtered evidence.

@@ -23,8 +23,7 @@ from nurbseg.segmentation.live.motion import brightness, flow_back, warped
 from nurbseg.segmentation.live.objects import ObjectMemory
 from nurbseg.segmentation.live.renewal import renew_splits, set_stop_reasons
 from nurbseg.segmentation.live.updater import Budget, TreeUpdate
-from nurbseg.segmentation.points.depth_grid import depth_grid, inverse_depth_image
-from nurbseg.segmentation.points.grid import grid_step
+from nurbseg.segmentation.points.grid import depth_grid, grid_step, inverse_depth_image
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, history
 from nurbseg.segmentation.surfaces.fit import Fit

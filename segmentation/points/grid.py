@@ -1,13 +1,14 @@
-"""The grid on which splits are decided: every pixel of the image, or every few rows and columns."""
+"""The grid on which splits are decided: points of every few rows and columns, and their inverse depths."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, Bool, Intp, compiled
-from nurbseg.segmentation.config import REFERENCE_PIXELS
+from nurbseg.segmentation.config import REFERENCE_PIXELS, REFERENCE_WIDTH
+from nurbseg.segmentation.points.rays import Rays
 from nurbseg.segmentation.points.registration import PointMap
 
 #: Step of the grid where none is set, and the width up to which images are used at every pixel instead.
@@ -27,7 +28,7 @@ class PixelGrid:
     image_shape : (int, int)
         Rows and columns of the full image.
     coordinates_m : (3, h, w) float32
-        x, y, z in metres; 0, or NaN on a full grid, where there is no point.
+        x, y, z in metres; 0 where there is no point.
     valid : (h, w) bool
         Where there is a point.
     """
@@ -72,6 +73,36 @@ class PixelGrid:
             (bottom - 1) * self.step + 1,
             (right - 1) * self.step + 1,
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthGrid(PixelGrid):
+    """A grid of points with their inverse depths, which is what a triangulating camera measures.
+
+    Parameters
+    ----------
+    inverse_depth : (h, w) float32
+        Inverse depth, 1/m; 0 where there is no point.
+    rays : Rays
+        Of the camera.
+
+    Attributes
+    ----------
+    distances_m : (h, w) float32
+        From the camera, metres; 0 where there is no point.
+    """
+
+    inverse_depth: NDArray[np.float32]
+    rays: Rays
+    distances_m: NDArray[np.float32] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "distances_m", _distances(self.coordinates_m))
+
+    @property
+    def unit_px(self) -> float:
+        """Pixels of this image per pixel of a 640-wide one, the unit of settings."""
+        return self.image_shape[1] / REFERENCE_WIDTH
 
 
 @compiled
@@ -120,8 +151,7 @@ def united(parts: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:
 
 def decimated_grid(cloud: PointMap, step: int) -> PixelGrid:
     """Take every `step`-th row and column of a frame."""
-    height, width = cloud.valid.shape
-    return PixelGrid(step, (height, width), *_decimated(cloud.points_m, cloud.valid, step))
+    return PixelGrid(step, cloud.valid.shape, *_decimated(cloud.points_m, cloud.valid, step))
 
 
 @compiled
@@ -138,10 +168,40 @@ def _decimated(points_m: F32, valid: Bool, step: int) -> tuple[F32, Bool]:
     return coordinates_m, there
 
 
-def full_grid(cloud: PointMap) -> PixelGrid:
-    """Take every pixel of a frame, without copying; coordinates are NaN where there is no point."""
-    height, width = cloud.valid.shape
-    return PixelGrid(1, (height, width), np.moveaxis(cloud.points_m, -1, 0), cloud.valid)
+def depth_grid(cloud: PointMap, step: int) -> DepthGrid:
+    """Take every `step`-th row and column of a frame: its points and their inverse depths."""
+    coordinates_m, valid = _decimated(cloud.points_m, cloud.valid, step)
+    inverse_depth = _inverse_depths(coordinates_m[2], valid)
+    return DepthGrid(step, cloud.valid.shape, coordinates_m, valid, inverse_depth, cloud.rays)
+
+
+@compiled
+def _distances(coordinates_m: F32) -> F32:
+    _, height, width = coordinates_m.shape
+    distances_m = np.empty((height, width), dtype=np.float32)
+    for row in range(height):
+        for column in range(width):
+            square = np.float32(0.0)
+            for axis in range(3):
+                square += coordinates_m[axis, row, column] * coordinates_m[axis, row, column]
+            distances_m[row, column] = np.sqrt(square)
+    return distances_m
+
+
+def inverse_depth_image(cloud: PointMap) -> NDArray[np.float32]:
+    """Return one over depth of every pixel, (H, W) float32 in 1/m; 0 where there is no point."""
+    return _inverse_depths(cloud.points_m[..., 2], cloud.valid)
+
+
+@compiled
+def _inverse_depths(depth_m: F32, valid: Bool) -> F32:
+    height, width = valid.shape
+    inverse_depth = np.empty((height, width), dtype=np.float32)
+    for y in range(height):
+        for x in range(width):
+            usable = valid[y, x] and depth_m[y, x] > 0
+            inverse_depth[y, x] = np.float32(1.0) / depth_m[y, x] if usable else np.float32(0.0)
+    return inverse_depth
 
 
 def grid_step(valid: NDArray[np.bool_], decimation: int) -> int:

@@ -245,7 +245,7 @@ def facet_normals(
     columns = np.arange(width, dtype=np.float64) * step
     rows = np.arange(height, dtype=np.float64) * step
     fx, fy = rays.focal_px
-    ray_x, ray_y = rays.lattice(columns, rows)
+    ray_x, ray_y = rays.at(columns, rows[:, np.newaxis])
     return plane_normals(smoothed, slope_u, slope_v, ray_x, ray_y, (fx / step, fy / step))
 
 

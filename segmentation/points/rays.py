@@ -1,8 +1,9 @@
 """The ray through each pixel as a polynomial of its coordinates."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 
 #: Rays this close to linear ones are linear: points are stored in single precision.
@@ -22,30 +23,23 @@ class Rays:
 
     Parameters
     ----------
-    coefficients : (2, 6, 6) float64
+    coefficients : (2, n + 1, n + 1) float64
         ``coefficients[k, a, b]`` belongs to ``s**a * t**b`` of x / z (k = 0) and y / z (k = 1), where
-        ``s = (u - center[0]) / scale`` and ``t = (v - center[1]) / scale``.
+        ``s = (u - center[0]) / scale`` and ``t = (v - center[1]) / scale``. The degree n is 1 or 5.
     center : (float, float)
         Origin of s and t, pixels (u, v).
     scale : float
         Unit of s and t, pixels.
-
-    Attributes
-    ----------
-    linear : bool
-        Whether they are linear functions.
     """
 
     coefficients: NDArray[np.float64]
     center: tuple[float, float]
     scale: float
-    linear: bool = field(init=False)
 
-    def __post_init__(self) -> None:
-        bent = self.coefficients.copy()
-        for a, b in _LINEAR:
-            bent[:, a, b] = 0.0
-        object.__setattr__(self, "linear", not bent.any())
+    @property
+    def linear(self) -> bool:
+        """Whether they are linear functions."""
+        return len(self.coefficients[0]) == 2
 
     @property
     def focal_px(self) -> tuple[float, float]:
@@ -54,33 +48,12 @@ class Rays:
         fx, fy = (self.scale / slope if slope else 0.0 for slope in slopes)
         return float(fx), float(fy)
 
-    def lattice(
-        self, u: NDArray[np.float64], v: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return x / z and y / z, (H, W) each, on the lattice of columns u (W,) and rows v (H,)."""
-        if self.linear:
-            return self._linear(u, v[:, np.newaxis])
-        s = np.vander((u - self.center[0]) / self.scale, _DEGREE + 1, increasing=True)
-        t = np.vander((v - self.center[1]) / self.scale, _DEGREE + 1, increasing=True)
-        x, y = (t @ each.T @ s.T for each in self.coefficients)
-        return x, y
-
     def at(
         self, u: NDArray[np.float64], v: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return x / z and y / z of scattered pixels, (N,) each."""
-        if self.linear:
-            return self._linear(u, v)
-        s = np.vander((u - self.center[0]) / self.scale, _DEGREE + 1, increasing=True)
-        t = np.vander((v - self.center[1]) / self.scale, _DEGREE + 1, increasing=True)
-        x, y = (np.einsum("na,na->n", s @ each, t) for each in self.coefficients)
-        return x, y
-
-    def _linear(
-        self, u: NDArray[np.float64], v: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return x / z and y / z of pixels; u (W,) and v (H, 1) give those of a lattice, (H, W) each."""
         s, t = (u - self.center[0]) / self.scale, (v - self.center[1]) / self.scale
-        x, y = (each[1, 0] * s + (each[0, 1] * t + each[0, 0]) for each in self.coefficients)
+        x, y = (polyval(s, polyval(t, each.T), tensor=False) for each in self.coefficients)
         return x, y
 
 
@@ -110,9 +83,8 @@ def rays_through(points_m: NDArray[np.float32], valid: NDArray[np.bool_]) -> Ray
     if u.size < len(_LINEAR):
         v, u = np.nonzero(valid)
         points = points_m[v, u].astype(np.float64)
-    coefficients = np.zeros((2, _DEGREE + 1, _DEGREE + 1))
     if u.size == 0:
-        return Rays(coefficients, center, scale)
+        return Rays(np.zeros((2, 2, 2)), center, scale)
     s, t = (u - center[0]) / scale, (v - center[1]) / scale
     directions = points[:, :2] / points[:, 2:]
     for powers in (_LINEAR, _POWERS):
@@ -120,6 +92,8 @@ def rays_through(points_m: NDArray[np.float32], valid: NDArray[np.bool_]) -> Ray
         found = np.linalg.lstsq(terms, directions, rcond=None)[0]
         if np.abs(terms @ found - directions).max() <= _ROUNDING or u.size < len(_POWERS):
             break
+    size = 1 + max(a for a, _ in powers)
+    coefficients = np.zeros((2, size, size))
     for (a, b), pair in zip(powers, found, strict=True):
         coefficients[:, a, b] = pair
     return Rays(coefficients, center, scale)

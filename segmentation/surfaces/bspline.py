@@ -1,4 +1,4 @@
-"""B-splines along one axis: knots for rows of pixels, basis functions and their derivatives."""
+"""B-splines along one axis: knots for pixels in a row, basis functions and their derivatives."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -6,56 +6,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F64, Intp, compiled, inlined
+from nurbseg.drivers.compiled import F64, compiled, inlined
 
 #: The paper's surfaces are cubic in both directions.
 CUBIC = 3
 
 #: The values of the four cubic functions that are not 0 at a position.
 Four = tuple[float, float, float, float]
-
-
-def averaged_knots(parameters: NDArray[np.float64], count: int, degree: int = CUBIC) -> NDArray[np.float64]:
-    """Choose knots for a least-squares fit, so that all knot spans hold about as many parameters.
-
-    Parameters
-    ----------
-    parameters : (M,) float64
-        Parameters of the points to fit, ascending.
-    count : int
-        Number of control points, at least ``degree + 1``.
-    degree : int
-        Of the basis functions.
-
-    Returns
-    -------
-    (count + degree + 1,) float64
-        Knot vector whose ends are repeated ``degree + 1`` times. For a single parameter the domain is one
-        unit long.
-
-    Raises
-    ------
-    ValueError
-        If there is no parameter, or `count` is less than ``degree + 1``.
-
-    References
-    ----------
-    .. [1] L. Piegl and W. Tiller, "The NURBS Book", 2nd ed., 1997, eq. 9.68 and 9.69.
-    """
-    if parameters.size == 0:
-        raise ValueError("parameters: expected at least one, got none")
-    if count < degree + 1:
-        raise ValueError(f"count: expected at least {degree + 1} control points, got {count}")
-    first, last = float(parameters[0]), float(parameters[-1])
-    if last <= first:
-        last = first + 1.0
-    inner = np.arange(1, count - degree, dtype=np.float64)
-    position = inner * parameters.size / (count - degree)
-    index = position.astype(np.intp)
-    share = position - index
-    index = np.minimum(index, parameters.size - 1)
-    knots = (1.0 - share) * parameters[np.maximum(index - 1, 0)] + share * parameters[index]
-    return np.concatenate([np.full(degree + 1, first), knots, np.full(degree + 1, last)])
 
 
 def basis_matrix(
@@ -86,10 +43,6 @@ def basis_matrix(
     count = knots.size - degree - 1
     if derivative > degree:
         return np.zeros((parameters.size, count))
-    if degree == CUBIC and derivative <= 1:
-        widths = knots[1:] - knots[:-1]
-        if widths[0] > 0 and np.abs(widths - widths[0]).max() <= 1e-9 * widths[0]:
-            return _even_basis(float(knots[0]), float(widths[0]), count, parameters, derivative)
     domain = knots[degree : count + 1]
     last_span = int(np.searchsorted(domain, domain[-1], side="left")) - 1
     span = np.searchsorted(domain, parameters, side="right") - 1
@@ -111,26 +64,6 @@ def basis_matrix(
                 :, 1 : n + 1
             ]
     return values
-
-
-def _even_basis(
-    first: float, spacing: float, count: int, parameters: NDArray[np.float64], derivative: int
-) -> NDArray[np.float64]:
-    """Evaluate the cubic basis on evenly spaced knots: the same four polynomials on every span."""
-    position = (parameters - first) * (1.0 / spacing)
-    span = np.minimum(np.maximum(np.floor(position), CUBIC), count - 1).astype(np.intp)
-    values = np.zeros((parameters.size, count))
-    _fill_even(position - span, span - CUBIC, 1.0 / spacing, derivative, values)
-    return values
-
-
-@compiled
-def _fill_even(t: F64, starts: Intp, per_spacing: float, derivative: int, values: F64) -> None:
-    """Evaluate the four functions from `starts` on, or their slopes, at every position on a span."""
-    for n in range(t.size):
-        four = even_values(t[n]) if derivative == 0 else even_slopes(t[n], per_spacing)
-        for k in range(4):
-            values[n, starts[n] + k] = four[k]
 
 
 @inlined
@@ -182,9 +115,29 @@ def cubic_functions(knots: F64, span: int, t: float) -> Four:
 def pixel_knots(size: int, count: int) -> NDArray[np.float64]:
     """Return the knots of a cubic fit to `size` pixels in a row, whose parameters are 0, 1, ..., size - 1.
 
-    They are (count + 4,) float64 for `count` control points, and read-only, as they are cached.
+    All knot spans hold about as many pixels; for a single one the domain is one unit long.
+
+    Parameters
+    ----------
+    size : int
+        Number of pixels, at least 1.
+    count : int
+        Number of control points, at least 4.
+
+    Returns
+    -------
+    (count + 4,) float64
+        Knot vector whose ends are repeated four times; read-only, as it is cached.
+
+    References
+    ----------
+    .. [1] L. Piegl and W. Tiller, "The NURBS Book", 2nd ed., 1997, eq. 9.68 and 9.69.
     """
-    knots = averaged_knots(np.arange(size, dtype=np.float64), count)
+    position = np.arange(1, count - CUBIC, dtype=np.float64) * size / (count - CUBIC)
+    index = position.astype(np.intp)
+    share = position - index
+    inner = (1.0 - share) * np.maximum(index - 1, 0) + share * np.minimum(index, size - 1)
+    knots = np.concatenate([np.zeros(CUBIC + 1), inner, np.full(CUBIC + 1, max(size - 1.0, 1.0))])
     knots.flags.writeable = False
     return knots
 
@@ -218,3 +171,38 @@ def pixel_basis(size: int, count: int) -> SpanBasis:
     values = np.take_along_axis(basis_matrix(knots, CUBIC, parameters), functions, axis=1)
     starts.flags.writeable = values.flags.writeable = False
     return SpanBasis(starts, values, count)
+
+
+@compiled
+def lattice_basis(start: int, stop: int, margin: int, spacing: float) -> tuple[SpanBasis, F64]:
+    """Return the functions that reach a window or a margin around it.
+
+    Parameters
+    ----------
+    start, stop : int
+        First grid pixel of the window along the axis, and one past the last.
+    margin : int
+        How far splines of these functions extend beyond the window on both sides, grid pixels.
+    spacing : float
+        Distance of the knots, grid pixels; the knots are its multiples.
+
+    Returns
+    -------
+    basis : SpanBasis
+        At the grid pixels of the window alone.
+    knots : (count + 4,) float64
+        Knot vector, grid pixels.
+    """
+    # Function number i is not zero between knots i - 3 and i + 1.
+    first = int((start - margin) // spacing)
+    count = int((stop - 1 + margin) // spacing) - first + CUBIC + 1
+    starts, values = np.empty(stop - start, dtype=np.intp), np.empty((stop - start, CUBIC + 1))
+    for n in range(stop - start):
+        position = (start + n) / spacing
+        span = np.floor(position)
+        starts[n] = int(span) - first
+        values[n, 0], values[n, 1], values[n, 2], values[n, 3] = even_values(position - span)
+    knots = np.empty(count + CUBIC + 1)
+    for k in range(knots.size):
+        knots[k] = spacing * (first - CUBIC + k)
+    return SpanBasis(starts, values, count), knots

@@ -1,5 +1,7 @@
 """Principal curvatures of NURBS surfaces, and all nine metrics of a fit."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -8,23 +10,25 @@ from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.surfaces.bspline import basis_matrix
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.metrics import curvature_metrics
-from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate
+from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 _Vector = F64 | tuple[float, float, float]
-#: Orders along u and v of S_u, S_v, S_uu, S_uv and S_vv.
-_ORDERS = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
+#: Parameters evaluated at once, to limit the memory.
+_BLOCK = 1 << 16
 
 
 def principal_curvatures(
-    surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64]
+    surface: NurbsSurface, u: NDArray[Any], v: NDArray[Any]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the principal curvatures of a surface at scattered parameters.
+
+    Those of a row share its sums.
 
     Parameters
     ----------
     surface : NurbsSurface
         The surface.
-    u, v : (N,) float
+    u, v : (N,) float or int
         Parameters: column and row, pixels.
 
     Returns
@@ -37,42 +41,20 @@ def principal_curvatures(
     ----------
     .. [1] M. do Carmo, "Differential Geometry of Curves and Surfaces", 1976, section 3-3.
     """
-    return _at_all(np.stack([evaluate(surface, u, v, *order) for order in _ORDERS], axis=1))
-
-
-def curvatures_at_pixels(
-    surface: NurbsSurface, pixels: NDArray[np.intp], width: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the principal curvatures of a surface at some pixels.
-
-    Parameters
-    ----------
-    surface : NurbsSurface
-        The surface.
-    pixels : (N,) intp
-        Flat indices into the image.
-    width : int
-        Columns of the image.
-
-    Returns
-    -------
-    k1, k2 : (N,) float64
-        As of `principal_curvatures`; faster, as the pixels of a row share its sums.
-    """
-    rows, columns = np.divmod(pixels, width)
-    v, row = np.unique(rows, return_inverse=True)
-    u, column = np.unique(columns, return_inverse=True)
-    bases_u, bases_v = (
-        np.stack([basis_matrix(knots, degree, parameters, order) for order in range(3)])
-        for knots, degree, parameters in zip(
-            (surface.knots_u, surface.knots_v), surface.degree, (u, v), strict=True
-        )
-    )
+    u, v = np.broadcast_arrays(np.atleast_1d(u), v)
     weights = surface.weights[..., np.newaxis]
     net = np.concatenate([surface.control_points_m * weights, weights], axis=-1)
-    # The control values of each row, and their derivatives along v: (3, rows, m, 4).
-    blended = (bases_v @ net.reshape(len(net), -1)).reshape(3, v.size, *net.shape[1:])
-    return _on_rows(blended, bases_u, row, column)
+    k1, k2 = np.empty(u.size), np.empty(u.size)
+    for start in range(0, u.size, _BLOCK):
+        part = slice(start, start + _BLOCK)
+        columns, column = np.unique(u[part], return_inverse=True)
+        rows, row = np.unique(v[part], return_inverse=True)
+        bases_u = np.stack([basis_matrix(surface.knots_u, surface.degree[0], columns, k) for k in range(3)])
+        bases_v = np.stack([basis_matrix(surface.knots_v, surface.degree[1], rows, k) for k in range(3)])
+        # The control values of each row, and their derivatives along v: (3, rows, m, 4).
+        blended = (bases_v @ net.reshape(len(net), -1)).reshape(3, rows.size, *net.shape[1:])
+        k1[part], k2[part] = _on_rows(blended, bases_u, row, column)
+    return k1, k2
 
 
 @compiled
@@ -110,15 +92,6 @@ def _on_rows(blended: F64, bases: F64, rows: Intp, columns: Intp) -> tuple[F64, 
             S[3, x] = (A[1, 1, x] - wu * sv - wv * su - wuv * s) / w
             S[4, x] = (A[0, 2, x] - 2.0 * wv * sv - wvv * s) / w
         k1[n], k2[n] = _from_derivatives(S)
-    return k1, k2
-
-
-@compiled
-def _at_all(derivatives: F64) -> tuple[F64, F64]:
-    """Return the principal curvatures at N parameters, by (N, 5, 3) derivatives."""
-    k1, k2 = np.empty(len(derivatives)), np.empty(len(derivatives))
-    for n in range(len(derivatives)):
-        k1[n], k2[n] = _from_derivatives(derivatives[n])
     return k1, k2
 
 
@@ -165,5 +138,5 @@ def all_metrics(fit: Fit, width: int, config: SegmentationConfig) -> dict[Metric
     """
     if fit.surface is None:
         return {}
-    k1, k2 = curvatures_at_pixels(fit.surface, fit.pixels, width)
+    k1, k2 = principal_curvatures(fit.surface, fit.pixels % width, fit.pixels // width)
     return {**fit.values, **curvature_metrics(k1, k2, config)}

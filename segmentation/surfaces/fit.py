@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from nurbseg.drivers.compiled import F32, F64, Bool, compiled
 from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.config import Metric, SegmentationConfig
-from nurbseg.segmentation.points.grid import PixelGrid, full_grid
+from nurbseg.segmentation.points.grid import PixelGrid, decimated_grid
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, pixel_basis, pixel_knots
 from nurbseg.segmentation.surfaces.leastsquares import fit_control_points, span_edges
@@ -87,7 +87,7 @@ def fit_surface(cloud: PointMap, pixels: NDArray[np.intp], config: SegmentationC
         raise ValueError("pixels: expected pixels that have a point")
     ascending = pixels if np.all(pixels[1:] > pixels[:-1]) else np.unique(pixels)
     with one_blas_thread():
-        return fit_on_grid(full_grid(cloud), ascending, config)
+        return fit_on_grid(decimated_grid(cloud, 1), ascending, config)
 
 
 def fit_on_grid(grid: PixelGrid, grid_pixels: NDArray[np.intp], config: SegmentationConfig) -> Fit:
@@ -112,8 +112,12 @@ def fit_on_grid(grid: PixelGrid, grid_pixels: NDArray[np.intp], config: Segmenta
         control_point_count(right - left, grid.shape[1], config),
         control_point_count(bottom - top, grid.shape[0], config),
     )
+    solver = config.stag15.least_squares
+    if solver == "auto":
+        # Curvature takes second derivatives, which a ridge changes much more than residuals.
+        solver = "svd" if config.metric in CURVATURE_METRICS else "ridge"
     try:
-        solve = minimum_norm_control_points if has_least_norm(config) else fit_control_points
+        solve = minimum_norm_control_points if solver == "svd" else fit_control_points
         control = solve(grid.coordinates_m, mask, (top, left), counts)
     except LinAlgError as error:
         return Fit(None, np.zeros(0), {}, f"no least-squares solution: {error}", grid.pixels(grid_pixels))
@@ -121,31 +125,13 @@ def fit_on_grid(grid: PixelGrid, grid_pixels: NDArray[np.intp], config: Segmenta
     residuals = _distances(grid.coordinates_m, mask, (top, left), control, rows, columns)
     surface = NurbsSurface(
         degree=(CUBIC, CUBIC),
-        knots_u=_full_image_knots(right - left, counts[0], left, grid.step),
-        knots_v=_full_image_knots(bottom - top, counts[1], top, grid.step),
+        knots_u=(pixel_knots(right - left, counts[0]) + left) * grid.step,
+        knots_v=(pixel_knots(bottom - top, counts[1]) + top) * grid.step,
         control_points_m=np.moveaxis(control, 0, -1),
         weights=np.ones((counts[1], counts[0])),
         window=grid.full_window((top, left, bottom, right)),
     )
     return Fit(surface, residuals, residual_metrics(residuals, config), "", grid.pixels(grid_pixels))
-
-
-def has_least_norm(config: SegmentationConfig) -> bool:
-    """Return whether fits are the least-squares solutions of least norm, by SVD, not by a ridge.
-
-    Parameters
-    ----------
-    config : SegmentationConfig
-        Its `least_squares`, and where that is "auto", its metric.
-
-    Returns
-    -------
-    bool
-        Curvature takes second derivatives, which a ridge changes much more than residuals.
-    """
-    if config.stag15.least_squares == "auto":
-        return config.metric in CURVATURE_METRICS
-    return config.stag15.least_squares == "svd"
 
 
 def control_point_count(extent: int, image_extent: int, config: SegmentationConfig) -> int:
@@ -166,11 +152,7 @@ def control_point_count(extent: int, image_extent: int, config: SegmentationConf
     """
     share = 1.0 if config.stag15.control_points == "fixed" else extent / image_extent
     wanted = int(np.floor(config.stag15.control_points_max * share + 0.5))
-    return max((CUBIC + 1), min(wanted, extent))
-
-
-def _full_image_knots(size: int, count: int, first: int, step: int) -> NDArray[np.float64]:
-    return (pixel_knots(size, count) + first) * step
+    return max(CUBIC + 1, min(wanted, extent))
 
 
 @compiled

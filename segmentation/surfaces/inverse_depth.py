@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, F64, Bool, Intp, compiled, inlined_once
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.points.depth_grid import DepthGrid
-from nurbseg.segmentation.points.grid import Window
+from nurbseg.segmentation.points.grid import DepthGrid, Window
 from nurbseg.segmentation.points.rays import Rays
-from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, basis_matrix
+from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, basis_matrix, lattice_basis
 from nurbseg.segmentation.surfaces.fit import Fit
-from nurbseg.segmentation.surfaces.knot_lattice import lattice_basis
 from nurbseg.segmentation.surfaces.leastsquares import solve_splines
 from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST, metrics_of_sums, residual_sums
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
@@ -76,7 +74,7 @@ def fit_window(
             grid.distances_m,
             mask,
             window[:2],
-            grid.points.image_shape[1],
+            grid.image_shape[1],
             grid.step,
             margin,
             spacing,
@@ -88,13 +86,13 @@ def fit_window(
         if not solved:
             reason = "no least-squares solution: the normal equations have no finite solution"
             rows, columns = np.nonzero(mask)
-            at = (window[0] + rows) * grid.points.shape[1] + window[1] + columns
-            return Fit(None, np.zeros(0), {}, reason, grid.points.pixels(at))
+            at = (window[0] + rows) * grid.shape[1] + window[1] + columns
+            return Fit(None, np.zeros(0), {}, reason, grid.pixels(at))
         if positive:
             break
         margin = 1
     knots_u, knots_v, points_m, weights = spline
-    pixel_window = grid.points.full_window(window)
+    pixel_window = grid.full_window(window)
     if grid.rays.linear:
         surface = NurbsSurface((CUBIC, CUBIC), knots_u, knots_v, points_m, weights, pixel_window)
     else:
@@ -272,7 +270,7 @@ def ray_control_values(
     """
     u, take_u = _interpolator(knots_u)
     v, take_v = _interpolator(knots_v)
-    return np.stack([take_v @ each @ take_u.T for each in rays.lattice(u, v)])
+    return np.stack([take_v @ each @ take_u.T for each in rays.at(u, v[:, np.newaxis])])
 
 
 @compiled

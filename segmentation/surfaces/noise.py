@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, F64, I32, Bool, compiled, inlined
 from nurbseg.segmentation.config import OUTLIER_DEVIATIONS, SegmentationConfig
-from nurbseg.segmentation.points.depth_grid import DepthGrid, inverse_depth_image
-from nurbseg.segmentation.points.grid import Window
+from nurbseg.segmentation.points.grid import DepthGrid, Window, inverse_depth_image
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.inverse_depth import knots_on
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS

@@ -11,8 +11,6 @@ from nurbseg.segmentation.surfaces.bspline import CUBIC, Four, even_slopes, even
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 _ORDER = CUBIC + 1
-#: Relative rounding of the knot spacing, and of weights times depths.
-_ROUNDING = 1e-9
 
 
 class Splines(NamedTuple):
@@ -40,29 +38,25 @@ class SurfaceTable:
     Parameters
     ----------
     surfaces : sequence of NurbsSurface or None
-        Of the labels 1, 2, ..., as fitted to inverse depth; a label without one has no inverse depth.
+        Of the labels 1, 2, ..., as fitted to inverse depth: cubic on evenly spaced knots, with weights that
+        are proportional to inverse depth. A label without a surface has no inverse depth anywhere.
 
     Attributes
     ----------
     splines : Splines
         Their control values and knots, as compiled functions take them.
-
-    Raises
-    ------
-    ValueError
-        If a surface is not bicubic on even knots, or its weights are not proportional to inverse depth.
     """
 
     def __init__(self, surfaces: Sequence[NurbsSurface | None]) -> None:
         axes = np.zeros((len(surfaces) + 1, 2, 3))
-        nets = [np.zeros(0)]
-        for each, own in zip(surfaces, axes[1:], strict=True):
-            nets.append(np.zeros(0) if each is None else _net(each, own).ravel())
-        self.splines = Splines(
-            axes,
-            np.concatenate(nets),
-            np.cumsum([0, *(net.size for net in nets[:-1])]),
-        )
+        nets = [np.zeros(0) for _ in axes]
+        for label, each in enumerate(surfaces, start=1):
+            if each is not None:
+                for axis, knots in enumerate((each.knots_u, each.knots_v)):
+                    axes[label, axis] = knots[0], 1.0 / (knots[1] - knots[0]), knots.size - _ORDER
+                nets[label] = (each.weights / (each.control_points_m[0, 0, 2] * each.weights[0, 0])).ravel()
+        starts = np.cumsum([0, *(net.size for net in nets[:-1])])
+        self.splines = Splines(axes, np.concatenate(nets), starts)
 
     def inverse_depths(
         self, labels: NDArray[np.int32], rows: NDArray[np.int32], columns: NDArray[np.int32]
@@ -103,43 +97,6 @@ class SurfaceTable:
         found = np.empty((3, labels.size))
         _evaluate_slopes(self.splines, labels, u, v, found)
         return found[0], found[1], found[2]
-
-
-def _net(surface: NurbsSurface, axes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the control values of a surface's inverse depth, 1/m, and fill in its axes."""
-    if surface.degree != (CUBIC, CUBIC):
-        raise ValueError(f"surfaces: expected bicubic ones, got degree {surface.degree}")
-    even, depth = _checked(
-        surface.knots_u,
-        surface.knots_v,
-        surface.control_points_m,
-        np.ascontiguousarray(surface.weights),
-        axes,
-    )
-    if not even:
-        raise ValueError("surfaces: expected even knots")
-    if depth == 0.0:
-        raise ValueError("surfaces: expected weights that are proportional to inverse depth")
-    return np.asarray(surface.weights / depth)
-
-
-@compiled
-def _checked(knots_u: F64, knots_v: F64, points_m: F64, weights: F64, axes: F64) -> tuple[bool, float]:
-    """Return whether knots are even, and depth times weight of the control points, 0 if these differ."""
-    even = True
-    for k, knots in enumerate((knots_u, knots_v)):
-        most = least = knots[1] - knots[0]
-        axes[k, 0], axes[k, 1], axes[k, 2] = knots[0], 1.0 / least, knots.size - _ORDER
-        for n in range(1, knots.size):
-            most, least = max(most, knots[n] - knots[n - 1]), min(least, knots[n] - knots[n - 1])
-        even &= least > 0 and most - least <= 2.0 * _ROUNDING * (knots[1] - knots[0])
-    depth = points_m[0, 0, 2] * weights[0, 0]
-    most = least = depth
-    for row in range(weights.shape[0]):
-        for column in range(weights.shape[1]):
-            value = points_m[row, column, 2] * weights[row, column]
-            most, least = max(most, value), min(least, value)
-    return even, depth if most - least <= _ROUNDING * abs(depth) else 0.0
 
 
 @inlined

@@ -6,7 +6,7 @@ from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.borders import refine_borders
 from nurbseg.segmentation.labels.upsample import upsample_by_depth
-from nurbseg.segmentation.points.depth_grid import depth_grid, inverse_depth_image
+from nurbseg.segmentation.points.grid import depth_grid, inverse_depth_image
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
@@ -17,7 +17,7 @@ def fitted(cloud, truth):
     grid = depth_grid(cloud, 1)
     surfaces = []
     for label in range(1, truth.max() + 1):
-        top, left, bottom, right = window = grid.points.window_mask(np.flatnonzero(truth == label))[0]
+        top, left, bottom, right = window = grid.window_mask(np.flatnonzero(truth == label))[0]
         mask = (truth == label)[top:bottom, left:right]
         surfaces.append(fit_window(grid, window, mask, CONFIG).surface)
     return surfaces

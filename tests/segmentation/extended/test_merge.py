@@ -12,7 +12,7 @@ from nurbseg.segmentation.extended.merge import (
     merge_surfaces,
     merged_objects,
 )
-from nurbseg.segmentation.points.depth_grid import depth_grid
+from nurbseg.segmentation.points.grid import depth_grid
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
@@ -26,7 +26,7 @@ def fitted(cloud, labels, step=1):
     surfaces = []
     for label in range(1, labels.max() + 1):
         places = np.flatnonzero((on_grid == label) & grid.valid)
-        top, left, bottom, right = window = grid.points.window_mask(places)[0]
+        top, left, bottom, right = window = grid.window_mask(places)[0]
         mask = (on_grid == label)[top:bottom, left:right]
         surfaces.append(fit_window(grid, window, mask, CONFIG).surface)
     return grid, surfaces

@@ -4,7 +4,7 @@ from inverse_depth_lattice import inverse_depth_lattice
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.extended.refitting import refit_surfaces
-from nurbseg.segmentation.points.depth_grid import depth_grid
+from nurbseg.segmentation.points.grid import depth_grid
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 
 # Stiff surfaces bend far beyond a strip.
@@ -32,7 +32,7 @@ def parted_at(grid, row):
 def fits_of(grid, labels):
     fits = []
     for label in range(1, labels.max() + 1):
-        top, left, bottom, right = window = grid.points.window_mask(np.flatnonzero(labels == label))[0]
+        top, left, bottom, right = window = grid.window_mask(np.flatnonzero(labels == label))[0]
         fits.append(fit_window(grid, window, (labels == label)[top:bottom, left:right], CONFIG))
     return fits
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nurbseg.segmentation.extended.surface_statistics import surface_statistics
-from nurbseg.segmentation.points.depth_grid import depth_grid
+from nurbseg.segmentation.points.grid import depth_grid
 
 SIZE = (120, 160)
 #: Planes n . p = 1 of three walls, none of which goes through the camera.

@@ -14,7 +14,7 @@ from nurbseg.drivers.settings import updated
 from nurbseg.segmentation import LiveTree, SegmentationConfig, segment
 from nurbseg.segmentation.extended.merge import Contact, SceneObject
 from nurbseg.segmentation.extended.things import join_objects
-from nurbseg.segmentation.points.depth_grid import depth_grid
+from nurbseg.segmentation.points.grid import depth_grid
 from nurbseg.segmentation.points.registration import PointMap, register
 from nurbseg.segmentation.segments import SegmentationTree
 

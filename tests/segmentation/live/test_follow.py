@@ -13,7 +13,7 @@ from nurbseg.segmentation.live import borders
 from nurbseg.segmentation.live.borders import relax_borders, spread_to_pixels
 from nurbseg.segmentation.live.follow import explained_labels, grown_labels, moved_surfaces
 from nurbseg.segmentation.live.motion import brightness, flow_back, warped
-from nurbseg.segmentation.points.depth_grid import depth_grid
+from nurbseg.segmentation.points.grid import depth_grid
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice

@@ -7,7 +7,7 @@ import pytest
 
 from nurbseg.segmentation.config import ExtendedConfig, Metric, SegmentationConfig
 from nurbseg.segmentation.live.leaf import LiveLeaf, misfit, update_residuals
-from nurbseg.segmentation.points.depth_grid import DepthGrid, depth_grid
+from nurbseg.segmentation.points.grid import DepthGrid, depth_grid
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node
 from nurbseg.segmentation.surfaces.curvature import principal_curvatures
@@ -84,7 +84,7 @@ def test_leaves_are_measured_along_the_rays(grid: DepthGrid, labels: np.ndarray)
     lattice = SurfaceLattice([leaf.surface for leaf in leaves], 2)
     not_reached = update_residuals(leaves, labels, lattice, grid, CONFIG)
     assert not_reached == [leaves[2]]
-    points = grid.points.coordinates_m.reshape(3, -1).T
+    points = grid.coordinates_m.reshape(3, -1).T
     for label, leaf in enumerate(leaves, start=1):
         places = np.flatnonzero(labels == label)
         assert np.array_equal(leaf.node.grid_pixels, places)

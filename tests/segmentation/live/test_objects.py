@@ -11,7 +11,7 @@ from nurbseg.segmentation.extended.merge import merge_surfaces
 from nurbseg.segmentation.live import objects as live_objects
 from nurbseg.segmentation.live.leaf import LiveLeaf
 from nurbseg.segmentation.live.objects import ObjectMemory
-from nurbseg.segmentation.points.depth_grid import depth_grid
+from nurbseg.segmentation.points.grid import depth_grid
 from nurbseg.segmentation.segments import Node
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
@@ -31,7 +31,7 @@ def box(cloud_of, box_on_table):
     surfaces = []
     for label in range(1, 5):
         places = np.flatnonzero(on_grid == label)
-        top, left, bottom, right = window = grid.points.window_mask(places)[0]
+        top, left, bottom, right = window = grid.window_mask(places)[0]
         mask = (on_grid == label)[top:bottom, left:right]
         surfaces.append(fit_window(grid, window, mask, CONFIG).surface)
     nothing = np.zeros(0, dtype=np.intp)

@@ -1,12 +1,15 @@
-"""The step of the grid on which splits are decided, and windows of some of its pixels."""
+"""The step of the grid on which splits are decided, windows of some of its pixels, and its inverse depths."""
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from nurbseg.segmentation.points.grid import (
     PixelGrid,
     decimated_grid,
+    depth_grid,
     grid_step,
+    inverse_depth_image,
     united,
 )
 from nurbseg.segmentation.points.registration import PointMap
@@ -74,3 +77,19 @@ def test_grid_pixels_are_those_of_every_few_rows_and_columns(step):
     assert (np.argwhere(mask) + window[:2] == np.stack(np.divmod(some, grid.shape[1]), axis=1)).all()
     rows, columns = np.divmod(image[::step, ::step].ravel()[some], 23)
     assert grid.full_window(window) == (rows.min(), columns.min(), rows.max() + 1, columns.max() + 1)
+
+
+def test_only_points_in_front_of_the_camera_have_an_inverse_depth(cloud_of):
+    rng = np.random.default_rng(0)
+    points_m = rng.uniform(0.5, 3.0, (12, 17, 3)).astype(np.float32)
+    points_m[rng.random((12, 17)) < 0.2] = np.nan
+    points_m[2:6, 4, 2], points_m[2:6, 9, 2] = 0.0, -1.5
+    other = cloud_of(np.ones((12, 17)))
+    cloud = PointMap(points_m, other.color, other.colored, other.rays)
+    in_front = points_m[..., 2] > 0
+    expected = np.divide(1.0, points_m[..., 2], out=np.zeros((12, 17), np.float32), where=in_front)
+    assert_allclose(inverse_depth_image(cloud), expected)
+    grid = depth_grid(cloud, 3)
+    assert_allclose(grid.inverse_depth, expected[::3, ::3])
+    there = grid.valid
+    assert_allclose(grid.distances_m[there], np.linalg.norm(points_m[::3, ::3][there], axis=1), rtol=1e-6)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from nurbseg.segmentation.points.depth_grid import depth_grid
+from nurbseg.segmentation.points.grid import depth_grid
 from nurbseg.segmentation.points.normals import facet_normals, facet_slopes
 
 SIZE = (90, 120)

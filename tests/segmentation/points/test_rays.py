@@ -15,10 +15,10 @@ def test_rays_of_a_perfect_lens_are_found_to_rounding(cloud_of):
     depth[rng.random(SIZE) < 0.3] = np.nan
     rays = cloud_of(depth).rays
     assert rays.focal_px == pytest.approx((64.0, 64.0), rel=1e-5)
-    x, y = rays.lattice(np.arange(80.0), np.arange(60.0))
+    x, y = rays.at(np.arange(80.0), np.arange(60.0)[:, np.newaxis])
     assert_allclose(x, np.broadcast_to((np.arange(80) - 39.5) / 64, SIZE), atol=1e-6)
     assert_allclose(y, np.broadcast_to((np.arange(60)[:, np.newaxis] - 29.5) / 64, SIZE), atol=1e-6)
-    assert not rays.coefficients[:, 2:].any()
+    assert rays.linear
 
 
 def test_rays_of_a_real_lens_are_followed_to_a_fraction_of_a_pixel():
@@ -29,7 +29,7 @@ def test_rays_of_a_real_lens_are_followed_to_a_fraction_of_a_pixel():
     straight = cv2.undistortPoints(pixels, camera, lens).reshape(*rows.shape, 2)
     points = np.dstack([straight, np.ones((480, 640))]).astype(np.float32)
     cloud = PointMap(points, np.zeros((480, 640, 3), np.uint8), np.isfinite(points[..., 2]))
-    x, y = cloud.rays.lattice(np.arange(640.0), np.arange(480.0))
+    x, y = cloud.rays.at(np.arange(640.0), np.arange(480.0)[:, np.newaxis])
     error_px = 525 * np.hypot(x - straight[..., 0], y - straight[..., 1])
     assert error_px.max() < 0.5
     assert np.sqrt(np.mean(error_px**2)) < 0.05
@@ -48,7 +48,7 @@ def test_a_registered_frame_has_its_camera_s_rays_whatever_was_seen():
     color = np.zeros((*SIZE, 3), np.uint8)
     rays = register(RGBDFrame(0, 0, depth_mm, color, Calibration.registered(camera))).rays
     assert rays.focal_px == pytest.approx((64.0, 65.0), rel=1e-6)
-    x, y = rays.lattice(np.arange(80.0), np.arange(60.0))
+    x, y = rays.at(np.arange(80.0), np.arange(60.0)[:, np.newaxis])
     assert_allclose(x, np.broadcast_to((np.arange(80) - 38.0) / 64, SIZE), atol=1e-7)
     assert_allclose(y, np.broadcast_to((np.arange(60)[:, np.newaxis] - 31.0) / 65, SIZE), atol=1e-7)
 
@@ -56,7 +56,7 @@ def test_a_registered_frame_has_its_camera_s_rays_whatever_was_seen():
 def test_scattered_rays_agree_with_those_of_the_lattice(cloud_of):
     rays = cloud_of(np.ones(SIZE)).rays
     u, v = np.arange(5.0), np.arange(5.0) * 3
-    for scattered, lattice in zip(rays.at(u, v), rays.lattice(u, v), strict=True):
+    for scattered, lattice in zip(rays.at(u, v), rays.at(u, v[:, np.newaxis]), strict=True):
         assert_allclose(scattered, np.diagonal(lattice))
 
 

@@ -5,7 +5,7 @@ from numpy.testing import assert_allclose
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.surfaces.curvature import all_metrics, curvatures_at_pixels, principal_curvatures
+from nurbseg.segmentation.surfaces.curvature import all_metrics, principal_curvatures
 from nurbseg.segmentation.surfaces.fit import fit_surface
 from nurbseg.segmentation.surfaces.metrics import METRICS
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
@@ -28,7 +28,7 @@ def curvatures_of(height_of) -> tuple[np.ndarray, np.ndarray]:
     cloud = graph_cloud(height_of)
     fit = fit_surface(cloud, np.arange(81 * 81), SegmentationConfig())
     assert fit.surface is not None
-    return curvatures_at_pixels(fit.surface, interior(), 81)
+    return principal_curvatures(fit.surface, interior() % 81, interior() // 81)
 
 
 def test_a_sphere_has_one_over_its_radius_everywhere():
@@ -78,17 +78,18 @@ def test_curvatures_are_the_eigenvalues_of_the_shape_operator():
     exact = exact_curvatures(surface, pixels % 9, pixels // 9)
     assert np.abs(exact).max() > 5.0
     assert_allclose(principal_curvatures(surface, pixels % 9, pixels // 9), exact, rtol=1e-6, atol=1e-6)
-    assert_allclose(curvatures_at_pixels(surface, pixels, 9), exact, rtol=1e-6, atol=1e-6)
 
 
-def test_pixels_and_scattered_parameters_agree():
+def test_curvatures_of_many_parameters_are_those_of_each():
     cloud = graph_cloud(lambda x, y: 0.5 * x * y + x**3)
     fit = fit_surface(cloud, np.arange(81 * 81), SegmentationConfig())
     assert fit.surface is not None
-    pixels = np.array([5, 400, 3000, 6000])
-    at_pixels = curvatures_at_pixels(fit.surface, pixels, 81)
-    scattered = principal_curvatures(fit.surface, pixels % 81, pixels // 81)
-    assert_allclose(at_pixels, scattered, atol=1e-9)
+    u, v = np.random.default_rng(2).uniform(0, 80, (2, 70_000))
+    many = np.array(principal_curvatures(fit.surface, u, v))
+    for n in (0, 65_535, 65_536, 69_999):
+        assert_allclose(many[:, n : n + 1], principal_curvatures(fit.surface, u[n], v[n]), atol=1e-9)
+    with pytest.raises(ValueError, match="broadcast"):
+        principal_curvatures(fit.surface, u, v[1:])
 
 
 @pytest.mark.parametrize("along", [0.0, 1.0], ids=["a point", "a line"])

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from inverse_depth_lattice import inverse_depth_lattice
@@ -6,8 +8,8 @@ from scipy.interpolate import BSpline
 from scipy_basis import scipy_basis
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
-from nurbseg.segmentation.points.depth_grid import depth_grid
-from nurbseg.segmentation.surfaces.bspline import averaged_knots
+from nurbseg.segmentation.points.grid import depth_grid
+from nurbseg.segmentation.surfaces.bspline import pixel_knots
 from nurbseg.segmentation.surfaces.fit import fit_surface
 from nurbseg.segmentation.surfaces.inverse_depth import (
     fit_window,
@@ -49,8 +51,8 @@ def test_the_surface_is_the_ray_over_the_spline(cloud_of):
     rays = cloud_of(plane()).rays
     rng = np.random.default_rng(0)
     control = rng.uniform(0.5, 2.0, (6, 7))
-    knots_u = averaged_knots(np.arange(80.0), 7)
-    knots_v = averaged_knots(np.arange(60.0), 6)
+    knots_u = pixel_knots(80, 7)
+    knots_v = pixel_knots(60, 6)
     surface = rational_surface(control, knots_u, knots_v, rays, WHOLE)
     u, v = rng.uniform(0, 79, 200), rng.uniform(0, 59, 200)
     d = np.einsum("na,ab,nb->n", scipy_basis(knots_v, 3, v), control, scipy_basis(knots_u, 3, u))
@@ -60,7 +62,7 @@ def test_the_surface_is_the_ray_over_the_spline(cloud_of):
 
 def test_slopes_are_those_of_finite_differences(cloud_of):
     rng = np.random.default_rng(3)
-    knots_u, knots_v = averaged_knots(np.arange(80.0), 7), averaged_knots(np.arange(60.0), 6)
+    knots_u, knots_v = pixel_knots(80, 7), pixel_knots(60, 6)
     rays = cloud_of(plane()).rays
     rational = rational_surface(rng.uniform(0.5, 2.0, (6, 7)), knots_u, knots_v, rays, WHOLE)
     cloud = cloud_of(plane() + 0.01 * rng.normal(size=SIZE))
@@ -102,12 +104,15 @@ def test_residuals_are_distances_to_the_surface_that_is_returned(cloud_of, step)
 @pytest.mark.parametrize("bent", [0.0, 0.05])
 def test_points_of_a_fitted_surface_are_on_the_rays_of_their_pixels(cloud_of, bent):
     cloud = cloud_of(plane())
-    coefficients = cloud.rays.coefficients.copy()
-    coefficients[:, 2, 1] = bent
-    rays = type(cloud.rays)(coefficients, cloud.rays.center, cloud.rays.scale)
-    assert rays.linear == (bent == 0.0)
-    at_every_second = depth_grid(cloud, 2)
-    grid = type(at_every_second)(at_every_second.points, at_every_second.inverse_depth, rays)
+    rays = cloud.rays
+    assert rays.linear
+    if bent:
+        coefficients = np.zeros((2, 6, 6))
+        coefficients[:, :2, :2] = rays.coefficients
+        coefficients[:, 2, 1] = bent
+        rays = replace(rays, coefficients=coefficients)
+        assert not rays.linear
+    grid = replace(depth_grid(cloud, 2), rays=rays)
     surface = fit_window(grid, (0, 0, *grid.valid.shape), grid.valid, CONFIG).surface
     u, v = np.linspace(0, 78, 13), np.linspace(0, 58, 13)
     x, y, z = evaluate(surface, u, v).T
@@ -117,9 +122,9 @@ def test_points_of_a_fitted_surface_are_on_the_rays_of_their_pixels(cloud_of, be
 
 @pytest.mark.parametrize("depth_is_known", [True, False])
 def test_pixels_of_a_fit_are_those_of_the_marked_grid_pixels_in_the_image(cloud_of, depth_is_known):
-    at_every_second, window = depth_grid(cloud_of(plane()), 2), (3, 5, 21, 33)
-    inverse_depth = at_every_second.inverse_depth if depth_is_known else np.full((30, 40), np.nan, np.float32)
-    grid = type(at_every_second)(at_every_second.points, inverse_depth, at_every_second.rays)
+    grid, window = depth_grid(cloud_of(plane()), 2), (3, 5, 21, 33)
+    if not depth_is_known:
+        grid = replace(grid, inverse_depth=np.full((30, 40), np.nan, np.float32))
     mask = np.random.default_rng(2).random((18, 28)) < 0.6
     fit = fit_window(grid, window, mask, CONFIG)
     assert (fit.surface is not None) == depth_is_known
@@ -151,7 +156,7 @@ def test_a_surface_never_passes_through_infinity_where_nothing_holds_it(cloud_of
 def test_points_that_are_nowhere_leave_no_surface_but_a_reason(cloud_of):
     cloud = cloud_of(plane())
     grid = depth_grid(cloud, 1)
-    broken = type(grid)(grid.points, np.full(SIZE, np.nan, np.float32), grid.rays)
+    broken = replace(grid, inverse_depth=np.full(SIZE, np.nan, np.float32))
     fit = fit_window(broken, WHOLE, cloud.valid, CONFIG)
     assert fit.surface is None
     assert "least-squares" in fit.reason
@@ -167,7 +172,7 @@ def test_control_values_make_splines_that_are_the_rays(cloud_of):
     knots_v = np.array([-3.0, -2, 1, 5, 20, 44, 60, 61, 64])
     control = ray_control_values(rays, knots_u, knots_v)
     u, v = np.linspace(0, 79, 31), np.linspace(5, 44, 23)
-    for image, expected in zip(control, rays.lattice(u, v), strict=True):
+    for image, expected in zip(control, rays.at(u, v[:, np.newaxis]), strict=True):
         along_v = BSpline(knots_v, image, 3)(v)
         assert_allclose(BSpline(knots_u, along_v.T, 3)(u).T, expected, atol=1e-9)
 

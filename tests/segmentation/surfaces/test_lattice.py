@@ -2,7 +2,7 @@ import numpy as np
 from inverse_depth_lattice import inverse_depth_lattice
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.points.depth_grid import depth_grid
+from nurbseg.segmentation.points.grid import depth_grid
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 

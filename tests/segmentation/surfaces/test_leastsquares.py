@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 from scipy_basis import scipy_basis
 
 from nurbseg.segmentation.surfaces import leastsquares
-from nurbseg.segmentation.surfaces.bspline import pixel_knots
-from nurbseg.segmentation.surfaces.knot_lattice import lattice_basis
+from nurbseg.segmentation.surfaces.bspline import lattice_basis, pixel_knots
 
 
 def pixel_basis(size: int, count: int) -> NDArray[np.float64]:

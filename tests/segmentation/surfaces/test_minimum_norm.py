@@ -11,9 +11,9 @@ from scipy_basis import scipy_basis
 
 from nurbseg.segmentation.config import Metric, SegmentationConfig, Stag15Config
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.surfaces.bspline import averaged_knots
-from nurbseg.segmentation.surfaces.curvature import all_metrics, curvatures_at_pixels
-from nurbseg.segmentation.surfaces.fit import fit_surface, has_least_norm
+from nurbseg.segmentation.surfaces.bspline import pixel_knots
+from nurbseg.segmentation.surfaces.curvature import all_metrics, principal_curvatures
+from nurbseg.segmentation.surfaces.fit import fit_surface
 from nurbseg.segmentation.surfaces.minimum_norm import minimum_norm_control_points
 
 CURVATURE = {"vmxc", "vmec", "vgc", "mmxc", "nlc"}
@@ -22,7 +22,7 @@ CURVATURE = {"vmxc", "vmec", "vgc", "mmxc", "nlc"}
 def dense_system(mask: NDArray[np.bool_], nu: int, nv: int) -> NDArray[np.float64]:
     rows, columns = np.nonzero(mask)
     Bv, Bu = (
-        scipy_basis(averaged_knots(np.arange(float(size)), count), 3, places.astype(float))
+        scipy_basis(pixel_knots(size, count), 3, places.astype(float))
         for places, count, size in ((rows, nv, mask.shape[0]), (columns, nu, mask.shape[1]))
     )
     return np.einsum("na,nb->nab", Bv, Bu).reshape(rows.size, nv * nu)
@@ -118,7 +118,7 @@ def dense_curvatures(cloud: PointMap, nu: int, nv: int):
     mask = cloud.valid[top : rows.max() + 1, left : columns.max() + 1]
     window = cloud.points_m[top : rows.max() + 1, left : columns.max() + 1].astype(float)
     control, _ = dense_solution(np.moveaxis(window, -1, 0), mask, nu, nv)
-    knots = [averaged_knots(np.arange(float(size)), n) for size, n in zip(mask.shape, (nv, nu), strict=True)]
+    knots = [pixel_knots(size, n) for size, n in zip(mask.shape, (nv, nu), strict=True)]
 
     def derivative(du: int, dv: int) -> NDArray[np.float64]:
         Bv = scipy_basis(knots[0], 3, (rows - top).astype(float), dv)
@@ -149,7 +149,8 @@ def test_curvatures_of_irregular_segments_are_those_of_the_dense_svd(mask, nu: i
     assert fit.surface is not None
     assert fit.surface.weights.shape == (nv, nu)
     k1, k2 = dense_curvatures(cloud, nu, nv)
-    found = curvatures_at_pixels(fit.surface, pixels, cloud.valid.shape[1])
+    rows, columns = np.divmod(pixels, cloud.valid.shape[1])
+    found = principal_curvatures(fit.surface, columns, rows)
     scale = np.maximum(np.abs(k1), np.abs(k2))
     assert (np.abs(found - np.array([k1, k2])) <= 1e-4 * (1.0 + scale)).all()
     largest = np.maximum(np.abs(k1), np.abs(k2))
@@ -162,13 +163,6 @@ def test_curvatures_of_irregular_segments_are_those_of_the_dense_svd(mask, nu: i
     }
     values = all_metrics(fit, cloud.valid.shape[1], config)
     assert_allclose([values[each] for each in expected], list(expected.values()), rtol=1e-4)
-
-
-@pytest.mark.parametrize("metric", get_args(Metric))
-def test_fits_for_curvature_metrics_use_svd_by_default(metric: Metric):
-    assert has_least_norm(SegmentationConfig(metric=metric)) is (metric in CURVATURE)
-    assert has_least_norm(SegmentationConfig(metric=metric, stag15=Stag15Config(least_squares="svd")))
-    assert not has_least_norm(SegmentationConfig(metric=metric, stag15=Stag15Config(least_squares="ridge")))
 
 
 def test_fits_are_solved_as_the_setting_says():
@@ -184,6 +178,7 @@ def test_fits_are_solved_as_the_setting_says():
 
     svd, ridge = control("mse", "svd"), control("mse", "ridge")
     assert np.abs(svd - ridge).max() > 1.0
-    assert_array_equal(control("mse", "auto"), ridge)
-    assert_array_equal(control("vmxc", "auto"), svd)
-    assert_array_equal(control("vmxc", "ridge"), ridge)
+    for metric in get_args(Metric):
+        assert_array_equal(control(metric, "auto"), svd if metric in CURVATURE else ridge)
+        assert_array_equal(control(metric, "svd"), svd)
+        assert_array_equal(control(metric, "ridge"), ridge)

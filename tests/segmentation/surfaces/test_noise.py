@@ -6,7 +6,7 @@ from scipy.interpolate import BSpline
 from scipy.ndimage import uniform_filter
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
-from nurbseg.segmentation.points.depth_grid import depth_grid
+from nurbseg.segmentation.points.grid import depth_grid
 from nurbseg.segmentation.surfaces.curvature import principal_curvatures
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.metrics import COUNTS, METRICS, curvature_metrics

@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from inverse_depth_lattice import inverse_depth_lattice
@@ -42,24 +40,3 @@ def test_a_label_without_a_surface_has_no_inverse_depth():
     zero = np.zeros(1, np.int32)
     assert np.isnan(SurfaceTable([]).inverse_depths(zero, zero, zero)).all()
     assert np.isnan(SurfaceTable([None]).inverse_depths(zero + 1, zero, zero)).all()
-
-
-def test_surfaces_of_another_degree_are_refused():
-    flat = NurbsSurface(
-        (1, 1),
-        np.array([0.0, 0.0, 9.0, 9.0]),
-        np.array([0.0, 0.0, 9.0, 9.0]),
-        np.ones((2, 2, 3)),
-        np.ones((2, 2)),
-        (0, 0, 10, 10),
-    )
-    with pytest.raises(ValueError, match="bicubic"):
-        SurfaceTable([flat])
-
-
-def test_surfaces_that_are_none_of_inverse_depth_are_refused():
-    own = surface(np.random.default_rng(0))
-    with pytest.raises(ValueError, match="weights that are proportional to inverse depth"):
-        SurfaceTable([replace(own, weights=own.weights + 0.01 * np.arange(9.0))])
-    with pytest.raises(ValueError, match="even knots"):
-        SurfaceTable([replace(own, knots_u=own.knots_u + 0.01 * np.arange(13.0) ** 2)])

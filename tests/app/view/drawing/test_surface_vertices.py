@@ -1,21 +1,23 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from nurbseg.app.view.drawing.surface_mesh import Lattices, evaluate_vertices
-from nurbseg.segmentation.surfaces.bspline import averaged_knots
+from nurbseg.segmentation.surfaces.bspline import pixel_knots
 from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate_lattice
 
 
 def surface(
-    rng: np.random.Generator, window: tuple[int, int, int, int], rows: int, columns: int, *, degree: int = 3
+    rng: np.random.Generator, window: tuple[int, int, int, int], rows: int, columns: int
 ) -> NurbsSurface:
     top, left, bottom, right = window
     return NurbsSurface(
-        degree=(degree, degree),
-        knots_u=averaged_knots(np.arange(left, right, dtype=float), columns, degree),
-        knots_v=averaged_knots(np.arange(top, bottom, dtype=float), rows, degree),
+        degree=(3, 3),
+        knots_u=left + pixel_knots(right - left, columns),
+        knots_v=top + pixel_knots(bottom - top, rows),
         control_points_m=rng.normal(size=(rows, columns, 3)),
         weights=rng.uniform(0.5, 2.0, size=(rows, columns)),
         window=window,
@@ -54,7 +56,8 @@ def test_a_lattice_spans_its_window_with_steps_near_the_requested_one() -> None:
 
 def test_surfaces_of_another_degree_are_refused() -> None:
     rng = np.random.default_rng(5)
-    surfaces = [surface(rng, (0, 0, 20, 20), 4, 4), surface(rng, (0, 0, 20, 20), 4, 4, degree=2)]
+    cubic = surface(rng, (0, 0, 20, 20), 4, 4)
+    surfaces = [cubic, replace(cubic, degree=(2, 2), knots_u=cubic.knots_u[1:], knots_v=cubic.knots_v[1:])]
     lattices = Lattices.over(surfaces, 5.0)
     with pytest.raises(ValueError, match=r"expected bicubic ones, got degree \(2, 2\)"):
         evaluate_vertices(surfaces, lattices, np.ones(lattices.vertices, dtype=bool))
