@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import Level, Metric, SegmentationConfig
 from nurbseg.segmentation.labels.lookup import apply_lookup_table
-from nurbseg.segmentation.surfaces.metrics import acceptance_ratio, metric_value
+from nurbseg.segmentation.surfaces.metrics import acceptance_ratio
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
 if TYPE_CHECKING:
@@ -224,7 +224,7 @@ class Node:
 
     def value(self, config: SegmentationConfig) -> float:
         """Return the deciding metric, at least its floor; 0 if it was not measured."""
-        return metric_value(self.fit.values, config.metric, self.fit.floor)
+        return self.fit.value(config.metric)
 
     def weighed(self, config: SegmentationConfig) -> tuple[float, int]:
         """Return what counts in the ratio (eq. 5): its value, and its number of grid pixels."""

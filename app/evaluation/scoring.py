@@ -5,9 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.scoring.boundaries import boundary_scores
 from nurbseg.segmentation.scoring.objects import ObjectScores, object_scores, without_background
-from nurbseg.segmentation.scoring.scores import Contingency
+from nurbseg.segmentation.scoring.scores import Contingency, boundary_scores
 
 
 class FrameScores(NamedTuple):

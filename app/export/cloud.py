@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from nurbseg.app.export.config import CloudForm
 from nurbseg.app.result import FrameResult
 from nurbseg.segmentation.segments import SegmentationTree
-from nurbseg.segmentation.surfaces.surface import evaluate_lattice
+from nurbseg.segmentation.surfaces.surface import normals
 
 _PLY_TYPES = {"<f4": "float", "|u1": "uchar", "<u2": "ushort", "<i4": "int"}
 
@@ -40,14 +40,7 @@ def surface_normals(tree: SegmentationTree) -> NDArray[np.float32]:
         if surface is None or not leaf.pixels.size:
             continue
         v, u = np.divmod(leaf.pixels, width)
-        rows, columns = np.arange(v.min(), v.max() + 1), np.arange(u.min(), u.max() + 1)
-        along_u, along_v = (
-            evaluate_lattice(surface, columns, rows, *order)[v - rows[0], u - columns[0]]
-            for order in ((1, 0), (0, 1))
-        )
-        normals = np.cross(along_v, along_u)
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        image[leaf.pixels] = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+        image[leaf.pixels] = np.nan_to_num(-normals(surface, u, v))
     return image.reshape(height, width, 3)
 
 

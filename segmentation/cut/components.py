@@ -4,8 +4,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import I32, Bool, compiled
-
 #: Neighbours of a pixel.
 _CONNECTIVITY = 8
 
@@ -33,37 +31,16 @@ def remove_small_components(
     """
     side = side & mask
     for value in (False, True):
-        given = mask & ~side if value else side
+        given = mask & (side != value)
         _, pieces, stats, _ = cv2.connectedComponentsWithStats(
             given.view(np.uint8), connectivity=_CONNECTIVITY, ltype=cv2.CV_32S
         )
         small = stats[:, cv2.CC_STAT_AREA] < pixels_min
         small[0] = False
         if small.any():
-            _give(np.asarray(pieces, dtype=np.int32), small, mask, side, value)
+            other = (mask & (side == value)).view(np.uint8)
+            beside = cv2.dilate(other, np.ones((3, 3), np.uint8)).astype(np.bool_)
+            touching = np.zeros_like(small)
+            touching[pieces[beside]] = True
+            side[(small & touching)[pieces]] = value
     return side
-
-
-@compiled
-def _give(
-    pieces: I32,
-    small: Bool,
-    mask: Bool,
-    side: Bool,
-    value: bool,
-) -> None:
-    """Give small pieces of the other side to the side `value` where they touch it."""
-    height, width = mask.shape
-    touching = np.zeros(small.size, dtype=np.bool_)
-    for row in range(height):
-        for column in range(width):
-            piece = pieces[row, column]
-            if not small[piece] or touching[piece]:
-                continue
-            for r in range(max(row - 1, 0), min(row + 2, height)):
-                for c in range(max(column - 1, 0), min(column + 2, width)):
-                    touching[piece] |= mask[r, c] & (side[r, c] == value)
-    for row in range(height):
-        for column in range(width):
-            if touching[pieces[row, column]]:
-                side[row, column] = value

@@ -5,18 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, U8, compiled
+from nurbseg.drivers.compiled import F32, U8, Intp, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap
 
-
-def _linear_srgb() -> NDArray[np.float32]:
-    """Linear intensity of each of the 256 sRGB values (IEC 61966-2-1)."""
-    value = np.arange(256) / 255
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
-
-
-_LINEAR = _linear_srgb()
+_VALUE = np.arange(256) / 255
+#: Linear intensity of each of the 256 sRGB values (IEC 61966-2-1).
+_LINEAR = np.where(_VALUE <= 0.04045, _VALUE / 12.92, ((_VALUE + 0.055) / 1.055) ** 2.4).astype(np.float32)
 #: Linear sRGB to X, Y and Z, relative to the white point D65 (IEC 61966-2-1).
 _XYZ = (
     np.array([[0.412453, 0.357580, 0.180423], [0.212671, 0.715160, 0.072169], [0.019334, 0.119193, 0.950227]])
@@ -24,15 +19,11 @@ _XYZ = (
 ).astype(np.float32)
 #: Intervals of [0, 1] in which CIELab's function of X, Y and Z is interpolated, to 5e-6.
 _INTERVALS = 4096
-
-
-def _lab_function() -> NDArray[np.float32]:
-    """CIELab's function of X, Y or Z at the ends of the intervals and one more, as 1 may be rounded up."""
-    t = np.arange(_INTERVALS + 2) / _INTERVALS
-    return np.where(t > (6 / 29) ** 3, np.cbrt(t), t / (3 * (6 / 29) ** 2) + 4 / 29).astype(np.float32)
-
-
-_LAB_FUNCTION = _lab_function()
+_T = np.arange(_INTERVALS + 2) / _INTERVALS
+#: CIELab's function of X, Y or Z at the ends of the intervals and one more, as 1 may be rounded up.
+_LAB_FUNCTION = np.where(_T > (6 / 29) ** 3, np.cbrt(_T), _T / (3 * (6 / 29) ** 2) + 4 / 29).astype(
+    np.float32
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,9 +133,7 @@ def normalization(
 
 
 @compiled
-def _normalization(
-    raw: NDArray[np.float32], rows: NDArray[np.intp], weights: tuple[float, float, float]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _normalization(raw: F32, rows: Intp, weights: tuple[float, float, float]) -> tuple[F32, F32]:
     dimensions = raw.shape[1]
     mean, factor = np.zeros(dimensions, dtype=np.float32), np.zeros(dimensions, dtype=np.float32)
     if rows.size == 0:
@@ -181,12 +170,7 @@ def normalized(
 
 
 @compiled
-def _normalized(
-    raw: NDArray[np.float32],
-    rows: NDArray[np.intp],
-    mean: NDArray[np.float32],
-    factor: NDArray[np.float32],
-) -> NDArray[np.float32]:
+def _normalized(raw: F32, rows: Intp, mean: F32, factor: F32) -> F32:
     vectors = np.empty((rows.size, raw.shape[1]), dtype=np.float32)
     for n in range(rows.size):
         row = raw[rows[n]]

@@ -9,8 +9,7 @@ from scipy.linalg.lapack import dsyevr
 
 from nurbseg.drivers.compiled import F32, F64, Intp, compiled
 from nurbseg.segmentation.config import SplittingPoint
-from nurbseg.segmentation.cut.affinity import affinity
-from nurbseg.segmentation.cut.landmarks import choose_landmarks
+from nurbseg.segmentation.cut.affinity import affinity, choose_landmarks
 
 #: Least second eigenvalue, above rounding; below it the points are indistinguishable.
 _LEAST_EIGENVALUE = 1e-6
@@ -44,22 +43,24 @@ class Cut:
     affinity_scale: float
     reason: str = ""
 
-    def classify(self, vectors: NDArray[np.float32]) -> NDArray[np.bool_]:
+    def classify(
+        self, vectors: NDArray[np.float32], rows: NDArray[np.intp] | None = None
+    ) -> NDArray[np.bool_]:
         """Return the side of other points, by the Nystrom extension.
 
         Parameters
         ----------
         vectors : (N, D) float32
             Feature vectors, normalized as those that were cut.
+        rows : (n,) intp, optional
+            Rows to classify; all if None.
 
         Returns
         -------
-        (N,) bool
+        (n,) bool
             Side of each point.
         """
-        return self._classify(vectors, np.arange(vectors.shape[0]))
-
-    def _classify(self, vectors: NDArray[np.float32], rows: NDArray[np.intp]) -> NDArray[np.bool_]:
+        rows = np.arange(vectors.shape[0]) if rows is None else rows
         sides = np.empty(rows.size, dtype=np.bool_)
         # In blocks whose affinities fit into the cache.
         block = max(256, (1 << 18) // max(1, self.landmarks.shape[0]))
@@ -214,12 +215,11 @@ def normalized_cuts(
         if splitting_point != "zero":
             a -= _threshold(splitting_point, sums * by_root, K, inverse, by_root) * b
             sums = K @ a.astype(np.float32)
-        side = sums > 0 if size == n else np.ones(n, dtype=np.bool_)
+        side = np.ones(n, dtype=np.bool_)
         cut = Cut(side, kept, a.astype(np.float32), affinity_scale)
-        if size < n:
-            side[chosen] = False
-            others = np.flatnonzero(side)
-            side[chosen], side[others] = sums > 0, cut._classify(vectors, others)
+        side[chosen] = False
+        others = np.flatnonzero(side)
+        side[chosen], side[others] = sums > 0, cut.classify(vectors, others)
         if side.all() or not side.any():
             yield _no_cut(vectors, affinity_scale, "all points fall on one side")
         else:

@@ -124,10 +124,9 @@ class _Registration:
         self._color_from_depth = _numbers(calibration.color_from_depth[:3])
         # The z-buffer's cells are as large as a depth pixel: smaller ones would leave gaps.
         depth_focal = min(calibration.depth.fx, abs(calibration.depth.fy))
-        color_focal = min(calibration.color.fx, abs(calibration.color.fy))
+        color_focal = min(color.fx, abs(color.fy))
         self._cells_per_px = min(1.0, depth_focal / color_focal)
-        height, width = calibration.color.height, calibration.color.width
-        self._cells = (int(height * self._cells_per_px) + 1, int(width * self._cells_per_px) + 1)
+        self._cells = int(color.height * self._cells_per_px) + 1, int(color.width * self._cells_per_px) + 1
         baseline_m = float(np.linalg.norm(calibration.color_from_depth[:3, 3]))
         parallax_px_m = self._cells_per_px * color_focal * baseline_m
         self._hiding_per_m = _HIDING_PARALLAX_PX / parallax_px_m if parallax_px_m > 0 else np.inf

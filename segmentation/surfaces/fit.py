@@ -56,6 +56,10 @@ class Fit:
         self.pixels.setflags(write=False)
         object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
 
+    def value(self, metric: Metric) -> float:
+        """Return what a metric counts as in the ratio (eq. 5): at least the floor; 0 if not measured."""
+        return max(self.values.get(metric, 0.0), self.floor)
+
 
 def fit_surface(cloud: PointMap, pixels: NDArray[np.intp], config: SegmentationConfig) -> Fit:
     """Fit a NURBS surface to some pixels of a frame (section 3.2).

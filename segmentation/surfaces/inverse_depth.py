@@ -17,7 +17,7 @@ from nurbseg.segmentation.points.rays import Rays
 from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, basis_matrix, lattice_basis
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.leastsquares import solve_splines
-from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST, metrics_of_sums, residual_sums
+from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST, residual_metrics
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 #: How far the knots of a surface extend beyond its segment, pixels of a 640-wide image.
@@ -69,7 +69,7 @@ def fit_window(
     square_most = SQUARE_MOST * config.extended.inverse_depth_noise**2
     margin = math.ceil(_MARGIN_PX * grid.unit_px / grid.step)
     for stiffer in _STIFFER:
-        pixels, solved, positive, spline, residuals_m, square, sums = fit_inverse_depth(
+        pixels, solved, positive, spline, residuals_m, square = fit_inverse_depth(
             grid.inverse_depth[np.newaxis],
             grid.distances_m,
             mask,
@@ -80,25 +80,20 @@ def fit_window(
             spacing,
             stiffer * smoothness,
             square_most,
-            config.large_error_m,
             (grid.rays.coefficients, *grid.rays.center, grid.rays.scale),
         )
-        if not solved:
-            reason = "no least-squares solution: the normal equations have no finite solution"
-            rows, columns = np.nonzero(mask)
-            at = (window[0] + rows) * grid.shape[1] + window[1] + columns
-            return Fit(None, np.zeros(0), {}, reason, grid.pixels(at))
-        if positive:
+        if positive or not solved:
             break
         margin = 1
+    if not solved:
+        reason = "no least-squares solution: the normal equations have no finite solution"
+        return Fit(None, np.zeros(0), {}, reason, pixels)
     knots_u, knots_v, points_m, weights = spline
-    pixel_window = grid.full_window(window)
-    if grid.rays.linear:
-        surface = NurbsSurface((CUBIC, CUBIC), knots_u, knots_v, points_m, weights, pixel_window)
-    else:
-        surface = rational_surface(weights, knots_u, knots_v, grid.rays, pixel_window)
+    if not grid.rays.linear:
+        points_m = _divided(ray_control_values(grid.rays, knots_u, knots_v), weights)
+    surface = NurbsSurface((CUBIC, CUBIC), knots_u, knots_v, points_m, weights, grid.full_window(window))
     rms_per_m = math.sqrt(square / max(pixels.size, 1))
-    return Fit(surface, residuals_m, metrics_of_sums(pixels.size, sums), "", pixels, floor, rms_per_m)
+    return Fit(surface, residuals_m, residual_metrics(residuals_m, config), "", pixels, floor, rms_per_m)
 
 
 def knots_on(grid: DepthGrid, config: SegmentationConfig) -> tuple[float, float]:
@@ -121,25 +116,20 @@ def fit_inverse_depth(
     spacing: float,
     smoothness: float,
     square_most: float,
-    large_m: float,
     rays: tuple[F64, float, float, float],
-) -> tuple[Intp, bool, bool, tuple[F64, F64, F64, F64], F64, float, tuple[float, float, float, int]]:
+) -> tuple[Intp, bool, bool, tuple[F64, F64, F64, F64], F64, float]:
     """Fit a spline to the inverse depth of the marked grid pixels, and raise control values to the least.
 
-    Returns the marked pixels, flat in the image; whether there is a solution; without one the rest is empty;
-    whether it is positive where points hold it; the knots along columns and rows, pixels, the control points
-    if rays are linear, and the control values; the distances at the marked grid pixels, metres; the sum of
-    the squared residuals of inverse depth, each limited, 1/m^2; and the sums of the distances. Rays are given
-    by their coefficients, both coordinates of the center, and the scale.
+    Returns the marked pixels, flat in the image; whether there is a solution, without which the rest means
+    nothing; whether it is positive where points hold it; the knots along columns and rows, pixels, the
+    control points if rays are linear, and the control values; the distances at the marked grid pixels,
+    metres; and the sum of the squared residuals of inverse depth, each limited, 1/m^2. Rays are given by
+    their coefficients, both coordinates of the center, and the scale.
     """
     rows, knots_v = lattice_basis(corner[0], corner[0] + mask.shape[0], margin, spacing)
     columns, knots_u = lattice_basis(corner[1], corner[1] + mask.shape[1], margin, spacing)
     solved, controls, held = solve_splines(images, mask, corner, rows, columns, smoothness)
     control = controls[0]
-    if not solved:
-        spline = knots_u, knots_v, np.empty((0, 0, 3)), control
-        nowhere = np.empty(0, dtype=np.intp)
-        return nowhere, False, False, spline, np.empty(0), 0.0, (0.0, 0.0, 0.0, 0)
     positive = True
     for a in range(rows.size):
         for b in range(columns.size):
@@ -148,12 +138,11 @@ def fit_inverse_depth(
     pixels, residuals_m, squares = _residuals(
         images[0], distances_m, mask, corner, image_width, step, control, rows, columns, square_most
     )
-    sums = residual_sums(residuals_m, large_m)
     for knots in (knots_u, knots_v):
         for k in range(knots.size):
             knots[k] *= step
     points_m = _divided(_linear_control_values(*rays, knots_u, knots_v), control)
-    return pixels, True, positive, (knots_u, knots_v, points_m, control), residuals_m, squares, sums
+    return pixels, solved, positive, (knots_u, knots_v, points_m, control), residuals_m, squares
 
 
 @inlined_once
@@ -197,41 +186,6 @@ def _residuals(
                 residuals_m[n] = abs(residual) * distances_m[top + y, left + x] / fitted
                 n += 1
     return pixels, residuals_m, squares
-
-
-def rational_surface(
-    control_per_m: NDArray[np.float64],
-    knots_u: NDArray[np.float64],
-    knots_v: NDArray[np.float64],
-    rays: Rays,
-    window: Window,
-) -> NurbsSurface:
-    """Express a spline of inverse depth as a NURBS surface.
-
-    Parameters
-    ----------
-    control_per_m : (n, m) float64
-        Control values of the inverse depth, 1/m, more than 0: they are the surface's weights.
-    knots_u, knots_v : (m + 4,), (n + 4,) float64
-        Knot vectors, pixels.
-    rays : Rays
-        Of the camera; their control values, with 1 for z, are the surface's weighted control points.
-    window : (int, int, int, int)
-        Pixels that the surface spans.
-
-    Returns
-    -------
-    NurbsSurface
-        Whose point at (u, v) is ray(u, v) / d(u, v), exactly.
-    """
-    return NurbsSurface(
-        degree=(CUBIC, CUBIC),
-        knots_u=knots_u,
-        knots_v=knots_v,
-        control_points_m=_divided(ray_control_values(rays, knots_u, knots_v), control_per_m),
-        weights=control_per_m,
-        window=window,
-    )
 
 
 @compiled

@@ -107,7 +107,7 @@ def solve_splines(
         largest = max(largest, band[n, 0])
     for n in range(size):
         band[n, 0] += _RIDGE_SHARE * largest
-    control = np.empty((count, nv, nu))
+    control = np.zeros((count, nv, nu))
     solved = factorize(band)
     if not solved:
         return False, control, held

@@ -1,6 +1,5 @@
 """The nine metrics of a surface fit and their acceptance ratios (section 4)."""
 
-from collections.abc import Mapping
 from typing import get_args
 
 import numpy as np
@@ -36,22 +35,17 @@ def residual_metrics(residuals_m: NDArray[np.float64], config: SegmentationConfi
         ``mse`` and ``ve`` in square metres, ``mae`` in metres, ``nle`` a count. Residuals that are no
         more than the rounding of the points count as 0, all together or not at all.
     """
-    return metrics_of_sums(residuals_m.size, residual_sums(residuals_m, config.large_error_m))
-
-
-def metrics_of_sums(points: int, sums: tuple[float, float, float, int]) -> dict[Metric, float]:
-    """Do what `residual_metrics` does, given the number of residuals and their sums."""
-    largest, squares, total, large = sums
+    largest, squares, total, large = _sums(residuals_m, config.large_error_m)
     if largest <= ROUNDING_M:
         return {"mse": 0.0, "mae": 0.0, "ve": 0.0, "nle": 0.0}
-    mse = squares / points  # eq. 7
-    mae = total / points  # eq. 9
+    mse = squares / residuals_m.size  # eq. 7
+    mae = total / residuals_m.size  # eq. 9
     ve = max(mse - mae * mae, 0.0)  # eq. 11, the mean of the squares less the square of the mean
     return {"mse": mse, "mae": mae, "ve": ve, "nle": float(large)}  # NLE: section 4.4
 
 
 @compiled
-def residual_sums(residuals_m: F64, large_m: float) -> tuple[float, float, float, int]:
+def _sums(residuals_m: F64, large_m: float) -> tuple[float, float, float, int]:
     """Return the largest of (N,) residuals, metres, the sum of squares, the sum, and how many are large."""
     largest, squares, total, large = 0.0, 0.0, 0.0, 0
     for residual in residuals_m:
@@ -114,18 +108,3 @@ def acceptance_ratio(metric: Metric, parent: tuple[float, int], *parts: tuple[fl
         return sum(value for value, _ in parts) / parent[0]  # eq. 13, 22
     # Eq. 5, which is eq. 8, 10, 12, 16, 18, 20 and 21 of each metric.
     return sum(value * points for value, points in parts) / (parent[0] * parent[1])
-
-
-def metric_value(values: Mapping[Metric, float], metric: Metric, floor: float = 0.0) -> float:
-    """Return the value of a metric in the ratio: at least its floor.
-
-    Parameters
-    ----------
-    values : mapping of metric to float
-        Of the fit; a missing one counts as 0.
-    metric : str
-        Which of the nine.
-    floor : float
-        See `noise_floor`; 0 in the paper.
-    """
-    return max(values.get(metric, 0.0), floor)

@@ -322,17 +322,13 @@ def _largest_plane(
         [np.ones(d.size), columns / inverse_depth.shape[1], rows / inverse_depth.shape[0]], axis=1
     )
     sample = rng.choice(d.size, size=min(_POINTS, d.size), replace=False)
-    best, plane = 0, np.zeros(3)
-    for corners in rng.integers(0, sample.size, (_TRIALS, 3)):
-        A = terms[sample[corners]]
-        if abs(np.linalg.det(A)) < 1e-6:
-            continue
-        candidate = np.linalg.solve(A, d[sample[corners]])
-        held = int(np.count_nonzero(np.abs(terms[sample] @ candidate - d[sample]) < _INLIER_PER_M))
-        if held > best:
-            best, plane = held, candidate
-    if best < max(3, _PLANE_SHARE * sample.size):
+    corners = sample[rng.integers(0, sample.size, (_TRIALS, 3))]
+    corners = corners[np.abs(np.linalg.det(terms[corners])) >= 1e-6]
+    planes = np.linalg.solve(terms[corners], d[corners, np.newaxis])[..., 0]
+    held = np.count_nonzero(np.abs(planes @ terms[sample].T - d[sample]) < _INLIER_PER_M, axis=1)
+    if held.max(initial=0) < max(3, _PLANE_SHARE * sample.size):
         return None
+    plane = planes[held.argmax()]
     limit = _INLIER_PER_M
     for _ in range(_REFITS):
         kept = np.abs(terms @ plane - d) < limit

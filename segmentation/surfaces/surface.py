@@ -1,21 +1,18 @@
 """NURBS surfaces over the image: their points, derivatives and normals."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
-from itertools import product
-from math import comb
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.compiled import F64, Intp, compiled
 from nurbseg.segmentation.surfaces.bspline import basis_matrix
 
-#: Scattered points evaluated at once, to limit the memory.
-_BLOCK = 16_384
-
-#: Evaluates control values (C, n, m), or their derivative of some order along u and v, at some parameters.
-_At = Callable[[NDArray[np.float64], int, int], NDArray[np.float64]]
+#: Points evaluated at once, to limit the memory.
+_BLOCK = 1 << 15
+#: Orders along u and v of the derivatives.
+_ORDERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,111 +63,116 @@ class NurbsSurface:
             array.setflags(write=False)
 
 
-def evaluate(
-    surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64], du: int = 0, dv: int = 0
-) -> NDArray[np.float64]:
-    """Evaluate a surface, or a partial derivative of up to the second order, at scattered parameters.
+def derivatives(surface: NurbsSurface, u: NDArray[Any], v: NDArray[Any]) -> NDArray[np.float64]:
+    """Evaluate a surface and its partial derivatives of up to the second order.
 
     Parameters
     ----------
     surface : NurbsSurface
         The surface.
-    u, v : (N,) float
-        Parameters: column and row, pixels. Beyond the knots the surface is extrapolated.
-    du, dv : int
-        Order of the derivative along u and v, together at most 2.
+    u, v : (...) float or int
+        Parameters: column and row, pixels, broadcast against each other. Beyond the knots the surface is
+        extrapolated.
 
     Returns
     -------
-    (N, 3) float64
-        Points in metres, or derivatives in metres per pixel to the power of the order.
+    (..., 6, 3) float64
+        S, S_u, S_v, S_uu, S_uv and S_vv, in metres per pixel to the power of the order.
 
     References
     ----------
     .. [1] L. Piegl and W. Tiller, "The NURBS Book", 2nd ed., 1997, eq. 4.11 and 4.20.
     """
-    u = np.atleast_1d(np.asarray(u, dtype=np.float64))
-    v = np.atleast_1d(np.asarray(v, dtype=np.float64))
-    if u.shape != v.shape or u.ndim != 1:
-        raise ValueError(f"u, v: expected two (N,) arrays of equal length, got {u.shape} and {v.shape}")
-    points = np.empty((u.size, 3))
+    u, v = np.broadcast_arrays(u, v)
+    weights = surface.weights[..., np.newaxis]
+    net = np.concatenate([surface.control_points_m * weights, weights], axis=-1)
+    found = np.empty((u.size, len(_ORDERS), 3))
     for start in range(0, u.size, _BLOCK):
         part = slice(start, start + _BLOCK)
+        # Parameters of a row share its sums.
+        columns, column = np.unique(u.ravel()[part], return_inverse=True)
+        rows, row = np.unique(v.ravel()[part], return_inverse=True)
+        bases_u = np.stack([basis_matrix(surface.knots_u, surface.degree[0], columns, k) for k in range(3)])
+        bases_v = np.stack([basis_matrix(surface.knots_v, surface.degree[1], rows, k) for k in range(3)])
+        # The control values of each row, and their derivatives along v: (3, rows, m, 4).
+        blended = (bases_v @ net.reshape(len(net), -1)).reshape(3, rows.size, *net.shape[1:])
+        found[part] = _on_rows(blended, bases_u, row, column)
+    return found.reshape(*u.shape, len(_ORDERS), 3)
 
-        def at(net: NDArray[np.float64], k: int, m: int, part: slice = part) -> NDArray[np.float64]:
-            Bu = basis_matrix(surface.knots_u, surface.degree[0], u[part], k)
-            Bv = basis_matrix(surface.knots_v, surface.degree[1], v[part], m)
-            return np.asarray(np.einsum("cnk,nk->cn", Bv @ net, Bu))
 
-        points[part] = _derivative(surface, at, du, dv).T
-    return points
-
-
-def evaluate_lattice(
-    surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64], du: int = 0, dv: int = 0
+def evaluate(
+    surface: NurbsSurface, u: NDArray[Any], v: NDArray[Any], du: int = 0, dv: int = 0
 ) -> NDArray[np.float64]:
-    """Evaluate a surface or its derivative on the lattice of rows v (H,) and columns u (W,), as `evaluate`.
+    """Evaluate a surface, or a partial derivative of up to the second order.
+
+    Parameters
+    ----------
+    surface, u, v
+        As for `derivatives`.
+    du, dv : int
+        Order of the derivative along u and v, together at most 2.
 
     Returns
     -------
-    (H, W, 3) float64
-        As of `evaluate`.
+    (..., 3) float64
+        Points in metres, or derivatives in metres per pixel to the power of the order.
     """
-    u, v = np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64)
-
-    def at(net: NDArray[np.float64], k: int, m: int) -> NDArray[np.float64]:
-        Bu = basis_matrix(surface.knots_u, surface.degree[0], u, k)
-        Bv = basis_matrix(surface.knots_v, surface.degree[1], v, m)
-        return np.asarray(Bv @ net @ Bu.T)
-
-    return np.moveaxis(_derivative(surface, at, du, dv), 0, -1)
+    if (du, dv) not in _ORDERS:
+        raise ValueError(f"du, dv: expected orders of 0 to 2 together, got {du} and {dv}")
+    return derivatives(surface, u, v)[..., _ORDERS.index((du, dv)), :]
 
 
-def normals(surface: NurbsSurface, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+def normals(surface: NurbsSurface, u: NDArray[Any], v: NDArray[Any]) -> NDArray[np.float64]:
     """Return the unit normals of a surface, S_u x S_v, which look away from the camera.
 
     Parameters
     ----------
-    surface : NurbsSurface
-        The surface.
-    u, v : (N,) float
-        Parameters: column and row, pixels.
+    surface, u, v
+        As for `derivatives`.
 
     Returns
     -------
-    (N, 3) float64
+    (..., 3) float64
         Unit vectors; NaN where the surface has no tangent plane.
     """
-    cross = np.cross(evaluate(surface, u, v, 1, 0), evaluate(surface, u, v, 0, 1))
-    length = np.linalg.norm(cross, axis=1, keepdims=True)
+    S = derivatives(surface, u, v)
+    cross = np.cross(S[..., 1, :], S[..., 2, :])
+    length = np.linalg.norm(cross, axis=-1, keepdims=True)
     unit: NDArray[np.float64] = np.divide(cross, length, out=np.full_like(cross, np.nan), where=length > 0)
     return unit
 
 
-def _derivative(surface: NurbsSurface, at: _At, du: int, dv: int) -> NDArray[np.float64]:
-    """Evaluate eq. 4, or its partial derivative of an order: (3, ...) coordinates.
+@compiled
+def _on_rows(blended: F64, bases: F64, rows: Intp, columns: Intp) -> F64:
+    """Return the derivatives at (N,) rows and columns: (N, 6, 3), as `derivatives`.
 
-    `at` gives the coordinates of a net of control values, or their derivatives, at the parameters.
+    Homogeneous control values are (3, rows, m, 4), and basis functions (3, columns, m), by the order of the
+    derivative first.
     """
-    if du < 0 or dv < 0 or du + dv > 2:
-        raise ValueError(f"du, dv: expected orders of 0 to 2 together, got {du} and {dv}")
-    weights = surface.weights
-    if (weights == weights[0, 0]).all():
-        # Equal weights cancel: the surface is a polynomial spline.
-        return at(np.moveaxis(surface.control_points_m, -1, 0), du, dv)
-    weighted = surface.control_points_m * weights[..., np.newaxis]
-    net = np.concatenate([np.moveaxis(weighted, -1, 0), weights[np.newaxis]])
-
-    @cache
-    def homogeneous(k: int, m: int) -> NDArray[np.float64]:
-        return at(net, k, m)
-
-    @cache
-    def derivative(k: int, m: int) -> NDArray[np.float64]:
-        # Piegl and Tiller, eq. 4.20.
-        total = homogeneous(k, m)[:3]
-        for j, i in list(product(range(m + 1), range(k + 1)))[1:]:
-            total = total - comb(k, i) * comb(m, j) * homogeneous(i, j)[3] * derivative(k - i, m - j)
-        return np.asarray(total / homogeneous(0, 0)[3])
-
-    return derivative(du, dv)
+    # Functions that are not zero at a column.
+    first, last = np.zeros(bases.shape[1], dtype=np.intp), np.zeros(bases.shape[1], dtype=np.intp)
+    for c in range(bases.shape[1]):
+        for k in range(bases.shape[2]):
+            if bases[0, c, k] != 0.0 or bases[1, c, k] != 0.0 or bases[2, c, k] != 0.0:
+                if last[c] == 0:
+                    first[c] = k
+                last[c] = k + 1
+    A, S = np.empty((3, 3, 4)), np.empty((rows.size, 6, 3))
+    for n in range(rows.size):
+        row, column = rows[n], columns[n]
+        A[:] = 0.0
+        for k in range(first[column], last[column]):
+            for i in range(3):
+                for j in range(3 - i):
+                    for x in range(4):
+                        A[i, j, x] += bases[i, column, k] * blended[j, row, k, x]
+        # Piegl and Tiller, eq. 4.20; w is the weight.
+        w, wu, wv, wuu, wuv, wvv = A[0, 0, 3], A[1, 0, 3], A[0, 1, 3], A[2, 0, 3], A[1, 1, 3], A[0, 2, 3]
+        for x in range(3):
+            s = A[0, 0, x] / w
+            su, sv = (A[1, 0, x] - wu * s) / w, (A[0, 1, x] - wv * s) / w
+            S[n, 0, x], S[n, 1, x], S[n, 2, x] = s, su, sv
+            S[n, 3, x] = (A[2, 0, x] - 2.0 * wu * su - wuu * s) / w
+            S[n, 4, x] = (A[1, 1, x] - wu * sv - wv * su - wuv * s) / w
+            S[n, 5, x] = (A[0, 2, x] - 2.0 * wv * sv - wvv * s) / w
+    return S

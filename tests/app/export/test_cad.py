@@ -10,7 +10,7 @@ from scipy.interpolate import BSpline
 
 from nurbseg.app.export.cad import cad_file, clamped
 from nurbseg.app.result import FrameResult
-from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate_lattice
+from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate
 
 
 def test_a_clamped_part_is_the_same_surface() -> None:
@@ -25,10 +25,10 @@ def test_a_clamped_part_is_the_same_surface() -> None:
     for knots, first, last in ((part.knots_u, left, right - 1), (part.knots_v, top, bottom - 1)):
         assert knots[:4].tolist() == [first] * 4
         assert knots[-4:].tolist() == [last] * 4
-    u, v = np.linspace(left, right - 1, 23), np.linspace(top, bottom - 1, 19)
-    assert np.allclose(evaluate_lattice(part, u, v), evaluate_lattice(surface, u, v), atol=1e-9)
+    u, v = np.linspace(left, right - 1, 23), np.linspace(top, bottom - 1, 19)[:, np.newaxis]
+    assert np.allclose(evaluate(part, u, v), evaluate(surface, u, v), atol=1e-9)
     # Clamped: the corner of the control net is the corner of the surface.
-    corner = evaluate_lattice(surface, u[:1], v[-1:])[0, 0]
+    corner = evaluate(surface, u[0], v[-1, 0])
     assert np.allclose(part.control_points_m[-1, 0], corner, atol=1e-9)
 
 
@@ -45,7 +45,9 @@ def test_a_part_ends_where_the_knots_do_and_has_an_extent() -> None:
         assert (part.knots_v[0], part.knots_v[-1]) == rows
         assert (part.knots_u[0], part.knots_u[-1]) == columns
         u, v = np.linspace(*columns, 9), np.linspace(*rows, 9)
-        assert np.allclose(evaluate_lattice(part, u, v), evaluate_lattice(surface, u, v), atol=1e-9)
+        assert np.allclose(
+            evaluate(part, u, v[:, np.newaxis]), evaluate(surface, u, v[:, np.newaxis]), atol=1e-9
+        )
 
 
 @pytest.fixture(params=["stag15", "nurbseg"])

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 from scipy.linalg.lapack import dpstrf
 
-from nurbseg.segmentation.cut.landmarks import choose_landmarks
+from nurbseg.segmentation.cut.affinity import choose_landmarks
 
 
 def test_the_inverse_factor_makes_affinities_of_what_is_kept_orthonormal():

@@ -17,7 +17,7 @@ from nurbseg.segmentation.points.grid import depth_grid
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
-from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate_lattice
+from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate
 
 SHAPE = (96, 128)
 STEP = 2
@@ -122,9 +122,9 @@ def test_a_surface_follows_a_linear_change(surface: NurbsSurface) -> None:
     # Its points are as deep as that, on the rays they were on.
     assert moved is not None
     u, v = columns[0].astype(float), rows[:, 0].astype(float)
-    points_m = evaluate_lattice(moved, u, v)
+    points_m = evaluate(moved, u, v[:, np.newaxis])
     assert points_m[..., 2] * found == pytest.approx(np.ones(found.shape), abs=1e-5)
-    rays = [each[..., :2] / each[..., 2:] for each in (points_m, evaluate_lattice(surface, u, v))]
+    rays = [each[..., :2] / each[..., 2:] for each in (points_m, evaluate(surface, u, v[:, np.newaxis]))]
     assert rays[0] == pytest.approx(rays[1], abs=1e-9)
 
 

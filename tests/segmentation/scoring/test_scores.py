@@ -4,8 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from nurbseg.segmentation.scoring.boundaries import boundary_scores
-from nurbseg.segmentation.scoring.scores import Contingency
+from nurbseg.segmentation.scoring.scores import Contingency, boundary_scores
 
 
 @st.composite

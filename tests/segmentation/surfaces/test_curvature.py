@@ -80,18 +80,6 @@ def test_curvatures_are_the_eigenvalues_of_the_shape_operator():
     assert_allclose(principal_curvatures(surface, pixels % 9, pixels // 9), exact, rtol=1e-6, atol=1e-6)
 
 
-def test_curvatures_of_many_parameters_are_those_of_each():
-    cloud = graph_cloud(lambda x, y: 0.5 * x * y + x**3)
-    fit = fit_surface(cloud, np.arange(81 * 81), SegmentationConfig())
-    assert fit.surface is not None
-    u, v = np.random.default_rng(2).uniform(0, 80, (2, 70_000))
-    many = np.array(principal_curvatures(fit.surface, u, v))
-    for n in (0, 65_535, 65_536, 69_999):
-        assert_allclose(many[:, n : n + 1], principal_curvatures(fit.surface, u[n], v[n]), atol=1e-9)
-    with pytest.raises(ValueError, match="broadcast"):
-        principal_curvatures(fit.surface, u, v[1:])
-
-
 @pytest.mark.parametrize("along", [0.0, 1.0], ids=["a point", "a line"])
 def test_a_surface_without_a_tangent_plane_has_no_curvature(along):
     knots = np.array([0.0, 0, 0, 0, 1, 1, 1, 1])

@@ -9,15 +9,13 @@ from scipy_basis import scipy_basis
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.points.grid import depth_grid
-from nurbseg.segmentation.surfaces.bspline import pixel_knots
 from nurbseg.segmentation.surfaces.fit import fit_surface
 from nurbseg.segmentation.surfaces.inverse_depth import (
     fit_window,
     knots_on,
-    rational_surface,
     ray_control_values,
 )
-from nurbseg.segmentation.surfaces.surface import evaluate, evaluate_lattice
+from nurbseg.segmentation.surfaces.surface import evaluate
 
 SIZE = (60, 80)
 WHOLE = (0, 0, *SIZE)
@@ -33,7 +31,7 @@ def test_a_plane_is_fitted_exactly(cloud_of):
     cloud = cloud_of(plane())
     fit = fit_window(depth_grid(cloud, 1), WHOLE, cloud.valid, CONFIG)
     assert fit.residuals_m.max() < 1e-6
-    points = evaluate_lattice(fit.surface, np.arange(80.0), np.arange(60.0))
+    points = evaluate(fit.surface, np.arange(80.0), np.arange(60.0)[:, np.newaxis])
     assert_allclose(points, cloud.points_m, atol=2e-6)
 
 
@@ -43,34 +41,30 @@ def test_a_plane_is_extrapolated_beyond_its_segment(cloud_of):
     mask[20:40, 30:45] = True
     window = (20, 30, 40, 45)
     fit = fit_window(depth_grid(cloud, 1), window, mask[20:40, 30:45], CONFIG)
-    points = evaluate_lattice(fit.surface, np.arange(27.0, 48), np.arange(17.0, 43))
+    points = evaluate(fit.surface, np.arange(27.0, 48), np.arange(17.0, 43)[:, np.newaxis])
     assert_allclose(points, cloud.points_m[17:43, 27:48], atol=1e-4)
 
 
 def test_the_surface_is_the_ray_over_the_spline(cloud_of):
-    rays = cloud_of(plane()).rays
     rng = np.random.default_rng(0)
-    control = rng.uniform(0.5, 2.0, (6, 7))
-    knots_u = pixel_knots(80, 7)
-    knots_v = pixel_knots(60, 6)
-    surface = rational_surface(control, knots_u, knots_v, rays, WHOLE)
+    cloud = cloud_of(plane() + 0.05 * rng.normal(size=SIZE))
+    surface = fit_window(depth_grid(cloud, 1), WHOLE, cloud.valid, CONFIG).surface
     u, v = rng.uniform(0, 79, 200), rng.uniform(0, 59, 200)
-    d = np.einsum("na,ab,nb->n", scipy_basis(knots_v, 3, v), control, scipy_basis(knots_u, 3, u))
-    x, y = rays.at(u, v)
+    Bu, Bv = scipy_basis(surface.knots_u, 3, u), scipy_basis(surface.knots_v, 3, v)
+    d = np.einsum("na,ab,nb->n", Bv, surface.weights, Bu)
+    x, y = cloud.rays.at(u, v)
     assert_allclose(evaluate(surface, u, v), np.stack([x, y, np.ones(200)], axis=1) / d[:, np.newaxis])
 
 
 def test_slopes_are_those_of_finite_differences(cloud_of):
     rng = np.random.default_rng(3)
-    knots_u, knots_v = pixel_knots(80, 7), pixel_knots(60, 6)
-    rays = cloud_of(plane()).rays
-    rational = rational_surface(rng.uniform(0.5, 2.0, (6, 7)), knots_u, knots_v, rays, WHOLE)
     cloud = cloud_of(plane() + 0.01 * rng.normal(size=SIZE))
+    rational = fit_window(depth_grid(cloud, 1), WHOLE, cloud.valid, CONFIG).surface
     polynomial = fit_surface(cloud, np.flatnonzero(cloud.valid), CONFIG).surface
     u, v = np.linspace(5, 70, 9), np.linspace(4, 50, 9)
     for surface in (rational, polynomial):
         inverse_depth, slope_u, slope_v = inverse_depth_lattice(surface, u, v)
-        assert_allclose(inverse_depth, 1.0 / evaluate_lattice(surface, u, v)[..., 2], rtol=1e-12)
+        assert_allclose(inverse_depth, 1.0 / evaluate(surface, u, v[:, np.newaxis])[..., 2], rtol=1e-12)
         h = 1e-4
         for slope, du, dv in ((slope_u, h, 0.0), (slope_v, 0.0, h)):
             after, before = (inverse_depth_lattice(surface, u + s * du, v + s * dv)[0] for s in (1, -1))
@@ -150,7 +144,7 @@ def test_a_surface_never_passes_through_infinity_where_nothing_holds_it(cloud_of
     mask = (columns < 12) | ((rows < 3) & (columns > 70))
     fit = fit_window(depth_grid(cloud, 1), WHOLE, mask, CONFIG)
     assert (fit.surface.weights > 0).all()
-    assert np.isfinite(evaluate_lattice(fit.surface, np.arange(80.0), np.arange(60.0))).all()
+    assert np.isfinite(evaluate(fit.surface, np.arange(80.0), np.arange(60.0)[:, np.newaxis])).all()
 
 
 def test_points_that_are_nowhere_leave_no_surface_but_a_reason(cloud_of):

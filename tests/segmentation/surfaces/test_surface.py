@@ -7,7 +7,7 @@ from scipy.interpolate import BSpline
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.surfaces.fit import control_point_count, fit_surface
-from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate, evaluate_lattice, normals
+from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate, normals
 
 ROOT = np.sqrt(0.5)
 
@@ -67,6 +67,14 @@ def test_unit_weights_give_the_spline_of_scipy():
     assert_allclose(evaluate(spline, u, v), expected, atol=1e-12)
 
 
+def test_points_of_many_parameters_are_those_of_each():
+    surface = wavy_rational()
+    u, v = np.random.default_rng(2).uniform(0, 10, (2, 40_000))
+    many = evaluate(surface, u, v)
+    for n in (0, 32_767, 32_768, 39_999):
+        assert_allclose(many[n], evaluate(surface, u[n], v[n]), atol=1e-12)
+
+
 @pytest.mark.parametrize("order", [(1, 0), (0, 1), (2, 0), (1, 1), (0, 2)])
 def test_rational_derivatives_agree_with_finite_differences(order):
     surface = wavy_rational()
@@ -84,7 +92,7 @@ def test_rational_derivatives_agree_with_finite_differences(order):
 @pytest.mark.parametrize(("surface", "end"), [(wavy_rational(), 10), (quarter_cylinder(), 1)])
 def test_a_lattice_has_the_points_of_its_places(surface, end):
     u, v = np.linspace(0, end, 4), np.linspace(0, end, 3)
-    lattice = evaluate_lattice(surface, u, v, 1, 1)
+    lattice = evaluate(surface, u, v[:, np.newaxis], 1, 1)
     columns, rows = np.meshgrid(u, v)
     scattered = evaluate(surface, columns.ravel(), rows.ravel(), 1, 1)
     assert lattice.shape == (3, 4, 3)
@@ -94,8 +102,8 @@ def test_a_lattice_has_the_points_of_its_places(surface, end):
 def test_third_derivatives_and_unequal_parameters_are_refused():
     with pytest.raises(ValueError, match="orders of 0 to 2"):
         evaluate(wavy_rational(), np.zeros(1), np.zeros(1), 2, 1)
-    with pytest.raises(ValueError, match="equal length"):
-        evaluate(wavy_rational(), np.zeros(2), np.zeros(1))
+    with pytest.raises(ValueError, match="broadcast"):
+        evaluate(wavy_rational(), np.zeros(2), np.zeros(3))
 
 
 def test_a_surface_says_which_of_its_arrays_does_not_match():

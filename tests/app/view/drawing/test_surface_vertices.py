@@ -7,7 +7,7 @@ import pytest
 
 from nurbseg.app.view.drawing.surface_mesh import Lattices, evaluate_vertices
 from nurbseg.segmentation.surfaces.bspline import pixel_knots
-from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate_lattice
+from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate
 
 
 def surface(
@@ -40,7 +40,7 @@ def test_vertices_are_where_the_surfaces_own_evaluation_puts_them() -> None:
         rows, columns = lattices.counts[number]
         v, u = np.linspace(top, bottom - 1, rows), np.linspace(left, right - 1, columns)
         assert points[ends[number] : ends[number + 1]].reshape(rows, columns, 3) == pytest.approx(
-            evaluate_lattice(each, u, v), abs=2e-6, rel=2e-5
+            evaluate(each, u, v[:, np.newaxis]), abs=2e-6, rel=2e-5
         )
     some = rng.random(wanted.size) < 0.3
     np.testing.assert_array_equal(evaluate_vertices(surfaces, lattices, some), points[some])
