@@ -1,7 +1,7 @@
 """The grid on which splits are decided: points of every few rows and columns, and their inverse depths."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,19 +85,13 @@ class DepthGrid(PixelGrid):
         Inverse depth, 1/m; 0 where there is no point.
     rays : Rays
         Of the camera.
-
-    Attributes
-    ----------
     distances_m : (h, w) float32
         From the camera, metres; 0 where there is no point.
     """
 
     inverse_depth: NDArray[np.float32]
     rays: Rays
-    distances_m: NDArray[np.float32] = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "distances_m", _distances(self.coordinates_m))
+    distances_m: NDArray[np.float32]
 
     @property
     def unit_px(self) -> float:
@@ -171,8 +165,8 @@ def _decimated(points_m: F32, valid: Bool, step: int) -> tuple[F32, Bool]:
 def depth_grid(cloud: PointMap, step: int) -> DepthGrid:
     """Take every `step`-th row and column of a frame: its points and their inverse depths."""
     coordinates_m, valid = _decimated(cloud.points_m, cloud.valid, step)
-    inverse_depth = _inverse_depths(coordinates_m[2], valid)
-    return DepthGrid(step, cloud.valid.shape, coordinates_m, valid, inverse_depth, cloud.rays)
+    inverse_depth, distances_m = _inverse_depths(coordinates_m[2], valid), _distances(coordinates_m)
+    return DepthGrid(step, cloud.valid.shape, coordinates_m, valid, inverse_depth, cloud.rays, distances_m)
 
 
 @compiled

@@ -89,9 +89,8 @@ def fit_surface(cloud: PointMap, pixels: NDArray[np.intp], config: SegmentationC
     """
     if not cloud.valid.reshape(-1)[pixels].all():
         raise ValueError("pixels: expected pixels that have a point")
-    ascending = pixels if np.all(pixels[1:] > pixels[:-1]) else np.unique(pixels)
     with one_blas_thread():
-        return fit_on_grid(decimated_grid(cloud, 1), ascending, config)
+        return fit_on_grid(decimated_grid(cloud, 1), np.unique(pixels), config)
 
 
 def fit_on_grid(grid: PixelGrid, grid_pixels: NDArray[np.intp], config: SegmentationConfig) -> Fit:

@@ -74,16 +74,13 @@ class SurfaceLattice:
 
     def image(self, labels: NDArray[np.int32]) -> NDArray[np.float32]:
         """Return the inverse depth of each pixel's own surface, (h, w) float32; inf where there is none."""
-        found = np.empty(labels.shape, dtype=np.float32)
-        _take(self.samples, labels, found)
-        return found
+        return _take(self.samples, labels)
 
     def slopes_at(
         self, labels: NDArray[np.int32], u: NDArray[np.float64], v: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Do what `SurfaceTable.slopes` does, interpolating linearly; NaN where a surface does not reach."""
-        found = np.empty((3, labels.size))
-        _interpolate(self.samples, labels, v / self.step, u / self.step, found)
+        found = _interpolate(self.samples, labels, v / self.step, u / self.step)
         found[1:] /= self.step
         return found[0], found[1], found[2]
 
@@ -134,9 +131,10 @@ def _cubic(position: float, count: int, basis: F32) -> int:
 
 
 @compiled
-def _take(samples: Samples, labels: I32, found: F32) -> None:
+def _take(samples: Samples, labels: I32) -> F32:
     values, windows = samples
     height, width = labels.shape
+    found = np.empty((height, width), dtype=np.float32)
     for r in range(height):
         label = np.int32(-1)
         for c in range(width):
@@ -147,12 +145,14 @@ def _take(samples: Samples, labels: I32, found: F32) -> None:
                 if not top <= r < bottom:
                     left = right
             found[r, c] = values[start + c] if left <= c < right else np.inf
+    return found
 
 
 @compiled
-def _interpolate(samples: Samples, labels: I32, rows: F64, columns: F64, found: F64) -> None:
+def _interpolate(samples: Samples, labels: I32, rows: F64, columns: F64) -> F64:
     """Interpolate values between four grid pixels, and their slopes along columns and rows."""
     values, windows = samples
+    found = np.empty((3, labels.size))
     for n in range(labels.size):
         top, left, bottom, right, start = windows[labels[n]]
         r, c = rows[n] - top, columns[n] - left
@@ -169,3 +169,4 @@ def _interpolate(samples: Samples, labels: I32, rows: F64, columns: F64, found: 
         found[0, n] = upper + (lower - upper) * (r - r0)
         found[1, n] = along_upper + (along_lower - along_upper) * (r - r0)
         found[2, n] = lower - upper
+    return found

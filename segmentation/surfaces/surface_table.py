@@ -73,9 +73,7 @@ class SurfaceTable:
         (N,) float32
             In 1/m; NaN where a label has no surface.
         """
-        inverse_depth = np.empty(labels.size, dtype=np.float32)
-        _evaluate(self.splines, labels, rows, columns, inverse_depth)
-        return inverse_depth
+        return _evaluate(self.splines, labels, rows, columns)
 
     def slopes(
         self, labels: NDArray[np.int32], u: NDArray[np.float64], v: NDArray[np.float64]
@@ -94,8 +92,7 @@ class SurfaceTable:
         inverse_depth, slope_u, slope_v : (N,) float64
             Inverse depth in 1/m and its change by one pixel along u and v; NaN where a label has no surface.
         """
-        found = np.empty((3, labels.size))
-        _evaluate_slopes(self.splines, labels, u, v, found)
+        found = _evaluate_slopes(self.splines, labels, u, v)
         return found[0], found[1], found[2]
 
 
@@ -144,8 +141,9 @@ def on_curve(axes: F64, curves: F64, label: int, column: int) -> float:
 
 
 @compiled
-def _evaluate(splines: Splines, labels: I32, rows: I32, columns: I32, inverse_depth: F32) -> None:
+def _evaluate(splines: Splines, labels: I32, rows: I32, columns: I32) -> F32:
     axes, weights, starts = splines
+    inverse_depth = np.empty(labels.size, dtype=np.float32)
     # Pixels come row by row: a surface along its last row is kept.
     kept, curves = no_curves(axes)
     for n in range(labels.size):
@@ -157,25 +155,13 @@ def _evaluate(splines: Splines, labels: I32, rows: I32, columns: I32, inverse_de
             kept[label] = rows[n]
             fill_curve(axes, weights, starts, label, rows[n], curves[label])
         inverse_depth[n] = on_curve(axes, curves, label, columns[n])
-
-
-@inlined
-def _sums(
-    net: F64, first: int, length: int, Bu: Four, Du: Four, Bv: Four, Dv: Four
-) -> tuple[float, float, float]:
-    """Add up the sixteen control values at `first` and beside it: a spline and its slopes."""
-    value, along_u, along_v = 0.0, 0.0, 0.0
-    for k in range(_ORDER):
-        across = _dot(Bv, net, first + k, length)
-        value += Bu[k] * across
-        along_u += Du[k] * across
-        along_v += Bu[k] * _dot(Dv, net, first + k, length)
-    return value, along_u, along_v
+    return inverse_depth
 
 
 @compiled
-def _evaluate_slopes(splines: Splines, labels: I32, columns: F64, rows: F64, found: F64) -> None:
+def _evaluate_slopes(splines: Splines, labels: I32, columns: F64, rows: F64) -> F64:
     axes, weights, starts = splines
+    found = np.empty((3, labels.size))
     for n in range(labels.size):
         label = labels[n]
         length = int(axes[label, 0, 2])
@@ -185,4 +171,11 @@ def _evaluate_slopes(splines: Splines, labels: I32, columns: F64, rows: F64, fou
         column, Bu, Du = _functions(axes, label, 0, columns[n])
         row, Bv, Dv = _functions(axes, label, 1, rows[n])
         first = starts[label] + row * length + column
-        found[0, n], found[1, n], found[2, n] = _sums(weights, first, length, Bu, Du, Bv, Dv)
+        value, along_u, along_v = 0.0, 0.0, 0.0
+        for k in range(_ORDER):
+            across = _dot(Bv, weights, first + k, length)
+            value += Bu[k] * across
+            along_u += Du[k] * across
+            along_v += Bu[k] * _dot(Dv, weights, first + k, length)
+        found[0, n], found[1, n], found[2, n] = value, along_u, along_v
+    return found
