@@ -150,13 +150,19 @@ def _add_columns(below: F64, half: int, sums: F64) -> None:
     width = below.shape[1]
     n, nv, nvv, nd, ndv, ndd, nu, nuu, nuv, ndu = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for entering in range(width + half):
-        for sign, column in ((1.0, entering), (-1.0, entering - 2 * half - 1)):
-            if 0 <= column < width:
-                u = float(column)
-                one, v, d = sign * below[0, column], sign * below[1, column], sign * below[3, column]
-                n, nv, nvv, nd = n + one, nv + v, nvv + sign * below[2, column], nd + d
-                ndv, ndd = ndv + sign * below[4, column], ndd + sign * below[5, column]
-                nu, nuu, nuv, ndu = nu + u * one, nuu + u * u * one, nuv + u * v, ndu + u * d
+        if entering < width:
+            u = float(entering)
+            one, v, d = below[0, entering], below[1, entering], below[3, entering]
+            n, nv, nvv, nd = n + one, nv + v, nvv + below[2, entering], nd + d
+            ndv, ndd = ndv + below[4, entering], ndd + below[5, entering]
+            nu, nuu, nuv, ndu = nu + u * one, nuu + u * u * one, nuv + u * v, ndu + u * d
+        leaving = entering - 2 * half - 1
+        if leaving >= 0:
+            u = float(leaving)
+            one, v, d = below[0, leaving], below[1, leaving], below[3, leaving]
+            n, nv, nvv, nd = n - one, nv - v, nvv - below[2, leaving], nd - d
+            ndv, ndd = ndv - below[4, leaving], ndd - below[5, leaving]
+            nu, nuu, nuv, ndu = nu - u * one, nuu - u * u * one, nuv - u * v, ndu - u * d
         x = entering - half
         if x >= 0:
             sums[0, x], sums[1, x], sums[2, x], sums[3, x], sums[4, x] = n, nv, nvv, nd, ndv
