@@ -177,6 +177,8 @@ def test_both_levels_are_exported_and_each_leaf_names_its_object(
         assert leaf["name"] in document["objects"][leaf["object"] - 1]["leaves"]
     assert len(document["contacts"]) == len(tree.contacts)
     assert all(each["merged"] or each["reason"] for each in document["contacts"])
+    names = ["first", "second", "merged", "reason", "samples", "log_odds", "evidence"]
+    assert all(list(each) == names for each in document["contacts"])
 
 
 def test_the_surfaces_file_gives_the_surfaces_back(small_result: FrameResult, tmp_path: Path) -> None:
@@ -235,6 +237,9 @@ def test_the_settings_are_written_next_to_the_frames(small_result: FrameResult, 
     found = json.loads((tmp_path / "settings.json").read_text())
     assert (found["source"], found["temporal"], found["target_fps"]) == ("kitchen.mcap", True, 30.0)
     assert found["segmentation"] == asdict(config)
+    assert found.keys() == {
+        *("source", "temporal", "target_fps", "surfaces", "depth", "camera", "depth_scale", "segmentation")
+    }
     assert found["segmentation"]["extended"]["cuts"] == 3
     assert json.loads((tmp_path / "000000_tree.json").read_text())["metric"] == "vgc"
 

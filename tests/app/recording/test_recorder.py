@@ -241,7 +241,7 @@ def test_a_recording_continues_in_another_file_after_some_time(tmp_path):
     taken.write_bytes(b"precious")
     config = RecordConfig(file=str(path), split_s=1.0, color="raw")
     with open_recording(config, ScriptedSource([])) as recording:
-        for index in range(75):
+        for index in range(45, 120):
             recording.put(small_frame(index))
     parts = [tmp_path / name for name in ("run.mcap", "run-3.mcap", "run-4.mcap")]
     assert recording.files == tuple(parts)
@@ -249,7 +249,7 @@ def test_a_recording_continues_in_another_file_after_some_time(tmp_path):
     assert taken.read_bytes() == b"precious"
     # Thirty frames of 30 Hz are a second.
     numbers = [[round(frame.timestamp_ns * 30e-9) for frame in recorded(part)] for part in parts]
-    assert numbers == [list(range(30)), list(range(30, 60)), list(range(60, 75))]
+    assert numbers == [list(range(45, 75)), list(range(75, 105)), list(range(105, 120))]
 
 
 @pytest.mark.parametrize("share", [0.3, 0.5, 0.7])

@@ -74,6 +74,16 @@ def test_a_labelled_set_without_its_depths_is_refused_by_name(tmp_path: Path) ->
         open_source(path)
 
 
+def test_a_labelled_set_of_a_single_image_is_refused_by_name(tmp_path: Path) -> None:
+    path = labelled_set(tmp_path / "set.mat")
+    with h5py.File(path, "r+") as file:
+        image = file["depths"][0]
+        del file["depths"]
+        file["depths"] = image
+    with pytest.raises(RecordingFormatError, match=r"set\.mat: depths: expected \(frames, columns, rows\)"):
+        open_source(path)
+
+
 def test_single_frames_split_a_class_into_its_connected_parts(tmp_path: Path) -> None:
     depth_m = np.full((24, 32), 1.5)
     depth_m[0, 0] = np.nan

@@ -157,6 +157,7 @@ def test_surface_labels_part_objects_and_never_join_them():
         whole, parts = frame_at(objects, 3).labels, frame_at(surfaces, 3).labels
         assert len(np.unique(parts)) >= len(np.unique(whole)) + 5
         assert set(np.unique(parts)) <= set(surfaces.label_names)
+        assert list(surfaces.label_names) == list(range(1, len(surfaces.label_names) + 1))
         for part in np.unique(parts):
             (label,) = np.unique(whole[parts == part])
             assert surfaces.label_names[int(part)].startswith(objects.label_names[int(label)])
