@@ -63,7 +63,7 @@ class _Settings(NamedTuple):
     temporal: bool
     target_fps: float
     surfaces: bool
-    depth: dict[str, Any] | None = None
+    depth: dict[str, Any]
     camera: dict[str, Any] | None = None
     depth_scale: float | None = None
 
@@ -72,9 +72,9 @@ def read_settings(folder: Path) -> RunSettings:
     """Read the settings of a folder of exports; raises ValueError if they are missing or damaged."""
     path = folder / SETTINGS_FILE
     try:
-        values: Any = _decoded(_Settings, read_json(path))
+        values: Any = _decoded(_Settings, {"depth": {}} | read_json(path))
         read = {
-            name: read_section(path, name, kind, in_sections(kind, getattr(values, name) or {})[0])
+            name: read_section(path, name, kind, in_sections(kind, getattr(values, name))[0])
             for name, kind in (("segmentation", SegmentationConfig), ("depth", DepthConfig))
         }
         if values.camera is not None:
@@ -164,7 +164,7 @@ def _surfaces(path: Path) -> tuple[dict[str, ExportedSurface], dict[str, NDArray
             size = sum(each.file_size for each in file.zip.infolist())
             if size > FRAME_BYTES_MAX:
                 raise ValueError(f"expected {FRAME_BYTES_MAX} bytes at most in its arrays, got {size}")
-            arrays = {key: _checked(key, file[key]) for key in file.files}
+            arrays = {key: _checked(key, file[key]) for key in file.files if _part(key) in _ARRAYS}
         surfaces = {
             name: ExportedSurface(
                 tuple(degree), tuple(window), **{part: arrays[f"{name}_{part}"] for part in _OF_A_SURFACE}
@@ -178,15 +178,22 @@ def _surfaces(path: Path) -> tuple[dict[str, ExportedSurface], dict[str, NDArray
             for key, array in arrays.items()
             if key.endswith("_measured")
         }
+    except KeyError as err:
+        raise DamagedExportError(path, f"{err} is missing") from err
     # What NumPy and zipfile raise for damaged files is of many kinds, some of them without a text.
     except Exception as err:
         raise DamagedExportError(path, str(err) or type(err).__name__) from err
     return surfaces, measured
 
 
+def _part(key: str) -> str:
+    """Return what an array is, without the segment it is of: ``knots_u`` of ``P0_knots_u``."""
+    return key.partition("_")[2] or key
+
+
 def _checked(key: str, array: NDArray[Any]) -> NDArray[Any]:
     """Return an array; raises ValueError if it is of another kind or shape than its name says."""
-    kind, dimensions, columns = _ARRAYS[key.partition("_")[2] or key]
+    kind, dimensions, columns = _ARRAYS[_part(key)]
     if array.dtype.kind != kind or array.ndim != dimensions or columns not in (0, array.shape[-1]):
         raise ValueError(f"{key}: is an array {array.shape} of {array.dtype}, not as in docs/files.md")
     return array

@@ -55,6 +55,16 @@ def damaged_within(path):
     path.write_bytes(content)
 
 
+def without_array(part):
+    def damage(path):
+        with np.load(path) as opened:
+            arrays = dict(opened)
+        del arrays[next(each for each in arrays if each.endswith(part))]
+        np.savez(path, **arrays)
+
+    return damage
+
+
 def with_array(part, make):
     def damage(path):
         with np.load(path) as opened:
@@ -89,6 +99,8 @@ def with_number(text):
         (SURFACES, compressed_gigabytes, "expected 268435456 bytes at most in its arrays"),
         (SURFACES, array_of_terabytes, "Unable to allocate"),
         (SURFACES, damaged_within, "expected a file of an export"),
+        (SURFACES, without_array("weights"), "expected a file of an export, found 'P_weights' is missing"),
+        (SURFACES, without_array("window"), "expected a file of an export, found 'window' is missing"),
         (SURFACES, with_array("names", lambda _: np.zeros(())), "names: is an array () of float64"),
         (SURFACES, with_array("degree", lambda each: each[:, :1]), "degree: is an array"),
         (SURFACES, with_array("window", lambda each: each.astype(str)), "window: is an array"),
@@ -121,6 +133,7 @@ def test_a_hostile_file_of_a_frame_is_a_finding(export, file, damage, text):
         ({"segmentation": 1}, "segmentation: expected dict, got 1"),
         ({"segmentation": {"decimation": "2"}}, "segmentation.decimation: expected a whole number, got '2'"),
         ({"segmentation": {"extended": {"log_odds_min": float("nan")}}}, "log_odds_min: expected a finite"),
+        ({"depth": None}, "depth: expected dict, got None"),
         ({"depth": {"range_max_m": "far"}}, "depth.range_max_m: expected a number, got 'far'"),
         ({"camera": {"depth": 1}}, "depth"),
     ],
@@ -132,6 +145,12 @@ def test_hostile_settings_are_named(export, capsys, change, text):
     told = capsys.readouterr().err
     assert told.startswith(f"nurbseg-eval: error: {path}: ")
     assert text in told
+
+
+def test_an_array_that_is_of_no_use_is_passed_over(export):
+    folder = export("stag15")
+    folder.arrays(lambda arrays: arrays.update(made_by=np.array("another program")))
+    assert folder.findings() == []
 
 
 @pytest.mark.parametrize("damage", [nested, enormous, a_pipe, endless])
